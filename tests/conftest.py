@@ -1,0 +1,47 @@
+"""What every test shares: one BLAS thread, repeatable random examples, public records, an empty cache on request."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+# Before anything imports numpy: a pool of threads on 4x4 matrices costs a hundred times the arithmetic.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+# The same examples in every run; HYPOTHESIS_PROFILE=default searches at random and for longer.
+settings.register_profile("ci", derandomize=True, max_examples=25, deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared"
+
+
+def _folder(name: str, content: str) -> Path:
+    folder = SHARED / name
+    if not folder.is_dir():
+        pytest.skip(f"../shared/{name} ({content}) is not beside this checkout")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of public benchmark records, `../shared/data`; a test that needs it is skipped where it is missing."""
+    return _folder("data", "public benchmark records")
+
+
+@pytest.fixture(scope="session")
+def shared_blind() -> Path:
+    """The folder of simulated cases with known answers, `../shared/blind`; skipped where it is missing."""
+    return _folder("blind", "simulated cases with known answers")
+
+
+@pytest.fixture
+def fresh_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache of compiled kernels for one test; the others reuse the user's and save the compile time."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("GREYBOX_CACHE", str(folder))
+    return folder

@@ -1,0 +1,232 @@
+"""Imports point one way, and files and functions stay short enough to be read."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# A room is the first path component under greybox/. It may import from the rows above it, and from its own row as
+# long as the rooms of that row do not import one another in a circle.
+ROWS = [
+    {"errors"},
+    {"signals", "units"},
+    {"model", "experiment"},
+    {"effects", "integrators", "result", "noise"},
+    {"kernel"},
+    {"transcription"},
+    {"simulation", "optimiser"},
+    {"fitting"},
+    {"blackbox", "check"},
+    {"diagnose", "compare", "export"},
+    {"discover"},
+    {"figures", "report", "project", "demo"},
+    {"cli"},
+    {"__init__", "__main__"},  # the front doors: they may import everything, and nothing imports them
+]
+LEVEL = {room: level for level, row in enumerate(ROWS) for room in row}
+
+MOST_LINES_OF_A_FILE = 400
+MOST_LINES_OF_A_FUNCTION = 100
+
+
+class Import(NamedTuple):
+    """``module`` is imported in line ``line`` of ``file``, which is the module ``importer``.
+
+    ``late`` says that it is imported inside a function, when that runs, and not together with the importer.
+    """
+
+    file: Path
+    line: int
+    late: bool
+    importer: str
+    module: str
+
+    @property
+    def where(self) -> str:
+        return f"{self.file.relative_to(ROOT)}:{self.line}"
+
+
+def sources(*folders: str, kinds: tuple[str, ...] = (".py",)) -> list[Path]:
+    return sorted(path for folder in folders for path in (ROOT / folder).rglob("*") if path.suffix in kinds)
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" and len(parts) > 1 else parts)
+
+
+def is_module(name: str) -> bool:
+    path = ROOT.joinpath(*name.split("."))
+    return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
+
+
+def running_code(node: ast.AST, late: bool = False) -> Iterator[tuple[ast.AST, bool]]:
+    """Every node below ``node`` that runs, and whether inside a function; ``if TYPE_CHECKING`` does not run."""
+    yield node, late
+    late = late or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+    for_types_only = isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING")
+    for child in node.orelse if for_types_only else ast.iter_child_nodes(node):
+        yield from running_code(child, late)
+
+
+def imports(path: Path) -> Iterator[Import]:
+    importer = module_name(path)
+    package = importer if path.name == "__init__.py" else importer.rpartition(".")[0]
+    for node, late in running_code(parsed(path)):
+        if isinstance(node, ast.Import):
+            yield from (Import(path, node.lineno, late, importer, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            # `from .. import x` names its module by its distance from here
+            above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            base = ".".join([*above, *filter(None, [node.module])])
+            for alias in node.names:
+                inside = f"{base}.{alias.name}"
+                yield Import(path, node.lineno, late, importer, inside if is_module(inside) else base)
+
+
+def room(module: str) -> str:
+    """``greybox.model.balance`` -> ``model``; the package itself is ``__init__``."""
+    return module.split(".")[1] if "." in module else "__init__"
+
+
+def top(module: str) -> str:
+    return module.partition(".")[0]
+
+
+def all_imports(*folders: str) -> list[Import]:
+    return [found for path in sources(*folders) for found in imports(path)]
+
+
+def circle(edges: set[tuple[str, str]]) -> list[str]:
+    """The names of one circle among ``importer -> imported``, or an empty list."""
+    graph: dict[str, set[str]] = {}
+    for importer, imported in edges:
+        graph.setdefault(importer, set()).add(imported)
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []
+
+
+def test_there_is_a_library_to_look_at() -> None:
+    assert len(sources("greybox")) > 10
+    assert len(all_imports("greybox")) > 10
+
+
+def test_every_room_has_its_place() -> None:
+    unknown = sorted({room(module_name(path)) for path in sources("greybox")} - set(LEVEL))
+    assert not unknown, (
+        f"greybox/ has rooms without a place: {', '.join(unknown)}. Add each to ROWS in {Path(__file__).name}: in the"
+        " row after the last room that it imports, and before the first that imports it"
+    )
+
+
+def test_imports_point_one_way() -> None:
+    upward = [
+        f"{found.where}: {room(found.importer)} imports {found.module}, which belongs to a later room"
+        for found in all_imports("greybox")
+        if top(found.module) == "greybox" and LEVEL.get(room(found.module), 0) > LEVEL.get(room(found.importer), 0)
+    ]
+    assert not upward, "\n".join(["move the shared part to an earlier room:", *upward])
+
+
+def test_the_front_doors_are_not_imported() -> None:
+    inside = [
+        f"{found.where}: write the full name, from greybox.<room> import ..."
+        for found in all_imports("greybox")
+        if found.module in ("greybox", "greybox.__main__") and room(found.importer) != "__main__"
+    ]
+    assert not inside, "\n".join(inside)
+
+
+def test_rooms_of_a_row_do_not_import_in_a_circle() -> None:
+    edges = {(room(f.importer), room(f.module)) for f in all_imports("greybox") if top(f.module) == "greybox"}
+    found = circle({(importer, imported) for importer, imported in edges if importer != imported})
+    assert not found, f"rooms import one another in a circle: {' -> '.join(found)}"
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    """A method may hand over to a module built upon its class, in the same room, by a late import."""
+    local = ("greybox", "models", "fits")
+    found = circle({(f.importer, f.module) for f in all_imports(*local) if top(f.module) in local and not f.late})
+    assert not found, f"modules import one another in a circle: {' -> '.join(found)}"
+
+
+ALLOWED = {
+    "greybox": {"greybox"},
+    "models": {"greybox", "models", "casadi"},
+    "fits": {"greybox", "models", "fits"},
+}
+
+
+def declared(*extras: str) -> set[str]:
+    """Distributions that pyproject.toml names; all of them are imported under their own name."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = project["dependencies"] + [line for extra in extras for line in project["optional-dependencies"][extra]]
+    return {re.match(r"[\w-]+", line).group() for line in lines}
+
+
+@pytest.mark.parametrize("folder", ALLOWED)
+def test_each_folder_imports_what_it_may(folder: str) -> None:
+    third_party = set() if folder == "models" else declared("parquet")
+    allowed = ALLOWED[folder] | third_party | set(sys.stdlib_module_names)
+    foreign = [f"{found.where}: {found.module}" for found in all_imports(folder) if top(found.module) not in allowed]
+    assert not foreign, "\n".join([f"{folder}/ may not import (or pyproject.toml does not declare):", *foreign])
+
+
+@pytest.mark.parametrize(("package", "owner"), [("matplotlib", "figures"), ("typer", "cli")])
+def test_one_room_owns_a_package(package: str, owner: str) -> None:
+    elsewhere = [f.where for f in all_imports("greybox") if top(f.module) == package and room(f.importer) != owner]
+    assert not elsewhere, f"only greybox/{owner} imports {package}: {', '.join(elsewhere)}"
+
+
+def test_one_room_names_the_solver() -> None:
+    elsewhere = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in sources("greybox")
+        for node in ast.walk(parsed(path))
+        if isinstance(node, ast.Name | ast.Attribute)
+        and ast.unparse(node).rpartition(".")[2] == "nlpsol"
+        and room(module_name(path)) != "optimiser"
+    ]
+    assert not elsewhere, f"only greybox/optimiser calls nlpsol: {', '.join(elsewhere)}"
+
+
+def test_files_are_short() -> None:
+    paths = sources("greybox", "models", "fits", kinds=(".py", ".c", ".h"))
+    lines = {path: path.read_text(encoding="utf-8").count("\n") for path in paths}
+    long = [f"{path.relative_to(ROOT)}: {n} lines" for path, n in lines.items() if n > MOST_LINES_OF_A_FILE]
+    assert not long, "\n".join([f"a file has at most {MOST_LINES_OF_A_FILE} lines:", *long])
+
+
+def length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines from ``def`` to the last statement, the docstring not counted."""
+    doc = function.body[0] if ast.get_docstring(function) is not None else None
+    return function.end_lineno - function.lineno + 1 - (doc.end_lineno - doc.lineno + 1 if doc else 0)
+
+
+def test_functions_are_short() -> None:
+    long = [
+        f"{path.relative_to(ROOT)}:{node.lineno}: {node.name} has {length(node)} lines"
+        for path in sources("greybox", "models", "fits")
+        for node in ast.walk(parsed(path))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and length(node) > MOST_LINES_OF_A_FUNCTION
+    ]
+    assert not long, "\n".join([f"a function has at most {MOST_LINES_OF_A_FUNCTION} lines:", *long])

@@ -1,0 +1,146 @@
+"""What the repository as a whole promises: clean text, a documented and typed public surface, a wheel that installs."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+# Each pattern has a letter in brackets, so that it does not match its own line.
+UNWANTED = {
+    "a path of one machine": r"(?<![\w.])/(?:wor[k]|hom[e]|roo[t]|User[s])/",
+    "the address of a package registry": r"index[-_]ur[l]|find[-_]link[s]|(?:pypi|pythonhosted|npmjs)\.or[g]",
+    "a note of unfinished work": r"\b(?:TOD[O]|FIXM[E]|XX[X])\b",
+}
+
+
+def files() -> list[Path]:
+    """What git tracks or would track; in an unpacked archive, everything outside hidden folders."""
+    if (ROOT / ".git").exists():
+        command = ["git", "-C", str(ROOT), "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+        names = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split("\0")
+        return [path for name in names if name and (path := ROOT / name).is_file()]
+    parts = ((path, path.relative_to(ROOT).parts) for path in ROOT.rglob("*") if path.is_file())
+    return [path for path, names in parts if not any(n.startswith(".") or n == "__pycache__" for n in names[:-1])]
+
+
+def texts() -> Iterator[tuple[Path, str]]:
+    """Each text file of the project with its content; what is not UTF-8 is a figure or an archive."""
+    for path in files():
+        try:
+            yield path.relative_to(ROOT), path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue
+
+
+@pytest.mark.parametrize("what", UNWANTED)
+def test_text_is_free_of(what: str) -> None:
+    pattern = re.compile(UNWANTED[what])
+    found = [
+        f"{path}:{number}: {match.group()}"
+        for path, text in texts()
+        for number, line in enumerate(text.splitlines(), 1)
+        if (match := pattern.search(line))
+    ]
+    assert not found, "\n".join([f"{what} has no place in the project:", *found])
+
+
+@pytest.mark.parametrize(
+    ("what", "example"),
+    [
+        ("a path of one machine", "see /hom{}/ann/rig.csv".format("e")),
+        ("the address of a package registry", "pip install --index-ur{} x".format("l")),
+        ("a note of unfinished work", "# TOD{}: the other sign".format("O")),
+    ],
+)
+def test_the_text_rules_find_what_they_forbid(what: str, example: str) -> None:
+    assert re.search(UNWANTED[what], example)
+
+
+@pytest.mark.parametrize("name", ["README.md", "CHANGELOG.md", "LICENSE", "Makefile", ".ci/run", "greybox/py.typed"])
+def test_file_exists(name: str) -> None:
+    assert (ROOT / name).is_file()
+
+
+@pytest.fixture(scope="module")
+def project() -> dict:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+def test_changelog_speaks_of_this_version(project: dict) -> None:
+    assert project["version"] in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_console_script_leads_to_a_function(project: dict) -> None:
+    assert list(project["scripts"]) == ["greybox"]
+    assert callable(EntryPoint("greybox", project["scripts"]["greybox"], "console_scripts").load())
+
+
+def public(body: list[ast.stmt], prefix: str = "") -> Iterator[tuple[str, Function | ast.ClassDef]]:
+    """Public functions, classes and methods; what is defined inside a function is its own affair."""
+    for node in body:
+        if isinstance(node, ast.If | ast.Try):
+            yield from public([*node.body, *node.orelse], prefix)
+        elif isinstance(node, Function | ast.ClassDef) and not node.name.startswith("_"):
+            yield f"{prefix}{node.name}", node
+            if isinstance(node, ast.ClassDef):
+                yield from public(node.body, f"{node.name}.")
+
+
+def public_surface() -> Iterator[tuple[str, Function | ast.ClassDef]]:
+    for path in sorted((ROOT / "greybox").rglob("*.py")):
+        for name, node in public(ast.parse(path.read_text(encoding="utf-8")).body):
+            yield f"{path.relative_to(ROOT)}:{node.lineno}: {name}", node
+
+
+def decorators(node: Function | ast.ClassDef) -> set[str]:
+    return {ast.unparse(d).rpartition(".")[2] for d in node.decorator_list}
+
+
+def unannotated(function: Function) -> list[str]:
+    """Arguments without a type, and ``return`` where the result has none; ``self`` and ``cls`` need none."""
+    every = function.args
+    named = [*every.posonlyargs, *every.args, *every.kwonlyargs, *filter(None, [every.vararg, every.kwarg])]
+    bare = [a.arg for a in named if a.annotation is None and a.arg not in ("self", "cls")]
+    return bare if function.returns else [*bare, "return"]
+
+
+def test_public_surface_is_documented() -> None:
+    told_elsewhere = {"overload", "setter", "override"}
+    silent = [
+        where
+        for where, node in public_surface()
+        if not decorators(node) & told_elsewhere and not (ast.get_docstring(node) or "").strip()
+    ]
+    assert not silent, "\n".join(["without a docstring:", *silent])
+
+
+def test_public_functions_are_fully_annotated() -> None:
+    bare = [
+        f"{where}: {', '.join(missing)}"
+        for where, node in public_surface()
+        if isinstance(node, Function) and (missing := unannotated(node))
+    ]
+    assert not bare, "\n".join(["without a type:", *bare])
+
+
+def test_wheel_installs_one_package_with_the_project_as_its_template(tmp_path: Path, project: dict) -> None:
+    wheel = pytest.importorskip("hatchling.builders.wheel", reason="hatchling comes with the extra 'test'")
+    (built,) = wheel.WheelBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"])
+    names = set(zipfile.ZipFile(built).namelist())
+    assert {name.partition("/")[0] for name in names} == {"greybox", f"greybox_sysid-{project['version']}.dist-info"}
+    ours = [path.relative_to(ROOT) for path in files()]
+    template = [Path("greybox/_template") / path for path in ours if path.parts[0] in ("models", "fits")]
+    library = [path for path in ours if path.parts[0] == "greybox"]
+    carried = {name for name in names if name.startswith("greybox/")}
+    assert carried == {path.as_posix() for path in (*library, *template)}
