@@ -1,0 +1,40 @@
+"""Errors a person can act on: what, where, which rule, what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class GreyboxError(Exception):
+    """Base of every error the library raises on purpose. The command line ends with exit code 2."""
+
+
+class ModelError(GreyboxError):
+    """A model, an effect or a constant is stated in a way that cannot be right."""
+
+
+class UnitError(ModelError):
+    """A term of an equation has another unit than the equation."""
+
+
+class DataError(GreyboxError):
+    """A record cannot be read as the model needs it."""
+
+
+class FitError(GreyboxError):
+    """A fit ended without success and the caller asked for an exception."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Remedy for an unknown name: the closest known names, or all of them.
+
+    >>> nearest("Kff", ["Kf", "M"])
+    "did you mean 'Kf'? (known: Kf, M)"
+    """
+    names = list(known)
+    close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    listing = ", ".join(names) if names else "none"
+    if not close:
+        return f"known: {listing}"
+    return f"did you mean {' or '.join(repr(c) for c in close)}? (known: {listing})"

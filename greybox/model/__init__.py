@@ -1,0 +1,8 @@
+"""The model language: named balances of named terms, effects as values, models as values."""
+
+from greybox.model.balance import Balance
+from greybox.model.effect import DryFriction, Effect
+from greybox.model.model import Model
+from greybox.model.system import System
+
+__all__ = ["Balance", "DryFriction", "Effect", "Model", "System"]

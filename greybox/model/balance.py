@@ -1,0 +1,39 @@
+"""A balance: what is stored equals the sum of named terms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from greybox.errors import ModelError
+from greybox.signals import Expression
+
+
+@dataclass(frozen=True, init=False)
+class Balance:
+    """``storage * d(state)/dt = term + term + ...``, every term in ``unit``.
+
+    ``Balance("force", "N", p.M, "v", coil=p.Kf * x.i, damping=-p.B * x.v)`` reads
+    ``M dv/dt = coil + damping``. ``storage`` is the mass, inductance or 1; ``state`` is the name of the state whose
+    rate the balance gives.
+    """
+
+    name: str
+    unit: str
+    storage: Expression
+    state: str
+    terms: Mapping[str, Expression]
+
+    def __init__(self, name: str, unit: str, storage: Expression, state: str, /, **terms: Expression) -> None:
+        if not terms:
+            raise ModelError(f"balance {name!r} has no terms; name at least one, as in Balance(..., spring=-p.K * x.x)")
+        for field, value in {"name": name, "unit": unit, "storage": storage, "state": state, "terms": dict(terms)}.items():
+            object.__setattr__(self, field, value)
+
+    def with_term(self, name: str, expression: Expression) -> Balance:
+        """The same balance with one more named term."""
+        if name in self.terms:
+            raise ModelError(f"balance {self.name!r} already has a term {name!r}; give the new one another name")
+        return Balance(self.name, self.unit, self.storage, self.state, **{**self.terms, name: expression})
+
+

@@ -1,0 +1,278 @@
+"""From a stated model to CasADi expressions: balances with every effect applied, right-hand side, outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+
+from greybox.errors import ModelError, nearest
+from greybox.model.balance import Balance
+from greybox.model.effect import Effect
+from greybox.signals import Expression, Named, Output, Parameter, Signal, State
+from greybox.units import tidy
+
+if TYPE_CHECKING:
+    from greybox.model.model import Model
+
+# A state with a physical bound is held this far inside it in the equations, so that sqrt(level) keeps a finite slope.
+BOUND_GUARD = 1e-9
+
+
+@dataclass(frozen=True)
+class Bound:
+    """An effect as it sits in one model: names made unique, units resolved, site found."""
+
+    effect: Effect
+    parameters: tuple[Parameter, ...]
+    states: tuple[State, ...]
+    site: str
+
+    @property
+    def own(self) -> dict[str, str]:
+        """The effect's own names -> the model's names."""
+        inner: tuple[Signal, ...] = (*self.effect.parameters, *self.effect.states)
+        outer: tuple[Signal, ...] = (*self.parameters, *self.states)
+        return {own.name: there.name for own, there in zip(inner, outer, strict=True)}
+
+    def within(self, names: Named, of: Sequence[Parameter] | Sequence[State]) -> Named:
+        """``names`` as the effect's functions see them: its own names come first."""
+        return names.replaced({inner.name: names[self.own[inner.name]] for inner in of})
+
+
+@dataclass(frozen=True)
+class Dry:
+    """Dry friction in a system: it acts against the rate of state number ``state``; magnitudes are of the rate's unit times storage."""
+
+    effect: str
+    balance: str
+    state: int
+    sliding: ca.SX
+    static: ca.SX
+
+
+@dataclass(frozen=True)
+class System:
+    """A model as expressions: ``dx/dt = rhs(x, u, p)``, ``y = outputs(x, u, p)``.
+
+    ``x`` (nx,), ``u`` (nu,), ``p`` (np,) are columns of symbols in the order of the name tuples. ``start`` (nx,) is the state at
+    rest, a function of ``p``. In ``rhs`` dry friction is written with ``direction`` (one symbol for each entry of ``dry``), the
+    sign of motion that the integrator decides; ``explicit`` is the same with ``sign(v)`` in its place.
+    """
+
+    x: ca.SX
+    u: ca.SX
+    p: ca.SX
+    direction: ca.SX
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    parameter_names: tuple[str, ...]
+    balances: tuple[Balance, ...]
+    storages: ca.SX
+    rhs: ca.SX
+    outputs: ca.SX
+    start: ca.SX
+    dry: tuple[Dry, ...]
+
+    @cached_property
+    def explicit(self) -> ca.SX:
+        """The right-hand side with dry friction as ``-level * sign(velocity)``."""
+        if not self.dry:
+            return self.rhs
+        signs = ca.vertcat(*[ca.sign(self.x[d.state]) for d in self.dry])
+        return ca.substitute(self.rhs, self.direction, signs)
+
+    @cached_property
+    def linear(self) -> bool:
+        """Whether state and output equations are affine in ``x`` and ``u`` (``dx/dt = A x + B u + c``)."""
+        xu = ca.vertcat(self.x, self.u)
+        jacobian = ca.jacobian(ca.vertcat(self.rhs, self.outputs), xu)
+        return not self.dry and not ca.depends_on(jacobian, xu)
+
+    @cached_property
+    def jacobian(self) -> ca.Function:
+        """``(x, u, p) -> d rhs / d x`` (nx, nx), dry friction left out (it has no slope)."""
+        smooth = ca.substitute(self.rhs, self.direction, ca.SX.zeros(len(self.dry)))
+        return ca.Function("jacobian", [self.x, self.u, self.p], [ca.jacobian(smooth, self.x)])
+
+    @cached_property
+    def rhs_function(self) -> ca.Function:
+        """``(x, u, p) -> dx/dt`` with dry friction explicit."""
+        return ca.Function("rhs", [self.x, self.u, self.p], [self.explicit])
+
+    @cached_property
+    def output_function(self) -> ca.Function:
+        """``(x, u, p) -> y``."""
+        return ca.Function("outputs", [self.x, self.u, self.p], [self.outputs])
+
+    @cached_property
+    def start_function(self) -> ca.Function:
+        """``p -> (x0, d x0 / d p)``: the state at rest and its sensitivity."""
+        return ca.Function("start", [self.p], [self.start, ca.jacobian(self.start, self.p)])
+
+
+def bind(model: Model) -> tuple[Bound, ...]:
+    """Each effect of ``model`` with unique names, resolved units and its site; refuses what does not fit the model."""
+    taken = {s.name for s in inner_signals(model)}
+    base = _base_balances(model)
+    units = _unit_words(model, base)
+    sites = [*(b.name for b in base), *(i.name for i in model.inputs), *(o.name for o in model.outputs)]
+    bound: list[Bound] = []
+    for effect in model.effects:
+        if any(effect.name == other.effect.name for other in bound):
+            raise ModelError(f"model {model.name!r} already has the effect {effect.name!r}; an effect can be added once")
+        site = {"input": model.inputs[0].name if model.inputs else "input", "sensor": model.outputs[0].name}.get(effect.site, effect.site)
+        if effect.site and site not in sites:
+            raise ModelError(f"effect {effect.name!r} acts at {effect.site!r}, which model {model.name!r} does not have; {nearest(site, sites)}")
+
+        def unique(name: str, effect: Effect = effect) -> str:
+            return f"{effect.name}.{name}" if name in taken else name
+
+        def resolved(item: Any, effect: Effect = effect) -> Any:
+            return replace(item, name=unique(item.name), unit=_fill(item.unit, units, effect, model.name))
+
+        parameters, states = tuple(map(resolved, effect.parameters)), tuple(map(resolved, effect.states))
+        taken |= {item.name for item in (*parameters, *states)}
+        bound.append(Bound(effect, parameters, states, site))
+    return tuple(bound)
+
+
+def expand(model: Model) -> System:
+    """Write out ``model``, effects applied in the order in which they were added."""
+    effects = model.bound_effects
+    states = (*model.states, *(s for b in effects for s in b.states))
+    parameters = (*model.parameters, *(q for b in effects for q in b.parameters))
+    x, u, p = _symbols("state", states), _symbols("input", model.inputs), _symbols("parameter", parameters)
+    raw_x, raw_u, raw_p = (ca.vertcat(*[n[s.name] for s in group]) for n, group in ((x, states), (u, model.inputs), (p, parameters)))
+
+    for b in effects:  # parameters where they are used
+        if b.effect.on_parameter:
+            used = b.effect.on_parameter(b.within(x, b.effect.states), u, b.within(p, b.effect.parameters))
+            p = p.replaced({_canonical(name, model.parameters): value for name, value in used.items()})
+    for b in effects:  # inputs on their way in
+        if b.effect.on_input:
+            value = b.effect.on_input(u[b.site], b.within(x, b.effect.states), u, b.within(p, b.effect.parameters))
+            u = u.replaced({b.site: value})
+
+    balances = {b.name: b for b in model.balances(x, u, p)}
+    words = _unit_words(model, balances.values())
+    dry: list[Dry] = []
+    order = [s.name for s in states]
+    for b in effects:
+        names = b.within(x, b.effect.states), u, b.within(p, b.effect.parameters)
+        if b.effect.terms:
+            terms = b.effect.terms(*names)
+            for site, term in (terms if isinstance(terms, Mapping) else {b.site: terms}).items():
+                balances[site] = _at(balances, site, b.effect).with_term(b.effect.name, term)
+        if b.effect.dry:
+            target = _at(balances, b.site, b.effect)
+            friction = b.effect.dry(*names)
+            dry.append(Dry(b.effect.name, b.site, order.index(target.state), ca.SX(friction.sliding), ca.SX(friction.static)))
+            balances[b.site] = target.with_term(b.effect.name, -friction.sliding * ca.sign(x[target.state]))
+        if b.effect.balances:
+            for own in b.effect.balances(*names):
+                renamed = Balance(f"{b.effect.name}.{own.name}", _fill(own.unit, words, b.effect, model.name), own.storage, b.own.get(own.state, own.state), **own.terms)
+                balances[renamed.name] = renamed
+
+    y = {o.name: _output(o, x, u, p) for o in model.outputs}
+    for b in effects:  # outputs on their way out
+        if b.effect.on_output:
+            y[b.site] = b.effect.on_output(y[b.site], b.within(x, b.effect.states), u, b.within(p, b.effect.parameters))
+
+    ordered = _one_balance_each(model.name, states, balances)
+    direction = ca.SX.sym("direction", len(dry))
+    storages = ca.vertcat(*[ca.SX(b.storage) for b in ordered])
+    rhs = _guarded(_sums(ordered, dry, direction) / storages, raw_x, states)
+    start = ca.vertcat(*[ca.SX(s.start(p) if callable(s.start) else s.start) for s in states])
+    return System(
+        x=raw_x, u=raw_u, p=raw_p, direction=direction,
+        state_names=tuple(order), input_names=tuple(i.name for i in model.inputs),
+        output_names=tuple(y), parameter_names=tuple(q.name for q in parameters),
+        balances=ordered, storages=storages, rhs=rhs, outputs=ca.vertcat(*y.values()), start=start, dry=tuple(dry),
+    )  # fmt: skip
+
+
+def inner_signals(model: Model) -> tuple[Signal, ...]:
+    """States, inputs and parameters of the plant: what its equations speak of."""
+    return (*model.states, *model.inputs, *model.parameters)
+
+
+def _symbols(kind: str, items: Sequence[Signal]) -> Named:
+    return Named(kind, {i.name: ca.SX.sym(i.name) for i in items}, {i.role: i.name for i in items if i.role})
+
+
+def _base_balances(model: Model) -> list[Balance]:
+    groups = ("state", model.states), ("input", model.inputs), ("parameter", model.parameters)
+    return model.balances(*(_symbols(kind, items) for kind, items in groups))
+
+
+def _canonical(name: str, parameters: Sequence[Parameter]) -> str:
+    return next((q.name for q in parameters if name in (q.name, q.role)), name)
+
+
+def _unit_words(model: Model, balances: Iterable[Balance]) -> dict[str, str]:
+    words = {item.role: item.unit for item in inner_signals(model) if item.role}
+    words |= {item.name: item.unit for item in inner_signals(model)}
+    words |= {b.name: b.unit for b in balances}
+    words["sensor"] = model.outputs[0].unit
+    if model.inputs:
+        words["input"] = model.inputs[0].unit
+    return {word: f"({unit or '1'})" for word, unit in words.items()}
+
+
+def _fill(unit: str, words: Mapping[str, str], effect: Effect, model: str) -> str:
+    try:
+        return tidy(unit.format_map(words))
+    except KeyError as missing:
+        raise ModelError(f"effect {effect.name!r} needs a {missing.args[0]}, which model {model!r} does not have; {nearest(missing.args[0], words)}") from None
+    except ModelError as error:
+        raise ModelError(f"effect {effect.name!r}: {error}") from None
+
+
+def _at(balances: Mapping[str, Balance], site: str, effect: Effect) -> Balance:
+    if site not in balances:
+        raise ModelError(f"effect {effect.name!r} adds to a balance {site!r}; {nearest(site, balances)}")
+    return balances[site]
+
+
+def _output(output: Output, x: Named, u: Named, p: Named) -> ca.SX:
+    return ca.SX(output.equation(x, u, p) if output.equation else x[output.name])
+
+
+def _one_balance_each(model: str, states: Sequence[State], balances: Mapping[str, Balance]) -> tuple[Balance, ...]:
+    by_state: dict[str, Balance] = {}
+    for b in balances.values():
+        if b.state in by_state:
+            raise ModelError(f"model {model!r}: balances {by_state[b.state].name!r} and {b.name!r} both give the rate of {b.state!r}; each state needs one")
+        by_state[b.state] = b
+    names = [s.name for s in states]
+    missing = [n for n in names if n not in by_state]
+    strange = [n for n in by_state if n not in names]
+    if missing or strange:
+        found = [f"no balance gives the rate of {n!r}" for n in missing] + [f"balance {by_state[n].name!r} names an unknown state {n!r}" for n in strange]
+        raise ModelError(f"model {model!r}: {'; '.join(found)}; every state needs exactly one balance (states: {', '.join(names)})")
+    return tuple(by_state[n] for n in names)
+
+
+def _sums(ordered: Sequence[Balance], dry: Sequence[Dry], direction: ca.SX) -> ca.SX:
+    """Sum of the terms of each balance, dry friction written with the direction of motion as a symbol."""
+    rows = []
+    for balance in ordered:
+        frictions = {d.effect: -d.sliding * direction[k] for k, d in enumerate(dry) if d.balance == balance.name}
+        rows.append(sum((frictions.get(name, ca.SX(term)) for name, term in balance.terms.items()), ca.SX(0)))
+    return ca.vertcat(*rows)
+
+
+def _guarded(rhs: ca.SX, x: ca.SX, states: Sequence[State]) -> ca.SX:
+    """The right-hand side with every bounded state held inside its bounds."""
+    for k, state in enumerate(states):
+        low, high = state.bounds
+        if low > -ca.inf:
+            rhs = ca.substitute(rhs, x[k], ca.fmax(x[k], low + BOUND_GUARD))
+        if high < ca.inf:
+            rhs = ca.substitute(rhs, x[k], ca.fmin(x[k], high - BOUND_GUARD))
+    return rhs

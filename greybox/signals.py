@@ -1,0 +1,126 @@
+"""What a model is made of: states, inputs, outputs and parameters, each with a name and a unit.
+
+A *role* is the field's word for what a signal is in its domain (``displacement``, ``velocity``, ``current``,
+``drive``, ``resistance`` ...). The catalogue's effects speak in roles, so that one Coulomb friction serves every
+plant that has a velocity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from greybox.errors import ModelError, nearest
+
+Expression = Any  # a CasADi SX expression, or a plain number
+
+
+@dataclass(frozen=True)
+class State:
+    """A state variable.
+
+    ``start`` is the value at rest: where a record begins with ``at_rest=True``, and the first guess otherwise; a number, or a
+    function of the parameters (``lambda p: p.P_S / 2``). ``bounds`` are physical: the equations never see the state beyond them
+    (a tank level below zero).
+    """
+
+    name: str
+    unit: str
+    start: float | Callable[[Named], Expression] = 0.0
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    role: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Input:
+    """A measured or commanded input."""
+
+    name: str
+    unit: str
+    role: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Output:
+    """A measured output. ``equation(x, u, p)`` gives its value; ``None`` means the state of the same name."""
+
+    name: str
+    unit: str
+    equation: Callable[[Named, Named, Named], Expression] | None = None
+    role: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A physical constant: value and bounds in ``unit``, where the number comes from (``source``), fixed or to be fitted.
+
+    A lower bound above zero makes it a positive constant, which is fitted on a logarithmic scale.
+    """
+
+    name: str
+    unit: str
+    value: float
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    fixed: bool = False
+    source: str = ""
+    role: str = ""
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        low, high = self.bounds
+        if not low < high:
+            raise ModelError(f"parameter {self.name!r}: bounds [{low:g}, {high:g}] {self.unit} are empty; give (low, high) with low < high")
+        if not math.isfinite(self.value):
+            raise ModelError(f"parameter {self.name!r}: value {self.value} is not a finite number; give a rough physical value in {self.unit}")
+        if not low <= self.value <= high:
+            raise ModelError(
+                f"parameter {self.name!r}: {self.value:g} {self.unit} lies outside its bounds [{low:g}, {high:g}] {self.unit};"
+                f" give a value inside, or widen them with model.bound({self.name}=(low, high))"
+            )
+
+    @property
+    def positive(self) -> bool:
+        """Whether the constant can only be positive (fitted on a logarithmic scale)."""
+        return self.bounds[0] > 0
+
+
+Signal = State | Input | Output | Parameter
+
+
+class Named:
+    """Values reached by name or by role: ``x.v``, ``u.u``, ``p.Kf``, ``x.velocity``. An unknown name lists the nearest ones."""
+
+    __slots__ = ("_kind", "_roles", "_values")
+
+    def __init__(self, kind: str, values: Mapping[str, Expression], roles: Mapping[str, str] | None = None) -> None:
+        self._kind = kind
+        self._values = dict(values)
+        self._roles = dict(roles or {})
+
+    def __getattr__(self, name: str) -> Expression:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        key = name if name in self._values else self._roles.get(name, name)
+        if key not in self._values:
+            raise ModelError(f"no {self._kind} {name!r}; {nearest(name, self.names)}")
+        return self._values[key]
+
+    def __getitem__(self, name: str) -> Expression:
+        return self.__getattr__(name)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._values or name in self._roles
+
+    @property
+    def names(self) -> list[str]:
+        """Every name and role that can be asked for."""
+        return [*self._values, *(r for r in self._roles if r not in self._values)]
+
+    def replaced(self, values: Mapping[str, Expression], roles: Mapping[str, str] | None = None) -> Named:
+        """The same names with some values (and roles) replaced or added."""
+        return Named(self._kind, self._values | dict(values), self._roles | dict(roles or {}))

@@ -1,0 +1,50 @@
+"""Data from one unit into another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import UnitError
+from greybox.units.grammar import read
+from greybox.units.symbols import has_zero_point, parse, registry
+
+
+def converter(source: str, target: str) -> Callable[[Any], np.ndarray]:
+    """The function that turns numbers in ``source`` into numbers in ``target``, zero points (degC to K) included.
+
+    Raises UnitError when the two measure different things, ModelError for an unknown unit.
+    """
+    if has_zero_point(source) or has_zero_point(target):
+        return _by_pint(source, target)
+    first, second = parse(source), parse(target)
+    if first.dimensions != second.dimensions:
+        raise _unlike(source, target)
+    ratio = first.factor / second.factor
+    return lambda values: np.asarray(values, dtype=float) * ratio
+
+
+def convert(values: Any, source: str, target: str) -> np.ndarray:
+    """``values`` in ``source`` as numbers in ``target``; errors as for `converter`."""
+    return converter(source, target)(values)
+
+
+def _by_pint(source: str, target: str) -> Callable[[Any], np.ndarray]:
+    import pint
+
+    known = registry()
+    first, second = ("*".join(read(u)[1]) for u in (source, target))
+    try:
+        known.Quantity(1.0, first).to(second)
+    except pint.DimensionalityError:
+        raise _unlike(source, target) from None
+    return lambda values: np.asarray(known.Quantity(np.asarray(values, dtype=float), first).to(second).magnitude)
+
+
+def _unlike(source: str, target: str) -> UnitError:
+    return UnitError(
+        f"{source or '1'} cannot be converted to {target or '1'}: they measure different things;"
+        " correct one of the two units"
+    )
