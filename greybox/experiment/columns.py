@@ -1,0 +1,192 @@
+"""Which column of a file is which signal of the model: headers ``name [unit]`` matched by name, units by conversion."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.errors import ModelError, nearest
+from greybox.model import Model
+from greybox.units import convert, converter
+
+TIME = "time"
+LISTED = 12  # headers named in a message
+_BRACKETS = re.compile(r"^(?P<name>[^\[\]]*?)\s*\[(?P<unit>[^\[\]]*)\]$")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a file: the whole ``header``, its ``name``, ``unit`` ("" when none is stated) and ``position``."""
+
+    header: str
+    name: str
+    unit: str
+    position: int
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A signal wanted from a file: ``kind`` is time, input or output; ``unit`` is the model's."""
+
+    kind: str
+    name: str
+    unit: str
+
+    @property
+    def label(self) -> str:
+        """How messages call it: ``input 'u' [V]``."""
+        return f"time [{self.unit}]" if self.kind == TIME else f"{self.kind} {self.name!r} [{self.unit}]"
+
+
+@dataclass(frozen=True)
+class Match:
+    """Signals with their columns in the model's order, headers not asked for, outputs without a column, problems."""
+
+    columns: Mapping[Signal, Column]
+    ignored: tuple[str, ...]
+    unmeasured: tuple[str, ...]
+    problems: tuple[str, ...]
+
+
+def parse_header(header: str, position: int) -> Column:
+    """``x [um]`` or ``x (um)`` as name and unit; parentheses without a unit (``Laser (ch1)``) belong to the name."""
+    text = header.strip()
+    square = _BRACKETS.match(text)
+    if square:
+        return Column(text, square["name"].strip(), square["unit"].strip(), position)
+    if text.endswith(")"):
+        for at in (k for k, letter in enumerate(text) if letter == "(" and k):
+            if _is_unit(text[at + 1 : -1]):
+                return Column(text, text[:at].strip(), text[at + 1 : -1].strip(), position)
+    return Column(text, text, "", position)
+
+
+def match(headers: Sequence[str], model: Model, mapping: Mapping[str, str] | None) -> Match:
+    """Find time and the model's inputs and outputs among ``headers``; ``mapping`` (signal -> header) goes first.
+
+    An output may be missing as long as another is there.
+    """
+    columns = [parse_header(h, k) for k, h in enumerate(headers)]
+    signals = [Signal(TIME, TIME, "s")]
+    signals += [Signal("input", i.name, i.unit) for i in model.inputs]
+    signals += [Signal("output", o.name, o.unit) for o in model.outputs]
+    known = [s.name for s in signals]
+    problems = [
+        f"columns names {n!r}, which model {model.name!r} does not have; {nearest(n, known)}"
+        for n in mapping or {}
+        if n not in known
+    ]
+    found, free = _mapped(columns, signals, mapping or {}, problems)
+    missing: list[Signal] = []
+    for signal in signals:
+        if signal.name in (mapping or {}):
+            continue
+        hits = [c for c in free if _fits(c, signal, known)]
+        if hits:
+            found[signal] = hits[0]
+        else:
+            missing.append(signal)
+        if len(hits) > 1:
+            several = " and ".join(repr(c.header) for c in hits)
+            choice = f"or choose with columns={{{signal.name!r}: <header>}}"
+            problems.append(f"{signal.label} has {len(hits)} columns, {several}; keep one, {choice}")
+    used = {c.position for c in found.values()}
+    spare = [c for c in columns if c.position not in used and c.header]
+    problems += _without_column(missing, model, spare)
+    return Match(
+        {s: found[s] for s in signals if s in found},
+        tuple(c.header for c in spare),
+        tuple(s.name for s in missing if s.kind == "output"),
+        tuple(problems),
+    )
+
+
+def converted(values: np.ndarray, signal: Signal, column: Column, problems: list[str]) -> np.ndarray:
+    """``values`` (N,) in the signal's unit; a unit that does not convert is added to ``problems``."""
+    if not column.unit or column.unit == signal.unit:
+        return values
+    try:
+        return np.asarray(convert(values, column.unit, signal.unit), dtype=np.float64)
+    except ModelError as error:
+        problems.append(f"column {column.header!r} in {column.unit} does not convert to {signal.label}: {error}")
+        return values
+
+
+def _mapped(
+    columns: list[Column], signals: list[Signal], mapping: Mapping[str, str], problems: list[str]
+) -> tuple[dict[Signal, Column], list[Column]]:
+    """Columns that ``mapping`` names, and those left for matching by name."""
+    found: dict[Signal, Column] = {}
+    for signal in signals:
+        header = mapping.get(signal.name)
+        if header is None:
+            continue
+        hits = [c for c in columns if c.header == header.strip()] or [c for c in columns if c.name == header.strip()]
+        taken = [s for s, c in found.items() if c in hits]
+        if not hits:
+            problems.append(
+                f"columns maps {signal.name!r} to {header!r}, which the file does not have;"
+                f" {nearest(header, _listed(columns))}"
+            )
+        elif len(hits) > 1:
+            problems.append(
+                f"columns maps {signal.name!r} to {header!r}, which the file has {len(hits)} times;"
+                " make the headers distinct"
+            )
+        elif taken:
+            problems.append(
+                f"columns maps both {taken[0].name!r} and {signal.name!r} to {header!r};"
+                " each signal needs its own column"
+            )
+        else:
+            found[signal] = hits[0]
+    used = {c.position for c in found.values()}
+    return found, [c for c in columns if c.position not in used]
+
+
+def _fits(column: Column, signal: Signal, known: Sequence[str]) -> bool:
+    if signal.kind != TIME:
+        return column.name == signal.name
+    # "T" is a temperature, and a model may well have a signal called t.
+    return (column.name == "t" or column.name.lower() == TIME) and (column.name == TIME or column.name not in known)
+
+
+def _without_column(missing: Sequence[Signal], model: Model, spare: Sequence[Column]) -> list[str]:
+    """Problems with the signals that no column is for; an output may be missing, but not all of them."""
+    found = [f"no column for {s.label}; {_nearest_headers(s, spare)}" for s in missing if s.kind != "output"]
+    outputs = [s for s in missing if s.kind == "output"]
+    if len(outputs) == len(model.outputs):
+        labels = ", ".join(s.label for s in outputs)
+        what = f"any output of model {model.name!r} ({labels}), at least one is needed"
+        found.append(f"no column for {what}; {_nearest_headers(outputs[0], spare)}")
+    return found
+
+
+def _nearest_headers(signal: Signal, spare: Sequence[Column]) -> str:
+    wanted = signal.name.lower()
+    close = difflib.get_close_matches(wanted, [c.name.lower() for c in spare], n=3, cutoff=0.5)
+    near = [repr(c.header) for c in spare if c.name.lower() in close or wanted in re.split(r"[\W_]+", c.name.lower())]
+    guess = f"did you mean {' or '.join(near[:3])}? " if near else ""
+    listing = ", ".join(_listed(spare)) or "none"
+    return f"{guess}unused headers: {listing}; rename one or say columns={{{signal.name!r}: <header>}}"
+
+
+def _listed(columns: Sequence[Column]) -> list[str]:
+    headers = [c.header for c in columns if c.header]
+    return headers[:LISTED] + ([f"... {len(headers) - LISTED} more"] if len(headers) > LISTED else [])
+
+
+def _is_unit(text: str) -> bool:
+    if text.strip() == "-":
+        return True
+    if not any(letter.isalpha() or letter in "%°" for letter in text):
+        return False  # channel numbers: Laser (1)
+    try:
+        converter(text, text)
+    except ModelError:
+        return False
+    return True

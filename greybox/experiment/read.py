@@ -1,0 +1,160 @@
+"""From a file to an `Experiment` in the model's units. Nothing is repaired: a bad file is refused with every reason."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from greybox.errors import DataError
+from greybox.experiment.binary import read_mat, read_npz, read_parquet
+from greybox.experiment.checks import enumerated, invariants, measured, refuse
+from greybox.experiment.columns import TIME, Match, converted, match
+from greybox.experiment.experiment import Experiment, Hold
+from greybox.experiment.table import Table
+from greybox.experiment.text import read_text
+from greybox.model import Model
+
+READERS: Mapping[str, Callable[[Path], Table]] = {
+    ".csv": read_text, ".tsv": read_text, ".txt": read_text, ".dat": read_text,
+    ".mat": read_mat, ".npz": read_npz, ".parquet": read_parquet,
+}  # fmt: skip
+IGNORED_SHOWN = 8  # headers named in the note on columns that nobody asked for
+
+
+def read_csv(
+    path: str | os.PathLike[str],
+    model: Model,
+    *,
+    columns: Mapping[str, str] | None = None,
+    hold: Hold = "zero",
+    name: str | None = None,
+    conditions: Mapping[str, float] | None = None,
+    allow_constant_input: bool = False,
+) -> Experiment:
+    """Read a record for ``model`` from a CSV, TSV, TXT, MAT (up to version 7), NPZ or Parquet file.
+
+    Headers are ``name [unit]``, ``name (unit)`` or ``name`` (then in the model's unit); names are those of the model's
+    inputs and outputs, exactly, and ``time`` or ``t`` (seconds unless a unit is given). Values are converted to the
+    model's units. Other columns are ignored, which ``notes`` say. Every input needs its column; of the outputs at least
+    one. Empty fields and NaN are gaps, allowed in outputs only. Text files: columns separated by ``,``, ``;``, tab or
+    blanks, decimal comma except between commas, lines that begin with ``#`` are comments.
+
+    ``columns``: signal -> header, where the file's headers are others: ``{"x": "Laser ch1 [um]", "time": "Zeit
+    [ms]"}``. ``hold``: how the input moves between samples, see `Experiment`. ``name``: None takes the file's name
+    without suffix. ``conditions``: constants of this experiment. ``allow_constant_input``: accept inputs that are zero
+    throughout (free decay).
+
+    Raises DataError with every problem of the file in one message, rows called by their line number in the file.
+    """
+    file = _existing(path)
+    table = _opened(file)
+    found = match(table.headers, model, columns)
+    refuse(file.name, found.problems)
+    arrays, problems = _arrays(table, found)
+    refuse(file.name, problems)
+    time, inputs, outputs = arrays
+    # A file of too few rows is called so, and not by what else follows from it.
+    if len(time) > 1:
+        problems += invariants(time, inputs, outputs, table.places)
+    refuse(file.name, problems + measured(inputs, outputs, len(time), allow_constant_input))
+    return Experiment.from_arrays(
+        time,
+        inputs,
+        outputs,
+        name=name or file.stem,
+        hold=hold,
+        source=file.name,
+        conditions=conditions,
+        notes=_notes(found),
+        allow_constant_input=allow_constant_input,
+    )
+
+
+def read_experiments(
+    paths: Sequence[str | os.PathLike[str]],
+    model: Model,
+    *,
+    columns: Mapping[str, str] | None = None,
+    hold: Hold = "zero",
+    allow_constant_input: bool = False,
+) -> tuple[Experiment, ...]:
+    """Read several records for one model, as `read_csv` does each; files of the same name get their folder's name in
+    front.
+
+    Raises one DataError with the problems of all files.
+    """
+    files = [Path(p) for p in ([paths] if isinstance(paths, (str, os.PathLike)) else paths)]
+    if not files:
+        raise DataError("no file to read; give at least one path")
+    stems = [f.stem for f in files]
+    experiments: list[Experiment] = []
+    problems: list[str] = []
+    for file in files:
+        name = file.stem if stems.count(file.stem) == 1 else f"{file.parent.name}/{file.stem}"
+        try:
+            experiments.append(
+                read_csv(file, model, columns=columns, hold=hold, name=name, allow_constant_input=allow_constant_input)
+            )
+        except DataError as error:
+            problems.append(str(error))
+    if problems:
+        raise DataError("\n".join(problems))
+    return tuple(experiments)
+
+
+def _existing(path: str | os.PathLike[str]) -> Path:
+    file = Path(path)
+    if file.is_dir():
+        raise DataError(f"{file} is a folder; give a file in it ({', '.join(READERS)})")
+    if file.suffix.lower() not in READERS and file.is_file():
+        raise DataError(
+            f"{file.name}: files of type {file.suffix or '(no suffix)'!r} cannot be read;"
+            f" export it as one of {', '.join(READERS)}"
+        )
+    if file.is_file():
+        return file
+    if not file.parent.is_dir():
+        raise DataError(f"{file}: file not found, there is no folder {str(file.parent)!r}")
+    beside = sorted(f.name for f in file.parent.iterdir() if f.suffix.lower() in READERS)
+    close = difflib.get_close_matches(file.name, beside, n=3, cutoff=0.5)
+    remedy = (
+        f"did you mean {' or '.join(map(repr, close))}?"
+        if close
+        else f"records there: {enumerated(beside[:8], len(beside)) or 'none'}"
+    )
+    raise DataError(f"{file}: file not found; {remedy}")
+
+
+def _opened(file: Path) -> Table:
+    if not file.stat().st_size:
+        raise DataError(f"{file.name}: the file is empty; it needs a header line and rows of numbers")
+    try:
+        return READERS[file.suffix.lower()](file)
+    except OSError as error:
+        raise DataError(f"{file}: cannot be read ({error})") from error
+
+
+def _arrays(
+    table: Table, found: Match
+) -> tuple[tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]], list[str]]:
+    """Time, inputs and outputs in the model's units, and the problems met on the way."""
+    raw, problems = table.values([c.position for c in found.columns.values()])
+    groups: dict[str, dict[str, np.ndarray]] = {TIME: {}, "input": {}, "output": {}}
+    for signal, column in found.columns.items():
+        groups[signal.kind][signal.name] = converted(raw[column.position], signal, column, problems)
+    return (groups[TIME][TIME], groups["input"], groups["output"]), problems
+
+
+def _notes(found: Match) -> tuple[str, ...]:
+    notes: list[str] = []
+    if found.unmeasured:
+        notes.append(f"not measured: output {' and '.join(map(repr, found.unmeasured))}")
+    if found.ignored:
+        notes.append(
+            f"columns ignored: {enumerated([repr(h) for h in found.ignored[:IGNORED_SHOWN]], len(found.ignored))}"
+        )
+    return tuple(notes)

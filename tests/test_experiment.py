@@ -1,0 +1,292 @@
+"""Experiment: what it refuses, what it keeps, when time counts as uniform."""
+
+import copy
+import pickle
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from greybox.errors import DataError
+from greybox.experiment import Experiment
+from greybox.experiment.timebase import resolution, uniform_step
+
+N = 40
+TIME = 0.5 * np.arange(N)
+DRIVE = np.sin(TIME)
+ANSWER = np.cos(TIME)
+
+
+def make(**changes):
+    given = {"time": TIME, "inputs": {"u": DRIVE}, "outputs": {"y": ANSWER}, "name": "run"} | changes
+    return Experiment.from_arrays(given.pop("time"), given.pop("inputs"), given.pop("outputs"), **given)
+
+
+def test_keeps_the_arrays_as_protected_copies():
+    drive = DRIVE.copy()
+    experiment = make(inputs={"u": drive})
+    drive[0] = 99.0
+    assert experiment.inputs["u"][0] == DRIVE[0]
+    assert all(a.dtype == np.float64 for a in (experiment.time, experiment.inputs["u"], experiment.outputs["y"]))
+    with pytest.raises(ValueError, match="read-only"):
+        experiment.outputs["y"][0] = 1.0
+    with pytest.raises(TypeError):
+        experiment.inputs["w"] = drive
+    with pytest.raises(AttributeError):
+        experiment.name = "other"
+
+
+def test_counts_rows_seconds_and_intervals():
+    experiment = make()
+    assert (experiment.rows, experiment.duration, experiment.sampling_time) == (N, 19.5, 0.5)
+    assert experiment.regular
+    np.testing.assert_array_equal(experiment.intervals, np.full(N - 1, 0.5))
+
+
+def test_irregular_time_keeps_every_interval_and_says_so():
+    time = np.cumsum(1.0 + 0.5 * np.sin(np.arange(N)))
+    experiment = make(time=time)
+    assert experiment.sampling_time is None
+    assert not experiment.regular
+    np.testing.assert_array_equal(experiment.intervals, np.diff(time))
+    assert any("time is irregular" in note for note in experiment.notes)
+    assert "at irregular times" in str(experiment)
+
+
+REFUSED = [
+    ({"hold": "cubic"}, "hold 'cubic' is unknown; say 'zero' (held) or 'first'"),
+    (
+        {"time": TIME[:9], "inputs": {"u": DRIVE[:9]}, "outputs": {"y": ANSWER[:9]}},
+        "9 rows; a record needs at least 10",
+    ),
+    ({"time": TIME[:1], "inputs": {"u": DRIVE[:1]}, "outputs": {"y": ANSWER[:1]}}, "1 rows; a record needs at least 2"),
+    ({"inputs": {"u": DRIVE[1:]}}, "input 'u' has 39 rows, time has 40; each signal needs one value for each time"),
+    ({"outputs": {"y": ANSWER[:, None]}}, "output 'y' has shape (40, 1); give one number for each row"),
+    ({"outputs": {"y": ANSWER * 1j}}, "output 'y' does not hold real numbers: its type is complex128"),
+    ({"outputs": {"y": ["high"] * N}}, "output 'y' does not hold real numbers: its type is <U4"),
+    ({"time": TIME[::-1]}, "time goes back at rows 2, 3, 4, 5, 6 and 34 more (19 s after 19.5 s)"),
+    ({"time": np.where(np.arange(N) == 7, 3.0, TIME)}, "time is repeated at row 8 (3 s after 3 s); time must increase"),
+    ({"time": np.where(np.arange(N) == 7, np.nan, TIME)}, "time is empty or NaN at row 8; every row needs its time"),
+    ({"time": np.where(np.arange(N) == N - 1, np.inf, TIME)}, "time is infinite at row 40"),
+    (
+        {"inputs": {"u": np.where(TIME == 2, np.nan, DRIVE)}},
+        "input 'u' is empty or NaN at row 5; an input must be known",
+    ),
+    ({"inputs": {"u": np.where(TIME == 2, -np.inf, DRIVE)}}, "input 'u' is infinite at row 5; write a finite number"),
+    (
+        {"outputs": {"y": np.where(TIME == 2, np.inf, ANSWER)}},
+        "output 'y' is infinite at row 5; write a finite number, or leave",
+    ),
+    ({"outputs": {"y": np.full(N, np.nan)}}, "output 'y' holds no value at all; remove it"),
+    ({"outputs": {}}, "no output; a record needs at least one measured output"),
+    ({"outputs": {"u": ANSWER}}, "'u' is both an input and an output"),
+    ({"inputs": {"u": np.zeros(N)}}, "constant input: 'u' is 0 in every row, so the record does not excite the plant"),
+    ({"inputs": {"u": np.zeros(N), "w": np.zeros(N)}}, "'u' and 'w' are 0 in every row"),
+    ({"inputs": {"u": np.ones(N)}, "outputs": {"y": np.ones(N)}}, "nothing moves: 'u', 'y' are constant"),
+    ({"inputs": {}, "outputs": {"y": np.ones(N)}}, "nothing moves: 'y' are constant"),
+    ({"conditions": {"T": np.nan}}, "condition 'T' is nan; give a finite number"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), REFUSED, ids=[message[:40] for _, message in REFUSED])
+def test_refuses_with_one_clear_message(changes, message):
+    with pytest.raises(DataError, match=re.escape(message)) as error:
+        make(**changes)
+    assert str(error.value).startswith("experiment 'run': ")
+
+
+def test_all_problems_come_in_one_message():
+    with pytest.raises(DataError) as error:
+        make(
+            inputs={"u": np.where(TIME == 2, np.nan, DRIVE)},
+            outputs={"y": np.where(TIME == 3, np.inf, ANSWER)},
+            time=np.where(np.arange(N) == 9, 0, TIME),
+        )
+    text = str(error.value)
+    assert "3 problems" in text
+    for part in ("time goes back at row 10", "input 'u' is empty or NaN at row 5", "output 'y' is infinite at row 7"):
+        assert part in text
+
+
+def test_a_step_from_rest_and_an_allowed_free_decay_are_records_with_a_note():
+    assert "input 'u' is constant at 1" in make(inputs={"u": np.ones(N)}).notes
+    assert "input 'u' is constant at 0" in make(inputs={"u": np.zeros(N)}, allow_constant_input=True).notes
+    assert make(inputs={"u": DRIVE, "w": np.zeros(N)}).notes == ("input 'w' is constant at 0",)
+    assert make(inputs={}).rows == N
+
+
+def test_nothing_moves_is_refused_even_when_a_constant_input_is_allowed():
+    with pytest.raises(DataError, match="nothing moves"):
+        make(inputs={"u": np.zeros(N)}, outputs={"y": np.zeros(N)}, allow_constant_input=True)
+
+
+def test_gaps_of_outputs_stay_and_are_counted():
+    answer = ANSWER.copy()
+    answer[[3, 17]] = np.nan
+    experiment = make(outputs={"y": answer})
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(experiment.outputs["y"])), [3, 17])
+    assert experiment.notes == ("output 'y' has 2 gaps in 40 rows",)
+
+
+def test_split_covers_every_row_once_and_keeps_the_times():
+    experiment = make(conditions={"T": 293.0}, hold="first", source="run.csv")
+    first, second = experiment.split(0.7)
+    assert (first.rows, second.rows) == (28, 12)
+    assert (first.name, second.name) == ("run[0:28]", "run[28:40]")
+    np.testing.assert_array_equal(np.concatenate([first.time, second.time]), TIME)
+    np.testing.assert_array_equal(np.concatenate([first.outputs["y"], second.outputs["y"]]), ANSWER)
+    assert second.time[0] == 14.0
+    for part in (first, second):
+        assert (part.hold, part.source, dict(part.conditions)) == ("first", "run.csv", {"T": 293.0})
+    assert len({experiment.fingerprint, first.fingerprint, second.fingerprint}) == 3
+
+
+@pytest.mark.parametrize("fraction", [0.0, 1.0, -0.5, 2.0])
+def test_split_refuses_a_fraction_that_is_none(fraction):
+    with pytest.raises(DataError, match="give a number between 0 and 1"):
+        make().split(fraction)
+
+
+def test_split_and_window_refuse_parts_without_an_interval():
+    with pytest.raises(DataError, match=r"splits 40 rows into 1 and 39; each part needs at least 2"):
+        make().split(0.02)
+    for rows in ((0, 1), (5, 5), (-3, 8), (30, 41), (9, 4)):
+        with pytest.raises(DataError, match="does not fit 40 rows"):
+            make().window(*rows)
+
+
+def test_a_window_may_be_short_quiet_or_without_a_measured_output():
+    answer = ANSWER.copy()
+    answer[:5] = np.nan
+    part = make(outputs={"y": answer}, inputs={"u": np.maximum(TIME - 10, 0)}).window(0, 4)
+    assert part.rows == 4
+    assert np.isnan(part.outputs["y"]).all()
+    assert "no value" in str(part)
+
+
+def test_a_part_of_a_regular_record_has_the_step_of_the_whole():
+    time = np.round(np.arange(1000) * 0.0016384, 5)
+    experiment = make(time=time, inputs={"u": np.sin(time)}, outputs={"y": np.cos(time)})
+    assert experiment.regular
+    assert experiment.window(3, 8).sampling_time == experiment.sampling_time
+    assert uniform_step(time[3:8]) != experiment.sampling_time  # the part alone would find another
+    assert experiment.with_hold("first").sampling_time == experiment.sampling_time
+
+
+def test_a_regular_part_of_an_irregular_record_is_regular():
+    time = np.append(TIME, [30.0, 30.5])
+    experiment = make(time=time, inputs={"u": np.sin(time)}, outputs={"y": np.cos(time)})
+    assert not experiment.regular
+    assert experiment.window(0, N).sampling_time == 0.5
+
+
+def test_with_hold_changes_the_hold_alone():
+    experiment = make()
+    linear = experiment.with_hold("first")
+    assert (experiment.hold, linear.hold) == ("zero", "first")
+    assert linear.fingerprint == experiment.fingerprint
+    with pytest.raises(DataError, match="hold 'second' is unknown"):
+        experiment.with_hold("second")
+
+
+def test_fingerprint_follows_the_data_and_nothing_else():
+    inputs, shuffled = {"u": DRIVE, "w": 2 * DRIVE}, {"w": 2 * DRIVE, "u": DRIVE}
+    base = make(inputs=inputs)
+    assert re.fullmatch("[0-9a-f]{16}", base.fingerprint)
+    assert make(inputs=shuffled, name="other", hold="first").fingerprint == base.fingerprint
+    assert make(inputs={"w": DRIVE, "u": 2 * DRIVE}).fingerprint != base.fingerprint
+    answer = ANSWER.copy()
+    answer[3] = np.nextafter(answer[3], 2)
+    assert make(inputs=inputs, outputs={"y": answer}).fingerprint != base.fingerprint
+    negative_zero, other_nan = ANSWER.copy(), ANSWER.copy()
+    negative_zero[3], other_nan[3] = -0.0, -np.nan
+    zero, nan = ANSWER.copy(), ANSWER.copy()
+    zero[3], nan[3] = 0.0, np.nan
+    assert make(outputs={"y": negative_zero}).fingerprint == make(outputs={"y": zero}).fingerprint
+    assert make(outputs={"y": other_nan}).fingerprint == make(outputs={"y": nan}).fingerprint
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["copy", "pickle"])
+def test_survives_copying_and_pickling(again):
+    part = make(conditions={"T": 293.0}, hold="first", source="run.csv").window(3, 20)
+    other = again(part)
+    assert (other.fingerprint, other.sampling_time, str(other)) == (part.fingerprint, part.sampling_time, str(part))
+    assert not other.inputs["u"].flags.writeable
+    assert dict(other.conditions) == {"T": 293.0}
+
+
+def test_the_summary_names_what_matters():
+    text = str(make(conditions={"T": 293.0}, inputs={"u": np.ones(N)}))
+    for part in (
+        "run: 40 rows every 0.5 s, 19.5 s",
+        "input held",
+        "u: 1 to 1",
+        "y: -0.",
+        "condition T: 293",
+        "constant at 1",
+    ):
+        assert part in text
+
+
+# --- when time is uniform
+
+
+def test_time_printed_with_nine_digits_is_uniform():
+    time = np.array([float(f"{t:.9g}") for t in np.arange(65_062) * 0.0016384])
+    assert uniform_step(time) == pytest.approx(0.0016384, rel=1e-8)
+    time = np.array([0, 0.00100000802, 0.00200001604, 0.00300000201, 0.00400001])
+    assert uniform_step(time) == pytest.approx(0.001, rel=1e-4)
+
+
+def test_time_rounded_to_a_printed_place_below_a_tenth_of_the_step_is_uniform():
+    time = np.round(np.arange(500) * 0.0123, 3)  # steps of 0.012 and 0.013 s
+    assert np.ptp(np.diff(time)) > 0.07 * 0.0123
+    assert uniform_step(time) == pytest.approx(0.0123, rel=1e-3)
+
+
+def test_the_same_deviation_without_the_excuse_of_printing_is_irregular():
+    grid = np.arange(500) * 0.0123
+    time = grid + np.random.default_rng(1).uniform(-5e-4, 5e-4, 500)
+    assert np.abs(time - grid).max() < 0.1 * 0.0123
+    assert uniform_step(time) is None
+
+
+def test_time_in_single_precision_is_uniform():
+    time = np.float32(np.arange(100_000) * 1e-3).astype(float)
+    assert np.abs(np.diff(time) / 1e-3 - 1).max() > 1e-3
+    assert uniform_step(time) == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_rounding_as_coarse_as_the_step_is_irregular():
+    assert uniform_step(np.round(np.arange(100) * 0.25, 1)) is None
+
+
+def test_a_drifting_clock_is_irregular():
+    steps = 1e-3 * (1 + 5e-4 * np.sin(np.arange(20_000) / 3000))  # every step within 0.1 %, the sum is not
+    time = np.append(0, np.cumsum(steps))
+    assert np.abs(steps / steps.mean() - 1).max() < 1e-3
+    assert uniform_step(time) is None
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(10, 5000),
+    st.floats(1e-6, 1e3),
+    st.floats(-1e3, 1e3),
+    st.floats(0.01, 0.99),
+    st.booleans(),
+    st.integers(1, 5),
+)
+def test_uniform_whatever_the_step_and_start_but_never_with_a_missing_row(rows, step, start, place, shift, missing):
+    time = start * step + step * np.arange(rows + missing)
+    assert uniform_step(time) == pytest.approx(step, rel=1e-6)
+    gap = 1 + int(place * (rows - 2))
+    assert uniform_step(np.delete(time, np.arange(gap, gap + missing))) is None
+
+
+def test_resolution_is_the_printed_place_of_the_decade():
+    time = np.array([0.5, 0.501, 0.25, 1.25, 2.5, 100.0, 250.0])
+    np.testing.assert_allclose(resolution(time), [1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 1.0, 1.0])
+    assert resolution(np.array([0.1 + 1e-15, np.pi / 10])).max() < 1e-12
