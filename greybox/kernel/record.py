@@ -1,0 +1,51 @@
+"""One experiment as plain arrays, in the order of the model's inputs and outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.errors import DataError
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Arrays are float64 (``row`` int32), C-contiguous.
+
+    ``u`` (N, nu), ``y`` (N, ny) with NaN where nothing was measured, ``h`` (N-1,) interval lengths in seconds, ``row``
+    (N-1,) which row of the step's coefficients belongs to each interval, ``lengths`` (nh,) the distinct interval
+    lengths those rows stand for, ``first_order`` whether the input is linear between samples (else held).
+
+    Raises DataError if the lengths of the arrays disagree: the kernels read them without asking again.
+    """
+
+    u: np.ndarray
+    y: np.ndarray
+    h: np.ndarray
+    row: np.ndarray
+    lengths: np.ndarray
+    first_order: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("u", "y", "h", "row", "lengths"):
+            kind = np.int32 if name == "row" else np.float64
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype=kind))
+        shapes = f"u {self.u.shape}, y {self.y.shape}, h {self.h.shape}, row {self.row.shape}"
+        if self.u.ndim != 2 or self.y.ndim != 2 or len(self.u) != len(self.y) or len(self.y) < 1:
+            raise DataError(f"record: {shapes}; u and y need one row for each sample, at least one")
+        if self.h.shape != (len(self.y) - 1,) or self.row.shape != self.h.shape:
+            raise DataError(
+                f"record: {shapes}; h and row need one entry for each interval, that is one less than samples"
+            )
+        if len(self.row) and (self.row.min() < 0 or self.row.max() >= len(self.lengths)):
+            raise DataError(
+                f"record: row runs from {self.row.min()} to {self.row.max()},"
+                f" but there are {len(self.lengths)} interval lengths"
+            )
+
+    def first(self, rows: int) -> Record:
+        """The beginning of the record."""
+        return Record(
+            self.u[:rows], self.y[:rows], self.h[: rows - 1], self.row[: rows - 1], self.lengths, self.first_order
+        )

@@ -1,0 +1,40 @@
+/* Simulation without sensitivities. Rows of y (n, NY) and x (n, NX) are written where the pointers are not NULL. */
+
+EXPORT void simulate(long n, int first_order, int substeps, const double *u, const double *h, const int *row,
+                     const double *q, const double *p, const double *x0, double *y_out, double *x_out)
+{
+    double x[NX], next[NX], y[NY], ua[AT_LEAST_ONE(NU)], ub[AT_LEAST_ONE(NU)];
+    double length = NAN;
+    long last = -1;
+    struct advance_once once;
+    struct outputs_once once_outputs;
+
+    memcpy(x, x0, sizeof x);
+    prepare_outputs(&once_outputs, x, u, p);
+    for (long k = 0; k < n; k++) {
+        const double *u0 = u + k * NU, *u1 = u0 + NU;
+        if (y_out) {
+            outputs(&once_outputs, x, u0, p, y);
+            memcpy(y_out + k * NY, y, sizeof y);
+        }
+        if (x_out)
+            memcpy(x_out + k * NX, x, sizeof x);
+        if (k + 1 == n)
+            break;
+        const long r = row ? row[k] : 0;
+        const double step = h[k] / substeps;
+        const double *qr = q + r * NQ;
+        if (r != last || step != length) {
+            last = r, length = step;
+            prepare_advance(&once, x, u0, u0, qr, &length);
+        }
+        for (int j = 0; j < substeps; j++) {
+            for (int i = 0; i < NU; i++) {
+                ua[i] = first_order ? u0[i] + (u1[i] - u0[i]) * j / substeps : u0[i];
+                ub[i] = first_order ? u0[i] + (u1[i] - u0[i]) * (j + 1) / substeps : u0[i];
+            }
+            advance(&once, x, ua, ub, qr, &length, next);
+            memcpy(x, next, sizeof x);
+        }
+    }
+}

@@ -1,0 +1,84 @@
+/* One pass over a record with its tangents: residuals r = (measured - y) * weight, their Jacobian J = dr along W * NB lanes, and the
+   sums of a Gauss-Newton step. Memory does not grow with n. Returns the first sample whose state or output is not finite, else -1.
+   squares, counts (NY), gradient J'r (W * NB), gauss_newton J'J (W * NB, W * NB; blocks above and on the diagonal), or NULL;
+   residual (n, NY), jacobian (n, NY, W * NB) are written where something was measured, or NULL. */
+
+INLINE void add_products(const v *e, double r, v *g, v (*gn)[NB])
+{
+    double lane[W * NB];
+    memcpy(lane, e, sizeof lane);
+    for (int b = 0; b < NB; b++)
+        g[b] += r * e[b];
+    for (int i = 0; i < W * NB; i++)
+        for (int b = i / W; b < NB; b++)
+            gn[i][b] += lane[i] * e[b];
+}
+
+EXPORT long sums(long n, int first_order, int substeps, const double *u, const double *measured, const double *h, const int *row,
+                 const double *q, const vu *dq, const double *p, const vu *dp, const double *x0, const vu *dx0,
+                 const double *weight, double *squares, double *counts, double *gradient, double *gauss_newton,
+                 double *residual, double *jacobian)
+{
+    double x[NX], next[NX], y[NY], ua[AT_LEAST_ONE(NU)], ub[AT_LEAST_ONE(NU)], sq[NY] = {0}, count[NY] = {0};
+    v dx[NX * NB], dnext[NX * NB], dy[NY * NB], e[NB], g[NB] = {{0}}, gn[W * NB][NB] = {{{0}}};
+    double length = NAN;
+    long last = -1;
+    struct advance_once once;
+    struct outputs_once once_outputs;
+
+    memcpy(x, x0, sizeof x);
+    memcpy(dx, dx0, sizeof dx);
+    prepare_outputs(&once_outputs, x, (const vu *)dx, u, p, dp);
+    for (long k = 0; k < n; k++) {
+        const double *u0 = u + k * NU, *u1 = u0 + NU;
+        outputs(&once_outputs, x, (const vu *)dx, u0, p, dp, y, dy);
+        double poison = 0; /* 0 * infinity and 0 * NaN are NaN */
+        for (int i = 0; i < NX; i++)
+            poison += 0 * x[i];
+        for (int i = 0; i < NY; i++)
+            poison += 0 * y[i];
+        if (poison != 0)
+            return k;
+        for (int i = 0; i < NY; i++) {
+            const double r = (measured[k * NY + i] - y[i]) * weight[i];
+            if (r != r) /* a gap */
+                continue;
+            for (int b = 0; b < NB; b++)
+                e[b] = -weight[i] * dy[i * NB + b];
+            sq[i] += r * r;
+            count[i] += 1;
+            if (gauss_newton)
+                add_products(e, r, g, gn);
+            if (residual)
+                residual[k * NY + i] = r;
+            if (jacobian)
+                memcpy(jacobian + (k * NY + i) * NB * W, e, sizeof e);
+        }
+        if (k + 1 == n)
+            break;
+        const long l = row ? row[k] : 0;
+        const double step = h[k] / substeps;
+        const double *ql = q + l * NQ;
+        const vu *dql = dq + l * NQ * NB;
+        if (l != last || step != length) {
+            last = l, length = step;
+            prepare_advance(&once, x, (const vu *)dx, u0, u0, ql, dql, &length);
+        }
+        for (int j = 0; j < substeps; j++) {
+            for (int i = 0; i < NU; i++) {
+                ua[i] = first_order ? u0[i] + (u1[i] - u0[i]) * j / substeps : u0[i];
+                ub[i] = first_order ? u0[i] + (u1[i] - u0[i]) * (j + 1) / substeps : u0[i];
+            }
+            advance(&once, x, (const vu *)dx, ua, ub, ql, dql, &length, next, dnext);
+            memcpy(x, next, sizeof x);
+            memcpy(dx, dnext, sizeof dx);
+        }
+    }
+    if (gauss_newton) {
+        memcpy(squares, sq, sizeof sq);
+        memcpy(counts, count, sizeof count);
+        memcpy(gradient, g, sizeof g);
+        memcpy(gauss_newton, gn, sizeof gn);
+    }
+    return -1;
+}

@@ -1,0 +1,238 @@
+"""A CasADi function as a list of scalar instructions and tangent instructions, in the order in which they can run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import casadi as ca
+
+from greybox.errors import GreyboxError
+from greybox.kernel.slopes import BINARY, FLAT, PICKS, UNARY, Slope
+
+COMMUTATIVE = frozenset([ca.OP_ADD, ca.OP_MUL, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_HYPOT])
+
+
+class UnsupportedOperationError(GreyboxError):
+    """A CasADi operation that a kernel cannot run."""
+
+
+class Node(NamedTuple):
+    """One scalar instruction. ``args`` are node numbers; for an input they are (which input, which element)."""
+
+    op: int
+    args: tuple[int, ...]
+    number: float | None  # the value of a constant
+    varying: bool  # changes from substep to substep; the others can be computed once
+
+
+class Lane(NamedTuple):
+    """One tangent instruction: ``sum coefficient * lane``; ``condition ? first : second``; or the tangent of an
+    input."""
+
+    terms: tuple[tuple[int | None, int | None], ...]  # (coefficient node or None for 1, lane or None for no tangent)
+    condition: int | None
+    source: tuple[int, int] | None
+    varying: bool
+    signs: tuple[float, ...] = ()  # of the terms, if not all positive
+
+
+@dataclass
+class Tape:
+    """``order`` lists ('node' | 'lane', number); ``outputs[i]`` the (node, lane or None) of each element of output
+    ``i``."""
+
+    nodes: list[Node] = field(default_factory=list)
+    lanes: list[Lane] = field(default_factory=list)
+    order: list[tuple[str, int]] = field(default_factory=list)
+    outputs: list[list[tuple[int, int | None]]] = field(default_factory=list)
+    _known: dict = field(default_factory=dict, repr=False)
+
+    def constant(self, number: float) -> Scalar:
+        """A number."""
+        return self._node(ca.OP_CONST, (), float(number), False)
+
+    def input(self, which: int, element: int, varying: bool) -> Scalar:
+        """An element of an input."""
+        return self._node(ca.OP_INPUT, (which, element), None, varying)
+
+    def apply(self, op: int, *args: Scalar) -> Scalar:
+        """An operation on scalars; the same operation on the same scalars is computed once."""
+        if op == ca.OP_DIV and not args[1].varying:  # a division each substep costs more than the reciprocal once
+            if args[1].number is None:
+                return args[0] * self.apply(ca.OP_INV, args[1])
+            if args[1].number:
+                return args[0] * (1 / args[1].number)
+        if op == ca.OP_MUL and args[0].number is not None and args[1].number is not None:
+            return self.constant(args[0].number * args[1].number)
+        if op == ca.OP_MUL and 1.0 in (args[0].number, args[1].number):
+            return args[1] if args[0].number == 1.0 else args[0]
+        numbers = tuple(a.index for a in args)
+        if op in COMMUTATIVE:
+            numbers = tuple(sorted(numbers))
+        return self._node(op, numbers, None, any(a.varying for a in args))
+
+    def lane(self, lane: Lane) -> int:
+        """Append a tangent instruction."""
+        if lane not in self._known:
+            self.lanes.append(lane)
+            self._known[lane] = len(self.lanes) - 1
+            self.order.append(("lane", len(self.lanes) - 1))
+        return self._known[lane]
+
+    def keep(self, k: int) -> None:
+        """Let the node ``k``, which is in the list already, run at this place."""
+        node = self.nodes[k]
+        self._known[(node.op, node.args, repr(node.number))] = k
+        self.order.append(("node", k))
+
+    def _node(self, op: int, args: tuple[int, ...], number: float | None, varying: bool) -> Scalar:
+        key = (op, args, repr(number))
+        if key not in self._known:
+            self.nodes.append(Node(op, args, number, varying))
+            self._known[key] = len(self.nodes) - 1
+            self.order.append(("node", len(self.nodes) - 1))
+        return Scalar(self, self._known[key])
+
+
+class Scalar:
+    """A scalar on a tape, written with the usual operators."""
+
+    __slots__ = ("index", "tape")
+
+    def __init__(self, tape: Tape, index: int) -> None:
+        self.tape = tape
+        self.index = index
+
+    @property
+    def number(self) -> float | None:
+        """The value of a constant, else None."""
+        return self.tape.nodes[self.index].number
+
+    @property
+    def varying(self) -> bool:
+        """Whether it changes from substep to substep."""
+        return self.tape.nodes[self.index].varying
+
+    def apply(self, op: int) -> Scalar:
+        """An operation with one argument."""
+        return self.tape.apply(op, self)
+
+    def gate(self, value: Scalar) -> Scalar:
+        """``value`` where this scalar is not zero, else 0 (also where ``value`` is not finite)."""
+        return self._with(ca.OP_IF_ELSE_ZERO, value)
+
+    def equals(self, other: Slope) -> Scalar:
+        """1 where equal, else 0."""
+        return self._with(ca.OP_EQ, other)
+
+    def _with(self, op: int, other: Slope, swapped: bool = False) -> Scalar:
+        second = other if isinstance(other, Scalar) else self.tape.constant(other)
+        return self.tape.apply(op, second, self) if swapped else self.tape.apply(op, self, second)
+
+    def __neg__(self) -> Scalar:
+        return self.apply(ca.OP_NEG)
+
+    def __add__(self, other: Slope) -> Scalar:
+        return self._with(ca.OP_ADD, other)
+
+    def __sub__(self, other: Slope) -> Scalar:
+        return self._with(ca.OP_SUB, other)
+
+    def __mul__(self, other: Slope) -> Scalar:
+        return self._with(ca.OP_MUL, other)
+
+    def __truediv__(self, other: Slope) -> Scalar:
+        return self._with(ca.OP_DIV, other)
+
+    def __radd__(self, other: float) -> Scalar:
+        return self._with(ca.OP_ADD, other, swapped=True)
+
+    def __rsub__(self, other: float) -> Scalar:
+        return self._with(ca.OP_SUB, other, swapped=True)
+
+    def __rmul__(self, other: float) -> Scalar:
+        return self._with(ca.OP_MUL, other, swapped=True)
+
+    def __rtruediv__(self, other: float) -> Scalar:
+        return self.apply(ca.OP_INV) if other == 1 else self._with(ca.OP_DIV, other, swapped=True)
+
+    def __gt__(self, other: Slope) -> Scalar:
+        return self._with(ca.OP_LT, other, swapped=True)
+
+
+def read(function: ca.Function, *, active: Sequence[int] = (), varying: Sequence[int] = ()) -> Tape:
+    """The instructions of ``function`` with tangents carried from the ``active`` inputs.
+
+    ``varying`` inputs change at every substep; what depends on the others alone is marked as computed once. Raises
+    UnsupportedOperationError for an operation without a rule.
+    """
+    if not function.is_a("SXFunction"):
+        function = function.expand()
+    tape = Tape()
+    rows_in = [function.sparsity_in(i).row() for i in range(function.n_in())]
+    rows_out = [function.sparsity_out(i).row() for i in range(function.n_out())]
+    tape.outputs = [[(tape.constant(0.0).index, None)] * function.size1_out(i) for i in range(function.n_out())]
+    work: dict[int, tuple[Scalar, int | None]] = {}
+    for k in range(function.n_instructions()):
+        op, source, target = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if op == ca.OP_OUTPUT:
+            scalar, lane = work[source[0]]
+            tape.outputs[target[0]][rows_out[target[0]][target[1]]] = (scalar.index, lane)
+        elif op == ca.OP_CONST:
+            work[target[0]] = (tape.constant(function.instruction_constant(k)), None)
+        elif op == ca.OP_INPUT:
+            which, element = source[0], rows_in[source[0]][source[1]]
+            scalar = tape.input(which, element, which in varying)
+            lane = tape.lane(Lane((), None, (which, element), which in varying)) if which in active else None
+            work[target[0]] = (scalar, lane)
+        elif op in (ca.OP_ASSIGN, ca.OP_LIFT):
+            work[target[0]] = work[source[0]]
+        else:
+            work[target[0]] = _step(tape, op, [work[s] for s in source])
+    return tape
+
+
+def _step(tape: Tape, op: int, args: list[tuple[Scalar, int | None]]) -> tuple[Scalar, int | None]:
+    """One instruction: its value and its tangent."""
+    if op not in UNARY and op not in BINARY and op not in PICKS and op not in FLAT:
+        raise UnsupportedOperationError(
+            f"CasADi operation number {op} ({operation_name(op)}) has no tangent rule; write the term without it"
+        )
+    scalars, lanes = [a[0] for a in args], [a[1] for a in args]
+    result = tape.apply(op, *scalars)
+    if op in FLAT or all(lane is None for lane in lanes):
+        return result, None
+    if op in PICKS:
+        return result, _pick(tape, op, (*scalars, result), lanes)
+    rules: Sequence[Callable[..., Slope]] = BINARY[op] if op in BINARY else (UNARY[op],)
+    terms: list[tuple[int | None, int | None]] = []
+    for rule, lane in zip(rules, lanes, strict=True):
+        if lane is None:
+            continue
+        slope = rule(*scalars, result)
+        scalar = slope if not isinstance(slope, float) else tape.constant(slope)
+        if scalar.number != 0:
+            terms.append((None if scalar.number == 1 else scalar.index, lane))
+    if not terms:
+        return result, None
+    if len(terms) == 1 and terms[0][0] is None:
+        return result, terms[0][1]
+    moving = any(tape.lanes[lane].varying or (c is not None and tape.nodes[c].varying) for c, lane in terms)  # type: ignore[index]
+    return result, tape.lane(Lane(tuple(terms), None, None, moving))
+
+
+def _pick(tape: Tape, op: int, scalars: Sequence[Scalar], lanes: list[int | None]) -> int | None:
+    rule, sides = PICKS[op]
+    condition = rule(*scalars)
+    chosen = [None if side is None else lanes[side] for side in sides]
+    if chosen[0] == chosen[1]:
+        return chosen[0]
+    moving = condition.varying or any(tape.lanes[lane].varying for lane in chosen if lane is not None)
+    return tape.lane(Lane(tuple((None, lane) for lane in chosen), condition.index, None, moving))
+
+
+def operation_name(op: int) -> str:
+    """CasADi's name of an operation code."""
+    return next((name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == op), "unknown")
