@@ -1,0 +1,39 @@
+"""What every integrator hands over: one discrete step of a model, ready to be run over a record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+# (p (np,), interval lengths (nh,), which parameters (na,)) -> coefficients q (nh, nq) and d q / d p[which] (nh, nq, na)
+Coefficients = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One discrete step of a model.
+
+    ``advance``: CasADi function ``(x (nx,), ua (nu,), ub (nu,), q (nq,), h) -> x_next (nx,)``, a step of length ``h`` with the input
+    moving from ``ua`` to ``ub`` (equal when the input is held). A sampling interval is ``substeps`` such steps.
+
+    ``outputs``: CasADi function ``(x, u (nu,), p (np,)) -> y (ny,)``.
+
+    ``coefficients(p, h, which)``: what the step needs to know of the parameters, one row for each interval length in ``h``, and its
+    slope along the parameters numbered ``which``. RK4 takes the parameters themselves (one row serves every length:
+    ``per_interval`` is false); the exact hold takes the entries of the discrete matrices of each length.
+    """
+
+    name: str
+    advance: ca.Function
+    outputs: ca.Function
+    coefficients: Coefficients
+    substeps: int = 1
+    per_interval: bool = False
+
+    @property
+    def label(self) -> str:
+        """Name for people: ``RK4, 4 substeps a sample``."""
+        return self.name if self.substeps == 1 else f"{self.name}, {self.substeps} substeps a sample"
