@@ -1,0 +1,35 @@
+"""Loads: forces from outside that do not depend on the motion."""
+
+from __future__ import annotations
+
+from greybox.model import Effect
+from greybox.signals import Expression, Named, Parameter
+
+
+def _constant(x: Named, u: Named, p: Named) -> Expression:
+    return p.F0
+
+
+constant_load = Effect(
+    "constant_load",
+    site="force",
+    parameters=[
+        Parameter(
+            "F0",
+            "{force}",
+            0.0,
+            source="amplitude, absent until fitted",
+            description="constant external force (a weight), either sign",
+        )
+    ],
+    terms=_constant,
+    equation="+F0",
+    parity="even",
+    tells_apart=(
+        "For a linear spring a constant load, an input offset and a sensor offset give the same displacement record."
+        " Measure the current or the pressures, or turn the rig over: a weight changes sign, an offset does not."
+    ),
+    source="Linear ARX modelling of pneumatic actuator system (chapter 10), section 10.2.3: F_External of eq. 10.6",
+)
+
+LOAD: tuple[Effect, ...] = (constant_load,)

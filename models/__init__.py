@@ -1,0 +1,1 @@
+"""The plants of this project: equations and sourced numbers, nothing else."""
