@@ -1,0 +1,1 @@
+"""Studies: one question, its data, its fit and its verdict per file."""

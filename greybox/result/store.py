@@ -1,0 +1,118 @@
+"""Fits as JSON files, written and read without loss."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import DataError
+from greybox.model import Model
+from greybox.result.values import Estimate, Fit, Misfit, Trace
+
+FORMAT = 1
+
+
+def save_fit(fit: Fit, path: str | Path) -> Path:
+    """Write ``fit`` to ``path`` (folders are made); numbers that are not finite become null."""
+    data = {"format": FORMAT, "model": fit.model.name, "effects": [e.name for e in fit.model.effects]}
+    data |= {name: getattr(fit, name) for name in Fit.__dataclass_fields__ if name != "model"}
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(layout(plain(data)) + "\n", encoding="utf-8")
+    return target
+
+
+def layout(data: Mapping[str, Any]) -> str:
+    """JSON with a line for each entry of the two outer levels: readable, and long arrays stay on one line."""
+    rows = []
+    for key, value in data.items():
+        if isinstance(value, dict) and value:
+            inner = ",\n".join(f"  {json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in value.items())
+            rows.append(f" {json.dumps(key)}: {{\n{inner}\n }}")
+        else:
+            rows.append(f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}")
+    return "{\n" + ",\n".join(rows) + "\n}"
+
+
+def plain(value: Any) -> Any:
+    """``value`` as JSON knows it: arrays become lists, dataclasses dictionaries, NaN and infinities None."""
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    if isinstance(value, (bool, str)) or value is None:
+        return value
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return plain({name: getattr(value, name) for name in value.__dataclass_fields__})
+
+
+def load_fit(path: str | Path, model: Model) -> Fit:
+    """Read a fit that `Fit.save` wrote. ``model`` states its equations (effects included); it gets the fitted values.
+
+    Raises DataError where the file is not a fit, or belongs to another model.
+    """
+    source = Path(path)
+    try:
+        data = json.loads(source.read_text(encoding="utf-8"))
+    except (OSError, json.JSONDecodeError) as error:
+        raise DataError(f"{source}: not a readable fit ({error}); give the fit.json that a fit has written") from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT or "parameters" not in data:
+        raise DataError(f"{source}: not a fit of this program (format {FORMAT}); give the fit.json that a fit has written")
+    if data["model"] != model.name or data["effects"] != [e.name for e in model.effects]:
+        said = " + ".join([data["model"], *data["effects"]])
+        raise DataError(f"{source}: belongs to the model {said}, not to {model.title}; give that model")
+    parameters = {n: Estimate(**{**e, "interval": _pair(e["interval"])}) for n, e in data["parameters"].items()}
+    fixed = [n for n, e in parameters.items() if e.fixed]
+    fitted = model.free(*(n for n, e in parameters.items() if not e.fixed)).fix(*fixed)
+    fitted = fitted.start(**{n: e.value for n, e in parameters.items()})
+    return Fit(
+        model=fitted, parameters=parameters,
+        misfit=_misfits(data["misfit"]), validation=_misfits(data["validation"]),
+        traces=_traces(data["traces"]), validation_traces=_traces(data["validation_traces"]),
+        free=tuple(data["free"]), notes=tuple(data["notes"]),
+        covariance=_array(data["covariance"]).reshape(len(data["free"]), -1),
+        noise=_numbers(data["noise"]), integration_error=_numbers(data["integration_error"]), cost=_number(data["cost"]),
+        **{n: data[n] for n in ("status", "success", "meaning", "noise_source", "discretisation", "solver", "options", "equations", "versions")},
+    )  # fmt: skip
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _numbers(values: Mapping[str, float | None]) -> dict[str, float]:
+    return {name: _number(value) for name, value in values.items()}
+
+
+def _pair(values: list | None) -> tuple[float, float] | None:
+    if values is None:
+        return None
+    low, high = values
+    return (-math.inf if low is None else low, math.inf if high is None else high)
+
+
+def _array(values: list) -> np.ndarray:
+    return np.array(values, dtype=float)  # None becomes NaN
+
+
+def _misfits(data: Mapping[str, dict]) -> dict[str, Misfit]:
+    return {o: Misfit(**{**m, **{k: _number(m[k]) for k in ("rmse", "best_fit_percent", "noise_ratio")}}) for o, m in data.items()}
+
+
+def _traces(data: Sequence[dict]) -> tuple[Trace, ...]:
+    def arrays(group: Mapping[str, list]) -> dict[str, np.ndarray]:
+        return {name: _array(values) for name, values in group.items()}
+
+    return tuple(
+        Trace(t["name"], t["fingerprint"], _array(t["time"]), arrays(t["measured"]), arrays(t["simulated"]), t["initial_state"]) for t in data
+    )  # fmt: skip

@@ -1,0 +1,98 @@
+"""Single shooting: the model runs freely over each record, from parameters and initial states alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.integrators import Step
+from greybox.kernel import Kernel, Record
+from greybox.transcription.variables import Variables
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Cost ``sum of squared weighted residuals`` at one point, its gradient (n,) and Gauss-Newton matrix (n, n), ``2 J'J``.
+
+    ``count`` residuals went into it; ``squares`` and ``counts`` (ny,) are the same by output. Where the simulation overflowed the
+    cost is infinite and ``failed`` says in which experiment and at which sample.
+    """
+
+    cost: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+    squares: np.ndarray
+    counts: np.ndarray
+    failed: tuple[int, int] | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of residuals."""
+        return int(self.counts.sum())
+
+
+class SingleShooting:
+    """Cost of the free-run simulation error over one or more records.
+
+    ``weight`` (ny,) is one over the noise standard deviation of each output; ``share`` of every record is used (the beginning).
+    """
+
+    def __init__(self, variables: Variables, step: Step, kernel: Kernel, records: Sequence[Record], weight: np.ndarray, share: float = 1.0):
+        self.variables = variables
+        self.step = step
+        self.kernel = kernel
+        self.records = tuple(r if step.per_interval else replace(r, row=np.zeros_like(r.row)) for r in records)
+        self.weight = weight
+        self.rows = [max(2, round(share * len(r.u))) for r in records]
+
+    def evaluate(self, z: np.ndarray) -> Evaluation:
+        """Cost and derivatives at ``z``."""
+        v = self.variables
+        ny = len(self.weight)
+        gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
+        squares, counts = np.zeros(ny), np.zeros(ny, int)
+        p = v.parameters(z)
+        for e, record in enumerate(self.records):
+            columns = v.columns(e)
+            q, dq, dp, x0, dx0 = self.at(z, p, e)
+            sums = self.kernel.sums(record, q, dq, p, dp, x0, dx0, self.weight, self.rows[e])
+            if not np.isfinite(sums.cost):
+                return Evaluation(np.inf, gradient, hessian, squares, counts, (e, sums.failed_at))
+            gradient[columns] += 2 * sums.gradient
+            hessian[np.ix_(columns, columns)] += 2 * sums.gauss_newton
+            squares += sums.squares
+            counts += sums.counts.astype(int)
+        return Evaluation(float(squares.sum()), gradient, hessian, squares, counts)
+
+    def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each record the weighted residuals (N, ny), measured minus model, and their Jacobian (N, ny, L) along `columns`."""
+        p = self.variables.parameters(z)
+        return [self.kernel.residuals(r, *self._arguments(z, p, e), self.weight) for e, r in enumerate(self.records)]
+
+    def simulate(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each record outputs (N, ny) and states (N, nx) of the model."""
+        p = self.variables.parameters(z)
+        runs = []
+        for e, record in enumerate(self.records):
+            q, _, _, x0, _ = self.at(z, p, e)
+            runs.append(self.kernel.simulate(record, q, p, x0))
+        return runs
+
+    def at(self, z: np.ndarray, p: np.ndarray, e: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """What the kernel needs for experiment ``e``: coefficients and slopes, parameter slopes, initial state and slopes."""
+        v = self.variables
+        x0, dx0 = v.beginning(z, p, e)
+        lanes, n = dx0.shape[1], len(v.which)
+        slopes = v.slopes(p)
+        q, dq_free = self.step.coefficients(p, self.records[e].lengths, v.which)
+        dq = np.zeros((*dq_free.shape[:2], lanes))
+        dq[:, :, :n] = dq_free * slopes
+        dp = np.zeros((len(p), lanes))
+        dp[v.which, np.arange(n)] = slopes
+        return q, dq, dp, x0, dx0
+
+    def _arguments(self, z: np.ndarray, p: np.ndarray, e: int) -> tuple:
+        q, dq, dp, x0, dx0 = self.at(z, p, e)
+        return q, dq, p, dp, x0, dx0
