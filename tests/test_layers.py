@@ -25,7 +25,7 @@ ROWS = [
     {"effects", "integrators", "result", "noise"},
     {"kernel"},
     {"transcription"},
-    {"simulation", "optimiser"},
+    {"simulation", "twin", "optimiser"},
     {"fitting"},
     {"blackbox", "check"},
     {"diagnose", "compare", "export"},

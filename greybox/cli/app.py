@@ -1,0 +1,96 @@
+"""The command's front: its sub-commands, its version, its help."""
+
+from __future__ import annotations
+
+import os
+from typing import Annotated
+
+import typer
+
+from greybox.cli.check import check
+from greybox.cli.demo import demo
+from greybox.cli.fit import fit
+from greybox.cli.guard import guarded
+from greybox.cli.init import init
+from greybox.cli.models import models
+from greybox.cli.simulate import simulate
+
+app = typer.Typer(
+    name="greybox",
+    help="Physics-based grey-box identification: from a record to physical constants with intervals.",
+    epilog="Start with:\n\n\b\n  greybox demo\n  greybox models\n  greybox fit --help",
+    no_args_is_help=True,
+    add_completion=False,
+    # Plain text: a message stays on one line, and nothing heavy is imported for --help.
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+
+
+def example(*lines: str) -> str:
+    """The end of a command's help: lines to copy."""
+    return "Examples:\n\n\b\n" + "\n".join(f"  {line}" for line in lines)
+
+
+app.command(
+    short_help="Fit a model's constants to records.",
+    epilog=example(
+        "greybox fit micro_actuator record.csv --fix M=0.01 --fix Ra=8 --validate other.csv",
+        "greybox fit my/rig.py a.csv b.csv --start K=5000 --noise x=2e-7 --output results/rig",
+        "greybox fit emps record.csv --effect coulomb_friction --hold first",
+    ),
+)(guarded(fit))
+app.command(
+    short_help="Run a model and write a record.",
+    epilog=example(
+        "greybox simulate micro_actuator --step 1 --duration 0.2 --sampling-time 2.5e-4",
+        "greybox simulate micro_actuator --multisine 2 --band 5:800 --duration 1.5 --sampling-time 2.5e-4 \\",
+        "    --noise x=2e-7 --noise i=5e-3 --seed 1 --output record.csv",
+        "greybox simulate my/rig.py input.csv --set K=5000 --output simulated.csv",
+    ),
+)(guarded(simulate))
+app.command(
+    short_help="What is known before a fit: units, integration, determined constants.",
+    epilog=example("greybox check micro_actuator", "greybox check micro_actuator record.csv --fix M=0.01"),
+)(guarded(check))
+app.command(
+    short_help="List the models, or print one.",
+    epilog=example("greybox models", "greybox models micro_actuator", "greybox models my/rig.py"),
+)(guarded(models))
+app.command(
+    short_help="Write a project of your own to start from.",
+    epilog=example("greybox init my_rig", "cd my_rig && greybox models"),
+)(guarded(init))
+app.command(
+    short_help="Find the constants of a simulated actuator.",
+    epilog=example("greybox demo", "greybox demo --output somewhere"),
+)(guarded(demo))
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            typer.echo(f"greybox {version('greybox-sysid')}")
+        except PackageNotFoundError:
+            typer.echo("greybox (not installed: run from its source)")
+        raise typer.Exit
+
+
+@app.callback()
+def _front(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Options before the sub-command."""
+
+
+def main() -> None:
+    """Run the command; the process ends with 0, 1 (no success), 2 (bad input) or 130 (Ctrl-C)."""
+    # The matrices are small: a pool of threads costs more than it does. Read when numpy is loaded, which is later.
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    app(prog_name="greybox")

@@ -1,0 +1,99 @@
+"""`greybox fit`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from greybox.cli import options as o
+from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
+from greybox.cli.interrupt import held
+from greybox.cli.progress import meter
+
+if TYPE_CHECKING:
+    from greybox.result import Fit
+
+
+def fit(
+    model: o.ModelName,
+    data: Annotated[
+        list[Path],
+        typer.Argument(metavar="DATA", help="Records to fit: CSV, TSV, MAT, NPZ or Parquet, headers 'name [unit]'."),
+    ],
+    *,
+    fix: o.Fix,
+    start: o.Start,
+    free: o.Free,
+    effect: o.Effects,
+    noise: o.Noise,
+    validate: Annotated[
+        list[Path],
+        typer.Option(
+            "--validate", metavar="FILE", default_factory=list, help="A record to judge the fit by; may be repeated."
+        ),
+    ],
+    skip: Annotated[
+        int,
+        typer.Option("--skip", metavar="N", min=0, help="Rows at the start of validation records that do not count."),
+    ] = 0,
+    hold: o.Hold = o.HoldName.zero,
+    at_rest: o.AtRest = False,
+    column: o.Columns,
+    method: o.Method = o.MethodName.automatic,
+    substeps: o.Substeps = 0,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", metavar="DIR", help="Folder for fit.json and figures. [default: results/MODEL-fit]"),
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the fit as JSON instead of text.")] = False,
+) -> None:
+    """Fit the constants of MODEL to records, and judge the fit.
+
+    Prints the equations, the constants with 95 % intervals, the misfit on the fitted and on the validation records, and
+    what to know before trusting them. Writes DIR/fit.json and a figure for each record.
+
+    Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
+    was saved.
+    """
+    from greybox.experiment import read_experiments
+    from greybox.fitting import FitOptions
+    from greybox.fitting import fit as fit_model
+    from greybox.project import resolve
+
+    plant = o.changed(resolve(model), effects=effect, fix=fix, start=start, free=free)
+    folder = o.writable_folder(output or Path("results") / f"{plant.name}-fit")
+    said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
+    records = read_experiments(data, plant, columns=columns, hold=hold.value)
+    judges = read_experiments(validate, plant, columns=columns, hold=hold.value) if validate else ()
+    o.check_skip(skip, judges)
+    choice = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps)
+    with held() as interrupt, meter(plant.title, interrupt) as report:
+        result = fit_model(plant, records, noise=said, validation=judges, skip=skip, options=choice, report=report)
+        saved = result.save(folder / "fit.json")
+    _tell(result, saved, quiet=quiet, json=json)
+    if interrupt.asked or result.status == "interrupted":
+        stop(f"interrupted; the best point so far is in {saved}", INTERRUPTED)
+    _draw(result, saved, quiet=quiet or json)
+    if not result.success:
+        stop(f"no success: {result.meaning}", UNSUCCESSFUL)
+
+
+def _tell(result: Fit, saved: Path, *, quiet: bool, json: bool) -> None:
+    if json:
+        typer.echo(saved.read_text(encoding="utf-8"), nl=False)
+    elif not quiet:
+        typer.echo(f"{result.equations}\n\n{result}")
+
+
+def _draw(result: Fit, saved: Path, *, quiet: bool) -> None:
+    from greybox.figures import fit_figure
+
+    try:
+        figures = fit_figure(result, saved.parent)
+    except KeyboardInterrupt:
+        stop(f"interrupted while drawing; the fit is in {saved}", INTERRUPTED)
+    if not quiet:
+        typer.echo(f"\nwritten: {saved}, {', '.join(map(str, figures))}")

@@ -1,0 +1,50 @@
+"""Errors and warnings of the library as a person at a terminal gets them: one message, an exit code, no traceback."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+import typer
+
+from greybox.errors import GreyboxError
+
+UNSUCCESSFUL, BAD_INPUT, INTERRUPTED = 1, 2, 130
+
+
+def guarded(command: Callable[..., None]) -> Callable[..., None]:
+    """``command`` with bad input as exit code 2 and Ctrl-C as 130, each with a message on stderr."""
+
+    @functools.wraps(command)
+    def run(*args: Any, **options: Any) -> None:
+        with warnings.catch_warnings():
+            warnings.showwarning = _shown
+            try:
+                command(*args, **options)
+            except GreyboxError as error:
+                stop(str(error), BAD_INPUT)
+            except BrokenPipeError:  # the reader of a pipe has gone: nothing to tell anyone
+                raise
+            except OSError as error:
+                stop(f"{error.filename or 'a file'}: {error.strerror or error}", BAD_INPUT)
+            except KeyboardInterrupt:
+                stop("interrupted", INTERRUPTED)
+
+    return run
+
+
+def stop(message: str, code: int) -> NoReturn:
+    """End with ``message`` on stderr."""
+    typer.echo(f"error: {message}", err=True)
+    raise typer.Exit(code)
+
+
+def note(message: str) -> None:
+    """A line on stderr, so that stdout stays what was asked for."""
+    typer.echo(message, err=True)
+
+
+def _shown(message: Warning | str, *_: Any, **__: Any) -> None:
+    note(f"warning: {message}")

@@ -1,0 +1,179 @@
+"""What several commands share: how options are written, and what they do to a model."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterable
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from greybox.errors import GreyboxError, ModelError
+
+if TYPE_CHECKING:
+    from greybox.experiment import Experiment
+    from greybox.model import Model
+
+Names = list[str]
+
+
+class HoldName(StrEnum):
+    """How the input moves between samples."""
+
+    zero = "zero"
+    first = "first"
+
+
+class MethodName(StrEnum):
+    """How the equations are integrated."""
+
+    automatic = "automatic"
+    exact = "exact"
+    rk4 = "rk4"
+
+
+ModelName = Annotated[
+    str,
+    typer.Argument(
+        metavar="MODEL",
+        show_default=False,
+        help="Name of a model (see greybox models), or a model file: my/rig.py, my/rig.py:name.",
+    ),
+]
+Fix = Annotated[
+    Names,
+    typer.Option(
+        "--fix",
+        metavar="NAME=VALUE",
+        default_factory=list,
+        help="A constant that is known, in its unit; NAME alone fixes it where it is.",
+    ),
+]
+Start = Annotated[
+    Names,
+    typer.Option("--start", metavar="NAME=VALUE", default_factory=list, help="A value to start from, in its unit."),
+]
+Free = Annotated[
+    Names,
+    typer.Option("--free", metavar="NAME", default_factory=list, help="A constant to fit that the model holds fixed."),
+]
+Effects = Annotated[
+    Names,
+    typer.Option(
+        "--effect",
+        metavar="NAME",
+        default_factory=list,
+        help="Add an effect of the catalogue, such as coulomb_friction.",
+    ),
+]
+Noise = Annotated[
+    Names,
+    typer.Option(
+        "--noise",
+        metavar="OUTPUT=STD",
+        default_factory=list,
+        help="Standard deviation of an output's noise, in the model's unit; estimated if left out.",
+    ),
+]
+Hold = Annotated[
+    HoldName, typer.Option("--hold", help="The input between samples: zero (held) or first (straight lines).")
+]
+Columns = Annotated[
+    Names,
+    typer.Option(
+        "--column",
+        metavar="NAME=HEADER",
+        default_factory=list,
+        help="The file's header for a signal, or for time, where it has another name.",
+    ),
+]
+AtRest = Annotated[
+    bool,
+    typer.Option("--at-rest", help="Records begin at the states that the model declares, instead of estimated ones."),
+]
+Method = Annotated[
+    MethodName, typer.Option("--method", help="How to integrate: automatic, exact (linear models), rk4.")
+]
+Substeps = Annotated[
+    int, typer.Option("--substeps", metavar="N", min=0, help="RK4 steps in each sampling interval; 0 chooses.")
+]
+
+
+def pairs(option: str, texts: Iterable[str]) -> dict[str, str]:
+    """``["M=1", "K=2"]`` as a dictionary; refuses text without ``=`` and names given twice."""
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not (name and equals and value):
+            raise GreyboxError(f"{option} {text}: write {option} NAME=VALUE, without blanks")
+        if name in found:
+            raise GreyboxError(f"{option} {name}: given twice, as {found[name]} and {value}; keep one")
+        found[name] = value
+    return found
+
+
+def numbers(option: str, texts: Iterable[str]) -> dict[str, float]:
+    """`pairs` with finite numbers as values."""
+    found = {}
+    for name, value in pairs(option, texts).items():
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise GreyboxError(
+                f"{option} {name}={value}: {value!r} is not a number;"
+                f" write it without a unit, as in {option} {name}=0.01"
+            ) from None
+        if not math.isfinite(found[name]):
+            raise GreyboxError(f"{option} {name}={value}: the value must be finite")
+    return found
+
+
+def changed(
+    model: Model,
+    *,
+    effects: Iterable[str] = (),
+    fix: Iterable[str] = (),
+    start: Iterable[str] = (),
+    free: Iterable[str] = (),
+) -> Model:
+    """``model`` with effects of the catalogue added, then with constants freed, set and fixed. Raises GreyboxError."""
+    fix, free = list(fix), list(free)
+    known, bare = numbers("--fix", (t for t in fix if "=" in t)), [t for t in fix if "=" not in t]
+    values = numbers("--start", start)
+    for other, names in (("--start", known.keys() & values.keys()), ("--free", {*known, *bare} & set(free))):
+        if names:
+            raise ModelError(f"{', '.join(sorted(names))}: --fix and {other} contradict each other; keep one")
+    if effects:
+        from greybox.effects import effect
+
+        for name in effects:
+            model = model + effect(name)
+    return model.free(*free).start(**values).fix(*bare, **known)
+
+
+def writable_folder(path: Path) -> Path:
+    """``path``, if results can be written there; tried before the work is done and not after it, and left as it was."""
+    if path.exists() and not path.is_dir():
+        raise GreyboxError(f"--output {path}: it is a file; give a folder")
+    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+    except OSError as error:
+        raise GreyboxError(f"--output {path}: cannot be written to ({error.strerror}); give another folder") from error
+    finally:
+        for folder in missing:
+            if folder.is_dir():
+                folder.rmdir()
+    return path
+
+
+def check_skip(skip: int, records: Iterable[Experiment]) -> None:
+    """Refuse, before the fit, to leave out more rows than a validation record has."""
+    shortest = min((r.rows for r in records), default=skip + 1)
+    if skip >= shortest:
+        raise GreyboxError(f"--skip {skip}: the shortest validation record has {shortest} rows; leave out fewer")

@@ -1,0 +1,164 @@
+"""`greybox simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from greybox.cli import options as o
+from greybox.cli.guard import UNSUCCESSFUL, stop
+from greybox.errors import GreyboxError
+
+if TYPE_CHECKING:
+    from greybox.experiment import Experiment
+    from greybox.model import Model
+
+MOST_ROWS = 10_000_000
+
+
+def simulate(
+    model: o.ModelName,
+    inputs: Annotated[
+        Path | None,
+        typer.Argument(metavar="INPUT", help="File with time and the model's inputs; or choose a signal below."),
+    ] = None,
+    *,
+    step: Annotated[
+        float | None, typer.Option("--step", metavar="HEIGHT", help="Drive with a step at the first row.")
+    ] = None,
+    multisine: Annotated[
+        float | None,
+        typer.Option("--multisine", metavar="RMS", help="Drive with equal sines of random phase in the band."),
+    ] = None,
+    chirp: Annotated[
+        float | None,
+        typer.Option("--chirp", metavar="AMPLITUDE", help="Drive with a sine that sweeps through the band."),
+    ] = None,
+    band: Annotated[
+        str | None, typer.Option("--band", metavar="LOW:HIGH", help="Band of a multisine or chirp in Hz.")
+    ] = None,
+    offset: Annotated[float, typer.Option("--offset", metavar="VALUE", help="A constant added to the signal.")] = 0.0,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="SECONDS", help="Length of the signal.")
+    ] = None,
+    sampling_time: Annotated[
+        float | None, typer.Option("--sampling-time", metavar="SECONDS", help="Time between rows.")
+    ] = None,
+    set_: Annotated[
+        list[str],
+        typer.Option(
+            "--set",
+            "--fix",
+            "--start",
+            metavar="NAME=VALUE",
+            default_factory=list,
+            help="The value of a constant, in its unit.",
+        ),
+    ],
+    initial: Annotated[
+        list[str],
+        typer.Option(
+            "--initial", metavar="STATE=VALUE", default_factory=list, help="A state at the first row, in its unit."
+        ),
+    ],
+    effect: o.Effects,
+    noise: Annotated[
+        list[str],
+        typer.Option(
+            "--noise",
+            metavar="OUTPUT=STD",
+            default_factory=list,
+            help="White noise on an output: its standard deviation.",
+        ),
+    ],
+    seed: Annotated[
+        int, typer.Option("--seed", metavar="N", min=0, help="Of the noise and of a multisine's phases.")
+    ] = 0,
+    hold: o.Hold = o.HoldName.zero,
+    column: o.Columns,
+    method: o.Method = o.MethodName.automatic,
+    substeps: o.Substeps = 0,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", metavar="FILE", help="CSV file to write. [default: results/MODEL-simulated.csv]"),
+    ] = None,
+) -> None:
+    """Run MODEL over the inputs of a file, or over a test signal, and write a CSV that greybox fit reads.
+
+    A test signal drives the model's first input; others stay at zero. The model starts at the states it declares.
+
+    Exit code 0: done. 1: the simulation overflows. 2: bad input. In both nothing is written.
+    """
+    import numpy as np
+
+    from greybox.project import resolve
+    from greybox.simulation import read_inputs, write_csv
+    from greybox.simulation import simulate as run_model
+
+    plant = o.changed(resolve(model), effects=effect, start=set_)
+    target = output or Path("results") / f"{plant.name}-simulated.csv"
+    if target.is_dir():
+        raise GreyboxError(f"--output {target}: it is a folder; give a file that ends in .csv")
+    o.writable_folder(target.parent)
+    said = o.numbers("--noise", noise)
+    generator = np.random.default_rng(seed)
+    shapes = {"--step": step, "--multisine": multisine, "--chirp": chirp}
+    chosen = {name: size for name, size in shapes.items() if size is not None}
+    if (inputs is not None) + len(chosen) != 1 and plant.inputs:
+        raise GreyboxError(f"{plant.title}: give either a file with inputs or one of {', '.join(shapes)}")
+    if inputs is not None:
+        experiment = read_inputs(inputs, plant, columns=o.pairs("--column", column), hold=hold.value)
+    else:
+        experiment = _signal(plant, chosen, band, offset, duration, sampling_time, hold.value, generator)
+    run = run_model(plant, experiment, initial=o.numbers("--initial", initial), method=method.value, substeps=substeps)
+    if run.overflow is not None:
+        stop(
+            f"{plant.title}: the simulation overflows {run.overflow:.4g} s after its start; nothing was written",
+            UNSUCCESSFUL,
+        )
+    write_csv(run.record(said, generator), plant, target)
+    typer.echo(
+        f"{target}: {len(run.time)} rows, {', '.join([*run.inputs, *run.outputs])}; integrated by {run.discretisation}"
+    )
+
+
+def _signal(
+    model: Model, chosen: dict[str, float], band: str | None, offset: float,
+    duration: float | None, sampling_time: float | None, hold: str, generator: object,
+) -> Experiment:  # fmt: skip
+    """The test signal on the first input, at the wanted pace."""
+    import numpy as np
+
+    from greybox.experiment import Experiment
+    from greybox.simulation import chirp, multisine
+
+    if not duration or not sampling_time or duration <= 0 or sampling_time <= 0:
+        raise GreyboxError("a test signal needs --duration and --sampling-time, both above 0 seconds")
+    rows = round(duration / sampling_time)
+    if not 2 <= rows <= MOST_ROWS:
+        raise GreyboxError(
+            f"--duration {duration:g} over --sampling-time {sampling_time:g} gives {rows} rows; give 2 to {MOST_ROWS}"
+        )
+    time = sampling_time * np.arange(rows)
+    u = np.full(rows, offset)
+    for shape, size in chosen.items():
+        if shape == "--step":
+            u += size
+        elif shape == "--chirp":
+            u += chirp(time, *_band(band), size)
+        else:
+            u += multisine(time, *_band(band), size, generator)  # type: ignore[arg-type]
+    inputs = {i.name: u if k == 0 else np.zeros(rows) for k, i in enumerate(model.inputs)}
+    return Experiment("simulated", time, inputs, {}, hold)  # type: ignore[arg-type]
+
+
+def _band(text: str | None) -> tuple[float, float]:
+    try:
+        low, high = (float(part) for part in (text or "").split(":"))
+    except ValueError:
+        raise GreyboxError(f"--band {text or '(not given)'}: write it as LOW:HIGH in Hz, as in --band 5:800") from None
+    if not 0 <= low < high:
+        raise GreyboxError(f"--band {text}: the low end must be at least 0 and below the high end")
+    return low, high

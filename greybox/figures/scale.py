@@ -1,0 +1,31 @@
+"""Axes for people: micrometres rather than 1e-6 m."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+# Units that take a prefix as they are; others (m/s**2, rad, bar) are left alone.
+PREFIXED = {"m", "m/s", "s", "V", "V/s", "A", "N", "Pa", "W", "Hz", "H", "F", "T", "N*m", "J"}
+PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+
+
+def scaled(unit: str, *signals: np.ndarray) -> tuple[float, str]:
+    """Factor and unit in which the largest value of ``signals`` has one to three digits: ``(1e6, "µm")``."""
+    largest = max((float(np.nanmax(np.abs(s))) for s in signals if np.isfinite(s).any()), default=0.0)
+    if unit not in PREFIXED or not (largest > 0 and math.isfinite(largest)):
+        return 1.0, written(unit)
+    exponent = 3 * math.floor(math.log10(largest) / 3)
+    exponent = min(max(exponent, min(PREFIXES)), max(PREFIXES))
+    return 10.0**-exponent, PREFIXES[exponent] + written(unit)
+
+
+def written(unit: str) -> str:
+    """A unit for an axis: ``N s/m²``."""
+    return unit.replace("**2", "²").replace("**3", "³").replace("**", "^").replace("*", " ")
+
+
+def label(name: str, unit: str) -> str:
+    """An axis label: ``x [µm]``; without brackets where there is no unit."""
+    return f"{name} [{unit}]" if unit else name

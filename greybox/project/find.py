@@ -1,0 +1,149 @@
+"""From a name or a path to a model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+from greybox.errors import ModelError, nearest
+from greybox.model import Model
+from greybox.project.load import load, load_apart, load_named, models_of, shown
+from greybox.project.place import model_files, project_root, template_root
+
+
+@dataclass(frozen=True)
+class Found:
+    """A model under the ``name`` that finds it, and ``where`` it is written."""
+
+    name: str
+    model: Model
+    where: str
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Every model that a name finds here, and files that could not be read, with the reason."""
+
+    models: tuple[Found, ...]
+    problems: tuple[str, ...]
+
+
+def resolve(name: str) -> Model:
+    """The model called ``name``: of the project around the working folder, or shipped; or in a file.
+
+    A name is that of a file in ``models/`` or of a model in one of them. A path (``my/rig.py``) gives the model named
+    like the file or the only one in it; ``my/rig.py:name`` picks one. Raises ModelError for an unknown name, with the
+    nearest ones, and for a file that cannot be run, with the line.
+    """
+    path, colon, wanted = name.rpartition(".py:")
+    if colon:
+        return _in_file(Path(f"{path}.py"), wanted)
+    if name.endswith(".py") or "/" in name or "\\" in name:
+        return _in_file(Path(name), "")
+    for source in _sources():
+        model = source.find(name)
+        if model is not None:
+            return model
+    known = listing()
+    close = nearest(name, [f.name for f in known.models])
+    here = f"; or give the path {name}.py" if Path(f"{name}.py").is_file() else ""
+    broken = "".join(f"\n  not looked into: {problem}" for problem in known.problems)
+    raise ModelError(f"no model {name!r}; {close}{here}{broken}")
+
+
+def shipped(name: str) -> Model:
+    """The model called ``name`` as the library ships it, whatever the project around the working folder holds."""
+    root = template_root().resolve()
+    model = _Source(root, named=project_root() in (None, root), shipped=True).find(name)
+    if model is None:
+        raise ModelError(f"no model {name!r} is shipped; {nearest(name, [file.stem for file in model_files(root)])}")
+    return model
+
+
+def listing() -> Listing:
+    """The models of the project around the working folder, then those shipped that it does not have."""
+    found: dict[str, Found] = {}
+    problems: list[str] = []
+    for source in _sources():
+        for file in source.files:
+            try:
+                models = models_of(source.module(file))
+            except ModelError as error:
+                problems.append(str(error))
+                continue
+            for name, model in models.items():
+                found.setdefault(name, Found(name, model, source.where(file)))
+    return Listing(tuple(found.values()), tuple(problems))
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A folder with ``models/``; ``named``: imported as the package ``models``, as its own files import one another."""
+
+    root: Path
+    named: bool
+    shipped: bool
+
+    @property
+    def files(self) -> list[Path]:
+        return model_files(self.root)
+
+    def module(self, file: Path) -> ModuleType:
+        return load_named(self.root, file) if self.named else load_apart(file)
+
+    def where(self, file: Path) -> str:
+        return f"models/{file.name}, shipped with greybox" if self.shipped else shown(file)
+
+    def find(self, name: str) -> Model | None:
+        """The model of this name: in the file of this name, else in any other."""
+        own = next((file for file in self.files if file.stem == name), None)
+        if own is not None:
+            models = models_of(self.module(own))
+            if name in models or len(models) == 1:
+                return models.get(name) or next(iter(models.values()))
+        for file in self.files:
+            try:
+                models = models_of(self.module(file)) if file != own else {}
+            except ModelError:  # another file's mistake: told if the name is found nowhere
+                continue
+            for variable, model in models.items():
+                if name in (variable, model.name):
+                    return model
+        return None
+
+
+def _sources() -> Iterator[_Source]:
+    root, shipped = project_root(), template_root().resolve()
+    if root is not None:
+        yield _Source(root, named=True, shipped=False)
+    if root != shipped and (shipped / "models").is_dir():
+        yield _Source(shipped, named=root is None, shipped=True)
+
+
+def _in_file(path: Path, wanted: str) -> Model:
+    if path.is_dir() or not path.is_file():
+        if not path.parent.is_dir():
+            raise ModelError(f"{path}: file not found, there is no folder {str(path.parent)!r}")
+        beside = nearest(path.name, sorted(f.name for f in path.parent.glob("*.py")))
+        raise ModelError(f"{path}: {'a folder, not a file' if path.is_dir() else 'file not found'}; {beside}")
+    if path.suffix != ".py":
+        raise ModelError(
+            f"{path} is not a model file; give a file that ends in .py, or the name of a model (see greybox models)"
+        )
+    file = path.resolve()
+    models = models_of(load(file))
+    if not models:
+        raise ModelError(f"{path} holds no model; it needs one, as in {file.stem} = Model(...)")
+    if wanted:
+        if wanted not in models:
+            raise ModelError(f"{path} holds no model {wanted!r}; {nearest(wanted, models)}")
+        return models[wanted]
+    if file.stem in models:
+        return models[file.stem]
+    if len(models) > 1:
+        raise ModelError(
+            f"{path} holds {len(models)} models: {', '.join(models)}; pick one, as in {path}:{next(iter(models))}"
+        )
+    return next(iter(models.values()))

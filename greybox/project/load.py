@@ -1,0 +1,128 @@
+"""Importing a user's file: one module and one identity for each, and errors told with file and line."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib
+import importlib.util
+import os
+import sys
+import traceback
+from pathlib import Path
+from types import ModuleType
+
+from greybox.errors import GreyboxError, ModelError
+from greybox.model import Model
+from greybox.project.place import project_root
+
+
+def load(file: Path) -> ModuleType:
+    """The module in ``file``: ``models.<name>`` if it belongs to a project's ``models/``, else under a private name.
+
+    Raises ModelError where the file cannot be run, with the line.
+    """
+    root = project_root(file.parent)
+    if root is not None and file.parent == root / "models":
+        return load_named(root, file)
+    return load_apart(file)
+
+
+def load_named(root: Path, file: Path) -> ModuleType:
+    """``models.<name>`` of the project ``root``, put first on ``sys.path``: what its own imports get too."""
+    _first_on_path(root)
+    name = f"models.{file.stem}"
+    try:
+        return importlib.import_module(name)
+    except (Exception, SystemExit) as error:
+        raise _told(error, file) from error
+
+
+def load_apart(file: Path) -> ModuleType:
+    """The module in ``file`` under a name of its own; it may import from its project, and from its folder."""
+    name = f"_greybox_file_{hashlib.sha256(str(file).encode()).hexdigest()[:12]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    root = project_root(file.parent)
+    if root is not None:
+        _first_on_path(root)
+    if str(file.parent) not in sys.path:
+        sys.path.append(str(file.parent))  # last: a neighbour called numpy.py must not stand in for numpy
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None:
+        raise ModelError(f"{shown(file)} is not a Python file; give a file that ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        del sys.modules[name]
+        raise _told(error, file) from error
+    return module
+
+
+def models_of(module: ModuleType) -> dict[str, Model]:
+    """The models that a module makes, by variable; private names and those it only imports are left out."""
+    found = {
+        name: value for name, value in vars(module).items() if isinstance(value, Model) and not name.startswith("_")
+    }
+    elsewhere = _only_imported(Path(module.__file__)) if module.__file__ else set()
+    return {name: model for name, model in found.items() if name not in elsewhere}
+
+
+def _only_imported(file: Path) -> set[str]:
+    """Names that a file imports and does not assign."""
+    body = ast.parse(file.read_bytes()).body
+    imported = {alias.asname or alias.name for node in body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    targets = [target for node in body if isinstance(node, ast.Assign) for target in node.targets]
+    return imported - {name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)}
+
+
+def shown(file: Path) -> str:
+    """A file as a person finds it: relative to the working folder if it lies below."""
+    here = Path.cwd()
+    return str(file.relative_to(here)) if file.is_relative_to(here) else str(file)
+
+
+def _first_on_path(root: Path) -> None:
+    """Put ``root`` first on the search path, and make ``models`` its package, not one imported from elsewhere."""
+    text, folder = str(root), root / "models"
+    if sys.path[:1] != [text]:
+        sys.path[:] = [text, *(entry for entry in sys.path if entry != text)]
+    importlib.invalidate_caches()
+    known = sys.modules.get("models")
+    if known is not None and folder.resolve() in [Path(p).resolve() for p in getattr(known, "__path__", [])]:
+        return
+    for name in [n for n in sys.modules if n == "models" or n.startswith("models.")]:
+        del sys.modules[name]
+    if not (folder / "__init__.py").is_file():
+        # A folder without __init__.py would give way to any package called models further down the path.
+        package = ModuleType("models")
+        package.__path__ = [str(folder)]
+        sys.modules["models"] = package
+
+
+def _told(error: BaseException, file: Path) -> ModelError:
+    """What went wrong in a user's file: the file and line to look at, then the message."""
+    place, line = file, 0
+    if isinstance(error, SyntaxError) and error.filename:
+        place, line = Path(error.filename), error.lineno or 0
+    else:
+        own = [frame for frame in traceback.extract_tb(error.__traceback__) if _users(frame.filename, file)]
+        if own:
+            place, line = Path(own[-1].filename), own[-1].lineno or 0
+    kind = "" if isinstance(error, GreyboxError) else f"{type(error).__name__}: "
+    message = error.msg if isinstance(error, SyntaxError) else str(error)
+    return ModelError(f"{shown(place)}{f', line {line}' if line else ''}: {kind}{message}")
+
+
+def _users(filename: str, file: Path) -> bool:
+    """Whether a frame lies in the user's own files: the file itself, or one below its project or folder."""
+    root = project_root(file.parent) or file.parent
+    library = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    if filename.startswith("<"):  # the import system's own frames
+        return False
+    path = os.path.abspath(filename)
+    return path == str(file) or (
+        Path(path).is_relative_to(root) and not path.startswith(library) and "site-packages" not in path
+    )

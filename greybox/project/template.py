@@ -1,0 +1,68 @@
+"""A new project: the shipped models and studies, written out as files of one's own."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from greybox.errors import GreyboxError
+from greybox.project.place import template_root
+
+FOLDERS = ("models", "fits")
+README = """# {name}
+
+A greybox project: from measured records to physical constants with intervals.
+
+- `models/` plants, one a file: balances of named terms, and constants with unit, bounds and source
+- `fits/` studies, one a file: question, data, fit, verdict
+
+Inside this folder a model is called by its name, and its file is yours to change:
+
+    greybox models                                   the models there are
+    greybox models micro_actuator                    its equations and constants
+    greybox check micro_actuator                     is it right, and what can a record tell
+    greybox simulate micro_actuator --multisine 2 --band 5:800 --duration 1.5 --sampling-time 2.5e-4 \\
+        --noise x=2e-7 --noise i=5e-3 --output record.csv
+    greybox fit micro_actuator record.csv --fix M=0.01 --fix Ra=8
+
+In Python, from this folder:
+
+    import greybox as gb
+    from models.micro_actuator import micro_actuator
+
+    print(gb.fit(micro_actuator.fix("M", "Ra"), gb.read_csv("record.csv", micro_actuator)))
+"""
+
+
+def init(directory: str | Path, *, force: bool = False) -> list[Path]:
+    """Write a project into ``directory``: ``models/``, ``fits/`` and a README. Returns the files written.
+
+    Raises GreyboxError, before anything is written, where one of the files is there already; ``force`` overwrites them.
+    """
+    target = Path(directory)
+    if target.exists() and not target.is_dir():
+        raise GreyboxError(f"{target} is a file; give a folder for the project")
+    sources = _template_files()
+    written = [target / name for name in (*sources, Path("README.md"))]
+    present = [path for path in written if path.exists()]
+    if present and not force:
+        listed = ", ".join(str(path.relative_to(target)) for path in present[:5])
+        more = f" and {len(present) - 5} more" if len(present) > 5 else ""
+        raise GreyboxError(
+            f"{target} already holds {listed}{more}; give another folder, or --force to overwrite these files"
+        )
+    for folder in FOLDERS:
+        (target / folder).mkdir(parents=True, exist_ok=True)
+    for name, source in sources.items():
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, target / name)
+    (target / "README.md").write_text(README.format(name=target.resolve().name), encoding="utf-8")
+    return written
+
+
+def _template_files() -> dict[Path, Path]:
+    """Path inside a project -> file of the template; what a run left behind does not count."""
+    root = template_root()
+    files = [path for folder in FOLDERS for path in sorted((root / folder).rglob("*")) if path.is_file()]
+    inside = {path.relative_to(root): path for path in files}
+    return {name: path for name, path in inside.items() if "__pycache__" not in name.parts and path.suffix != ".pyc"}

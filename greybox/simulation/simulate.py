@@ -1,0 +1,146 @@
+"""`simulate`: a model and its inputs in, outputs and states out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from greybox.errors import DataError, ModelError, nearest
+from greybox.experiment import Experiment
+from greybox.integrators import Step, discretise, substeps_for
+from greybox.kernel import Record, make_kernel
+from greybox.model import Model
+from greybox.transcription import record_of
+
+# The step is halved until that changes no output by more than this share of its movement.
+PRECISION, HALVINGS = 1e-6, 6
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A free run: ``time`` (N,) in seconds; ``inputs``, ``outputs`` and ``states`` by name (N,) in the model's units.
+
+    ``discretisation`` says how it was integrated. Values are not finite from where a run overflows.
+    """
+
+    time: np.ndarray
+    inputs: Mapping[str, np.ndarray]
+    outputs: Mapping[str, np.ndarray]
+    states: Mapping[str, np.ndarray]
+    discretisation: str
+    source: Experiment
+
+    @property
+    def overflow(self) -> float | None:
+        """Time in seconds from which an output or a state is not finite; None for a run that went through."""
+        everything = np.column_stack([*self.outputs.values(), *self.states.values()])
+        bad = np.flatnonzero(~np.isfinite(everything).all(axis=1))
+        return float(self.time[bad[0]]) if len(bad) else None
+
+    def record(
+        self, noise: Mapping[str, float] | None = None, generator: np.random.Generator | None = None
+    ) -> Experiment:
+        """The run as a record, with white noise of the given standard deviations on the outputs.
+
+        Raises ModelError for noise on an unknown output or without a generator, DataError for a run that overflowed.
+        """
+        outputs = with_noise(self.outputs, noise or {}, generator)
+        return replace(self.source, outputs=outputs)
+
+
+def simulate(
+    model: Model,
+    inputs: Experiment | Mapping[str, ArrayLike],
+    *,
+    initial: Mapping[str, float] | None = None,
+    method: str = "automatic",
+    substeps: int = 0,
+) -> Simulation:
+    """Run ``model`` freely over the inputs of an experiment, at the model's present values.
+
+    ``inputs``: an `Experiment`, of which outputs are ignored, or ``{"time": ..., "u": ...}`` with arrays (N,), held
+    between samples. ``initial``: values of states at the first row, by name; the others are as declared. ``method`` and
+    ``substeps`` as in `greybox.FitOptions`; 0 substeps halves the RK4 step until nothing visible changes.
+
+    Raises DataError for a missing input, ModelError for an unknown state. A run that overflows is returned: see
+    `Simulation.overflow`.
+    """
+    experiment = inputs if isinstance(inputs, Experiment) else _experiment(model, inputs)
+    record = record_of(model, experiment)
+    p, x0 = np.array(list(model.values.values())), initial_state(model, initial)
+    step = discretise(model.system, p, x0[None, :], record.lengths, method=method, substeps=substeps)
+    y, x = _run(step, record, p, x0)
+    for _ in range(0 if substeps or step.per_interval else HALVINGS):
+        visited = x[np.isfinite(x).all(axis=1)][:: max(1, len(x) // 10)]
+        needed = substeps_for(model.system, p, visited, float(record.lengths.max(initial=0.0)))
+        finer = discretise(
+            model.system, p, visited, record.lengths, method=method, substeps=max(2 * step.substeps, needed)
+        )
+        before = y
+        step, (y, x) = finer, _run(finer, record, p, x0)
+        if _settled(before, y):
+            break
+    return Simulation(
+        experiment.time, {i.name: experiment.inputs[i.name] for i in model.inputs},
+        {o.name: y[:, j] for j, o in enumerate(model.outputs)},
+        {name: x[:, j] for j, name in enumerate(model.system.state_names)}, step.label, replace(experiment, outputs={}),
+    )  # fmt: skip
+
+
+def initial_state(model: Model, given: Mapping[str, float] | None = None) -> np.ndarray:
+    """The declared initial state (nx,) of ``model`` at its present values, with the ``given`` states put in."""
+    p = np.array(list(model.values.values()))
+    x0 = np.asarray(model.system.start_function(p)[0]).ravel().copy()
+    names = model.system.state_names
+    for name, value in (given or {}).items():
+        if name not in names:
+            raise ModelError(f"model {model.title!r} has no state {name!r}; {nearest(name, names)}")
+        x0[names.index(name)] = value
+    return x0
+
+
+def with_noise(
+    outputs: Mapping[str, np.ndarray], noise: Mapping[str, float], generator: np.random.Generator | None
+) -> dict[str, np.ndarray]:
+    """``outputs`` with white Gaussian noise of the given standard deviations."""
+    for name, std in noise.items():
+        if name not in outputs:
+            raise ModelError(f"noise of {name!r}: the model has no such output; {nearest(name, outputs)}")
+        if not (np.isfinite(std) and std >= 0):
+            raise ModelError(f"noise of {name!r}: {std} is not a standard deviation; give a number from 0 up")
+    if noise and generator is None:
+        raise ModelError("noise needs a generator; give numpy.random.default_rng(seed)")
+    noisy = dict(outputs)
+    for name in outputs:  # in the order of the outputs, so that the same seed gives the same record
+        if generator is not None and name in noise:
+            noisy[name] = outputs[name] + noise[name] * generator.standard_normal(len(outputs[name]))
+    return noisy
+
+
+def _experiment(model: Model, arrays: Mapping[str, ArrayLike]) -> Experiment:
+    if "time" not in arrays:
+        raise DataError(
+            f"inputs have no 'time'; give {{'time': ..., {', '.join(repr(i.name) + ': ...' for i in model.inputs)}}}"
+        )
+    values = {name: np.asarray(v, float) for name, v in arrays.items()}
+    return Experiment("inputs", values.pop("time"), values, {})
+
+
+def _run(step: Step, record: Record, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Outputs (N, ny) and states (N, nx)."""
+    q, _ = step.coefficients(p, record.lengths, np.empty(0, int))
+    if not step.per_interval:
+        record = replace(record, row=np.zeros_like(record.row))
+    return make_kernel(step).simulate(record, q, p, x0)
+
+
+def _settled(before: np.ndarray, after: np.ndarray) -> bool:
+    """Whether halving the step changed nothing visible: no output (N, ny), and not where the run overflows."""
+    rows = np.isfinite(before).all(axis=1)
+    if not np.array_equal(rows, np.isfinite(after).all(axis=1)):
+        return False
+    change, movement = after[rows] - before[rows], after[rows] - after[0]
+    return bool(np.all(np.sum(change**2, axis=0) <= PRECISION**2 * np.sum(movement**2, axis=0)))

@@ -1,0 +1,32 @@
+"""Records as CSV files that `read_csv` reads back without loss."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from pathlib import Path
+
+from greybox.experiment.experiment import Experiment
+from greybox.model import Model
+
+
+def write_csv(experiment: Experiment, model: Model, path: str | os.PathLike[str]) -> Path:
+    """Write ``experiment`` to ``path`` (folders are made): headers ``name [unit]`` in the units of ``model``, gaps left
+    empty.
+
+    Numbers have as many digits as it takes to read the same ones back. Signals that ``model`` does not have are left
+    out.
+    """
+    target = Path(path)
+    inputs = [(s.name, s.unit, experiment.inputs[s.name]) for s in model.inputs if s.name in experiment.inputs]
+    outputs = [(s.name, s.unit, experiment.outputs[s.name]) for s in model.outputs if s.name in experiment.outputs]
+    signals = [("time", "s", experiment.time), *inputs, *outputs]
+    heads = [f"{name} [{unit}]" if unit else name for name, unit, _ in signals]
+    columns = [values.tolist() for _, _, values in signals]
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with target.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(heads)
+        writer.writerows(["" if math.isnan(v) else repr(v) for v in row] for row in zip(*columns, strict=True))
+    return target

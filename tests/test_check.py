@@ -1,0 +1,94 @@
+"""What `check` says before a fit agrees with what a fit finds, and with what is known about the plants."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greybox import Balance, DataError, Input, Model, Output, Parameter, State, fit
+from greybox.check import check
+from greybox.simulation import multisine, simulate
+from models.cascaded_tanks import cascaded_tanks
+from models.emps import emps
+from models.micro_actuator import micro_actuator
+from models.pneumatic_cylinder import pneumatic_cylinder
+from models.silverbox import silverbox
+
+NOISE = {"x": 2e-7, "i": 5e-3}
+
+
+def test_without_data_the_common_scale_of_the_actuator_is_found() -> None:
+    found = check(micro_actuator)
+    assert found.linear
+    assert found.assumed
+    assert len(found.open_directions) == 1
+    assert found.open_directions[0].startswith("M, B, K, Kf can change together")
+    assert {name for name, c in found.constants.items() if c.std is None} == {"M", "B", "K", "Kf"}
+    weighed = check(micro_actuator.fix("M"))
+    assert weighed.open_directions == ()
+    assert all(c.std is not None for c in weighed.constants.values())
+
+
+def test_without_the_current_more_is_open() -> None:
+    time = 2.5e-4 * np.arange(2000)
+    run = simulate(micro_actuator, {"time": time, "u": multisine(time, 5, 800, 2, np.random.default_rng(0))})
+    record = run.record(NOISE, np.random.default_rng(1))
+    alone = replace(record, outputs={"x": record.outputs["x"]})
+    found = check(micro_actuator, alone, noise={"x": 2e-7})
+    # Seven constants, four coefficients of the transfer function (eq. 16.1): three directions stay open.
+    assert len(found.open_directions) == 3
+    assert found.noise == {"x": 2e-7}
+
+
+def test_the_expected_standard_deviation_is_what_a_fit_gives() -> None:
+    model = micro_actuator.fix("M", "Ra")
+    time = 2.5e-4 * np.arange(2000)
+    run = simulate(model, {"time": time, "u": multisine(time, 5, 800, 2, np.random.default_rng(0))})
+    record = run.record(NOISE, np.random.default_rng(1))
+    expected = check(model, record, noise=NOISE).constants
+    found = fit(model, record, noise=NOISE).parameters
+    for name, constant in expected.items():
+        assert constant.std == pytest.approx(found[name].std, rel=0.1), name
+
+
+@pytest.mark.parametrize("model", [cascaded_tanks, emps, pneumatic_cylinder, silverbox], ids=lambda m: m.name)
+def test_every_other_plant_is_determined_as_it_is_stated(model: Model) -> None:
+    found = check(model)
+    assert found.open_directions == ()
+    assert found.failure == ""
+    assert set(found.constants) == {q.name for q in model.free_parameters}
+    assert model.name in str(found)
+
+
+def test_an_upper_tank_of_free_scale_is_noticed() -> None:
+    found = check(cascaded_tanks.free("k2"))
+    assert len(found.open_directions) == 1
+    assert found.open_directions[0].startswith("k1, k2, k4")
+
+
+def runaway(growth: float) -> Model:
+    return Model(
+        "runaway",
+        states=[State("x", "m", 1.0)],
+        inputs=[Input("u", "m/s")],
+        outputs=[Output("x", "m")],
+        parameters=[Parameter("a", "1/(m**2*s)", growth, (1e-3, 50.0))],
+        balances=lambda x, u, p: [Balance("growth", "m/s", 1, "x", cubic=p.a * x.x**3, input=u.u)],
+    )
+
+
+def test_a_model_that_overflows_is_told_and_nothing_is_made_up() -> None:
+    with pytest.raises(DataError, match="overflows after"):
+        check(runaway(5.0))
+    time = 0.01 * np.arange(400)
+    record = simulate(runaway(1e-3), {"time": time, "u": np.sin(time)}).record()
+    found = check(runaway(5.0), record)
+    assert "overflows on inputs after" in found.failure
+    assert found.constants == {}
+
+
+def test_nothing_free_is_said() -> None:
+    found = check(silverbox.fix(*silverbox.values))
+    assert "no constant is free" in str(found)

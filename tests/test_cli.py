@@ -1,0 +1,352 @@
+"""The command as a person or a program meets it: exit codes, messages, files and JSON."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from greybox import Experiment, FitOptions, fit, load_fit, read_csv
+from greybox.cli import app
+from greybox.cli import fit as fit_command
+from greybox.cli.interrupt import held
+from greybox.simulation import multisine, simulate, write_csv
+from models.micro_actuator import micro_actuator
+
+Run = Callable[..., Result]
+NOISE = {"x": 2e-7, "i": 5e-3}
+KNOWN = ["--fix", "M=0.01", "--fix", "Ra=8"]
+PACE = ["--duration", "1", "--sampling-time", "0.01"]
+PRECISE = ["--noise", "x=2e-7", "--noise", "i=5e-3"]
+
+
+def record(rows: int, seed: int) -> Experiment:
+    time = 2.5e-4 * np.arange(rows)
+    generator = np.random.default_rng(seed)
+    u = multisine(time, 5, 800, 2.0, generator)
+    return simulate(micro_actuator, {"time": time, "u": u}).record(NOISE, generator)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    write_csv(record(1500, 1), micro_actuator, folder / "train.csv")
+    write_csv(record(600, 2), micro_actuator, folder / "test.csv")
+    return folder
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
+    """Runs the command in an empty folder; imports of models are as before afterwards."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "models"}
+    yield lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
+    for name in [n for n in sys.modules if n.split(".")[0] == "models" or n.startswith("_greybox_file_")]:
+        del sys.modules[name]
+    sys.modules.update(before)
+
+
+def everything(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def test_a_fit_prints_saves_and_draws(run: Run, data: Path, tmp_path: Path) -> None:
+    start = ["--start", "K=5000", "--start", "Kv=1"]
+    judge = ["--validate", data / "test.csv", "--skip", 50]
+    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, *start, *PRECISE, *judge, "--at-rest")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    for text in ("M dv/dt = Kf i", "converged", "Kf ", "[", "V*s/m", "fixed", "best fit", "validation", "written: "):
+        assert text in result.stdout
+    folder = tmp_path / "results" / "micro_actuator-fit"
+    assert everything(folder) == ["fit-train.png", "fit.json", "validation-test.png"]
+    saved = json.loads((folder / "fit.json").read_text())
+    assert saved["model"] == "micro_actuator"
+    assert saved["status"] == "converged"
+    assert saved["success"] is True
+    assert saved["options"]["at_rest"] is True
+    assert set(saved["parameters"]) == set(micro_actuator.values)
+    for name, found in saved["parameters"].items():
+        assert set(found) == {"value", "std", "interval", "unit", "fixed", "at_bound"}
+        assert found["fixed"] is (name in ("M", "Ra"))
+        if not found["fixed"]:
+            low, high = found["interval"]
+            assert low < found["value"] < high
+            assert abs(found["value"] - micro_actuator.values[name]) < 4 * found["std"]
+    for part in ("misfit", "validation"):
+        assert set(saved[part]) == {"x", "i"}
+        for output, misfit in saved[part].items():
+            assert {"rmse", "unit", "best_fit_percent", "noise_ratio"} <= set(misfit)
+            assert misfit["noise_ratio"] == pytest.approx(1, abs=0.15)
+            assert misfit["rmse"] == pytest.approx(NOISE[output], rel=0.15)
+    assert saved["validation"]["x"]["samples"] == 550
+
+
+def test_the_command_does_what_the_library_does(run: Run, data: Path, tmp_path: Path) -> None:
+    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, *PRECISE, "--json", "--output", "out")
+    assert result.exit_code == 0
+    printed = json.loads(result.stdout)
+    model = micro_actuator.fix(M=0.01, Ra=8)
+    expected = fit(model, read_csv(data / "train.csv", model), noise=NOISE, options=FitOptions())
+    saved = load_fit(tmp_path / "out" / "fit.json", model)
+    for name, found in expected.parameters.items():
+        assert printed["parameters"][name]["value"] == pytest.approx(found.value, rel=1e-6)
+        assert saved.parameters[name].value == printed["parameters"][name]["value"]
+
+
+def test_quiet_means_silent(run: Run, data: Path, tmp_path: Path) -> None:
+    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, "-q", "--output", "out")
+    assert (result.exit_code, result.output) == (0, "")
+    assert everything(tmp_path) == ["out", "out/fit-train.png", "out/fit.json"]
+
+
+def test_an_effect_brings_its_parameters(run: Run, data: Path, tmp_path: Path) -> None:
+    options = ["--effect", "cubic_stiffness", "--method", "rk4", "--substeps", 8, "--at-rest", "--output", "out"]
+    name = next(q.name for q in _with_effect("cubic_stiffness").all_parameters if q.name not in micro_actuator.values)
+    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, *PRECISE, *options, "--start", f"{name}=1000")
+    assert result.exit_code == 0, result.output
+    saved = json.loads((tmp_path / "out" / "fit.json").read_text())
+    assert saved["effects"] == ["cubic_stiffness"]
+    found = saved["parameters"][name]
+    assert abs(found["value"]) < 4 * found["std"]
+    assert "8 substeps" in saved["discretisation"]
+
+
+def _with_effect(name: str):
+    from greybox import effect
+
+    return micro_actuator + effect(name)
+
+
+def test_columns_and_units_are_mapped(run: Run, data: Path, tmp_path: Path) -> None:
+    header, *rows = (data / "train.csv").read_text().splitlines()
+    assert header == "time [s],u [V],x [m],i [A]"
+    (tmp_path / "other.csv").write_text("\n".join(["time [s],Spannung [V],Weg [m],i [A]", *rows]) + "\n")
+    columns = ["--column", "u=Spannung", "--column", "x=Weg [m]"]
+    result = run("fit", "micro_actuator", "other.csv", *KNOWN, *columns, "-q")
+    assert result.exit_code == 0, result.output
+
+
+BAD_FITS = [
+    (["micro_actuatr", "DATA"], "no model 'micro_actuatr'; did you mean 'micro_actuator'"),
+    (["micro_actuator", "trian.csv"], "trian.csv: file not found"),
+    (["micro_actuator", "DATA", "--fix", "Mm=1"], "no parameter 'Mm'; did you mean 'M'"),
+    (["micro_actuator", "DATA", "--fix", "M=ten"], "--fix M=ten: 'ten' is not a number"),
+    (["micro_actuator", "DATA", "--fix", "M=nan"], "must be finite"),
+    (["micro_actuator", "DATA", "--fix", "M=5"], "'M': 5 kg lies outside its bounds [0.0001, 1] kg"),
+    (["micro_actuator", "DATA", "--start", "M"], "--start M: write --start NAME=VALUE"),
+    (["micro_actuator", "DATA", "--fix", "M=1", "--fix", "M=0.5"], "--fix M: given twice"),
+    (["micro_actuator", "DATA", "--fix", "M=0.1", "--start", "M=0.2"], "M: --fix and --start contradict each other"),
+    (["micro_actuator", "DATA", "--fix", "M", "--free", "M"], "M: --fix and --free contradict each other"),
+    (["micro_actuator", "DATA", "--effect", "coulomb"], "no effect 'coulomb'; did you mean 'coulomb_friction'"),
+    (["micro_actuator", "DATA", "--noise", "y=1"], "noise of 'y': the model has no such output"),
+    (["micro_actuator", "DATA", "--noise", "x=0"], "not a positive standard deviation"),
+    (["micro_actuator", "DATA", "--column", "x=Laser"], "'Laser', which the file does not have"),
+    (["micro_actuator", "DATA", "--validate", "DATA", "--skip", "1500"], "shortest validation record has 1500"),
+    (["micro_actuator", "DATA", "--validate", "none.csv"], "none.csv: file not found"),
+    (["micro_actuator", "DATA", "--output", "DATA"], "it is a file; give a folder"),
+    (["micro_actuator", "DATA", "--output", "/proc/none"], "cannot be written to"),
+    (["micro_actuator", "DATA", "--method", "exact", "--effect", "cubic_stiffness"], "linear"),
+    (["emps", "DATA"], "no column for any output of model 'emps'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_FITS, ids=[message for _, message in BAD_FITS])
+def test_bad_input_is_told_in_one_message_and_nothing_is_written(
+    run: Run, data: Path, tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    result = run("fit", *(data / "train.csv" if a == "DATA" else a for a in arguments))
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert result.stderr.count("error:") == 1
+    assert "Traceback" not in result.output
+    assert result.stdout == ""
+    assert everything(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["ft"], "Did you mean 'fit'"),
+        (["fit", "m", "d.csv", "--fxi", "M=1"], "--fix"),
+        (["fit", "m", "d.csv", "--hold", "second"], "'zero', 'first'"),
+        (["fit", "m"], "Missing argument"),
+        (["fit", "m", "d.csv", "--skip", "-1"], "--skip"),
+    ],
+)
+def test_misspelled_options_get_a_suggestion(run: Run, arguments: list[str], message: str) -> None:
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert message in result.stderr
+
+
+def test_a_broken_model_file_is_told_with_its_line(run: Run, data: Path, tmp_path: Path) -> None:
+    (tmp_path / "rig.py").write_text("import greybox\n\nx = greybox.Modle\n")
+    result = run("fit", "rig.py", data / "train.csv")
+    assert result.exit_code == 2
+    assert "rig.py, line 3: AttributeError" in result.stderr
+
+
+def test_no_success_is_exit_code_1_and_still_saved(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "runaway.py").write_text(RUNAWAY)
+    time = 0.01 * np.arange(400)
+    rows = [f"{t:.2f},{np.sin(5 * t):.6f},{0.1 * np.sin(5 * t + 1):.6f}" for t in time]
+    (tmp_path / "d.csv").write_text("\n".join(["time,u,x", *rows]) + "\n")
+    result = run("fit", "runaway.py", "d.csv", "--at-rest", "--output", "out")
+    assert result.exit_code == 1
+    assert "cannot be simulated from the start values" in result.stderr
+    saved = json.loads((tmp_path / "out" / "fit.json").read_text())
+    assert saved["success"] is False
+    assert saved["status"] == "no_start"
+
+
+RUNAWAY = """
+from greybox import Balance, Input, Model, Output, Parameter, State
+
+runaway = Model(
+    "runaway",
+    states=[State("x", "m", 1.0)],
+    inputs=[Input("u", "m/s")],
+    outputs=[Output("x", "m")],
+    parameters=[Parameter("a", "1/(m**2*s)", 5.0, (0.1, 50.0))],
+    balances=lambda x, u, p: [Balance("growth", "m/s", 1, "x", cubic=p.a * x.x**3, input=u.u)],
+)
+"""
+
+
+def test_ctrl_c_saves_the_best_point(run: Run, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    @contextmanager
+    def impatient(*_: object) -> Iterator[Callable[[object], None]]:
+        yield lambda _: signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(fit_command, "meter", impatient)
+    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, "--start", "K=4000", "--output", "out")
+    assert result.exit_code == 130
+    assert f"the best point so far is in {Path('out') / 'fit.json'}" in result.stderr
+    saved = json.loads((tmp_path / "out" / "fit.json").read_text())
+    assert saved["status"] == "interrupted"
+    assert saved["success"] is False
+
+
+def test_ctrl_c_between_two_searches_waits_for_the_next() -> None:
+    caught = []
+    with held() as interrupt:
+        signal.raise_signal(signal.SIGINT)
+        assert interrupt.asked
+        before = signal.signal(signal.SIGINT, lambda *_: caught.append(1))
+        interrupt.pass_on()
+        interrupt.pass_on()
+        signal.signal(signal.SIGINT, before)
+        assert caught == [1]
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_models_are_listed_and_printed(run: Run) -> None:
+    listed = run("models")
+    assert listed.exit_code == 0
+    assert "micro_actuator: " in listed.stdout
+    assert "states x, v, i; inputs u; outputs x, i" in listed.stdout
+    assert "shipped" in listed.stdout
+    one = run("models", "micro_actuator", "--effect", "coulomb_friction")
+    assert one.exit_code == 0
+    assert "coulomb_friction" in one.stdout
+    assert "0.0001, 1]" in one.stdout
+    assert run("models", "nonsense").exit_code == 2
+
+
+def test_simulate_writes_what_fit_reads(run: Run, tmp_path: Path) -> None:
+    signals = ["--multisine", 2, "--band", "5:800", "--duration", 0.25, "--sampling-time", 2.5e-4, "--seed", 3]
+    noise = ["--noise", "x=2e-7", "--noise", "i=5e-3"]
+    for name in ("a.csv", "b.csv"):
+        result = run("simulate", "micro_actuator", *signals, *noise, "--fix", "K=5500", "--output", name)
+        assert result.exit_code == 0, result.output
+        assert "1000 rows" in result.stdout
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert (tmp_path / "a.csv").read_text().startswith("time [s],u [V],x [m],i [A]\n")
+    assert run("fit", "micro_actuator", "a.csv", *KNOWN, "-q", "--output", "out").exit_code == 0
+    found = json.loads((tmp_path / "out" / "fit.json").read_text())["parameters"]["K"]
+    assert abs(found["value"] - 5500) < 4 * found["std"]
+
+
+def test_simulate_takes_inputs_from_a_file(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "u.csv").write_text("t [ms],u [mV]\n" + "".join(f"{k},{1000 * (k % 7)}\n" for k in range(30)))
+    result = run("simulate", "micro_actuator", "u.csv", "--initial", "x=1e-4")
+    assert result.exit_code == 0, result.output
+    written = read_csv(tmp_path / "results" / "micro_actuator-simulated.csv", micro_actuator)
+    assert np.allclose(written.inputs["u"], [k % 7 for k in range(30)])
+    assert written.outputs["x"][0] == 1e-4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["micro_actuator"], 2, "give either a file with inputs or one of --step"),
+        (["micro_actuator", "--step", "1", "--chirp", "1"], 2, "give either"),
+        (["micro_actuator", "--step", "1"], 2, "needs --duration and --sampling-time"),
+        (["micro_actuator", "--step", "1", "--duration", "1", "--sampling-time", "1e-9"], 2, "gives 1000000000 rows"),
+        (["micro_actuator", "--chirp", "1", *PACE], 2, "--band (not given)"),
+        (["micro_actuator", "--chirp", "1", "--band", "9:3", *PACE], 2, "--band 9:3"),
+        (["micro_actuator", "--step", "1", "--initial", "q=1", *PACE], 2, "no state"),
+        (["micro_actuator", "none.csv"], 2, "none.csv: file not found"),
+        (["micro_actuator", "--step", "1", *PACE, "--output", "."], 2, "folder"),
+        (["runaway.py", "--step", "1", *PACE], 1, "overflows"),
+    ],
+)  # fmt: skip
+def test_simulate_refuses(run: Run, tmp_path: Path, arguments: list[str], code: int, message: str) -> None:
+    (tmp_path / "runaway.py").write_text(RUNAWAY)
+    result = run("simulate", *arguments)
+    assert result.exit_code == code
+    assert message in result.stderr
+    assert not list(tmp_path.rglob("*.csv"))
+
+
+def test_check_names_what_the_record_leaves_open(run: Run, data: Path) -> None:
+    result = run("check", "micro_actuator", data / "train.csv")
+    assert result.exit_code == 0, result.output
+    for text in ("exact hold", "linear", "1500 rows every 0.00025 s", "noise", "not determined: M, B, K, Kf"):
+        assert text in result.stdout
+    closed = run("check", "micro_actuator", data / "train.csv", "--fix", "M")
+    assert "every free constant is determined" in closed.stdout
+
+
+def test_init_and_a_fit_inside(run: Run, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert run("init", "mine").exit_code == 0
+    again = run("init", "mine")
+    assert again.exit_code == 2
+    assert "already holds" in again.stderr
+    assert run("init", "mine", "--force").exit_code == 0
+    monkeypatch.chdir(tmp_path / "mine")
+    assert "shipped" not in run("models").stdout
+    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, "-q")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "mine" / "results" / "micro_actuator-fit" / "fit.json").is_file()
+
+
+@pytest.mark.parametrize("command", ["fit", "simulate", "check", "models", "init", "demo"])
+def test_help_ends_with_an_example(run: Run, command: str) -> None:
+    result = run(command, "--help")
+    assert result.exit_code == 0
+    assert f"  greybox {command}" in result.stdout.partition("Examples:")[2]
+    assert "list[" not in result.stdout.partition("Options:")[2]
+
+
+def test_help_and_version_load_nothing_heavy() -> None:
+    heavy = {"casadi", "numpy", "pandas", "scipy", "matplotlib", "control", "pint"}
+    code = f"import sys, greybox.cli; print(sorted({heavy} & set(sys.modules)))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert loaded.strip() == "[]"
+    shown = subprocess.run(
+        [sys.executable, "-m", "greybox.cli", "--version"], capture_output=True, text=True, check=False
+    )
+    assert shown.returncode == 0
+    assert shown.stdout.startswith("greybox ")
