@@ -59,4 +59,8 @@ cascaded_tanks = Model(
     balances=balances,
     description="pump, upper tank, lower tank with its level measured",
     source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark",
+    candidates=(
+        *("input_offset", "input_saturation", "input_dead_zone", "transport_delay"),
+        *("sensor_drift", "sensor_lag"),
+    ),
 )

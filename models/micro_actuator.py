@@ -26,6 +26,14 @@ section 4.2, equations 5 to 17.
 
 from greybox import Balance, Input, Model, Output, Parameter, State
 
+# What may hide in a coil and a flexure: no joint with play, no valve.
+CANDIDATES = (
+    *("coulomb_friction", "stribeck_friction", "lugre_friction", "quadratic_damping"),
+    *("cubic_stiffness", "quadratic_stiffness", "viscoelastic_creep", "bouc_wen_hysteresis", "second_mode"),
+    *("force_constant_droop", "winding_heating", "eddy_current", "constant_load"),
+    *("input_saturation", "input_dead_zone", "transport_delay", "input_offset"),
+    *("sensor_drift", "sensor_lag"),
+)
 FITTED = "derived: eq. 16.1 with gain and poles of section 4.2, the assumed M, Ra, La, and Kf = Kv"
 FITTED_NO_INDUCTANCE = "derived: eq. 16.2 with gain and poles of section 4.2, the assumed M and Ra, and Kf = Kv"
 ASSUMED = "assumed, plausible"
@@ -111,6 +119,7 @@ micro_actuator = Model(
     balances=balances,
     description="compliant four-bar mechanism driven by a voice coil, whole device",
     source="Wang, Micro motion actuator of compliant mechanism for parameter estimation, section 4.2, eq. 16.1",
+    candidates=CANDIDATES,
 )
 
 micro_actuator_no_inductance = Model(
@@ -125,4 +134,5 @@ micro_actuator_no_inductance = Model(
     balances=balances_no_inductance,
     description="the micro-motion actuator with the coil's inductance neglected, second order",
     source="Wang, Micro motion actuator of compliant mechanism for parameter estimation, section 4.2, eq. 16.2",
+    candidates=CANDIDATES,
 )

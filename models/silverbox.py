@@ -49,4 +49,8 @@ silverbox = Model(
     balances=balances,
     description="electronic mass on a hardening spring",
     source="Wigren, Schoukens 2013, Three free data sets for development and benchmarking",
+    candidates=(
+        *("cubic_stiffness", "quadratic_stiffness", "viscoelastic_creep", "quadratic_damping", "constant_load"),
+        *("input_offset", "input_saturation", "transport_delay", "sensor_drift", "sensor_lag"),
+    ),
 )
