@@ -24,6 +24,9 @@ class State:
     ``start`` is the value at rest: where a record begins with ``at_rest=True``, and the first guess otherwise; a number, or a
     function of the parameters (``lambda p: p.P_S / 2``). ``bounds`` are physical: the equations never see the state beyond them
     (a tank level below zero).
+
+    ``relaxing``: its own rate is linear in itself, ``dz/dt = alpha - beta z`` (``|z|`` may stand for ``z``), and ``beta`` may be
+    large: a bristle, a spool, a winding that warms. The integrators step it by ``exp(-beta h)``, stable for every step.
     """
 
     name: str
@@ -32,6 +35,7 @@ class State:
     bounds: tuple[float, float] = (-math.inf, math.inf)
     role: str = ""
     description: str = ""
+    relaxing: bool = False
 
 
 @dataclass(frozen=True)

@@ -82,26 +82,32 @@ def measured(
         f"output {name!r} holds no value at all; remove it from the record if it was not measured" for name in empty
     ]
     still = all(map(constant, inputs.values()))
-    if still and outputs and not empty and all(map(constant, outputs.values())):
-        names = ", ".join(map(repr, (*inputs, *outputs)))
+    if outputs and not empty and all(map(constant, outputs.values())):
+        names = [*(inputs if still else ()), *outputs]
+        what = "nothing moves" if still else "no output moves"
         found.append(
-            f"nothing moves: {names} are constant over the whole record; a record must show the plant in motion"
+            f"{what}: {', '.join(map(repr, names))} {'is' if len(names) == 1 else 'are'} constant over the whole record;"
+            " a record must show the plant in motion, check the sensors and the columns"
         )
     elif inputs and still and not allow_constant_input and not any(v[0] for v in inputs.values()):
         names = " and ".join(map(repr, inputs))
         found.append(
             f"constant input: {names} {'is' if len(inputs) == 1 else 'are'} 0 in every row, so the record"
-            " does not excite the plant; check the column, or say allow_constant_input=True for a free decay"
+            " does not excite the plant; check the column, or for a free decay say allow_constant_input=True"
+            " (shell: --free-decay)"
         )
     return found
 
 
 def remarks(inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray]) -> Iterator[str]:
-    """What is accepted but should be known: constant inputs, gaps."""
+    """What is accepted but should be known: what is constant, gaps."""
     for name, values in inputs.items():
         if constant(values):
             yield f"input {name!r} is constant at {values[0]:g}"
     for name, values in outputs.items():
+        if constant(values):
+            value = values[~np.isnan(values)][0]
+            yield f"output {name!r} is constant at {value:g}: a sensor that never moves tells nothing; leave it out"
         gaps = int(np.isnan(values).sum())
         if gaps:
             yield f"output {name!r} has {gaps} gap{'s' if gaps > 1 else ''} in {len(values)} rows"

@@ -51,6 +51,11 @@ class Match:
     unmeasured: tuple[str, ...]
     problems: tuple[str, ...]
 
+    @property
+    def unitless(self) -> tuple[Signal, ...]:
+        """Signals taken in the model's unit because the header states none."""
+        return tuple(s for s, c in self.columns.items() if not c.unit and s.unit not in ("", "-", "1"))
+
 
 def parse_header(header: str, position: int) -> Column:
     """``x [um]`` or ``x (um)`` as name and unit; parentheses without a unit (``Laser (ch1)``) belong to the name."""
@@ -85,15 +90,14 @@ def match(headers: Sequence[str], model: Model, mapping: Mapping[str, str] | Non
     for signal in signals:
         if signal.name in (mapping or {}):
             continue
-        hits = [c for c in free if _fits(c, signal, known)]
+        hits = [c for c in free if _fits(c, signal)]
         if hits:
             found[signal] = hits[0]
         else:
             missing.append(signal)
         if len(hits) > 1:
             several = " and ".join(repr(c.header) for c in hits)
-            choice = f"or choose with columns={{{signal.name!r}: <header>}}"
-            problems.append(f"{signal.label} has {len(hits)} columns, {several}; keep one, {choice}")
+            problems.append(f"{signal.label} has {len(hits)} columns, {several}; keep one, or {_say(signal)}")
     used = {c.position for c in found.values()}
     spare = [c for c in columns if c.position not in used and c.header]
     problems += _without_column(missing, model, spare)
@@ -148,11 +152,10 @@ def _mapped(
     return found, [c for c in columns if c.position not in used]
 
 
-def _fits(column: Column, signal: Signal, known: Sequence[str]) -> bool:
+def _fits(column: Column, signal: Signal) -> bool:
     if signal.kind != TIME:
         return column.name == signal.name
-    # "T" is a temperature, and a model may well have a signal called t.
-    return (column.name == "t" or column.name.lower() == TIME) and (column.name == TIME or column.name not in known)
+    return column.name == "t" or column.name.lower() == TIME  # "T" is a temperature
 
 
 def _without_column(missing: Sequence[Signal], model: Model, spare: Sequence[Column]) -> list[str]:
@@ -172,7 +175,12 @@ def _nearest_headers(signal: Signal, spare: Sequence[Column]) -> str:
     near = [repr(c.header) for c in spare if c.name.lower() in close or wanted in re.split(r"[\W_]+", c.name.lower())]
     guess = f"did you mean {' or '.join(near[:3])}? " if near else ""
     listing = ", ".join(_listed(spare)) or "none"
-    return f"{guess}unused headers: {listing}; rename one or say columns={{{signal.name!r}: <header>}}"
+    return f"{guess}unused headers: {listing}; rename one, or {_say(signal)}"
+
+
+def _say(signal: Signal) -> str:
+    """How to choose a column by hand, in Python and in the shell."""
+    return f"say columns={{{signal.name!r}: <header>}} (shell: --column {signal.name}=<header>)"
 
 
 def _listed(columns: Sequence[Column]) -> list[str]:

@@ -14,10 +14,14 @@ from numpy.typing import ArrayLike
 from greybox.errors import DataError
 from greybox.experiment.arrays import extent, fingerprint, read_only
 from greybox.experiment.checks import Places, invariants, measured, refuse, remarks
-from greybox.experiment.timebase import uniform_step
+from greybox.experiment.timebase import timing, uniform_step
 
-Hold = Literal["zero", "first"]
-HOLDS = {"zero": "input held between samples", "first": "input linear between samples"}
+Hold = Literal["zero", "first", "band-limited"]
+HOLDS = {
+    "zero": "input held between samples",
+    "first": "input linear between samples",
+    "band-limited": "band-limited input between samples",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +30,8 @@ class Experiment:
 
     ``time`` (N,) in seconds, increasing. ``inputs``: name -> (N,), finite. ``outputs``: name -> (N,), NaN where nothing
     was measured. ``hold`` says how the input moves between samples: ``"zero"`` stays until the next row (a computer
-    drives it), ``"first"`` runs straight to it (the input itself is a measured, smooth signal). ``source`` is the file
-    it came from, ``conditions`` are constants of this experiment alone, ``notes`` what one should know about it (a part
+    drives it), ``"first"`` runs straight to it (the input itself is a measured, smooth signal), ``"band-limited"`` has no
+    content above half the sampling rate (a smooth signal behind an anti-alias filter). ``source`` is the file it came from, ``conditions`` are constants of this experiment alone, ``notes`` what one should know about it (a part
     keeps those of the whole).
 
     ``sampling_time`` in seconds, None when time is irregular (rule: `greybox.experiment.timebase`). ``fingerprint``: 16
@@ -52,7 +56,7 @@ class Experiment:
         if self.hold not in HOLDS:
             raise DataError(
                 f"experiment {self.name!r}: hold {self.hold!r} is unknown;"
-                " say 'zero' (held) or 'first' (linear between samples)"
+                " say 'zero' (held) or 'first' (linear between samples) or 'band-limited' (no content above half the rate)"
             )
         problems: list[str] = []
         time = read_only("time", self.time, problems)
@@ -92,12 +96,12 @@ class Experiment:
         of outputs.
 
         Raises DataError, besides what `Experiment` refuses, for fewer than 10 rows, for an output without any value,
-        for a record in which nothing moves, and for inputs that are all constant at zero unless
+        for a record in which no output moves, and for inputs that are all constant at zero unless
         ``allow_constant_input``.
         """
         bare = cls(name, time, inputs, outputs, hold, source, conditions or {})  # type: ignore[arg-type]
         refuse(f"experiment {name!r}", measured(bare.inputs, bare.outputs, bare.rows, allow_constant_input))
-        return replace(bare, notes=(*notes, *remarks(bare.inputs, bare.outputs), *_irregularity(bare)))
+        return replace(bare, notes=(*notes, *remarks(bare.inputs, bare.outputs), *timing(bare.time, bare.sampling_time)))
 
     @property
     def rows(self) -> int:
@@ -153,8 +157,12 @@ class Experiment:
         return self.window(0, row), self.window(row, self.rows)
 
     def with_hold(self, hold: Hold) -> Experiment:
-        """The same record with another course of the input between samples, ``"zero"`` or ``"first"``."""
+        """The same record with another course of the input between samples: ``"zero"``, ``"first"``, ``"band-limited"``."""
         return _with_step(replace(self, hold=hold), self.sampling_time)
+
+    def with_outputs(self, outputs: Mapping[str, ArrayLike]) -> Experiment:
+        """The same record with these outputs, name -> (N,), in place of its own; none for the inputs alone."""
+        return _with_step(replace(self, outputs=outputs), self.sampling_time)
 
     def __str__(self) -> str:
         pace = f"every {self.sampling_time:.6g} s" if self.regular else "at irregular times"
@@ -181,12 +189,3 @@ def _with_step(experiment: Experiment, sampling_time: float | None) -> Experimen
     # The whole record knows the step better than a part of it, and equal steps make equal discrete models.
     object.__setattr__(experiment, "sampling_time", sampling_time)
     return experiment
-
-
-def _irregularity(experiment: Experiment) -> list[str]:
-    if experiment.regular:
-        return []
-    step = np.diff(experiment.time)
-    return [
-        f"time is irregular: steps from {step.min():.6g} to {step.max():.6g} s; each interval is taken as long as it is"
-    ]

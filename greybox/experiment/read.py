@@ -37,7 +37,7 @@ def read_csv(
 ) -> Experiment:
     """Read a record for ``model`` from a CSV, TSV, TXT, MAT (up to version 7), NPZ or Parquet file.
 
-    Headers are ``name [unit]``, ``name (unit)`` or ``name`` (then in the model's unit); names are those of the model's
+    Headers are ``name [unit]``, ``name (unit)`` or ``name`` (then in the model's unit, which ``notes`` say); names are those of the model's
     inputs and outputs, exactly, and ``time`` or ``t`` (seconds unless a unit is given). Values are converted to the
     model's units. Other columns are ignored, which ``notes`` say. Every input needs its column; of the outputs at least
     one. Empty fields and NaN are gaps, allowed in outputs only. Text files: columns separated by ``,``, ``;``, tab or
@@ -153,6 +153,9 @@ def _notes(found: Match) -> tuple[str, ...]:
     notes: list[str] = []
     if found.unmeasured:
         notes.append(f"not measured: output {' and '.join(map(repr, found.unmeasured))}")
+    if found.unitless:
+        names, units = (", ".join(getattr(s, part) for s in found.unitless) for part in ("name", "unit"))
+        notes.append(f"no unit in the header of {names}: taken as {units}")
     if found.ignored:
         notes.append(
             f"columns ignored: {enumerated([repr(h) for h in found.ignored[:IGNORED_SHOWN]], len(found.ignored))}"

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
 from greybox.experiment.checks import SHOWN, Places, enumerated
+
+_DATE = re.compile(r"\d+[-/.]\d+[-/.]\d+|\d+:\d\d")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d+)?")
 
 
 class Table(Protocol):
@@ -29,5 +34,15 @@ def not_numbers(header: str, rows: Sequence[int], texts: Sequence[str], places: 
     """Message for text in a number column; ``texts`` belong to the first of ``rows``."""
     quoted = enumerated([repr(t) for t in texts[:SHOWN]], len(rows))
     verb = "is not a number" if len(rows) == 1 else "are not numbers"
-    remedy = "correct it, or leave the field empty if nothing was measured"
-    return f"column {header!r}, {places.say(rows)}: {quoted} {verb}; {remedy}"
+    return f"column {header!r}, {places.say(rows)}: {quoted} {verb}; {_remedy(texts)}"
+
+
+def _remedy(texts: Sequence[str]) -> str:
+    first = texts[0].strip() if len(texts) else ""
+    if _DATE.search(first):
+        return "write time as seconds from the start of the record"
+    if _DECIMAL_COMMA.fullmatch(first):
+        return "write decimal points, or ';' between the columns and no quotation marks"
+    if _THOUSANDS.fullmatch(first):
+        return "write the number without marks between its thousands"
+    return "correct it, or leave the field empty if nothing was measured"

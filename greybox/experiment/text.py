@@ -13,6 +13,7 @@ import numpy as np
 
 from greybox.errors import DataError
 from greybox.experiment.checks import Places
+from greybox.experiment.preamble import LOOKED_AT, NUMBER, misplaced_header, stated_separator
 from greybox.experiment.table import not_numbers
 
 GAPS = ("", "NA", "N/A", "n/a", "null", "NULL", "None")  # besides nan in any spelling
@@ -22,8 +23,8 @@ BLANKS = ""  # separator: any run of blanks
 SEPARATORS = (";", "\t", ",", BLANKS)
 SNIFFED = 20  # lines looked at for the separator
 # Blanks separate, but not those before or inside the brackets of a unit: time [s]  p_a [kPa].
-_BLANK_HEADER = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
-_NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|inf|infinity|nan)", re.IGNORECASE)
+_BLANK_HEADER = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
+_BLANK_FIELD = re.compile(r"\"[^\"]*\"|\S+")
 
 # Columns; row -> number of fields where it is not that of the header; column -> row -> text that is no number.
 Reading = tuple[dict[int, np.ndarray], dict[int, int], dict[int, dict[int, str]]]
@@ -83,20 +84,26 @@ class TextTable:
 
 
 def read_text(path: Path) -> TextTable:
-    """Open a text table. Raises DataError for an empty or binary file and for a file without a header line."""
+    """Open a text table. Raises DataError for an empty or binary file, and where the header is not the first line."""
     text = _decoded(path.read_bytes(), path.name)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     kept = [k for k, line in enumerate(lines) if line and not line.isspace() and not line.lstrip().startswith("#")]
     if not kept:
         raise DataError(f"{path.name}: the file is empty; it needs a header line and rows of numbers")
+    stated = stated_separator(lines[kept[0]])
+    if stated is not None and len(kept) > 1:
+        kept = kept[1:]
     header, body = kept[0], kept[1:]
-    separator = _separator(lines[header], [lines[k] for k in body[:SNIFFED]])
+    separator = stated or _separator(lines[header], [lines[k] for k in body[:SNIFFED]])
     headers = header_fields(lines[header], separator)
-    if all(_NUMBER.fullmatch(h.replace(",", ".")) for h in headers):
+    if all(NUMBER.fullmatch(h.replace(",", ".")) for h in headers):
         raise DataError(
             f"{path.name}: line {header + 1} holds numbers where the header should be; begin the file with a line"
             " of names and units such as 'time [s],u [V],x [um]' (a line that begins with '#' is a comment)"
         )
+    misplaced = misplaced_header([lines[k] for k in kept[:LOOKED_AT]], [k + 1 for k in kept[:LOOKED_AT]])
+    if misplaced:
+        raise DataError(f"{path.name}: {misplaced}")
     places = Places("line", np.array(body, dtype=np.int64) + 1)
     return TextTable(tuple(headers), tuple(lines[k] for k in body), places, separator, header + 1)
 
@@ -104,7 +111,7 @@ def read_text(path: Path) -> TextTable:
 def fields(line: str, separator: str) -> list[str]:
     """The fields of a line, blanks around them removed."""
     if separator == BLANKS:
-        return line.split()
+        return line.split() if '"' not in line else [f.strip('"').strip() for f in _BLANK_FIELD.findall(line)]
     if '"' not in line:
         return [f.strip() for f in line.split(separator)]
     return [f.strip() for f in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
@@ -112,7 +119,9 @@ def fields(line: str, separator: str) -> list[str]:
 
 def header_fields(line: str, separator: str) -> list[str]:
     """The headers of the header line; with blanks as separator a unit in brackets stays with its name."""
-    return _BLANK_HEADER.findall(line) if separator == BLANKS else fields(line, separator)
+    if separator != BLANKS:
+        return fields(line, separator)
+    return [f.strip('"').strip() for f in _BLANK_HEADER.findall(line)]
 
 
 def _separator(header: str, body: Sequence[str]) -> str:
@@ -156,7 +165,7 @@ def _numbers(texts: Sequence[str], decimal: str) -> tuple[np.ndarray, list[int]]
             pass  # a gap or a text: looked at one by one below
     values, wrong = np.full(len(texts), np.nan), []
     for k, text in enumerate(texts):
-        if _NUMBER.fullmatch(text):
+        if NUMBER.fullmatch(text):
             values[k] = float(text)
         elif text not in GAPS:
             wrong.append(k)

@@ -8,8 +8,11 @@ as uniform when both hold:
    (one unit in the last printed place, or the spacing of single-precision numbers), and
 2. every stamp lies within 10 % of ``Ts`` of the uniform grid ``t[0] + k Ts``.
 
-The first alone would pass a clock that drifts away, the second alone a clock that truly jitters by several percent. A
-missing row leaves the grid by about half a step and therefore makes the record irregular, however long it is.
+The first alone would pass a clock that drifts away, the second alone a clock that truly jitters by several percent.
+
+Coarser printing passes too: 4 kHz with four decimals has steps of 0.2 and 0.3 ms. There every stamp must lie within half a
+printed unit of a straight line through them all, whose slope is the step, and every step within a unit of it. A missing
+row leaves any grid by about half a step and therefore makes the record irregular, however long it is.
 """
 
 from __future__ import annotations
@@ -21,20 +24,53 @@ GRID_TOLERANCE = 0.1  # of the mean step, for the distance of a stamp from the u
 MOST_DECIMALS = 12  # printed places looked for
 # Two roundings of half a unit make one unit; the rest is the error of the mean step itself.
 ROUNDING_UNITS = 1.2
+COARSEST = 0.45  # printed unit over step: beyond, a missing row could pass for two roundings
+HOLE = 1.5  # usual steps from which a step is a hole
+FEW_HOLES = 0.05  # of the steps; with more of them there is no usual step
 
 
 def uniform_step(time: np.ndarray) -> float | None:
     """Sampling time in seconds of the increasing stamps ``time`` (N,), N >= 2, or None when they are irregular."""
     step = float(time[-1] - time[0]) / (len(time) - 1)
     off_grid = np.abs(time - time[0] - step * np.arange(len(time)))
-    if off_grid.max() > GRID_TOLERANCE * step:
-        return None
     off_step = np.abs(np.diff(time) - step)
-    if off_step.max() <= STEP_TOLERANCE * step:
+    on_grid = off_grid.max() <= GRID_TOLERANCE * step
+    if on_grid and off_step.max() <= STEP_TOLERANCE * step:
         return step
     unit = resolution(time)
     allowed = np.maximum(STEP_TOLERANCE * step, ROUNDING_UNITS * np.maximum(unit[:-1], unit[1:]))
-    return step if bool(np.all(off_step <= allowed)) else None
+    if on_grid and bool(np.all(off_step <= allowed)):
+        return step
+    return _printed_coarsely(time, step, float(np.median(unit)))
+
+
+def _printed_coarsely(time: np.ndarray, step: float, unit: float) -> float | None:
+    """Slope of the line that every stamp was rounded from, to ``unit`` seconds; None where no line explains them."""
+    if not 0 < unit <= COARSEST * step:
+        return None
+    row = np.arange(len(time)) - (len(time) - 1) / 2
+    middle = time - time.mean()
+    slope = float(row @ middle / (row @ row))
+    on_line = np.abs(middle - slope * row).max() <= ROUNDING_UNITS * unit / 2
+    return slope if on_line and np.abs(np.diff(time) - slope).max() <= ROUNDING_UNITS * unit else None
+
+
+def timing(time: np.ndarray, sampling_time: float | None) -> list[str]:
+    """What to know about the stamps ``time`` (N,): coarse printing, holes, irregular steps."""
+    step = np.diff(time)
+    spread = f"steps from {step.min():.6g} to {step.max():.6g} s"
+    if sampling_time is not None:
+        if np.abs(step - sampling_time).max() <= STEP_TOLERANCE * sampling_time:
+            return []
+        return [f"time looks rounded: {spread} differ by no more than a printed unit; taken as every {sampling_time:.6g} s"]
+    usual = float(np.median(step))
+    holes = np.flatnonzero(step > HOLE * usual)
+    if 0 < len(holes) <= max(1, FEW_HOLES * len(step)):
+        longest = holes[np.argmax(step[holes])]
+        found = f"{len(holes)} holes, the longest" if len(holes) > 1 else "a hole"
+        where = f"from {time[longest]:.6g} to {time[longest + 1]:.6g} s"
+        return [f"time has {found} {where} (usual step {usual:.6g} s): the input is taken to go on through it; cut the record there"]
+    return [f"time is irregular: {spread}; each interval is taken as long as it is"]
 
 
 def resolution(time: np.ndarray) -> np.ndarray:

@@ -5,29 +5,61 @@ from __future__ import annotations
 import numpy as np
 
 from greybox.errors import ModelError, nearest
+from greybox.integrators.accuracy import substeps_for, substeps_within
 from greybox.integrators.exact_hold import exact_hold
-from greybox.integrators.rk4 import rk4, substeps_for
+from greybox.integrators.implicit import midpoint, radau
+from greybox.integrators.past import past_of
+from greybox.integrators.relaxing import fast_relaxation, mixed
+from greybox.integrators.rk4 import rk4
 from greybox.integrators.step import Step
 from greybox.model.system import System
 
-METHODS = ("automatic", "exact", "rk4")
+METHODS = ("automatic", "exact", "rk4", "mixed", "midpoint", "radau")
+IMPLICIT = {"midpoint": midpoint, "radau": radau}
 # The exact hold needs one matrix exponential for each distinct interval length.
 MOST_LENGTHS = 200
 
 
 def discretise(
-    system: System, p: np.ndarray, x: np.ndarray, lengths: np.ndarray, *, method: str = "automatic", substeps: int = 0
+    system: System,
+    p: np.ndarray,
+    x: np.ndarray,
+    lengths: np.ndarray,
+    *,
+    method: str = "automatic",
+    substeps: int = 0,
+    target: float = 0.0,
+    inputs: np.ndarray | None = None,
 ) -> Step:
     """One discrete step of ``system`` for records whose intervals have the given ``lengths`` (s).
 
     ``automatic`` takes the exact hold for a linear model (unless the time is so irregular that every interval has a length of
-    its own) and RK4 otherwise. ``substeps`` of RK4 per sample: 0 ties them to the fastest eigenvalue at the parameters ``p``
-    (np,) and the states ``x`` (k, nx). Raises ModelError for an unknown method, or the exact hold of a nonlinear model.
+    its own) and RK4 otherwise; ``mixed``, ``midpoint`` and ``radau`` are for stiff nonlinear models. ``substeps`` per sample: 0 ties
+    them to the fastest eigenvalue at the parameters ``p`` (np,) and the states ``x`` (k, nx), for the implicit methods to one.
+
+    ``target``: with a positive one that number is only the first guess, and is doubled until a run over the rows ``inputs`` (N, nu),
+    from the first of the states ``x``, changes by less than this share of its movement on halving. Raises ModelError for an
+    unknown method, the exact hold of a nonlinear model, or a target without inputs.
     """
     if method not in METHODS:
         raise ModelError(f"unknown discretisation {method!r}; {nearest(method, METHODS)}")
+    if target > 0 and (inputs is None or len(x) == 0):
+        raise ModelError(
+            f"the error target {target:g} needs inputs (N, nu) and a state to run from; give both, or substeps"
+        )
+    past = past_of(system, lengths)
     few = len(lengths) <= MOST_LENGTHS
     if method == "exact" or (method == "automatic" and system.linear and few):
-        return exact_hold(system)
+        return exact_hold(system, past)
     longest = float(np.max(lengths, initial=0.0))
-    return rk4(system, substeps or substeps_for(system, p, x, longest))
+    fast = fast_relaxation(system, p, x) if method == "mixed" else system.relaxing
+    n = substeps or (1 if method in IMPLICIT else substeps_for(system, p, x, longest, relaxing=fast))
+
+    def make(count: int) -> Step:
+        if method == "mixed":
+            return mixed(system, fast, count, past)
+        return IMPLICIT.get(method, rk4)(system, count, past)
+
+    if target <= 0 or inputs is None or substeps:
+        return make(n)
+    return substeps_within(target, make, n, p, x[0], inputs, longest)

@@ -2,23 +2,22 @@
 
 While it slides, friction is ``-level * direction`` with a direction that does not change; where the velocity reaches zero the
 step ends there, and the body either stays (the applied force is at most the static level) or leaves in the direction of the
-applied force. No smoothing width, no creep at standstill; the time of the crossing is a smooth function of the parameters,
-so the step can be differentiated.
+applied force; a body at rest leaves at the moment at which that force passes the static level. No smoothing width, no creep
+at standstill; the times of stopping and leaving are smooth functions of the parameters, so the step can be differentiated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import casadi as ca
 
 from greybox.errors import ModelError
+from greybox.integrators.step import Advance, Method
 from greybox.model.system import System
 
 TINY = 1e-300
 
 
-def sticking(system: System, one_step: Callable) -> Callable:
+def sticking(system: System, one_step: Method) -> Advance:
     """``advance(x, ua, ub, p, h)`` for a system with dry friction, from the smooth one-step method ``one_step(rate)``."""
     bodies = {d.state for d in system.dry}
     if len(bodies) > 1:
@@ -35,27 +34,32 @@ def sticking(system: System, one_step: Callable) -> Callable:
 
         return one_step(rate)(x, ua, ub, p, h)
 
-    def leaving(x: ca.SX, u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """At standstill: does it stay, and if not, where does it go."""
-        push = free(x, u, p)
-        return ca.fabs(push) <= static(x, u, p), ca.sign(push)
+    def beyond(x: ca.SX, u: ca.SX, p: ca.SX, way: ca.SX) -> ca.SX:
+        """At standstill: by how much the push one way exceeds what holds."""
+        return way * free(x, u, p) - static(x, u, p)
 
     def advance(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
-        v = x[j]
-        stays, way = leaving(x, ua, p)
-        stuck = ca.logic_and(v == 0, stays)
+        v, way = x[j], ca.sign(free(x, ua, p))
+        stuck = ca.logic_and(v == 0, beyond(x, ua, p, way) <= 0)
         direction = ca.if_else(v == 0, way, ca.sign(v))
         whole = part(x, ua, ub, p, h, direction, stuck)
         crossed = ca.logic_and(ca.logic_not(stuck), ca.logic_and(v != 0, direction * whole[j] <= 0))
+        late = ca.sign(free(whole, ub, p))
+        early, excess = beyond(x, ua, p, late), beyond(whole, ub, p, late)
+        broken = ca.logic_and(stuck, excess > 0)
 
-        share = ca.if_else(crossed, _crossing(v, h * slide(x, ua, p, direction)[j], whole[j], direction), 1)
+        stop = _crossing(v, h * slide(x, ua, p, direction)[j], whole[j], direction)
+        # The push grows past what holds as a straight line, near enough: an error of h^2 in the time of leaving.
+        leave = ca.fmin(ca.fmax(-early / ca.fmax(excess - early, TINY), 0), 1)
+        share = ca.if_else(crossed, stop, ca.if_else(broken, leave, 1))
         meeting = ua + share * (ub - ua)
         at_rest = part(x, ua, meeting, p, share * h, direction, stuck)
         at_rest[j] = 0
-        stays, way = leaving(at_rest, meeting, p)
+        way = ca.if_else(broken, late, ca.sign(free(at_rest, meeting, p)))
+        stays = ca.logic_and(crossed, beyond(at_rest, meeting, p, way) <= 0)
         after = part(at_rest, meeting, ub, p, (1 - share) * h, way, stays)
         after[j] = way * ca.fmax(way * after[j], 0)  # a second crossing within one step is a stop
-        return ca.if_else(crossed, after, whole)
+        return ca.if_else(ca.logic_or(crossed, broken), after, whole)
 
     return advance
 

@@ -4,12 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from greybox.errors import ModelError
+
 # (p (np,), interval lengths (nh,), which parameters (na,)) -> coefficients q (nh, nq) and d q / d p[which] (nh, nq, na)
 Coefficients = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+Rate = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]  # (x, u, p) -> dx/dt
+Advance = Callable[[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]  # (x, ua, ub, p, h) -> x after h seconds
+Method = Callable[[Rate], Advance]  # what one substep does with smooth equations
+
+
+class Past(NamedTuple):
+    """What a step sees of the past: ``rows`` earlier rows of input number ``column``."""
+
+    column: int
+    rows: int
 
 
 @dataclass(frozen=True)
@@ -24,6 +38,9 @@ class Step:
     ``coefficients(p, h, which)``: what the step needs to know of the parameters, one row for each interval length in ``h``, and its
     slope along the parameters numbered ``which``. RK4 takes the parameters themselves (one row serves every length:
     ``per_interval`` is false); the exact hold takes the entries of the discrete matrices of each length.
+
+    ``past``: None, or what of the past a delay needs; then ``ua``, ``ub`` and ``u`` are rows of `greybox.integrators.past.with_past`,
+    which `Record.seen_by` makes.
     """
 
     name: str
@@ -32,6 +49,11 @@ class Step:
     coefficients: Coefficients
     substeps: int = 1
     per_interval: bool = False
+    past: Past | None = None
+
+    def __post_init__(self) -> None:
+        if self.past is not None and not self.per_interval and self.substeps < 2:
+            raise ModelError("a delayed input cuts the interval in two; give at least 2 substeps")
 
     @property
     def label(self) -> str:

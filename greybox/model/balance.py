@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from greybox.errors import ModelError
+from greybox.errors import ModelError, nearest
 from greybox.signals import Expression
 
 
@@ -35,5 +35,16 @@ class Balance:
         if name in self.terms:
             raise ModelError(f"balance {self.name!r} already has a term {name!r}; give the new one another name")
         return Balance(self.name, self.unit, self.storage, self.state, **{**self.terms, name: expression})
+
+    def with_terms_replaced(self, terms: Mapping[str, Expression]) -> Balance:
+        """The same balance with other expressions for some of its terms."""
+        unknown = [name for name in terms if name not in self.terms]
+        if unknown:
+            raise ModelError(f"balance {self.name!r} has no term {unknown[0]!r} to replace; {nearest(unknown[0], self.terms)}")
+        return Balance(self.name, self.unit, self.storage, self.state, **{**self.terms, **terms})
+
+    def with_storage(self, factor: Expression) -> Balance:
+        """The same balance with what it stores multiplied by ``factor``."""
+        return Balance(self.name, self.unit, self.storage * factor, self.state, **self.terms)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from greybox.model.balance import Balance
 from greybox.signals import Expression, Named, Parameter, State
@@ -32,16 +33,37 @@ class Effect:
 
     ``terms``       adds to balances: one expression for the balance ``site``, or ``{balance: expression}``
     ``dry``         dry friction on the balance ``site``, as `DryFriction`
-    ``balances``    balances of the effect's own ``states``
+    ``balances``    balances of the effect's own ``states``; one that may be fast is declared ``State(..., relaxing=True)``
+    ``update``      ``{state: expression}`` for own states without a balance, set after each substep (play): the expression
+                    sees the other states and the input at the end of the substep, and its own state as it was before
+    ``delay``       seconds by which the input at the site arrives late, from parameters alone; whatever else acts on the
+                    input acts on the delayed one, and before the first row of a record the input is zero
     ``on_input``    ``f(value, x, u, p)``: the input on its way in
     ``on_output``   ``f(value, x, u, p)``: the output on its way out
     ``on_parameter``  ``{parameter: expression}`` used in its place
+    ``on_state``    ``{state: expression}`` used in its place by the model and by the other effects
+    ``on_term``     ``{balance: {term: expression}}`` in the place of terms of that name
+    ``on_storage``  ``{balance: factor}`` on what the balance stores
 
-    ``site`` is the name of a balance, or ``input`` (the drive) or ``sensor`` (the main output). Units may refer to the
-    model: ``"{force}/{displacement}**3"`` is N/m^3 on a rig in newton and metre.
+    An effect sees what it changes as it comes to it: in ``balances`` and ``update`` the input and the state are those
+    before its own ``on_input`` and ``on_state``, and ``x.sensor`` is the output at its site (for any other site the main
+    one) before its own ``on_output``. The start of one of its states may be a function of ``p.sensor``, the main output at rest.
+
+    ``site`` is the name of a balance, the role of an input (``drive``, ``valve``), or ``input`` (the first input) or
+    ``sensor`` (the main output). Units may refer to the model: ``"{force}/{displacement}**3"`` is N/m^3 on a rig in newton
+    and metre.
 
     ``parents`` are effects that this one contains as a special case; ``parity`` is its symmetry in the variable it
     depends on (even, odd, linear, slow); ``tells_apart`` says which experiment separates it from its look-alikes.
+
+    For a search over effects, with the `greybox.effects.Scales` of a record:
+
+    ``amplitudes``  parameters that at zero, or at their ``neutral`` value where that is not zero, leave the effect absent;
+                    none for one that replaces a law
+    ``probe``       ``f(scales)``: the amplitudes that vanish at zero, where the effect is visible but small
+    ``grid``        ``f(scales)``: start values of the shape parameters, and of amplitudes with a neutral value, faintest first
+    ``limits``      ``f(scales)``: bounds that only the record can give
+    ``from_parent`` ``f(values, scales)``: start values from those of a fitted parent, by the parent's own names
     """
 
     name: str
@@ -51,11 +73,22 @@ class Effect:
     dry: Callable[[Named, Named, Named], DryFriction] | None = None
     states: Sequence[State] = ()
     balances: Callable[[Named, Named, Named], list[Balance]] | None = None
+    update: Callable[[Named, Named, Named], Mapping[str, Expression]] | None = None
+    delay: Equation | None = None
     on_input: Transform | None = None
     on_output: Transform | None = None
     on_parameter: Callable[[Named, Named, Named], Mapping[str, Expression]] | None = None
+    on_state: Callable[[Named, Named, Named], Mapping[str, Expression]] | None = None
+    on_term: Callable[[Named, Named, Named], Mapping[str, Mapping[str, Expression]]] | None = None
+    on_storage: Callable[[Named, Named, Named], Mapping[str, Expression]] | None = None
     equation: str = ""
     parents: Sequence[str] = ()
     parity: str = ""
     tells_apart: str = ""
     source: str = ""
+    amplitudes: Sequence[str] = ()
+    neutral: Mapping[str, float] = field(default_factory=dict)
+    probe: Callable[[Any], Mapping[str, float]] | None = None
+    grid: Callable[[Any], Mapping[str, Sequence[float]]] | None = None
+    limits: Callable[[Any], Mapping[str, tuple[float, float]]] | None = None
+    from_parent: Callable[[Mapping[str, float], Any], list[Mapping[str, float]]] | None = None

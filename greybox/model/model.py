@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
+
+import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
+from greybox.model.rule import Rule, check_constants, check_measured, check_outputs_known
 from greybox.model.show import show
+from greybox.model.stated import check_names, check_stated
 from greybox.model.system import Bound, System, bind, expand, inner_signals
 from greybox.model.units_check import check_units
 from greybox.signals import Input, Named, Output, Parameter, State
@@ -19,8 +24,10 @@ from greybox.signals import Input, Named, Output, Parameter, State
 class Model:
     """A physical model: ``balances(x, u, p)`` returns its list of `Balance`, one for each state.
 
-    Nothing changes a model in place: ``model + effect``, ``fix``, ``free``, ``start`` and ``bound`` return new models. Names and
-    units are checked on construction. The first input is the drive, the first output the main sensor.
+    Nothing changes a model in place: ``model + effect``, ``fix``, ``free``, ``start`` and ``bound`` return new models.
+    Names and units are checked on construction, and so are ``rules`` (`Rule`: what several constants must satisfy
+    together). The first input is the drive, the first output the main sensor. ``candidates``: names of the catalogue's
+    effects that this rig may hide; none given means all that have a place in it.
 
     Raises ModelError for names that clash or are unknown, UnitError for a term whose unit is not its balance's.
     """
@@ -34,6 +41,8 @@ class Model:
     effects: tuple[Effect, ...] = ()
     description: str = ""
     source: str = ""
+    rules: Sequence[Rule] = ()
+    candidates: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         if not self.states or not self.outputs:
@@ -44,7 +53,11 @@ class Model:
             twice = sorted({n for n in names if names.count(n) > 1})
             if twice:
                 raise ModelError(f"model {self.name!r}: the name {twice[0]!r} is used twice; every signal and parameter needs its own")
+        check_names(self)
+        check_stated(self)
         check_units(self)
+        check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
+        check_constants(self.title, self.rules, self._constants)
 
     @cached_property
     def system(self) -> System:
@@ -88,6 +101,17 @@ class Model:
                 return q
         raise ModelError(f"model {self.title!r} has no parameter {name!r}; {nearest(name, self.values)}")
 
+    @property
+    def _constants(self) -> Named:
+        return Named("parameter", self.values, {q.role: q.name for q in self.parameters if q.role})
+
+    def check_measured(self, subject: str, measured: Mapping[str, np.ndarray]) -> None:
+        """Refuse measured outputs, name -> (N,), that break a rule of this model; ``subject`` begins the message.
+
+        Raises DataError with rows, the worst value and the remedy.
+        """
+        check_measured(subject, self.rules, measured, self._constants)
+
     def __add__(self, effect: Effect) -> Model:
         if not isinstance(effect, Effect):
             return NotImplemented
@@ -102,7 +126,7 @@ class Model:
     def fix(self, *names: str, **values: float) -> Model:
         """Constants that are known: ``fix(M=0.01)`` at this value, ``fix("M")`` at the present one."""
         changes: dict[str, dict] = {n: {"fixed": True} for n in names}
-        changes |= {n: {"fixed": True, "value": float(v)} for n, v in values.items()}
+        changes |= {n: {"fixed": True, "value": v} for n, v in values.items()}
         return self._changed(changes)
 
     def free(self, *names: str) -> Model:
@@ -111,7 +135,7 @@ class Model:
 
     def start(self, **values: float) -> Model:
         """Values from which a fit starts (and which `simulate` uses); fixed or free stays as it is."""
-        return self._changed({n: {"value": float(v)} for n, v in values.items()})
+        return self._changed({n: {"value": v} for n, v in values.items()})
 
     def bound(self, **bounds: tuple[float, float]) -> Model:
         """Other physical bounds: ``bound(Ra=(1, 20))``."""
@@ -122,7 +146,7 @@ class Model:
         new: dict[str, Parameter] = {}
         for name, change in changes.items():
             try:
-                new[name] = replace(self.parameter(name), **change)
+                new[name] = replace(self.parameter(name), **_numeric(name, change))
             except ModelError as error:
                 problems.append(str(error))
         if problems:
@@ -139,3 +163,19 @@ class Model:
 
     def __str__(self) -> str:
         return show(self)
+
+
+def _numeric(name: str, change: dict[str, Any]) -> dict[str, Any]:
+    """``change`` of the parameter ``name`` with its value and bounds as numbers. Raises ModelError for what is none."""
+    found = dict(change)
+    try:
+        if "value" in change:
+            found["value"] = float(change["value"])
+        if "bounds" in change:
+            low, high = change["bounds"]
+            found["bounds"] = (float(low), float(high))
+    except (TypeError, ValueError):
+        key, given = next((k, v) for k, v in change.items() if k != "fixed")
+        wanted = "(low, high), two numbers" if key == "bounds" else "a number, without its unit"
+        raise ModelError(f"parameter {name!r}: {key} {given!r}; give {wanted}") from None
+    return found

@@ -38,7 +38,8 @@ def equations(model: Model) -> str:
     system = model.system
     heads = [(b.name, _bracketed(b.unit)) for b in system.balances]
     held = [d for d in system.dry if d.static.element_hash() != d.sliding.element_hash()]
-    name_width = max(map(len, [*(name for name, _ in heads), "outputs", *("standstill" for _ in held)])) + 2
+    extra = [*("standstill" for _ in held), *("after a step" for _ in system.updates), "outputs"]
+    name_width = max(map(len, [*(name for name, _ in heads), *extra])) + 2
     unit_width = max(len(unit) for _, unit in heads) + 2
     indent = 2 + name_width + unit_width
 
@@ -52,8 +53,19 @@ def equations(model: Model) -> str:
     for d in held:
         unit = next(b.unit for b in system.balances if b.name == d.balance)
         lines.append(line("standstill", _bracketed(unit), f"{d.effect} holds up to {expression(d.static)}"))
+    for update in system.updates:
+        state = model.all_states[update.state]
+        lines.append(line("after a step", _bracketed(state.unit), f"{state.name} becomes {expression(update.value)}"))
     if model.inputs:
-        lines += _listed(line, "inputs", [f"{i.name} {_bracketed(i.unit)}" for i in model.inputs], WIDTH - indent)
+        late = {
+            k: " + ".join(expression(d.seconds) for d in system.delays if d.column == k)
+            for k in range(len(model.inputs))
+        }
+        inputs = [
+            f"{i.name} {_bracketed(i.unit)}" + f" delayed by {late[k]}" * bool(late[k])
+            for k, i in enumerate(model.inputs)
+        ]
+        lines += _listed(line, "inputs", inputs, WIDTH - indent)
     measured = [f"{o.name} {_bracketed(o.unit)} = {expression(system.outputs[k])}" for k, o in enumerate(model.outputs)]
     lines += _listed(line, "outputs", measured, WIDTH - indent)
     return "\n".join(lines)

@@ -12,7 +12,8 @@ import casadi as ca
 from greybox.errors import ModelError, nearest
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
-from greybox.signals import Expression, Named, Output, Parameter, Signal, State
+from greybox.model.hooks import Delay, Update, delay_of, relaxing_states, updates_of
+from greybox.signals import Named, Output, Parameter, Signal, State
 from greybox.units import tidy
 
 if TYPE_CHECKING:
@@ -61,6 +62,9 @@ class System:
     ``x`` (nx,), ``u`` (nu,), ``p`` (np,) are columns of symbols in the order of the name tuples. ``start`` (nx,) is the state at
     rest, a function of ``p``. In ``rhs`` dry friction is written with ``direction`` (one symbol for each entry of ``dry``), the
     sign of motion that the integrator decides; ``explicit`` is the same with ``sign(v)`` in its place.
+
+    ``balances`` are in the order of the states that have one; a state in ``updates`` has none (its rate is zero). ``relaxing`` are
+    the numbers of the states whose rate is linear in themselves. With ``delays`` the symbol ``u`` is the input as it arrives.
     """
 
     x: ca.SX
@@ -77,6 +81,9 @@ class System:
     outputs: ca.SX
     start: ca.SX
     dry: tuple[Dry, ...]
+    updates: tuple[Update, ...] = ()
+    delays: tuple[Delay, ...] = ()
+    relaxing: tuple[int, ...] = ()
 
     @cached_property
     def explicit(self) -> ca.SX:
@@ -88,10 +95,10 @@ class System:
 
     @cached_property
     def linear(self) -> bool:
-        """Whether state and output equations are affine in ``x`` and ``u`` (``dx/dt = A x + B u + c``)."""
+        """Whether state and output equations are affine in ``x`` and ``u`` (``dx/dt = A x + B u + c``), with no state that is set."""
         xu = ca.vertcat(self.x, self.u)
         jacobian = ca.jacobian(ca.vertcat(self.rhs, self.outputs), xu)
-        return not self.dry and not ca.depends_on(jacobian, xu)
+        return not self.dry and not self.updates and not ca.depends_on(jacobian, xu)
 
     @cached_property
     def jacobian(self) -> ca.Function:
@@ -121,11 +128,14 @@ def bind(model: Model) -> tuple[Bound, ...]:
     base = _base_balances(model)
     units = _unit_words(model, base)
     sites = [*(b.name for b in base), *(i.name for i in model.inputs), *(o.name for o in model.outputs)]
+    places = {"sensor": model.outputs[0].name} | {i.role: i.name for i in model.inputs if i.role}
+    if model.inputs:
+        places = {"input": model.inputs[0].name} | places
     bound: list[Bound] = []
     for effect in model.effects:
         if any(effect.name == other.effect.name for other in bound):
             raise ModelError(f"model {model.name!r} already has the effect {effect.name!r}; an effect can be added once")
-        site = {"input": model.inputs[0].name if model.inputs else "input", "sensor": model.outputs[0].name}.get(effect.site, effect.site)
+        site = places.get(effect.site, effect.site)
         if effect.site and site not in sites:
             raise ModelError(f"effect {effect.name!r} acts at {effect.site!r}, which model {model.name!r} does not have; {nearest(site, sites)}")
 
@@ -153,17 +163,34 @@ def expand(model: Model) -> System:
         if b.effect.on_parameter:
             used = b.effect.on_parameter(b.within(x, b.effect.states), u, b.within(p, b.effect.parameters))
             p = p.replaced({_canonical(name, model.parameters): value for name, value in used.items()})
+    coming: dict[str, tuple[Named, Named]] = {}  # states and inputs as they come to an effect that changes them
     for b in effects:  # inputs on their way in
         if b.effect.on_input:
+            coming[b.effect.name] = x, u
             value = b.effect.on_input(u[b.site], b.within(x, b.effect.states), u, b.within(p, b.effect.parameters))
             u = u.replaced({b.site: value})
+    for b in effects:  # states as the model sees them
+        if b.effect.on_state:
+            before = coming[b.effect.name] = x, coming.get(b.effect.name, (x, u))[1]
+            used = b.effect.on_state(b.within(x, b.effect.states), before[1], b.within(p, b.effect.parameters))
+            x = x.replaced({_canonical(name, model.states): value for name, value in used.items()})
 
     balances = {b.name: b for b in model.balances(x, u, p)}
+    y = {o.name: _output(o, x, u, p) for o in model.outputs}
+    start = _start(model, p, y[model.outputs[0].name], raw_x, raw_u)
     words = _unit_words(model, balances.values())
     dry: list[Dry] = []
+    updates: list[Update] = []
+    delays: list[Delay] = []
     order = [s.name for s in states]
     for b in effects:
-        names = b.within(x, b.effect.states), u, b.within(p, b.effect.parameters)
+        seen, entering = coming.get(b.effect.name, (x, u))
+        seen = seen.replaced({"sensor": y[b.site if b.site in y else model.outputs[0].name]})
+        names = b.within(seen, b.effect.states), entering, b.within(p, b.effect.parameters)
+        for site, changed in (b.effect.on_term(*names) if b.effect.on_term else {}).items():
+            balances[site] = _at(balances, site, b.effect).with_terms_replaced(changed)
+        for site, factor in (b.effect.on_storage(*names) if b.effect.on_storage else {}).items():
+            balances[site] = _at(balances, site, b.effect).with_storage(factor)
         if b.effect.terms:
             terms = b.effect.terms(*names)
             for site, term in (terms if isinstance(terms, Mapping) else {b.site: terms}).items():
@@ -172,27 +199,31 @@ def expand(model: Model) -> System:
             target = _at(balances, b.site, b.effect)
             friction = b.effect.dry(*names)
             dry.append(Dry(b.effect.name, b.site, order.index(target.state), ca.SX(friction.sliding), ca.SX(friction.static)))
-            balances[b.site] = target.with_term(b.effect.name, -friction.sliding * ca.sign(x[target.state]))
+            balances[b.site] = target.with_term(b.effect.name, -friction.sliding * ca.sign(raw_x[order.index(target.state)]))
         if b.effect.balances:
             for own in b.effect.balances(*names):
                 renamed = Balance(f"{b.effect.name}.{own.name}", _fill(own.unit, words, b.effect, model.name), own.storage, b.own.get(own.state, own.state), **own.terms)
                 balances[renamed.name] = renamed
-
-    y = {o.name: _output(o, x, u, p) for o in model.outputs}
-    for b in effects:  # outputs on their way out
+        if b.effect.update:
+            updates += updates_of(b.effect.name, b.effect.update(*names), b.own, order)
+        if b.effect.delay:
+            delays.append(delay_of(b.effect.name, b.effect.delay(*names), b.site, [i.name for i in model.inputs], parameters))
         if b.effect.on_output:
-            y[b.site] = b.effect.on_output(y[b.site], b.within(x, b.effect.states), u, b.within(p, b.effect.parameters))
+            y[b.site] = b.effect.on_output(y[b.site], *names)
 
-    ordered = _one_balance_each(model.name, states, balances)
+    ordered = _one_balance_each(model.name, states, balances, {order[s.state]: s.effect for s in updates})
     direction = ca.SX.sym("direction", len(dry))
-    storages = ca.vertcat(*[ca.SX(b.storage) for b in ordered])
-    rhs = _guarded(_sums(ordered, dry, direction) / storages, raw_x, states)
-    start = ca.vertcat(*[ca.SX(s.start(p) if callable(s.start) else s.start) for s in states])
+    storages, sums = ca.SX.ones(len(order)), ca.SX.zeros(len(order))
+    rows = [order.index(b.state) for b in ordered]
+    storages[rows] = ca.vertcat(*[ca.SX(b.storage) for b in ordered])
+    sums[rows] = _sums(ordered, dry, direction)
+    rhs = _guarded(sums / storages, raw_x, states)
     return System(
         x=raw_x, u=raw_u, p=raw_p, direction=direction,
         state_names=tuple(order), input_names=tuple(i.name for i in model.inputs),
         output_names=tuple(y), parameter_names=tuple(q.name for q in parameters),
         balances=ordered, storages=storages, rhs=rhs, outputs=ca.vertcat(*y.values()), start=start, dry=tuple(dry),
+        updates=tuple(updates), delays=tuple(delays), relaxing=relaxing_states(model.name, states, rhs, raw_x),
     )  # fmt: skip
 
 
@@ -210,8 +241,21 @@ def _base_balances(model: Model) -> list[Balance]:
     return model.balances(*(_symbols(kind, items) for kind, items in groups))
 
 
-def _canonical(name: str, parameters: Sequence[Parameter]) -> str:
-    return next((q.name for q in parameters if name in (q.name, q.role)), name)
+def _start(model: Model, p: Named, reading: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX:
+    """The state at rest: that of the plant, and those of effects, which may speak of the main output ``reading`` at rest."""
+    plant = _started(model.states, p)
+    at_rest = ca.substitute(ca.SX(reading), ca.vertcat(x[: plant.numel()], u), ca.vertcat(plant, ca.SX.zeros(u.numel())))
+    known = p.replaced({"sensor": at_rest})
+    own = [_started(b.states, b.within(known, b.effect.parameters)) for b in model.bound_effects]
+    return ca.vertcat(plant, *own)
+
+
+def _started(states: Sequence[State], p: Named) -> ca.SX:
+    return ca.vertcat(*[ca.SX(s.start(p) if callable(s.start) else s.start) for s in states])
+
+
+def _canonical(name: str, items: Sequence[Parameter] | Sequence[State]) -> str:
+    return next((q.name for q in items if name in (q.name, q.role)), name)
 
 
 def _unit_words(model: Model, balances: Iterable[Balance]) -> dict[str, str]:
@@ -243,13 +287,22 @@ def _output(output: Output, x: Named, u: Named, p: Named) -> ca.SX:
     return ca.SX(output.equation(x, u, p) if output.equation else x[output.name])
 
 
-def _one_balance_each(model: str, states: Sequence[State], balances: Mapping[str, Balance]) -> tuple[Balance, ...]:
+def _one_balance_each(
+    model: str, states: Sequence[State], balances: Mapping[str, Balance], updated: Mapping[str, str]
+) -> tuple[Balance, ...]:
+    """The balances in the order of the states; a state that an effect sets after each step has none."""
     by_state: dict[str, Balance] = {}
     for b in balances.values():
         if b.state in by_state:
             raise ModelError(f"model {model!r}: balances {by_state[b.state].name!r} and {b.name!r} both give the rate of {b.state!r}; each state needs one")
         by_state[b.state] = b
-    names = [s.name for s in states]
+    both = [n for n in updated if n in by_state]
+    if both:
+        raise ModelError(
+            f"effect {updated[both[0]]!r} sets the state {both[0]!r} after each step, but balance {by_state[both[0]].name!r} gives"
+            " its rate; leave out one of the two"
+        )
+    names = [s.name for s in states if s.name not in updated]
     missing = [n for n in names if n not in by_state]
     strange = [n for n in by_state if n not in names]
     if missing or strange:

@@ -102,7 +102,9 @@ def _transforms(model: Model, units: Mapping[str, str]) -> Iterator[str]:
     x, u, p = _names(model)
     outputs = {o.name: o.unit for o in model.outputs}
     for b in model.bound_effects:
-        inside = b.within(x, b.effect.states), u, b.within(p, b.effect.parameters)
+        reading = ca.SX.sym(MEASURED)
+        inside = b.within(x.replaced({"sensor": reading}), b.effect.states), u, b.within(p, b.effect.parameters)
+        known = {**units, MEASURED: outputs.get(b.site, model.outputs[0].unit)}
         effect = f"effect {b.effect.name!r}"
         for given, value in (b.effect.on_parameter(*inside) if b.effect.on_parameter else {}).items():
             parameter = next((q.name for q in model.all_parameters if given in (q.name, q.role)), None)
@@ -110,12 +112,22 @@ def _transforms(model: Model, units: Mapping[str, str]) -> Iterator[str]:
                 yield f"{effect}: no parameter {given!r} to change; {nearest(given, model.values)}"
             else:
                 yield from _expected(f"{effect} on parameter {parameter!r}:", value, units[parameter], units=units)
+        for given, value in (b.effect.on_state(*inside) if b.effect.on_state else {}).items():
+            state = next((s.name for s in model.all_states if given in (s.name, s.role)), None)
+            if state is None:
+                yield f"{effect}: no state {given!r} to change; {nearest(given, model.system.state_names)}"
+            else:
+                yield from _expected(f"{effect} on state {state!r}:", value, units[state], units=units)
         if b.effect.on_input:
             value = b.effect.on_input(u[b.site], *inside)
             yield from _expected(f"{effect} on input {b.site!r}:", value, units[b.site], units=units)
+        if b.effect.delay:
+            yield from _expected(f"{effect} delay of input {b.site!r}:", b.effect.delay(*inside), "s", units=units)
+        for given, value in (b.effect.update(*inside) if b.effect.update else {}).items():
+            state = b.own[given]
+            yield from _expected(f"{effect} update of state {state!r}:", value, units[state], units=known)
         if b.effect.on_output:
-            value = b.effect.on_output(ca.SX.sym(MEASURED), *inside)
-            known = {**units, MEASURED: outputs[b.site]}
+            value = b.effect.on_output(reading, *inside)
             yield from _expected(f"{effect} on output {b.site!r}:", value, outputs[b.site], units=known)
 
 

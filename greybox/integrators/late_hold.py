@@ -1,0 +1,76 @@
+"""The exact hold with a delayed input: the jump inside the interval is exact, and so is the derivative along the delay.
+
+With ``g(t) = integral of exp(A s) B ds`` from 0 to ``t`` and ``b = (1 - f) h`` what is left of the interval after the cut, a held input
+enters with ``g(b)`` for the row of ``n`` intervals ago and ``g(h) - g(b)`` for the one before; the ramps of a linear input likewise.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+
+from greybox.integrators.past import seconds_of
+from greybox.integrators.step import Past
+from greybox.model.system import System
+
+if TYPE_CHECKING:
+    from greybox.integrators.exact_hold import Blocks
+
+
+class LateInput:
+    """What a delayed input adds to the exact hold: ``share`` of the next state, with gains ``q`` of each row of the past."""
+
+    def __init__(self, system: System, past: Past, ua: ca.SX, ub: ca.SX) -> None:
+        nx, nu = system.x.numel(), system.u.numel()
+        self.past, self.rows = past, past.rows + 1
+        level, ramp = ca.SX.sym("level", nx, self.rows), ca.SX.sym("ramp", nx, self.rows)
+        own = [past.column, *range(nu, nu + past.rows)]
+        self.q = ca.vertcat(ca.vec(level), ca.vec(ramp))
+        self.share = level @ ua[own] + ramp @ ((ub - ua)[own] * ua[-2])
+        seconds = seconds_of(system)(system.p)
+        self.seconds = ca.Function("seconds", [system.p], [seconds, ca.densify(ca.jacobian(seconds, system.p))])
+
+    def rest(self, p: np.ndarray, length: float) -> tuple[float, np.ndarray, float]:
+        """Delay in seconds, its slope (np,), and what is left of an interval of ``length`` after the cut."""
+        seconds, slope = (np.asarray(value).ravel() for value in self.seconds(p))
+        delay, whole = self._split(float(seconds[0]), length)
+        return float(seconds[0]), slope, (1 - (delay - whole)) * length
+
+    def coefficients(
+        self, whole: Blocks, rest: Blocks, drive: np.ndarray, seconds: float, slope: np.ndarray, h: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Gains (nq,) and their slopes (nq, n) along parameters, along which the delay has the ``slope`` (n,).
+
+        ``whole`` and ``rest`` are the blocks of the interval and of what is left after the cut, ``drive`` (nx,) the column of B.
+        """
+        delay, n = self._split(seconds, h)
+        c, b = self.past.column, (1 - (delay - n)) * h
+        db = -slope if 0 <= seconds <= self.past.rows * h else 0 * slope
+        (g1, g2), (dg1, dg2) = _columns(whole, c)
+        (r1, r2), (dr1, dr2) = _columns(rest, c)
+        # d g(b) / d b = exp(A b) B; d (b G2(b)) / d b = g(b)
+        rate = rest.values[0] @ drive
+        dr2 = b * dr2 + np.outer(db, r1)
+        dr1 = dr1 + np.outer(db, rate)
+        gains = np.zeros((2, self.rows, len(g1)))
+        slopes = np.zeros((len(slope), *gains.shape))
+        gains[:, n] = r1, b * r2 / h
+        gains[:, n + 1] = g1 - r1, g2 + b / h * (g1 - r2) - r1
+        slopes[:, 0, n], slopes[:, 1, n] = dr1, dr2 / h
+        slopes[:, 0, n + 1] = dg1 - dr1
+        slopes[:, 1, n + 1] = dg2 + b / h * dg1 + np.outer(db, g1) / h - dr2 / h - dr1
+        return gains.ravel(), slopes.reshape(len(slope), gains.size).T
+
+    def _split(self, seconds: float, length: float) -> tuple[float, int]:
+        """The delay in intervals, and how many whole ones."""
+        delay = min(max(seconds / length, 0.0), float(self.past.rows))
+        return delay, min(math.floor(delay), self.past.rows - 1) if math.isfinite(delay) else 0
+
+
+def _columns(blocks: Blocks, c: int) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Column ``c`` of G1 and G2 (nx,), and their slopes (n, nx)."""
+    (_, g1, g2), (_, dg1, dg2) = blocks.values, blocks.slopes
+    return (g1[:, c], g2[:, c]), (dg1[..., c], dg2[..., c])
