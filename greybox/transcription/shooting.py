@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -39,13 +39,22 @@ class SingleShooting:
     ``weight`` (ny,) is one over the noise standard deviation of each output; ``share`` of every record is used (the beginning).
     """
 
-    def __init__(self, variables: Variables, step: Step, kernel: Kernel, records: Sequence[Record], weight: np.ndarray, share: float = 1.0):
+    def __init__(
+        self,
+        variables: Variables,
+        step: Step,
+        kernel: Kernel,
+        records: Sequence[Record],
+        weight: np.ndarray,
+        share: float = 1.0,
+    ):
         self.variables = variables
         self.step = step
         self.kernel = kernel
-        self.records = tuple(r if step.per_interval else replace(r, row=np.zeros_like(r.row)) for r in records)
+        self.records = tuple(_seen(r, step) for r in records)
         self.weight = weight
         self.rows = [max(2, round(share * len(r.u))) for r in records]
+        self._last: tuple[tuple[bytes, bytes], tuple[np.ndarray, np.ndarray]] | None = None
 
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Cost and derivatives at ``z``."""
@@ -53,13 +62,12 @@ class SingleShooting:
         ny = len(self.weight)
         gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
         squares, counts = np.zeros(ny), np.zeros(ny, int)
-        p = v.parameters(z)
         for e, record in enumerate(self.records):
-            columns = v.columns(e)
+            columns, p = v.columns(e), v.parameters(z, e)
             q, dq, dp, x0, dx0 = self.at(z, p, e)
             sums = self.kernel.sums(record, q, dq, p, dp, x0, dx0, self.weight, self.rows[e])
             if not np.isfinite(sums.cost):
-                return Evaluation(np.inf, gradient, hessian, squares, counts, (e, sums.failed_at))
+                return Evaluation(np.inf, gradient, hessian, squares, counts, (e, sums.failed_at or 0))
             gradient[columns] += 2 * sums.gradient
             hessian[np.ix_(columns, columns)] += 2 * sums.gauss_newton
             squares += sums.squares
@@ -68,25 +76,30 @@ class SingleShooting:
 
     def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each record the weighted residuals (N, ny), measured minus model, and their Jacobian (N, ny, L) along `columns`."""
-        p = self.variables.parameters(z)
-        return [self.kernel.residuals(r, *self._arguments(z, p, e), self.weight) for e, r in enumerate(self.records)]
+        found = []
+        for e, record in enumerate(self.records):
+            q, dq, p, dp, x0, dx0 = self._arguments(z, self.variables.parameters(z, e), e)
+            found.append(self.kernel.residuals(record, q, dq, p, dp, x0, dx0, self.weight))
+        return found
 
     def simulate(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each record outputs (N, ny) and states (N, nx) of the model."""
-        p = self.variables.parameters(z)
         runs = []
         for e, record in enumerate(self.records):
+            p = self.variables.parameters(z, e)
             q, _, _, x0, _ = self.at(z, p, e)
             runs.append(self.kernel.simulate(record, q, p, x0))
         return runs
 
-    def at(self, z: np.ndarray, p: np.ndarray, e: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def at(
+        self, z: np.ndarray, p: np.ndarray, e: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """What the kernel needs for experiment ``e``: coefficients and slopes, parameter slopes, initial state and slopes."""
         v = self.variables
         x0, dx0 = v.beginning(z, p, e)
         lanes, n = dx0.shape[1], len(v.which)
         slopes = v.slopes(p)
-        q, dq_free = self.step.coefficients(p, self.records[e].lengths, v.which)
+        q, dq_free = self._coefficients(p, self.records[e].lengths)
         dq = np.zeros((*dq_free.shape[:2], lanes))
         dq[:, :, :n] = dq_free * slopes
         dp = np.zeros((len(p), lanes))
@@ -96,3 +109,16 @@ class SingleShooting:
     def _arguments(self, z: np.ndarray, p: np.ndarray, e: int) -> tuple:
         q, dq, dp, x0, dx0 = self.at(z, p, e)
         return q, dq, p, dp, x0, dx0
+
+    def _coefficients(self, p: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The step's coefficients; records with the same intervals (the arcs of one record) share one matrix exponential."""
+        key = p.tobytes(), lengths.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = key, self.step.coefficients(p, lengths, self.variables.which)
+        return self._last[1]
+
+
+def _seen(record: Record, step: Step) -> Record:
+    """The record as the step reads it; a piece of such a record has the past of a delayed input with it already."""
+    wide = step.past is not None and record.u.shape[1] == step.advance.size1_in(1)
+    return record if wide else record.seen_by(step)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
+import casadi as ca
 import numpy as np
 
 from greybox.model import Model
+from greybox.transcription.conditions import conditions_of, under
 
 # A bound counts as active within this share of the distance to the other bound (or of the scale, if there is none).
 ACTIVE = 1e-6
@@ -31,7 +34,8 @@ class Variables:
     """Map between the optimiser's numbers ``z`` and physical ones.
 
     A constant that can only be positive is ``value * exp(z)``, another one ``value + scale * z``; an initial state is
-    ``guess + scale * z``. ``z = 0`` is the start.
+    ``guess + scale * z``. ``z = 0`` is the start. ``conditions`` are the constants that an experiment brings itself (position in
+    ``system.p`` -> value, one mapping for each experiment or none at all): they take the place of the model's and are not fitted.
     """
 
     model: Model
@@ -44,18 +48,24 @@ class Variables:
     high: np.ndarray
     fixed: np.ndarray  # (np,) values of all parameters at the start
     initial: InitialStates
+    conditions: tuple[Mapping[int, float], ...] = ()
 
     @classmethod
-    def of(cls, model: Model, initial: InitialStates) -> Variables:
-        """The free constants of ``model`` at their present values."""
+    def of(cls, model: Model, initial: InitialStates, conditions: Sequence[Mapping[str, float]] = ()) -> Variables:
+        """The free constants of ``model`` at their present values; ``conditions``: name -> value for each experiment.
+
+        Raises ModelError for conditions that do not go with the model, see `conditions_of`.
+        """
         everything = model.all_parameters
-        which = np.array([k for k, q in enumerate(everything) if not q.fixed], int)
+        given = conditions_of(model, conditions)
+        known = {k for each in given for k in each}
+        which = np.array([k for k, q in enumerate(everything) if not q.fixed and k not in known], int)
         free = [everything[k] for k in which]
         base = np.array([q.value for q in free], float)
         return cls(
             model, tuple(q.name for q in free), which, np.array([q.positive for q in free], bool), base,
             np.where(base == 0, 1.0, np.abs(base)), np.array([q.bounds[0] for q in free], float),
-            np.array([q.bounds[1] for q in free], float), np.array([q.value for q in everything], float), initial,
+            np.array([q.bounds[1] for q in free], float), np.array([q.value for q in everything], float), initial, given,
         )  # fmt: skip
 
     @property
@@ -77,7 +87,10 @@ class Variables:
     def labels(self) -> tuple[str, ...]:
         """What each entry of ``z`` stands for."""
         states = self.model.system.state_names
-        return (*self.names, *(f"{states[j]}(0) of experiment {e + 1}" for e in range(self.experiments) for j in self.states_each))
+        return (
+            *self.names,
+            *(f"{states[j]}(0) of experiment {e + 1}" for e in range(self.experiments) for j in self.states_each),
+        )
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds on ``z``; initial states have their state's physical bounds."""
@@ -93,16 +106,22 @@ class Variables:
             high = np.concatenate([high, (edges[:, 1] - guess) / scale])
         return low, high
 
-    def parameters(self, z: np.ndarray) -> np.ndarray:
-        """All parameters (np,) at ``z``, clipped to their bounds (an optimiser may overstep them by a hair)."""
+    def parameters(self, z: np.ndarray, experiment: int | None = None) -> np.ndarray:
+        """All parameters (np,) at ``z``, clipped to their bounds (an optimiser may overstep them by a hair).
+
+        With ``experiment`` under the conditions of that one, else as the model has them.
+        """
         n = len(self.which)
         with np.errstate(over="ignore"):
-            free = np.where(self.logarithmic, self.base * np.exp(z[:n]), self.base + self.scale * z[:n])
+            free = self.base * np.exp(np.where(self.logarithmic, z[:n], 0.0)) + np.where(
+                self.logarithmic, 0.0, self.scale * z[:n]
+            )
         p = self.fixed.copy()
-        near_low, near_high = (np.isclose(free, edge, rtol=1e-9, atol=0.0) for edge in (self.low, self.high))
+        with np.errstate(invalid="ignore"):
+            near_low, near_high = (np.abs(free - edge) <= 1e-9 * np.abs(free) for edge in (self.low, self.high))
         free = np.where(near_low, self.low, np.where(near_high, self.high, free))  # exp(log(bound)) is not the bound
         p[self.which] = np.clip(free, self.low, self.high)
-        return p
+        return p if experiment is None or not self.conditions else under(p, self.conditions[experiment])
 
     def slopes(self, p: np.ndarray) -> np.ndarray:
         """d p / d z of the free constants (nf,) at parameters ``p``."""
@@ -115,8 +134,8 @@ class Variables:
 
     def beginning(self, z: np.ndarray, p: np.ndarray, experiment: int) -> tuple[np.ndarray, np.ndarray]:
         """Initial state (nx,) of one experiment and its slopes (nx, L) along `columns`."""
-        x0, slope = (np.asarray(value) for value in self.model.system.start_function(p))
-        x0 = x0.ravel().copy()
+        x0, slope = self._constant_start or self._start(p)
+        x0 = x0.copy()
         n, free = len(self.which), self.states_each
         dx0 = np.zeros((len(x0), n + len(free)))
         dx0[:, :n] = slope[:, self.which] * self.slopes(p)
@@ -125,6 +144,17 @@ class Variables:
         dx0[free, :n] = 0.0
         dx0[free, n + np.arange(len(free))] = self.initial.scale[free]
         return x0, dx0
+
+    def _start(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The declared initial state (nx,) and its slope along all parameters."""
+        x0, slope = (np.asarray(value) for value in self.model.system.start_function(p))
+        return x0.ravel(), slope
+
+    @cached_property
+    def _constant_start(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """The declared initial state where it does not depend on the parameters: asked for in every pass."""
+        system = self.model.system
+        return None if ca.depends_on(system.start, system.p) else self._start(self.fixed)
 
     def rescaled(self, cost: float, curvature: np.ndarray) -> Variables:
         """Linear scales chosen so that a step of one in ``z`` changes the cost by about itself.
@@ -144,7 +174,7 @@ class Variables:
     def moved(self, z: np.ndarray) -> Variables:
         """The same variables with ``z = 0`` at the given point."""
         p = self.parameters(z)
-        guess = np.array([self.beginning(z, p, e)[0] for e in range(self.experiments)])
+        guess = np.array([self.beginning(z, self.parameters(z, e), e)[0] for e in range(self.experiments)])
         return replace(self, base=p[self.which], fixed=p, initial=replace(self.initial, guess=guess))
 
     def active(self, p: np.ndarray) -> np.ndarray:

@@ -1,0 +1,150 @@
+"""Arcs: a record cut in pieces of a chosen length, each with an initial state of its own.
+
+Short arcs forget: what drifts slowly (an offset, a wrong slow mode) has no time to add up, and the structure of the fast
+motion shows. Long arcs remember: drift and slow constants show. A model that is right fits both with the same constants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from greybox.errors import DataError
+from greybox.experiment import Experiment
+from greybox.kernel import Record
+from greybox.transcription.shooting import SingleShooting
+from greybox.transcription.variables import InitialStates, Variables
+
+# An arc needs this many samples at least: its initial state is estimated from them.
+FEWEST = 3
+
+
+def arcs_of(
+    experiments: Experiment | Iterable[Experiment], *, seconds: float | None = None, rows: int | None = None
+) -> tuple[Experiment, ...]:
+    """Each experiment cut in arcs of ``seconds`` or of ``rows``, in the order of time: give one of the two.
+
+    No row is left out or used twice; a remainder shorter than half an arc joins the arc before it. An experiment that is
+    shorter than an arc stays whole. The arcs are ordinary experiments ``name[first:last]``: fit them with estimated initial
+    states (they begin anywhere, not at rest). A delayed or band-limited input is only known inside an arc; where that matters
+    cut the records (`cut`), which keep what came before.
+
+    Raises DataError for a length that is not positive, or shorter than three rows.
+    """
+    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    found: list[Experiment] = []
+    for experiment in group:
+        cuts = cuts_of(experiment.name, experiment.time - experiment.time[0], seconds=seconds, rows=rows)
+        whole = len(cuts) == 2
+        found += [experiment] if whole else [experiment.window(a, b) for a, b in pairwise(cuts)]
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Arcs of some records: their cost, where each record was cut (first rows and, at the end, its number of rows), and which
+    arcs begin a record."""
+
+    shooting: SingleShooting
+    cuts: tuple[tuple[int, ...], ...]
+    begins: tuple[bool, ...]
+
+
+def cut(whole: SingleShooting, *, seconds: float | None = None, rows: int | None = None) -> Cut:
+    """The cost of ``whole`` with every record cut in arcs, all their initial states estimated; arguments as for `arcs_of`.
+
+    States that are outputs begin at their first measured value, the others as in ``whole``. Many arcs are many initial states:
+    `ProjectedShooting(cut(...).shooting)` keeps them from the optimiser.
+    """
+    cuts = [
+        cuts_of(f"record {e + 1}", np.concatenate([[0.0], np.cumsum(r.h)]), seconds=seconds, rows=rows, every=r.every)
+        for e, r in enumerate(whole.records)
+    ]
+    return cut_at(whole, cuts)
+
+
+def cut_at(whole: SingleShooting, cuts: Sequence[Sequence[int]]) -> Cut:
+    """The same with the cuts of each record given: first rows and, at the end, the number of rows."""
+    v = whole.variables
+    pieces, guesses, conditions, begins = [], [], [], []
+    for e, (record, places) in enumerate(zip(whole.records, cuts, strict=True)):
+        guess = first_guess(v, e, record, places[:-1])
+        pieces += [piece(record, a, b) for a, b in pairwise(places)]
+        guesses.append(guess)
+        conditions += [v.conditions[e]] * len(guess) if v.conditions else []
+        begins += [k == 0 for k in range(len(guess))]
+    every = np.concatenate(guesses)
+    spread = np.ptp(every, axis=0)
+    initial = InitialStates(every, np.ones(every.shape[1], bool), np.where(spread > 0, spread, v.initial.scale))
+    variables = replace(v, initial=initial, conditions=tuple(conditions))
+    shooting = SingleShooting(variables, whole.step, whole.kernel, pieces, whole.weight)
+    return Cut(shooting, tuple(tuple(map(int, places)) for places in cuts), tuple(begins))
+
+
+def first_guess(variables: Variables, e: int, record: Record, starts: Sequence[int]) -> np.ndarray:
+    """States (arcs, nx) at the ``starts`` of record ``e``: measured where a state is an output, else as the record begins."""
+    guess = np.tile(variables.initial.guess[e], (len(starts), 1))
+    for k, column in shown_states(variables).items():
+        values = record.y[:, column]
+        known = np.flatnonzero(np.isfinite(values))
+        if len(known):
+            places = np.searchsorted(known, starts)
+            guess[:, k] = values[known[np.minimum(places, len(known) - 1)]]
+    tied = ~variables.initial.free
+    guess[0, tied] = variables.initial.guess[e, tied]
+    return guess
+
+
+def shown_states(variables: Variables) -> dict[int, int]:
+    """States that are themselves an output: position of the state -> position of the output."""
+    system = variables.model.system
+    outputs = [system.outputs[j] for j in range(system.outputs.numel())]
+    names = {y.name(): j for j, y in enumerate(outputs) if y.is_symbolic()}
+    return {k: names[name] for k, name in enumerate(system.state_names) if name in names}
+
+
+def piece(record: Record, a: int, b: int) -> Record:
+    """Rows ``a`` up to but without ``b``."""
+    return replace(record, u=record.u[a:b], y=record.y[a:b], h=record.h[a : b - 1], row=record.row[a : b - 1])
+
+
+def cuts_of(
+    name: str, since: np.ndarray, *, seconds: float | None = None, rows: int | None = None, every: int = 1
+) -> tuple[int, ...]:
+    """First rows of the arcs and, at the end, the number of rows, for rows ``since`` (N,) seconds after the first.
+
+    ``every``: how many rows make a sample; ``rows`` counts samples. Raises DataError as `arcs_of` does.
+    """
+    if (seconds is None) == (rows is None):
+        raise DataError("arcs: give their length either in seconds or in rows")
+    count = len(since)
+    if rows is not None:
+        if rows < FEWEST:
+            raise DataError(f"arcs of {name!r}: {rows} rows; an arc needs at least {FEWEST}")
+        return _edges(np.arange(0, count, rows * every), count)
+    length = float(seconds or 0.0)
+    if not (np.isfinite(length) and length > 0):
+        raise DataError(f"arcs of {name!r}: {seconds} s is no length; give a positive number of seconds")
+    # A hair of tolerance keeps a row that is due exactly at an edge out of the arc before.
+    number = np.floor(since[::every] / length + 1e-9)
+    starts = every * np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1])
+    cuts = _edges(starts, count)
+    shortest = int(np.diff(cuts).min()) // every
+    if shortest < FEWEST and len(cuts) > 2:
+        longest = float(np.diff(since[::every]).max())
+        raise DataError(
+            f"arcs of {name!r}: one of {length:g} s has {shortest} rows; an arc needs at least {FEWEST}: give at least"
+            f" {FEWEST * longest:g} s"
+        )
+    return cuts
+
+
+def _edges(starts: np.ndarray, rows: int) -> tuple[int, ...]:
+    """The starts and ``rows``, without a last arc that is shorter than half the one before it."""
+    cuts = [int(k) for k in starts]
+    if len(cuts) > 1 and 2 * (rows - cuts[-1]) < cuts[-1] - cuts[-2]:
+        cuts.pop()
+    return (*cuts, rows)

@@ -1,0 +1,203 @@
+"""Direct collocation: the states at every point of the record are variables, the equations constraints between them.
+
+Over each element the states are a polynomial through its first value and ``degree`` points ``tau_j``, and satisfy the equations
+at these points: ``sum_r C_rj x_r = h f(x_j, u_j, p)``. Radau points include the end of the element (order ``2 d - 1``, damps fast
+modes: for stiff plants), Legendre points do not (order ``2 d``). Nothing is simulated, so nothing can overflow, and the
+states' physical bounds hold as path constraints. Memory grows with the record: for at most some ten thousand samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.errors import ModelError, nearest
+from greybox.kernel import Record
+from greybox.transcription.variables import Variables
+
+SCHEMES = ("radau", "legendre")
+HESSIANS = ("gauss-newton", "exact")
+
+
+@dataclass(frozen=True)
+class Collocated:
+    """The point that a solver found: ``variables`` with ``z = 0`` there, and the states (N, nx) of each record at its samples."""
+
+    variables: Variables
+    states: tuple[np.ndarray, ...]
+
+
+class Collocation:
+    """The sparse nonlinear program of a fit by direct collocation.
+
+    ``records`` and ``weight`` (ny,) as for `SingleShooting`; ``start`` are states (N, nx) of each record to begin with, see
+    `guess_nodes` and `run_pieces`. ``elements`` divide each sampling interval. ``hessian``: ``gauss-newton`` leaves out the curvature
+    of residuals and constraints (right where the misfit is small, and safe far from the optimum), ``exact`` does not.
+
+    The program is ``problem()``; a solver's answer becomes a `Collocated` by ``found(w)``. Raises ModelError for equations that are
+    not smooth (dry friction, states that are set after each step), and for an unknown scheme or Hessian.
+    """
+
+    def __init__(
+        self, variables: Variables, records: Sequence[Record], weight: np.ndarray, start: Sequence[np.ndarray], *,
+        scheme: str = "radau", degree: int = 3, elements: int = 1, hessian: str = "gauss-newton",
+    ) -> None:  # fmt: skip
+        _check(variables, scheme, degree, elements, hessian)
+        self.variables, self.records, self.weight = variables, tuple(records), weight
+        self.scheme, self.degree, self.elements, self.exact = scheme, degree, elements, hessian == "exact"
+        self.start = [np.asarray(x, float) for x in start]
+        together = np.concatenate(self.start)
+        spread, size = np.ptp(together, axis=0), np.abs(together).max(axis=0)
+        self.scale = np.where(spread > 1e-12 * size, spread, np.where(size > 0, size, 1.0))
+        self.nx = together.shape[1]
+
+    def problem(self) -> dict[str, Any]:
+        """The program as keyword arguments of `greybox.optimiser.solve_sparse`: ``nlp`` (x, f, g as MX), ``start``, ``low``, ``high``,
+        ``hessian``; every constraint is an equation ``g = 0``."""
+        z = ca.MX.sym("z", len(self.variables.which))
+        columns, residuals, constraints = [z], [], []
+        for e, record in enumerate(self.records):
+            first = ca.MX.sym("x", self.nx, self._nodes(record))
+            points = ca.MX.sym("points", self._inner, len(record.h))
+            columns += [ca.vec(first), ca.vec(points)]
+            r, g = self._record(z, first, points, e)
+            residuals.append(r)
+            constraints += g
+        w, r, g = ca.vertcat(*columns), ca.vertcat(*residuals), ca.vertcat(*constraints)
+        start, low, high = self._edges()
+        cost, scale = ca.sumsqr(r), self._movement()
+        curvature = None
+        if not self.exact:
+            slopes = ca.jacobian(r, w)
+            by, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
+            gauss_newton = ca.triu(2 * by / scale * (slopes.T @ slopes))
+            curvature = ca.Function("nlp_hess_l", [w, ca.MX(0, 1), by, lam], [gauss_newton])
+        nlp = {"x": w, "f": cost / scale, "g": g}
+        return {"nlp": nlp, "start": start, "low": low, "high": high, "hessian": curvature, "scale": scale}
+
+    def found(self, w: np.ndarray) -> Collocated:
+        """What a point ``w`` of the program means."""
+        v, n = self.variables, len(self.variables.which)
+        z, states, at = np.zeros(v.size), [], n
+        z[:n] = w[:n]
+        for e, record in enumerate(self.records):
+            nodes, count = self._nodes(record), self._inner * len(record.h)
+            first = w[at : at + nodes * self.nx].reshape(nodes, self.nx)
+            points = w[at + first.size : at + first.size + count].reshape(len(record.h), self._inner)
+            x = (first if nodes > 1 else np.vstack([first, points[:, -self.nx :]])) * self.scale
+            own = v.states_each
+            z[v.columns(e)[n:]] = (x[0, own] - v.initial.guess[e, own]) / v.initial.scale[own]
+            states.append(x)
+            at += first.size + count
+        return Collocated(v.moved(z), tuple(states))
+
+    def _movement(self) -> float:
+        """Chi-square of a model that stands still: the cost over it is of order one, and so are its derivatives."""
+        y = np.concatenate([r.y for r in self.records]) * self.weight
+        y = y[:, np.isfinite(y).any(axis=0)]
+        total = np.nansum(np.square(y - np.nanmean(y, axis=0)))
+        return float(total) or 1.0
+
+    @property
+    def _inner(self) -> int:
+        """Unknowns at the points of one interval."""
+        return self.nx * self.degree * self.elements
+
+    def _nodes(self, record: Record) -> int:
+        """Samples whose states are variables of their own: with Radau points the end of an interval is its last point."""
+        return 1 if self.scheme == "radau" else len(record.u)
+
+    def _record(self, z: ca.MX, first: ca.MX, points: ca.MX, e: int) -> tuple[ca.MX, list[ca.MX]]:
+        """Weighted residuals of one record where it was measured, and the equations that its states must satisfy."""
+        v, record, system = self.variables, self.records[e], self.variables.model.system
+        p, count = self._parameters(z, e), len(record.h)
+        nodes = first if first.size2() > 1 else ca.horzcat(first, points[-self.nx :, :])
+        u = ca.DM(record.u.T)
+        after = u[:, 1:] if record.first_order else u[:, :-1]
+        interval = self._interval().map(count)
+        defects, ends = interval(nodes[:, :-1], points, u[:, :-1], after, ca.DM(record.h).T, ca.repmat(p, 1, count))
+        constraints = [ca.vec(defects)]
+        if self.scheme == "legendre":
+            constraints.append(ca.vec(nodes[:, 1:] - ends))
+        tied = np.flatnonzero(~v.initial.free)
+        if len(tied):  # states that begin as declared, perhaps by the constants
+            declared = system.start_function(p)[0]
+            constraints.append((nodes[:, 0] - declared / ca.DM(self.scale))[tied.tolist()])
+        x, v_u, v_p = ca.SX.sym("x", self.nx), ca.SX.sym("u", system.u.numel()), ca.SX.sym("p", system.p.numel())
+        outputs = ca.Function("y", [x, v_u, v_p], [system.output_function(x * self.scale, v_u, v_p) * self.weight])
+        model = ca.vec(outputs.map(count + 1)(nodes, u, ca.repmat(p, 1, count + 1)))
+        measured = (record.y * self.weight).ravel()
+        there = np.flatnonzero(np.isfinite(measured))
+        return measured[there] - model[there.tolist()], constraints
+
+    def _interval(self) -> ca.Function:
+        """``(x, points, ua, ub, h, p) -> (equations at the points, state at the end)`` of one sampling interval, states scaled."""
+        system, d, m, nx = self.variables.model.system, self.degree, self.elements, self.nx
+        tau = ca.collocation_points(d, self.scheme)
+        slope, end, _ = ca.collocation_coeff(tau)
+        rhs = ca.Function("rhs", [system.x, system.u, system.p], [system.rhs])
+        x, points, h = ca.SX.sym("x", nx), ca.SX.sym("points", self._inner), ca.SX.sym("h")
+        nu, p = system.u.numel(), ca.SX.sym("p", system.p.numel())
+        ua, ub = ca.SX.sym("ua", nu), ca.SX.sym("ub", nu)
+        here, equations = x, []
+        for k in range(m):
+            own = ca.reshape(points[k * nx * d : (k + 1) * nx * d], nx, d)
+            whole = ca.horzcat(here, own)
+            rates = whole @ slope
+            for j in range(d):
+                u = ua + (ub - ua) * ((k + tau[j]) / m)
+                equations.append(rates[:, j] - h / m * rhs(own[:, j] * self.scale, u, p) / self.scale)
+            here = own[:, -1] if self.scheme == "radau" else whole @ end
+        return ca.Function("interval", [x, points, ua, ub, h, p], [ca.vertcat(*equations), here], {"cse": True})
+
+    def _parameters(self, z: ca.MX, e: int) -> ca.MX:
+        """All parameters as expressions of the scaled constants, as `Variables.parameters` computes them."""
+        v = self.variables
+        p = [ca.MX(value) for value in v.fixed]
+        for k, place in enumerate(v.which):
+            p[place] = v.base[k] * ca.exp(z[k]) if v.logarithmic[k] else v.base[k] + v.scale[k] * z[k]
+        for place, value in (v.conditions[e] if v.conditions else {}).items():
+            p[place] = ca.MX(value)
+        return ca.vertcat(*p)
+
+    def _edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Start and bounds of all variables; states start on straight lines between the samples of ``start``."""
+        v, n = self.variables, len(self.variables.which)
+        low, high = (edge[:n] for edge in v.bounds())
+        starts, lows, highs = [np.zeros(n)], [low], [high]
+        edges = np.array([s.bounds for s in v.model.all_states], float).T / self.scale
+        tau = np.array(ca.collocation_points(self.degree, self.scheme))
+        inside = np.concatenate([(k + tau) / self.elements for k in range(self.elements)])
+        for record, x in zip(self.records, self.start, strict=True):
+            x = x / self.scale
+            points = x[:-1, None, :] + inside[:, None] * (x[1:] - x[:-1])[:, None, :]
+            here = np.concatenate([x[: self._nodes(record)].ravel(), points.ravel()])
+            repeat = len(here) // self.nx
+            starts.append(np.clip(here, np.tile(edges[0], repeat), np.tile(edges[1], repeat)))
+            lows.append(np.tile(edges[0], repeat))
+            highs.append(np.tile(edges[1], repeat))
+        return np.concatenate(starts), np.concatenate(lows), np.concatenate(highs)
+
+
+def _check(variables: Variables, scheme: str, degree: int, elements: int, hessian: str) -> None:
+    system = variables.model.system
+    if scheme not in SCHEMES:
+        raise ModelError(f"unknown collocation points {scheme!r}; {nearest(scheme, SCHEMES)}")
+    if hessian not in HESSIANS:
+        raise ModelError(f"unknown Hessian {hessian!r}; {nearest(hessian, HESSIANS)}")
+    if not 1 <= degree <= 9:
+        raise ModelError(f"collocation of degree {degree}: give 1 to 9 points an element")
+    if elements < 1:
+        raise ModelError(f"{elements} collocation elements a sample: give at least 1")
+    kinks = [*(d.effect for d in system.dry), *(s.effect for s in system.updates)]
+    if kinks:
+        raise ModelError(
+            f"direct collocation needs smooth equations, but {', '.join(kinks)} sticks or switches; use single or multiple shooting"
+        )
+    if system.delays:
+        names = ", ".join(d.effect for d in system.delays)
+        raise ModelError(f"direct collocation cannot delay an input yet ({names}); use single or multiple shooting")

@@ -1,0 +1,49 @@
+"""Operating conditions: constants that an experiment brings itself, such as the supply pressure it was run at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from greybox.errors import ModelError, nearest
+from greybox.model import Model
+
+
+def conditions_of(model: Model, conditions: Sequence[Mapping[str, float]]) -> tuple[dict[int, float], ...]:
+    """For each experiment its conditions, as position in ``system.p`` -> value.
+
+    A condition is a parameter of the model with a value of its own in that experiment, in the parameter's unit; experiments that
+    do not name it keep the model's value. It is known, so it is not fitted. Raises ModelError, with all offenders, for a name
+    that the model does not have, a value that its bounds or the model's rules refuse, and a free constant that only some
+    experiments give (for the others it would be fitted, and then it is no condition).
+    """
+    names = list(model.values)
+    problems = []
+    for e, given in enumerate(conditions):
+        subject = f"experiment {e + 1} of {len(conditions)}"
+        unknown = [n for n in given if n not in names]
+        problems += [
+            f"{subject}: condition {n!r} is no parameter of {model.title}; {nearest(n, names)}" for n in unknown
+        ]
+        try:
+            model.start(**{n: v for n, v in given.items() if n in names})
+        except ModelError as error:
+            problems.append(f"{subject}, its conditions: {error}")
+    for q in model.free_parameters:
+        missing = [str(e + 1) for e, given in enumerate(conditions) if q.name not in given]
+        if 0 < len(missing) < len(conditions):
+            problems.append(
+                f"condition {q.name!r} is free in the model but not given for experiment {', '.join(missing)}; give it for every"
+                f" experiment, or fix it: model.fix({q.name}=...)"
+            )
+    if problems:
+        raise ModelError("; ".join(problems))
+    return tuple({names.index(n): float(v) for n, v in given.items()} for given in conditions)
+
+
+def under(p: np.ndarray, conditions: Mapping[int, float]) -> np.ndarray:
+    """The parameters (np,) with those that an experiment gives replaced; ``p`` itself is left alone."""
+    p = p.copy()
+    p[list(conditions)] = list(conditions.values())
+    return p

@@ -1,0 +1,279 @@
+"""Multiple shooting: each record in segments that start from states of their own and are made to meet at the optimum.
+
+For an unstable or chaotic plant, and for long records, where a free run from one initial state forgets the constants (or
+overflows) before the optimiser can use them: an error grows over one segment only.
+
+The nodes never reach the optimiser as variables. In each step the segments are linearised,
+
+    r_k + R_k ds_k + P_k dz,      ds_{k+1} = A_k ds_k + B_k dz + d_k,      d_k = x(end of segment k) - s_{k+1},
+
+and the nodes eliminated from the constrained least-squares problem, which leaves a bounded one in the constants alone (Bock
+1987; lifted Newton, Albersmeyer and Diehl 2010). They are eliminated with all nodes at once, not by carrying everything back
+to the first one: that product of ``A_k`` is what overflows on an unstable plant.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from greybox.integrators import Step
+from greybox.kernel import Kernel, Record, make_kernel
+from greybox.transcription.elimination import Reduced, Segment, eliminate
+from greybox.transcription.guess import nodes_of, run_pieces, settled
+from greybox.transcription.relax import DAMPING, bounded_step, relaxed
+from greybox.transcription.segments import cuts_every, ranges, segment, with_states
+from greybox.transcription.shooting import Evaluation, SingleShooting
+from greybox.transcription.variables import Variables
+
+# Over one segment an error may grow by this factor.
+SEGMENT_GROWTH = 5.0
+# A record has at most this many segments of at least so many rows, unless growth asks for shorter ones: at least so many.
+SEGMENTS, ROWS, FEWEST_ROWS = 50, 20, 8
+# Converged when a further step would lower chi-square by less than NEGLIGIBLE residual variances (or the misfit over noise by
+# PERFECT) and the segments meet within CONTINUOUS of the range of each state.
+NEGLIGIBLE, PERFECT, CONTINUOUS = 1e-6, 1e-7, 1e-7
+# A step is shortened, then damped, until cost or gaps come down.
+SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
+# What counts as lower: this share of the gaps.
+MARGIN = 1e-3
+# Where no step helps any more, a point that meets this rule so much less strictly is an optimum to within rounding errors.
+LOOSER = 1e4
+# A flat search ends: so many iterations that gained less than this share of the cost.
+PATIENCE, LITTLE_GAIN = 8, 1e-5
+
+Report = Callable[[int, float], None]
+
+
+@dataclass(frozen=True)
+class Lifted:
+    """The optimum of a multiple-shooting fit.
+
+    ``variables`` with ``z = 0`` there; ``evaluation`` with the gradient and Gauss-Newton matrix of the constants, every state
+    eliminated (the rows of initial states are zero); ``nodes`` (segments + 1, nx) of each record, its end included; ``runs``
+    outputs (N, ny) and states (N, nx) of each record, segment by segment; ``gap`` the largest jump between segments, as a
+    share of the state's range. ``converged``, or ``reason`` says why not.
+    """
+
+    variables: Variables
+    evaluation: Evaluation
+    nodes: tuple[np.ndarray, ...]
+    runs: tuple[tuple[np.ndarray, np.ndarray], ...]
+    gap: float
+    converged: bool
+    reason: str
+    iterations: int
+    evaluations: int
+    seconds: float
+
+
+def rows_of_segment(growth: float, record: Record) -> int:
+    """Samples of a segment for a plant whose errors grow by ``exp(growth t)`` (1/s; at most zero: they do not)."""
+    longest = max(len(record.samples(record.u)) // SEGMENTS, ROWS)
+    period = record.every * float(np.median(record.h)) if len(record.h) else 1.0
+    if growth > 0:
+        longest = min(longest, int(np.log(SEGMENT_GROWTH) / (growth * period)))
+    return max(FEWEST_ROWS, longest)
+
+
+class MultipleShooting:
+    """Lifted Gauss-Newton over records cut in segments of ``rows`` samples (one number, or one for each record).
+
+    ``variables``, ``step``, ``records`` and ``weight`` as for `SingleShooting`; ``kernel`` is used for the first guess of the
+    nodes: hidden states of each segment are found from its own samples at the start values, beginning where the segment before
+    ended. ``nodes`` gives them instead, (segments, nx) for each record.
+    """
+
+    def __init__(
+        self, variables: Variables, step: Step, kernel: Kernel, records: Sequence[Record], weight: np.ndarray,
+        rows: int | Sequence[int], nodes: Sequence[np.ndarray] | None = None,
+    ) -> None:  # fmt: skip
+        self.variables, self.weight = variables, weight
+        self.single = SingleShooting(variables, step, kernel, records, weight)
+        self.records = self.single.records
+        each = [rows] * len(records) if isinstance(rows, int) else list(rows)
+        self.cuts = [cuts_every(e, r, n) for e, (r, n) in enumerate(zip(self.records, each, strict=True))]
+        self.kernel = make_kernel(with_states(step))
+        self.nx, self.ny = step.advance.size1_in(0), len(weight)
+        self.parts = [
+            [segment(r, a, b, self.nx) for a, b in pairwise(c)] for r, c in zip(self.records, self.cuts, strict=True)
+        ]
+        self._arcs = settled(self.single, self.cuts) if nodes is None else None
+        found = nodes_of(self.single, self.cuts, self._arcs) if self._arcs else nodes or ()
+        self.nodes = [np.array(n, float) for n in found]
+        self.scale = ranges(self.nodes)
+        self.evaluations = 0
+
+    def solve(self, *, iterations: int = 100, relax: bool = True, report: Report | None = None) -> Lifted:
+        """Minimise the cost with the segments joined, from ``z = 0`` and the present nodes.
+
+        ``relax``: first fit the segments as arcs that need not meet (not where nodes were given). ``report`` is called with the
+        number of each iteration and its cost.
+        """
+        began = time.perf_counter()
+        state = _Search(np.zeros(self.variables.size), self.nodes)
+        if relax and self._arcs:
+            state.z[: self._arcs.size] = relaxed(self._arcs)
+            state.nodes = nodes_of(self.single, self.cuts, self._arcs)
+        now = self._linearised(state)
+        reason, costs, done = "the model cannot be simulated from the start values", [], 0
+        reached = False
+        while now is not None and done < iterations:
+            if report:
+                report(done, now.cost)
+            reached = self._converged(now)
+            costs.append(now.cost)
+            if reached or (now.gap < CONTINUOUS and _flat(costs)):
+                reached, reason = True, "" if reached else "the cost no longer changes"
+                break
+            reason = "stopped at the iteration limit before it converged"
+            following = self._following(state, now)
+            if following is None:  # at rounding errors, or truly stuck
+                reached = self._converged(now, LOOSER)
+                reason = "no further progress: no step lowers the cost or closes the gaps"
+                break
+            state, now = following
+            done += 1
+        return self._result(state, now, reached, reason, done, time.perf_counter() - began)
+
+    def _converged(self, now: _Linear, looser: float = 1.0) -> bool:
+        """Whether a further step would neither lower the cost nor close a gap."""
+        count = max(int(now.counts.sum()), 1)
+        change = abs(now.cost - now.reduced.cost_after(self._bounded(now, 0.0)))
+        return now.gap <= CONTINUOUS and change <= looser * (NEGLIGIBLE * now.cost / count + PERFECT**2 * count)
+
+    def _following(self, state: _Search, now: _Linear) -> tuple[_Search, _Linear] | None:
+        """The next point: the longest step, ever more damped, that lowers the cost or the gaps (filter of Fletcher and Leyffer)."""
+        state.filter.append((now.violation, now.cost))
+        for damping in DAMPING:
+            change = self._bounded(now, damping)
+            for share in SHARES:
+                trial = self._moved(state, now, change, share)
+                there = self._linearised(trial)
+                if there is not None and trial.accepts(there.violation, there.cost):
+                    return trial, there
+        return None
+
+    def _bounded(self, now: _Linear, damping: float) -> tuple[np.ndarray, list[np.ndarray]]:
+        """The step of constants and nodes that minimises the reduced quadratic within the bounds of the constants."""
+        return now.reduced.step(bounded_step(self.variables, now.z, now.reduced.gradient, now.reduced.hessian, damping))
+
+    def _moved(
+        self, state: _Search, now: _Linear, change: tuple[np.ndarray, list[np.ndarray]], share: float
+    ) -> _Search:
+        dz, ds = change
+        z = state.z.copy()
+        z[: len(dz)] += share * dz
+        nodes = [s + share * d * self.scale for s, d in zip(state.nodes, ds, strict=True)]
+        return _Search(z, nodes, list(state.filter))
+
+    def _linearised(self, state: _Search) -> _Linear | None:
+        """Residuals, end states and their slopes of every segment, the nodes eliminated; None where a segment overflows."""
+        self.evaluations += 1
+        segments, squares, counts = [], np.zeros(self.ny), np.zeros(self.ny, int)
+        for e in range(len(self.records)):
+            own = self._record(state, e, squares, counts)
+            if own is None:
+                return None
+            segments.append(own)
+        reduced = eliminate(segments, len(self.variables.which))
+        gaps = np.concatenate([np.abs(s.defect) for own in segments for s in own])
+        return _Linear(
+            state.z, float(squares.sum()), squares, counts, reduced, float(gaps.max(initial=0.0)), float(gaps.sum())
+        )
+
+    def _record(self, state: _Search, e: int, squares: np.ndarray, counts: np.ndarray) -> list[Segment] | None:
+        v, n, nx = self.variables, len(self.variables.which), self.nx
+        p = v.parameters(state.z, e)
+        q, dq, dp, x0, dx0 = self.single.at(state.z, p, e)
+        lanes = np.zeros((nx, n + nx))
+        lanes[:, n:] = np.diag(self.scale)
+        dq = np.concatenate([dq[:, :, :n], np.zeros((*dq.shape[:2], nx))], axis=2)
+        dp = np.concatenate([dp[:, :n], np.zeros((len(dp), nx))], axis=1)
+        weight = np.concatenate([self.weight, np.ones(nx)])
+        nodes, found = state.nodes[e], []
+        for k, part in enumerate(self.parts[e]):
+            r, j = self.kernel.residuals(part, q, dq, p, dp, nodes[k], lanes, weight)
+            end, ends = -r[-1, self.ny :], -j[-1, self.ny :]
+            r, j = r[:, : self.ny], j[:, : self.ny]
+            there = np.isfinite(part.y[:, : self.ny])
+            if not (
+                np.isfinite(end).all()
+                and np.isfinite(ends).all()
+                and np.isfinite(r[there]).all()
+                and np.isfinite(j[there]).all()
+            ):
+                return None
+            squares += np.square(np.where(there, r, 0.0)).sum(axis=0)
+            counts += there.sum(axis=0)
+            defect = (end - nodes[k + 1]) / self.scale
+            found.append(Segment(r[there], j[there], ends / self.scale[:, None], defect, None))
+        first = np.flatnonzero(~v.initial.free)
+        if len(first):  # states that begin as declared
+            tie = first, ((x0 - nodes[0]) / self.scale)[first], (dx0[:, :n] / self.scale[:, None])[first]
+            found[0] = replace(found[0], tie=tie)
+        return found
+
+    def _result(
+        self, state: _Search, now: _Linear | None, converged: bool, reason: str, done: int, seconds: float
+    ) -> Lifted:
+        v, n = self.variables, len(self.variables.which)
+        z, own = state.z.copy(), v.states_each
+        for e in range(v.experiments):
+            z[v.columns(e)[n:]] = (state.nodes[e][0][own] - v.initial.guess[e, own]) / v.initial.scale[own]
+        gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
+        if now is None:
+            evaluation = Evaluation(np.inf, gradient, hessian, np.zeros(self.ny), np.zeros(self.ny, int), (0, 0))
+            return Lifted(v, evaluation, tuple(state.nodes), (), np.inf, False, reason, done, self.evaluations, seconds)
+        gradient[:n], hessian[:n, :n] = 2 * now.reduced.gradient, 2 * now.reduced.hessian
+        evaluation = Evaluation(now.cost, gradient, hessian, now.squares, now.counts)
+        runs = tuple(run_pieces(self.single, z, e, self.cuts[e], state.nodes[e]) for e in range(v.experiments))
+        return Lifted(
+            v.moved(z),
+            evaluation,
+            tuple(state.nodes),
+            runs,
+            now.gap,
+            converged,
+            reason,
+            done,
+            self.evaluations,
+            seconds,
+        )
+
+
+@dataclass
+class _Search:
+    """A point: ``z``, the nodes of each record, and the pairs (gaps, cost) that a new point must not be worse than in both."""
+
+    z: np.ndarray
+    nodes: list[np.ndarray]
+    filter: list[tuple[float, float]] = field(default_factory=list)
+
+    def accepts(self, violation: float, cost: float) -> bool:
+        """Whether a point is better than each in the filter in one respect or the other."""
+        return all(
+            violation < (1 - MARGIN) * v or cost < c - MARGIN * min(violation, 1.0) * abs(c) for v, c in self.filter
+        )
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """Everything at one point: cost, gaps, and the problem with its nodes eliminated."""
+
+    z: np.ndarray
+    cost: float
+    squares: np.ndarray
+    counts: np.ndarray
+    reduced: Reduced
+    gap: float
+    violation: float
+
+
+def _flat(costs: Sequence[float]) -> bool:
+    """Whether the last iterations gained next to nothing."""
+    return len(costs) > PATIENCE and costs[-1 - PATIENCE] - costs[-1] <= LITTLE_GAIN * costs[-1]
