@@ -6,15 +6,19 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from greybox.fitting.alias import VISIBLE, VISIBLE_BY_DIFFERENCES, Move
 from greybox.fitting.solve import Solution
-from greybox.fitting.uncertainty import Uncertainty
+from greybox.fitting.uncertainty import SANDWICH, Uncertainty
+from greybox.noise.hierarchy import DIFFERENCES
 from greybox.optimiser import Status
 from greybox.result import Estimate, Misfit, Trace
 
-# Misfit over noise from which something other than noise is left.
-VISIBLE = 1.3
-# Sample-to-sample correlation of the residual from which white-noise intervals are too narrow, if there is a residual at all.
+# Sample-to-sample correlation of the residual from which it is worth a remark, if there is a residual at all.
 COLOURED, LITTLE = 0.3, 0.1
+# Constants that move are listed up to this number.
+MOST_MOVES = 3
+# Share of a standard deviation that half the step may move a constant.
+SHIFTED = 0.1
 
 CAUSES = {
     Status.NO_START: (
@@ -22,9 +26,21 @@ CAUSES = {
         "an unstable model over a long record",
         "a missing bound (for example a level below zero)",
     ),
-    Status.ITERATION_LIMIT: ("constants that the data do not determine: fix one", "start values far off: give others with start", "too few iterations"),
-    Status.STUCK: ("constants that the data do not determine: fix one", "an effect that is not smooth in its constants", "bounds that exclude the optimum"),
-    Status.FAILED: ("start values far from physical ones", "an unstable model over a long record", "bounds that exclude the optimum"),
+    Status.ITERATION_LIMIT: (
+        "constants that the data do not determine: fix one",
+        "start values far off: give others with start",
+        "too few iterations",
+    ),
+    Status.STUCK: (
+        "constants that the data do not determine: fix one",
+        "an effect that is not smooth in its constants",
+        "bounds that exclude the optimum",
+    ),
+    Status.FAILED: (
+        "start values far from physical ones",
+        "an unstable model over a long record",
+        "bounds that exclude the optimum",
+    ),
 }
 
 
@@ -42,26 +58,75 @@ def meaning(solution: Solution, misfit: Mapping[str, Misfit]) -> str:
     return text
 
 
-def notes(solution: Solution, found: Uncertainty, estimates: Mapping[str, Estimate], misfit: Mapping[str, Misfit], runs: Sequence[Trace]) -> tuple[str, ...]:
+def notes(
+    solution: Solution,
+    found: Uncertainty,
+    estimates: Mapping[str, Estimate],
+    misfit: Mapping[str, Misfit],
+    runs: Sequence[Trace],
+    moves: Sequence[Move] = (),
+    shift: np.ndarray | None = None,
+) -> tuple[str, ...]:
     """Sentences in order of importance."""
     result = []
     for direction in found.open_directions:
         result.append(f"not determined by these data: {describe(direction)}")
     at_bound = [name for name, e in estimates.items() if e.at_bound]
     if at_bound:
-        result.append(f"stopped by a bound: {', '.join(at_bound)}; widen the bound, or the model needs something else there")
+        result.append(
+            f"stopped by a bound: {', '.join(at_bound)}; widen the bound, or the model needs something else there"
+        )
     wide = [n for n, e in estimates.items() if e.std is not None and not e.at_bound and e.std > 0.5 * abs(e.value)]
     if wide:
         result.append(f"poorly determined (standard deviation over half the value): {', '.join(wide)}")
-    if any(m.noise_ratio > VISIBLE for m in misfit.values()):
-        result.append("the misfit exceeds the noise: the model lacks something, and the constants may imitate it")
+    result += _excess(solution, misfit)
+    if moves:
+        result.append(
+            f"not constant: {'; '.join(map(_moved, moves[:MOST_MOVES]))}: imitating something that the model lacks, or that changes"
+        )
     coloured = [n for n, m in misfit.items() if m.noise_ratio > LITTLE and correlation(runs, n) > COLOURED]
-    if coloured:
-        result.append(f"the residual of {', '.join(coloured)} is correlated from sample to sample: the intervals assume white noise and are too narrow")
-    coarse = [n for n, e in zip(misfit, solution.integration_error, strict=False) if e > 0.1 and e > 0.01 * misfit[n].noise_ratio]
+    if found.kind == SANDWICH and coloured and found.inflation is not None and len(found.inflation):
+        result.append(
+            f"the residual of {', '.join(coloured)} is correlated from sample to sample: the intervals allow for it, and are up to"
+            f" {np.nanmax(found.inflation):.2g} times as wide as white noise would make them"
+        )
+    error = dict(zip((o.name for o in solution.problem.model.outputs), solution.integration_error, strict=True))
+    coarse = [n for n, m in misfit.items() if error[n] > 0.1 and error[n] > 0.01 * m.noise_ratio]
     if coarse:
-        result.append(f"integration error above a tenth of the noise in {', '.join(coarse)}: raise the number of substeps")
+        result.append(
+            f"integration error above a tenth of the noise in {', '.join(coarse)}: raise the number of substeps"
+        )
+    rough = (
+        [] if shift is None else [(n, s) for n, s in zip(solution.variables.names, shift, strict=True) if s > SHIFTED]
+    )
+    if rough:
+        listed = ", ".join(f"{n} by {s:.2g}" for n, s in rough)
+        result.append(
+            f"with half the step the constants change by more than a tenth of their standard deviation ({listed} of it):"
+            " raise the number of substeps"
+        )
     return tuple(result)
+
+
+def _excess(solution: Solution, misfit: Mapping[str, Misfit]) -> list[str]:
+    """What a misfit above the noise means, by how the noise is known."""
+    louder = {n: m.noise_ratio for n, m in misfit.items() if m.noise_ratio > VISIBLE}
+    if not louder:
+        return []
+    sources = solution.problem.noise.sources
+    if all(sources.get(n) == DIFFERENCES and ratio < VISIBLE_BY_DIFFERENCES for n, ratio in louder.items()):
+        return [
+            "the misfit exceeds the noise that the records' differences show: the model lacks something, or the noise is"
+            " coloured (a quiet record tells)"
+        ]
+    return ["the misfit exceeds the noise: the model lacks something, and the constants may imitate it"]
+
+
+def _moved(move: Move) -> str:
+    return (
+        f"{move.name} goes from {move.before:.4g} to {move.after:.4g} {move.unit} between {move.between},"
+        f" {move.deviations:.2g} standard deviations of the noise"
+    )
 
 
 def describe(direction: Mapping[str, float]) -> str:

@@ -26,7 +26,8 @@ class FitOptions:
     ``at_rest``: every record starts at the states the model declares, instead of estimated ones. ``method``: ``automatic``,
     ``exact`` or ``rk4``. ``substeps`` of RK4 a sample, 0 to choose. ``progressive``: fit a growing part of the record, so that a start
     far off does not lock onto a wrong oscillation. ``iterations`` at most in each stage; ``tolerance`` of IPOPT; as a rule the
-    search ends earlier, when a further step would change nothing that matters.
+    search ends earlier, when a further step would change nothing that matters. ``thorough``: where the cost has a kink (dry
+    friction) and its gradient misleads, search on without it; that takes many passes.
     """
 
     at_rest: bool = False
@@ -35,3 +36,4 @@ class FitOptions:
     progressive: bool = True
     iterations: int = 200
     tolerance: float = 1e-12
+    thorough: bool = True

@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.errors import DataError, ModelError, nearest
+from greybox.errors import DataError
 from greybox.experiment import Experiment
 from greybox.integrators import Step, discretise
 from greybox.kernel import Kernel, Record, make_kernel
 from greybox.model import Model
-from greybox.noise import record_noise
+from greybox.noise import Noise, noise_of
 from greybox.transcription import InitialStates, SingleShooting, Variables, record_of
-
-# Where the noise is not given and the record shows none (a simulation), misfits are judged against this share of the signal.
-LEAST_NOISE = 1e-6
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Standard deviation of each output (ny,) in the model's units, and where it comes from, in words."""
-
-    std: np.ndarray
-    source: str
-    given: bool
+from greybox.transcription.whitened import WhitenedShooting
 
 
 @dataclass(frozen=True)
@@ -42,61 +31,52 @@ class Problem:
     method: str
 
     def shooting(self, variables: Variables, share: float = 1.0) -> SingleShooting:
-        """The cost over the first ``share`` of every record."""
+        """The cost over the first ``share`` of every record; whitened where the noise is known to be coloured."""
+        if self.noise.coloured:
+            return WhitenedShooting(
+                variables, self.step, self.kernel, self.records, 1 / self.noise.std, self.noise.colour, share
+            )  # fmt: skip
         return SingleShooting(variables, self.step, self.kernel, self.records, 1 / self.noise.std, share)
+
+    def with_noise(self, noise: Noise) -> Problem:
+        """The same with other weights."""
+        return replace(self, noise=noise)
 
     def with_step(self, substeps: int, p: np.ndarray) -> Problem:
         """The same with another number of substeps."""
         step = _discretise(self.model, self.records, p, None, self.method, substeps)
-        return Problem(
-            self.model, self.experiments, self.records, self.noise, self.variables, step, make_kernel(step), self.method
-        )  # fmt: skip
+        return replace(self, step=step, kernel=make_kernel(step))
 
 
 def prepare(
-    model: Model, experiments: Experiment | Sequence[Experiment], noise: Mapping[str, float] | None, *, at_rest: bool, method: str, substeps: int
+    model: Model,
+    experiments: Experiment | Sequence[Experiment],
+    noise: Mapping[str, float] | Noise | None,
+    *,
+    at_rest: bool,
+    method: str,
+    substeps: int,
+    quiet: Experiment | Sequence[Experiment] = (),
 ) -> Problem:
-    """Check model and data against each other and lay out the problem.
+    """Check model and data against each other and lay out the problem; ``quiet`` records tell the noise (`greybox.noise`).
+
+    ``noise`` as `greybox.noise.noise_of` takes it, or a `Noise` that is known from an earlier fit.
 
     Raises DataError or ModelError with what is wrong and what to do.
     """
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
     if not group:
         raise DataError("no experiment to fit; give at least one")
+    for e in group:
+        model.check_measured(f"experiment {e.name!r}", e.outputs)
     records = tuple(record_of(model, e) for e in group)
-    deviation = noise_of(model, records, noise or {})
+    deviation = noise if isinstance(noise, Noise) else noise_of(model, group, noise or {}, quiet)
     initial = initial_states(model, records, at_rest)
     p = np.array(list(model.values.values()))
     step = _discretise(model, records, p, initial.guess, method, substeps)
-    return Problem(model, group, records, deviation, Variables.of(model, initial), step, make_kernel(step), method)
-
-
-def noise_of(model: Model, records: Sequence[Record], given: Mapping[str, float]) -> Noise:
-    """Noise of each output: as given, else estimated from the records' high-order differences."""
-    names = [o.name for o in model.outputs]
-    for name, value in given.items():
-        if name not in names:
-            raise ModelError(f"noise of {name!r}: the model has no such output; {nearest(name, names)}")
-        if not (np.isfinite(value) and value > 0):
-            raise ModelError(f"noise of {name!r}: {value} is not a positive standard deviation; give it in {model.outputs[names.index(name)].unit}")
-    std = np.ones(len(names))
-    estimated = []
-    for j, name in enumerate(names):
-        columns = [r.y[:, j] for r in records]
-        values = np.concatenate(columns)
-        if not np.isfinite(values).any():
-            continue
-        if name in given:
-            std[j] = given[name]
-            continue
-        estimated.append(name)
-        spread = float(np.nanstd(values)) or float(np.nanmax(np.abs(values))) or 1.0
-        found = record_noise(columns)
-        std[j] = max(found if np.isfinite(found) else 0.0, LEAST_NOISE * spread)
-    if not estimated:
-        return Noise(std, "given", True)
-    rest = f" for {', '.join(estimated)}" if given else ""
-    return Noise(std, f"estimated from the records' differences{rest} (too small if the noise is coloured)", False)
+    conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
+    variables = Variables.of(model, initial, conditions)
+    return Problem(model, group, records, deviation, variables, step, make_kernel(step), method)
 
 
 def initial_states(model: Model, records: Sequence[Record], at_rest: bool) -> InitialStates:
@@ -117,7 +97,9 @@ def initial_states(model: Model, records: Sequence[Record], at_rest: bool) -> In
     return InitialStates(guess, np.full(len(names), not at_rest), scale)
 
 
-def _discretise(model: Model, records: Sequence[Record], p: np.ndarray, x: np.ndarray | None, method: str, substeps: int) -> Step:
+def _discretise(
+    model: Model, records: Sequence[Record], p: np.ndarray, x: np.ndarray | None, method: str, substeps: int
+) -> Step:
     lengths = np.unique(np.concatenate([r.lengths for r in records]))
     states = np.zeros((0, len(model.system.state_names))) if x is None else x
     return discretise(model.system, p, states, lengths, method=method, substeps=substeps)

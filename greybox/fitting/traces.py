@@ -18,10 +18,17 @@ def traces(problem: Problem, variables: Variables) -> tuple[Trace, ...]:
     states = problem.model.system.state_names
     result = []
     for experiment, record, (y, x) in zip(problem.experiments, problem.records, runs, strict=True):
-        measured = {o.name: record.y[:, j] for j, o in enumerate(problem.model.outputs) if np.isfinite(record.y[:, j]).any()}
+        y, x, seen, given = (record.samples(rows) for rows in (y, x, record.y, record.u))
+        measured = {o.name: seen[:, j] for j, o in enumerate(problem.model.outputs) if np.isfinite(seen[:, j]).any()}
         simulated = {o.name: y[:, j] for j, o in enumerate(problem.model.outputs) if o.name in measured}
         start = dict(zip(states, map(float, x[0]), strict=True))
-        result.append(Trace(experiment.name, experiment.fingerprint, experiment.time, measured, simulated, start))
+        inputs = {i.name: given[:, j] for j, i in enumerate(problem.model.inputs)}
+        result.append(
+            Trace(
+                experiment.name, experiment.fingerprint, experiment.time, measured, simulated, start, inputs, experiment.hold,
+                dict(experiment.conditions),
+            )
+        )  # fmt: skip
     return tuple(result)
 
 
@@ -29,7 +36,11 @@ def misfits(problem: Problem, found: Sequence[Trace], skip: int = 0) -> dict[str
     """Free-run error of each output over all records, their first ``skip`` rows left out."""
     noise = {o.name: problem.noise.std[j] for j, o in enumerate(problem.model.outputs)}
     units = {o.name: o.unit for o in problem.model.outputs}
-    return {name: misfit(found, name, units[name], noise[name], skip) for name in noise if any(name in t.measured for t in found)}
+    return {
+        name: misfit(found, name, units[name], noise[name], skip)
+        for name in noise
+        if any(name in t.measured for t in found)
+    }
 
 
 def misfit(found: Sequence[Trace], output: str, unit: str, noise: float, skip: int = 0) -> Misfit:

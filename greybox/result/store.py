@@ -67,7 +67,9 @@ def load_fit(path: str | Path, model: Model) -> Fit:
     except (OSError, json.JSONDecodeError) as error:
         raise DataError(f"{source}: not a readable fit ({error}); give the fit.json that a fit has written") from error
     if not isinstance(data, dict) or data.get("format") != FORMAT or "parameters" not in data:
-        raise DataError(f"{source}: not a fit of this program (format {FORMAT}); give the fit.json that a fit has written")
+        raise DataError(
+            f"{source}: not a fit of this program (format {FORMAT}); give the fit.json that a fit has written"
+        )
     if data["model"] != model.name or data["effects"] != [e.name for e in model.effects]:
         said = " + ".join([data["model"], *data["effects"]])
         raise DataError(f"{source}: belongs to the model {said}, not to {model.title}; give that model")
@@ -81,9 +83,21 @@ def load_fit(path: str | Path, model: Model) -> Fit:
         traces=_traces(data["traces"]), validation_traces=_traces(data["validation_traces"]),
         free=tuple(data["free"]), notes=tuple(data["notes"]),
         covariance=_array(data["covariance"]).reshape(len(data["free"]), -1),
-        noise=_numbers(data["noise"]), integration_error=_numbers(data["integration_error"]), cost=_number(data["cost"]),
-        **{n: data[n] for n in ("status", "success", "meaning", "noise_source", "discretisation", "solver", "options", "equations", "versions")},
+        **_newer(data), noise=_numbers(data["noise"]), integration_error=_numbers(data["integration_error"]), cost=_number(data["cost"]),
+        **{n: data[n] for n in ("status", "success", "meaning", "noise_source", "discretisation")},
+        **{n: data[n] for n in ("solver", "options", "equations", "versions")},
     )  # fmt: skip
+
+
+def _newer(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields that the first files of this format did not have."""
+    return {
+        "noise_sources": dict(data.get("noise_sources", {})),
+        "noise_colour": {n: tuple(k) for n, k in data.get("noise_colour", {}).items()},
+        "interval_kind": data.get("interval_kind", "gauss_newton"),
+        "inflation": _numbers(data.get("inflation", {})),
+        "discretisation_shift": _numbers(data.get("discretisation_shift", {})),
+    }
 
 
 def _number(value: float | None) -> float:
@@ -106,7 +120,10 @@ def _array(values: list) -> np.ndarray:
 
 
 def _misfits(data: Mapping[str, dict]) -> dict[str, Misfit]:
-    return {o: Misfit(**{**m, **{k: _number(m[k]) for k in ("rmse", "best_fit_percent", "noise_ratio")}}) for o, m in data.items()}
+    return {
+        o: Misfit(**{**m, **{k: _number(m[k]) for k in ("rmse", "best_fit_percent", "noise_ratio")}})
+        for o, m in data.items()
+    }
 
 
 def _traces(data: Sequence[dict]) -> tuple[Trace, ...]:
@@ -114,5 +131,9 @@ def _traces(data: Sequence[dict]) -> tuple[Trace, ...]:
         return {name: _array(values) for name, values in group.items()}
 
     return tuple(
-        Trace(t["name"], t["fingerprint"], _array(t["time"]), arrays(t["measured"]), arrays(t["simulated"]), t["initial_state"]) for t in data
+        Trace(
+            t["name"], t["fingerprint"], _array(t["time"]), arrays(t["measured"]), arrays(t["simulated"]), t["initial_state"],
+            arrays(t.get("inputs", {})), t.get("hold", "zero"), t.get("conditions", {}),
+        )
+        for t in data
     )  # fmt: skip

@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from greybox.result.values import Estimate, Fit, Misfit
+from greybox.units import tidy
+
+MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
 
 
 def summary(fit: Fit) -> str:
     """Status beside misfit over noise, the constants with intervals, the misfit by output, and what to know before trusting them."""
     lines = [f"{fit.model.title}: {fit.meaning}", ""]
-    lines += _table(["constant", "value", "95 % interval", "unit", ""], [_constant(n, e) for n, e in fit.parameters.items()])
+    lines += table(
+        ["constant", "value", "95 % interval", "unit", ""], [_constant(n, e) for n, e in fit.parameters.items()]
+    )
     lines += ["", *_misfits("misfit (free run)", fit.misfit)]
     if fit.validation:
         lines += ["", *_misfits("on validation records (free run)", fit.validation)]
+    if fit.interval_kind == "sandwich" and fit.inflation:
+        lines += [
+            "",
+            f"intervals: allow for the residual's colour, widened up to {max(fit.inflation.values(), default=1.0):.3g} times",
+        ]
+    elif any(e.std is not None for e in fit.parameters.values()):
+        lines += ["", "intervals: Gauss-Newton covariance, the residual is white"]
     lines += ["", f"noise: {fit.noise_source}", f"discretisation: {fit.discretisation}"]
     lines += [f"note: {note}" for note in fit.notes]
     return "\n".join(lines)
@@ -29,32 +41,50 @@ def with_std(value: float, std: float) -> str:
     """``value +- std`` with two digits of the uncertainty: ``0.26910 +- 0.00034``."""
     if not (std > 0 and math.isfinite(std)):
         return number(value)
+    write = beside(value, std)
+    return f"{write(value)} +- {write(std)}"
+
+
+def beside(value: float, std: float) -> Callable[[float], str]:
+    """How to write numbers beside ``value +- std``, such as the ends of its interval: to two digits of the uncertainty."""
+    if not (std > 0 and math.isfinite(std)):
+        return number
     exponent = math.floor(math.log10(std))
     digits = max(1 - exponent, 0)
-    if abs(value) >= 1e6 or 0 < abs(value) < 1e-3 or digits > 8:
-        significant = min(max(math.floor(math.log10(max(abs(value), std))) - exponent + 1, 1), 9)
-        return f"{value:.{significant}e} +- {std:.1e}"
-    return f"{value:.{digits}f} +- {std:.{digits}f}"
+    if not (abs(value) >= 1e6 or 0 < abs(value) < 1e-3 or digits > 8):
+        return lambda v: f"{v:.{digits}f}"
+
+    def scientific(v: float) -> str:
+        leading = math.floor(math.log10(max(abs(v), std))) if math.isfinite(v) else 0
+        return f"{v:.{min(max(leading - exponent + 1, 1), 9)}e}"
+
+    return scientific
 
 
 def _constant(name: str, e: Estimate) -> list[str]:
     if e.fixed:
-        return [name, number(e.value, 7), "", e.unit, "fixed"]
+        return [name, number(e.value, 7), "", tidy(e.unit), "fixed"]
     remark = "at its bound" if e.at_bound else ""
     if e.std is None or e.interval is None:
-        return [name, number(e.value), "", e.unit, remark or "not determined by these data"]
+        return [name, number(e.value), "", tidy(e.unit), remark or "not determined by these data"]
     if e.std > 0.5 * abs(e.value) and not remark:
         remark = "poorly determined"
-    return [name, with_std(e.value, e.std), f"[{number(e.interval[0])}, {number(e.interval[1])}]", e.unit, remark]
+    low, high = map(beside(e.value, e.std), e.interval)
+    return [name, with_std(e.value, e.std), f"[{low}, {high}]", tidy(e.unit), remark]
+
+
+def misfit_cells(m: Misfit) -> list[str]:
+    """rmse, best fit and rmse over noise, as tables show them."""
+    return [f"{number(m.rmse, 4)} {tidy(m.unit)}".rstrip(), f"{m.best_fit_percent:.2f} %", f"{number(m.noise_ratio, 4)} x noise"]
 
 
 def _misfits(title: str, misfit: Mapping[str, Misfit]) -> list[str]:
-    rows = [
-        [name, f"{number(m.rmse, 4)} {m.unit}".rstrip(), f"{m.best_fit_percent:.2f} %", f"{number(m.noise_ratio, 4)} x noise"] for name, m in misfit.items()
-    ]
-    return _table([title, "rmse", "best fit", "rmse / noise"], rows)
+    return table([title, *MISFIT_HEADS], [[name, *misfit_cells(m)] for name, m in misfit.items()])
 
 
-def _table(head: list[str], rows: list[list[str]]) -> list[str]:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table, indented by two; each column as wide as it must be."""
     widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
-    return ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]]
+    return [
+        "  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]
+    ]

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from greybox.experiment import Experiment
+from greybox.experiment.experiment import Hold
 from greybox.model import Model
 
 
@@ -45,7 +47,11 @@ class Misfit:
 
 @dataclass(frozen=True)
 class Trace:
-    """One record and the model's run over it: ``time`` (N,), measured and simulated outputs by name (N,), its initial state."""
+    """One record and the model's run over it: ``time`` (N,), measured and simulated outputs by name (N,), its initial state.
+
+    ``inputs`` by name (N,), ``hold`` how they move between samples (``zero`` or ``first``), and ``conditions`` make it a whole
+    record again, see `experiment`.
+    """
 
     name: str
     fingerprint: str
@@ -53,6 +59,14 @@ class Trace:
     measured: Mapping[str, np.ndarray]
     simulated: Mapping[str, np.ndarray]
     initial_state: Mapping[str, float]
+    inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
+    hold: Hold = "zero"
+    conditions: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def experiment(self) -> Experiment:
+        """The record without the model's run."""
+        return Experiment(self.name, self.time, self.inputs, self.measured, self.hold, conditions=self.conditions)
 
     def residual(self, output: str) -> np.ndarray:
         """Measured minus simulated (N,), NaN in gaps."""
@@ -64,8 +78,12 @@ class Fit:
     """A fitted model.
 
     ``model`` carries the fitted values; ``parameters`` name -> `Estimate`; ``status`` and ``meaning`` how it ended, in a word and in
-    plain words; ``covariance`` (nf, nf) of the free constants in the order of ``free``; ``noise`` standard deviation of each output and
-    where it comes from; ``integration_error`` rms change of each output when the step is halved, over the noise; ``validation`` misfit
+    plain words; ``covariance`` (nf, nf) of the free constants in the order of ``free``; ``interval_kind``
+    says whether it is the ``gauss_newton`` covariance (white residual) or the ``sandwich`` that allows for a coloured one, and
+    ``inflation`` by which factor that widens each standard deviation; ``noise`` standard deviation of each output, ``noise_sources``
+    where each comes from (``noise_source`` in one line), ``noise_colour`` the reflection coefficients of its autoregression (none:
+    white, or not known); ``integration_error`` rms change of each output when the step is halved, over the noise;
+    ``discretisation_shift`` change of each constant when the step is halved, in its standard deviations; ``validation`` misfit
     on records not used for the fit; ``notes`` what a reader should know before trusting a number; ``solver`` statistics;
     ``options``, ``equations`` and ``versions`` for repeating it.
     """
@@ -91,6 +109,11 @@ class Fit:
     notes: tuple[str, ...] = ()
     validation: Mapping[str, Misfit] = field(default_factory=dict)
     validation_traces: Sequence[Trace] = ()
+    noise_sources: Mapping[str, str] = field(default_factory=dict)
+    noise_colour: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    interval_kind: str = "gauss_newton"
+    inflation: Mapping[str, float] = field(default_factory=dict)
+    discretisation_shift: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         from greybox.result.summary import summary

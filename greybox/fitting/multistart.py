@@ -1,0 +1,176 @@
+"""The same fit from many random starts: how many of them end at the best optimum says how far it can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.errors import GreyboxError, ModelError
+from greybox.experiment import Experiment
+from greybox.fitting.fit import fit
+from greybox.fitting.options import FitOptions
+from greybox.fitting.problem import Problem, prepare
+from greybox.fitting.solve import solve
+from greybox.model import Model
+from greybox.parallel import Report, run
+from greybox.result import Fit
+from greybox.signals import Parameter
+
+# Ends belong together if their costs differ by at most this share, or their misfits over noise by this much.
+SAME_COST, SAME_MISFIT = 0.01, 1e-3
+
+
+@dataclass(frozen=True)
+class End:
+    """Where one start ended: the values it began with and those it ended with, misfit over noise, how it ended.
+
+    ``values`` is empty and ``noise_ratio`` infinite where it led nowhere; ``status`` is then the reason.
+    """
+
+    start: Mapping[str, float]
+    values: Mapping[str, float]
+    noise_ratio: float
+    status: str
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class MultiStart:
+    """``best``: the fit from the best end. ``ends``: all of them, best first. ``interrupted``: Ctrl-C came before all were done."""
+
+    best: Fit
+    ends: tuple[End, ...]
+    interrupted: bool = False
+
+    @property
+    def winners(self) -> int:
+        """How many starts ended at the best optimum."""
+        return len(groups(self.ends)[0])
+
+    @property
+    def waterfall(self) -> str:
+        """How many starts ended where, in words."""
+        return waterfall(self.ends)
+
+    def __str__(self) -> str:
+        return f"{self.waterfall}\n{self.best}"
+
+
+def multistart(
+    model: Model,
+    experiments: Experiment | Sequence[Experiment],
+    *,
+    starts: int = 20,
+    seed: int = 0,
+    factor: float = 3.0,
+    noise: Mapping[str, float] | None = None,
+    validation: Experiment | Sequence[Experiment] = (),
+    skip: int = 0,
+    options: FitOptions | None = None,
+    executor: Executor | None = None,
+    workers: int = 0,
+    report: Report | None = None,
+) -> MultiStart:
+    """Fit ``model`` from its own start and ``starts - 1`` random ones, see `random_starts`; the rest as in `fit`.
+
+    The starts are independent of each other and run on local processes, ``workers`` of them (0: one for each core), or on
+    any ``executor``. ``report(done, starts)`` is called after each. Ctrl-C keeps what is finished.
+
+    Raises GreyboxError if no start led anywhere, ModelError and DataError as `fit` does.
+    """
+    options = options or FitOptions()
+    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    _prepared(model, group, noise, options)  # refuses here what no start can use
+    own = {q.name: q.value for q in model.free_parameters}
+    begins = [own, *random_starts(model, starts - 1, seed, factor)]
+    results, interrupted = run(
+        _one, (model, group, noise, options), begins, executor=executor, workers=workers, report=report
+    )
+    ends = []
+    for begin, done in zip(begins, results, strict=True):
+        if done is not None and done.error:
+            ends.append(End(begin, {}, np.inf, done.error, done.seconds))
+        elif done is not None:
+            values, ratio, status = done.value
+            ends.append(End(begin, values, ratio, status, done.seconds))
+    ends.sort(key=lambda end: end.noise_ratio)
+    if not ends or not ends[0].values:
+        reason = ends[0].status if ends else "interrupted before the first was done"
+        raise GreyboxError(
+            f"multi-start of {model.title}: none of {len(begins)} starts led anywhere ({reason});"
+            " give start values nearer to physical ones"
+        )
+    best = fit(model.start(**ends[0].values), group, noise=noise, validation=validation, skip=skip, options=options)
+    return MultiStart(replace(best, notes=(waterfall(ends), *best.notes)), tuple(ends), interrupted)
+
+
+def random_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -> list[dict[str, float]]:
+    """Start values about the model's own: each free constant log-uniform between value / factor and value x factor, within its bounds.
+
+    A constant at zero has no size to vary: it is uniform within its bounds, and stays where they are open. Raises ModelError
+    for a factor of one or less.
+    """
+    if not factor > 1:
+        raise ModelError(f"factor {factor:g} of the random starts: it must be greater than one; 3 is usual")
+    rng = np.random.default_rng(seed)
+    return [{q.name: _drawn(q, factor, rng.uniform()) for q in model.free_parameters} for _ in range(max(starts, 0))]
+
+
+def _drawn(q: Parameter, factor: float, share: float) -> float:
+    low, high = q.bounds
+    if q.value == 0:
+        return float(low + share * (high - low)) if np.isfinite(low) and np.isfinite(high) else 0.0
+    ends = sorted((q.value / factor, q.value * factor))
+    a, b = max(ends[0], low), min(ends[1], high)
+    size = np.sign(q.value)
+    return float(np.clip(size * np.exp(np.log(size * a) + share * np.log(b / a)), low, high))
+
+
+def groups(ends: Sequence[End]) -> list[list[End]]:
+    """Ends at the same optimum, best first; what led nowhere is left out."""
+    result: list[list[End]] = []
+    for end in sorted((e for e in ends if e.values), key=lambda e: e.noise_ratio):
+        if result and _alike(result[-1][0].noise_ratio, end.noise_ratio):
+            result[-1].append(end)
+        else:
+            result.append([end])
+    return result
+
+
+def waterfall(ends: Sequence[End]) -> str:
+    """``18 of 20 starts ended at the best optimum (misfit 1.00 x noise), 2 at a worse one (3.4 x)``."""
+    found = groups(ends)
+    parts = [
+        f"{len(found[0])} of {len(ends)} starts ended at the best optimum (misfit {found[0][0].noise_ratio:.3g} x noise)"
+    ]
+    parts += [f"{len(group)} at a worse one ({group[0].noise_ratio:.3g} x)" for group in found[1:4]]
+    if len(found) > 4:
+        rest = sum(map(len, found[4:]))
+        parts.append(f"{rest} at still worse ones (from {found[4][0].noise_ratio:.3g} x)")
+    nowhere = sum(not end.values for end in ends)
+    return ", ".join([*parts, f"{nowhere} led nowhere"] if nowhere else parts)
+
+
+def _alike(a: float, b: float) -> bool:
+    return b**2 <= (1 + SAME_COST) * a**2 or b - a <= SAME_MISFIT
+
+
+def _prepared(
+    model: Model, experiments: Sequence[Experiment], noise: Mapping[str, float] | None, options: FitOptions
+) -> Problem:
+    return prepare(model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps)
+
+
+def _one(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, float], float, str]:
+    """One start, where it runs: the values it ended with, misfit over noise, status."""
+    model, experiments, noise, options = common
+    solution = solve(_prepared(model.start(**begin), experiments, noise, options), options)
+    e = solution.evaluation
+    if not np.isfinite(e.cost):
+        return {}, np.inf, solution.status.value
+    values = solution.variables.parameters(np.zeros(solution.variables.size))
+    found = {name: float(values[k]) for name, k in zip(solution.variables.names, solution.variables.which, strict=True)}
+    return found, float(np.sqrt(e.cost / max(e.count, 1))), solution.status.value

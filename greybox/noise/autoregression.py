@@ -1,0 +1,142 @@
+"""Coloured noise as an autoregression: fitted by Burg's method, with gaps, its order by BIC."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.signal import lfilter, lfiltic
+
+# Highest order that is tried; a record must have this many samples for each order.
+MOST_ORDERS, SAMPLES_PER_ORDER = 12, 10
+
+
+@dataclass(frozen=True, eq=False)
+class AutoRegression:
+    """Noise of unit variance ``r[k] = a1 r[k-1] + ... + ap r[k-p] + e[k]``, stated by its reflection coefficients (p,).
+
+    Order zero is white noise. Reflection coefficients lie between -1 and 1, and every such sequence is a stationary process
+    (Burg 1975; Brockwell and Davis, Time series, section 5.2).
+    """
+
+    reflection: tuple[float, ...] = ()
+
+    @property
+    def order(self) -> int:
+        """Number of coefficients; zero is white."""
+        return len(self.reflection)
+
+    @cached_property
+    def ladder(self) -> tuple[tuple[np.ndarray, float], ...]:
+        """Best predictors from the last 0, 1, ... p samples: coefficients (m,), nearest sample first, and error variance."""
+        rungs = [(np.zeros(0), 1.0)]
+        for k in self.reflection:  # Levinson and Durbin
+            a, variance = rungs[-1]
+            rungs.append((np.append(a - k * a[::-1], k), variance * (1 - k * k)))
+        return tuple(rungs)
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """``a1 ... ap`` (p,)."""
+        return self.ladder[-1][0]
+
+    @property
+    def innovation(self) -> float:
+        """Variance of ``e`` as a share of the variance of the noise: one for white noise."""
+        return self.ladder[-1][1]
+
+    def correlations(self, count: int) -> np.ndarray:
+        """Autocorrelation at lags 0 ... count-1."""
+        rho = np.ones(1)
+        for k, (a, variance) in zip(self.reflection, self.ladder, strict=False):
+            rho = np.append(rho, k * variance + a @ rho[:0:-1][: len(a)])
+        if count <= len(rho):
+            return rho[:count]
+        if not self.order:
+            return np.append(rho, np.zeros(count - 1))
+        denominator = np.append(1.0, -self.coefficients)
+        memory = lfiltic([1.0], denominator, rho[::-1][: self.order])
+        return np.append(rho, lfilter([1.0], denominator, np.zeros(count - len(rho)), zi=memory)[0])
+
+    def whiten(self, values: np.ndarray) -> np.ndarray:
+        """Innovations of unit variance of ``values`` (N, ...), which has unit variance; NaN (gaps) stay NaN.
+
+        The filter begins anew after a gap: the first samples there are predicted from as many as there are, each divided by the
+        standard deviation of its own prediction error, so that white noise of variance one comes out everywhere.
+        """
+        values = np.asarray(values, float)
+        there = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        behind = _samples_behind(there, self.order)
+        result = np.full(values.shape, np.nan)
+        for m, (a, variance) in enumerate(self.ladder):
+            rows = np.flatnonzero(there & (behind == m))
+            predicted = sum((c * values[rows - j - 1] for j, c in enumerate(a)), np.zeros_like(values[rows]))
+            result[rows] = (values[rows] - predicted) / np.sqrt(variance)
+        return result
+
+    def predict(self, values: np.ndarray, steps: int) -> np.ndarray:
+        """Prediction (N,) of ``values`` (N,) from the samples up to ``steps`` before each; zero where nothing is known."""
+        known = np.asarray(values, float)
+        there = np.isfinite(known)
+        behind = _samples_behind(there, self.order) + there  # samples in a row up to and with this one
+        guess = np.zeros((len(known), steps))
+        for m in range(1, self.order + 1):
+            a = self.ladder[m][0]
+            rows = np.flatnonzero(there & ((behind == m) | (behind > m) & (m == self.order)))
+            past = np.stack([known[rows - j] for j in range(m)], axis=1)
+            for ahead in range(steps):
+                guess[rows, ahead] = past @ a
+                past = np.column_stack([guess[rows, ahead], past[:, :-1]])
+        result = np.zeros(len(known))
+        if len(known) <= steps:
+            return result
+        result[steps:] = guess[:-steps, steps - 1]
+        return result
+
+    def __str__(self) -> str:
+        if not self.order:
+            return "white"
+        return f"AR({self.order}), correlation {self.correlations(2)[1]:.2g} from sample to sample"
+
+
+def segments(parts: Iterable[np.ndarray]) -> np.ndarray:
+    """Several series (n,) as one, with a NaN between them, so that nothing is carried over."""
+    return np.concatenate([piece for part in parts for piece in (np.asarray(part, float), [np.nan])] or [np.zeros(0)])
+
+
+def autoregression(values: np.ndarray, *, most: int = MOST_ORDERS, copies: float = 1.0) -> AutoRegression:
+    """The autoregression of a series (N,) of mean zero with NaN in gaps; order up to ``most`` by Schwarz's criterion (BIC).
+
+    ``copies``: how many times over the series holds the same information (deviations from the mean of two repeats are each
+    other's mirror image: 2).
+    """
+    forward = np.asarray(values, float).copy()
+    backward = forward.copy()
+    count = np.isfinite(forward).sum() / copies
+    reflection: list[float] = []
+    best, chosen, variance = 0.0, 0, 1.0
+    for order in range(1, min(most, int(count / SAMPLES_PER_ORDER)) + 1):
+        f, b = forward[1:], backward[:-1]
+        both = np.isfinite(f) & np.isfinite(b)
+        energy = float(f[both] @ f[both] + b[both] @ b[both])
+        if both.sum() < SAMPLES_PER_ORDER or energy <= 0:
+            break
+        k = 2 * float(f[both] @ b[both]) / energy
+        if not abs(k) < 1:
+            break
+        reflection.append(k)
+        forward, backward = f - k * b, b - k * f
+        variance *= 1 - k * k
+        criterion = count * np.log(variance) + order * np.log(count)
+        if criterion < best:
+            best, chosen = criterion, order
+    return AutoRegression(tuple(reflection[:chosen]))
+
+
+def _samples_behind(there: np.ndarray, most: int) -> np.ndarray:
+    """How many samples in a row, up to ``most``, lie directly before each one."""
+    last_gap = np.maximum.accumulate(np.where(there, -1, np.arange(len(there))))
+    before = np.concatenate([[-1], last_gap[:-1]])
+    return np.minimum(np.arange(len(there)) - before - 1, most)

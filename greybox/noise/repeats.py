@@ -1,0 +1,104 @@
+"""Noise from repetition: periods of a periodic input, or several records with the same input."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from greybox.experiment import Experiment
+
+# Inputs are the same where they differ by less than this share of their range.
+SAME_INPUT = 1e-6
+# A period has at least this many rows.
+LEAST_ROWS = 20
+# Variance that begins this much larger than it goes on still shows how the records began.
+SETTLED = 1.5
+
+
+def period(inputs: np.ndarray) -> int | None:
+    """The period in rows of ``inputs`` (N, nu), if they repeat to the last digits for two periods or more."""
+    rows = len(inputs)
+    span = np.ptp(inputs, axis=0) if rows else np.zeros(0)
+    moving = inputs[:, span > 0] / span[span > 0]
+    if not moving.size:
+        return None
+    # sum over t of (u[t + lag] - u[t])^2 for all lags at once
+    power = np.concatenate([[0.0], np.cumsum((moving**2).sum(axis=1))])
+    spectrum = np.fft.rfft(moving, 2 * rows, axis=0)
+    product = np.fft.irfft(np.abs(spectrum) ** 2, 2 * rows, axis=0).sum(axis=1)
+    lags = np.arange(LEAST_ROWS, rows // 2 + 1)
+    difference = power[rows - lags] + power[rows] - power[lags] - 2 * product[lags]
+    for lag in lags[difference < 1e-9 * power[rows]]:
+        if np.abs(moving[lag:] - moving[:-lag]).max() <= SAME_INPUT:
+            return int(lag)
+    return None
+
+
+def period_deviations(experiment: Experiment, output: str, inputs: Sequence[str]) -> list[np.ndarray]:
+    """Each period of ``output`` minus the mean of all periods; empty where the input is not periodic.
+
+    Of three periods or more the first is left out, and further ones as long as they are clearly louder than those that follow:
+    they hold how the record began.
+    """
+    if not experiment.regular or output not in experiment.outputs:
+        return []
+    rows = period(np.column_stack([experiment.inputs[n] for n in inputs]) if inputs else np.zeros((experiment.rows, 0)))
+    if rows is None:
+        return []
+    count = experiment.rows // rows
+    folded = experiment.outputs[output][: count * rows].reshape(count, rows)
+    folded = folded[1:] if count > 2 else folded
+    while len(folded) > 2 and _louder(folded[0], folded[1:]):
+        folded = folded[1:]
+    return deviations(list(folded))
+
+
+def repeat_deviations(group: Sequence[Experiment], output: str, inputs: Sequence[str]) -> list[list[np.ndarray]]:
+    """Deviations of ``output`` in each set of experiments that had the same inputs at the same times."""
+    left = [e for e in group if output in e.outputs]
+    found = []
+    while left:
+        first, *others = left
+        alike = [e for e in others if _same(first, e, inputs)]
+        if alike:
+            found.append(deviations([e.outputs[output] for e in (first, *alike)]))
+        left = [e for e in others if not any(e is a for a in alike)]
+    return [f for f in found if f]
+
+
+def deviations(repeats: list[np.ndarray]) -> list[np.ndarray]:
+    """Repeats (n,) each of the same signal minus their mean, enlarged so that their variance is that of the noise.
+
+    ``(y - mean) sqrt(K / (K - 1))`` for K repeats. Each repeat's own mean is removed. Where the first half is clearly louder
+    than the second, the repeats did not begin alike and only the second half is returned.
+    """
+    y = np.array(repeats, float)
+    difference = y - y.mean(axis=0)
+    finite = np.isfinite(difference)
+    if len(y) < 2 or finite.sum() < LEAST_ROWS:
+        return []
+    half = difference.shape[1] // 2
+    early, late = (
+        np.nanvar(part) if np.isfinite(part).any() else np.nan for part in (difference[:, :half], difference[:, half:])
+    )
+    if early > SETTLED * late:
+        difference = difference[:, half:]
+    usable = [d for d in difference if np.isfinite(d).any()]
+    return [(d - np.nanmean(d)) * np.sqrt(len(y) / (len(y) - 1)) for d in usable]
+
+
+def _louder(first: np.ndarray, others: np.ndarray) -> bool:
+    """Whether ``first`` (n,) is farther from the mean of the ``others`` (m, n) than they are from it, chance allowed for."""
+    count = len(others)
+    mean = others.mean(axis=0)
+    apart = np.nanmean((first - mean) ** 2) / (1 + 1 / count)
+    return bool(apart > SETTLED * np.nanmean((others - mean) ** 2) * count / (count - 1))
+
+
+def _same(one: Experiment, other: Experiment, inputs: Sequence[str]) -> bool:
+    if one.rows != other.rows or not inputs or not np.allclose(one.intervals, other.intervals, rtol=1e-6, atol=0.0):
+        return False
+    pairs = [(one.inputs[n], other.inputs[n]) for n in inputs]
+    moves = any(np.ptp(a) > 0 for a, _ in pairs)
+    return moves and all(np.abs(a - b).max() <= SAME_INPUT * (np.ptp(a) or 1.0) for a, b in pairs)

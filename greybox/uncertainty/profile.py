@@ -1,0 +1,150 @@
+"""Profile likelihood: how much worse the best fit becomes when one constant is held elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.errors import ModelError, nearest
+from greybox.fitting.solve import Solution, solve
+from greybox.fitting.uncertainty import quantile, uncertainty
+from greybox.result import Fit
+from greybox.transcription import Variables
+from greybox.uncertainty.again import options_of, problem_of
+
+# First step in standard deviations, growth of the following ones, at most so many to a side.
+FIRST, GROWTH, STEPS = 1.0, 1.6, 9
+# The crossing is found to this share of the threshold, with at most so many refits.
+CLOSE, REFITS = 0.01, 8
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """The profile of one constant.
+
+    ``values`` (k,), increasing, in ``unit``, and ``increase`` (k,): the rise of the minimal cost over its scale, which for a
+    well-determined constant is ``((value - best) / std)^2``. ``interval``: where it stays below ``threshold`` (the squared 95 % point);
+    an end is the constant's bound, or infinite, where the rise never reaches it: the data leave that side open.
+    """
+
+    name: str
+    unit: str
+    best: float
+    values: np.ndarray
+    increase: np.ndarray
+    threshold: float
+    interval: tuple[float, float]
+
+    @property
+    def open_sides(self) -> tuple[bool, bool]:
+        """Whether the rise stays below the threshold downwards and upwards as far as it was followed."""
+        return bool(self.increase[0] < self.threshold), bool(self.increase[-1] < self.threshold)
+
+    def __str__(self) -> str:
+        sides = [f"{v:.5g}{' (open)' if o else ''}" for v, o in zip(self.interval, self.open_sides, strict=True)]
+        return f"{self.name}: {self.best:.5g} {self.unit}, 95 % by profile likelihood [{sides[0]}, {sides[1]}]"
+
+
+def profile(fit: Fit, name: str) -> Profile:
+    """Profile likelihood interval of the free constant ``name``, by refits of everything else from the neighbouring point.
+
+    ``2 log(L max / L(value)) = (cost(value) - cost min) / s^2`` stays below the 95 % point of chi-square with one degree of freedom
+    (of F, where ``s^2`` was estimated). Where the residual is coloured the rise is divided by the squared factor by which
+    that widens the standard deviation (Chandler and Bate, Biometrika 94, 2007), so that curvature and sandwich agree at the optimum.
+    Some 10 to 20 refits.
+
+    Raises ModelError for a constant that was not fitted, FitError for a fit that did not succeed.
+    """
+    if name not in fit.free:
+        raise ModelError(f"profile of {name!r}: not a fitted constant; {nearest(name, fit.free)}")
+    problem = problem_of(fit)
+    v = problem.variables
+    shooting = problem.shooting(v)
+    z = np.zeros(v.size)
+    evaluation = shooting.evaluate(z)
+    found = uncertainty(v, evaluation, problem.noise.given, shooting.residuals(z))
+    scale = evaluation.cost / max(evaluation.count - v.size, 1)
+    scale = max(scale, 1.0) if problem.noise.given else scale
+    widened = 1.0 if found.inflation is None else float(found.inflation[v.names.index(name)])
+    search = _Search(fit, name, evaluation.cost, scale * widened**2)
+    quantity = fit.model.parameter(name)
+    best, std = fit.parameters[name].value, fit.parameters[name].std
+    threshold = quantile(found.degrees) ** 2
+    low, points_low = _side(search, best, std, quantity.positive, quantity.bounds[0], -1, threshold)
+    high, points_high = _side(search, best, std, quantity.positive, quantity.bounds[1], +1, threshold)
+    points = sorted([*points_low, (best, 0.0), *points_high])
+    values, increase = np.array(points).T
+    return Profile(name, quantity.unit, best, values, increase, threshold, (low, high))
+
+
+class _Search:
+    """Refits with one constant held, each begun at the last."""
+
+    def __init__(self, fit: Fit, name: str, least: float, scale: float) -> None:
+        self.fit, self.name, self.least, self.scale = fit, name, least, scale
+        self.options = options_of(fit)
+
+    def rise(self, value: float, near: Variables | None) -> tuple[float, Variables]:
+        """Rise of the minimal cost with the constant at ``value``; infinite where there is no fit."""
+        model = self.fit.model.fix(**{self.name: value})
+        problem = problem_of(self.fit, model)
+        if near is not None:
+            fixed = near.fixed.copy()
+            fixed[list(model.values).index(self.name)] = value
+            problem = replace(problem, variables=replace(near, model=model, fixed=fixed))
+        solution: Solution = solve(problem, self.options)
+        cost = solution.evaluation.cost
+        return (max(cost - self.least, 0.0) / self.scale if np.isfinite(cost) else np.inf), solution.variables
+
+
+def _side(
+    search: _Search, best: float, std: float | None, positive: bool, bound: float, sign: int, threshold: float
+) -> tuple[float, list[tuple[float, float]]]:
+    """Where the rise crosses the threshold on one side, and the points visited."""
+
+    def place(step: float) -> float:
+        value = best * float(np.exp(np.clip(sign * step / abs(best), -300, 300))) if positive else best + sign * step
+        return max(value, bound) if sign < 0 else min(value, bound)
+
+    points: list[tuple[float, float]] = []
+    if best == bound:
+        return bound, points
+    # A step so large that a constant without a standard deviation is tried over a factor of e^0.1 first.
+    step = FIRST * (std if std is not None and std > 0 else 0.1 * (abs(best) or 1.0))
+    inner, near = (0.0, 0.0), None
+    for _ in range(STEPS):
+        value = place(step)
+        rise, near = search.rise(value, near)
+        points.append((value, rise))
+        if rise > threshold:
+            return _crossing(search, place, inner, (step, rise), near, threshold, points), points
+        if value == bound:
+            return bound, points
+        inner, step = (step, rise), GROWTH * step
+    return (bound if np.isfinite(bound) else sign * np.inf), points
+
+
+def _crossing(
+    search: _Search,
+    place: Callable[[float], float],
+    inner: tuple[float, float],
+    outer: tuple[float, float],
+    near: Variables,
+    threshold: float,
+    points: list[tuple[float, float]],
+) -> float:
+    """The value between two steps where the rise meets the threshold: regula falsi on its square root, which is nearly straight."""
+    for k in range(REFITS):
+        (a, fa), (b, fb) = inner, outer
+        ra, rb = np.sqrt(fa), np.sqrt(fb) if np.isfinite(fb) else np.inf
+        step = (
+            a + (b - a) * (np.sqrt(threshold) - ra) / (rb - ra) if np.isfinite(rb) and k < REFITS - 2 else (a + b) / 2
+        )
+        rise, near = search.rise(place(step), near)
+        points.append((place(step), rise))
+        if abs(rise - threshold) <= CLOSE * threshold:
+            return place(step)
+        inner, outer = ((step, rise), outer) if rise < threshold else (inner, (step, rise))
+    return place(outer[0])

@@ -1,0 +1,97 @@
+"""How often the stated 95 % interval contains the truth, over many simulated records of both rigs.
+
+The ordinary run looks at a few records; ``-m slow`` at 200 of each kind, and writes nothing. ``python -m tests.test_coverage`` prints
+the table of ``docs/coverage.md``.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from greybox.experiment import Experiment
+from greybox.fitting import fit
+from models.micro_actuator import micro_actuator
+from models.pneumatic_cylinder import pneumatic_cylinder
+from tests.independent import linear_record, multisine
+
+ROWS = 1500
+RIGS = {
+    "micro_actuator": (micro_actuator.fix("M", "Ra"), {"x": 2e-7, "i": 5e-3}, 2.5e-4),
+    "pneumatic_cylinder": (pneumatic_cylinder.free("V_total"), {"s": 4e-4, "p_a": 2e3, "p_b": 2e3}, 0.01),
+}
+# What the fit is told: nothing, a quiet record, or to colour the noise as the residual is.
+WAYS = ("nothing", "quiet record", "residual")
+
+
+def noise(rng, rho):
+    return lfilter([1.0], [1.0, -rho], rng.normal(size=ROWS + 300) * np.sqrt(1 - rho**2))[300:]
+
+
+def simulated(rig, rho, seed):
+    """A record with AR(1) noise (white for ``rho`` 0), and a quiet one."""
+    model, level, period = RIGS[rig]
+    rng = np.random.default_rng([seed, round(10 * rho), len(rig)])
+    if rig == "micro_actuator":
+        u, x0 = multisine(rng, ROWS, period, 5, 800, 3.0), None
+    else:
+        t = np.arange(ROWS) * period
+        tones = np.cos(2 * np.pi * np.array([0.05, 0.2, 0.8])[:, None] * t + rng.uniform(0, 2 * np.pi, (3, 1)))
+        u = np.array([1.25, 1.25, 2.0]) @ tones + 0.5 * np.sign(np.sin(9.1 * t))
+        x0 = [0.0, 0.0, model.values["P_S"] / 2, model.values["P_S"] / 2]
+    clean = linear_record(model, u, period, x0)
+    record = replace(clean, outputs={n: y + level[n] * noise(rng, rho) for n, y in clean.outputs.items()})
+    quiet = Experiment("quiet", clean.time, {"u": np.zeros(ROWS)}, {n: s * noise(rng, rho) for n, s in level.items()})
+    return model, record, quiet
+
+
+def coverage(rig, rho, way, records):
+    """Share of records whose interval contains the truth, by constant."""
+    hits = {q.name: 0 for q in RIGS[rig][0].free_parameters}
+    for seed in range(records):
+        model, record, quiet = simulated(rig, rho, seed)
+        found = fit(
+            model, record, quiet=quiet if way == WAYS[1] else (), colour="residual" if way == WAYS[2] else "known"
+        )
+        assert found.success, found.meaning
+        for q in model.free_parameters:
+            low, high = found.parameters[q.name].interval
+            hits[q.name] += low <= q.value <= high
+    return {name: count / records for name, count in hits.items()}
+
+
+CASES = [(rig, rho, way) for rig in RIGS for rho, ways in ((0.0, WAYS[:1]), (0.9, WAYS)) for way in ways]
+
+
+@pytest.mark.parametrize(("rig", "rho"), [(rig, rho) for rig in RIGS for rho in (0.0, 0.9)])
+def test_intervals_contain_the_truth_in_most_of_a_few_records(rig, rho):
+    found = coverage(rig, rho, WAYS[0], 25)
+    assert np.mean(list(found.values())) > 0.85, found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("rig", "rho", "way"), CASES)
+def test_intervals_contain_the_truth_as_often_as_they_say(rig, rho, way):
+    found = coverage(rig, rho, way, 200)
+    assert 0.92 <= np.mean(list(found.values())) <= 0.98, found
+    # One constant over 200 records: three standard errors of 95 %.
+    assert all(0.90 <= share <= 0.995 for share in found.values()), found
+
+
+def table(records):
+    """The table of the documentation."""
+    lines = ["| rig | noise | the fit was told | constants | mean |", "|---|---|---|---|---|"]
+    for rig, rho, way in CASES:
+        found = coverage(rig, rho, way, records)
+        colour = f"AR(1), {rho:g}" if rho else "white"
+        each = ", ".join(f"{name} {100 * share:.1f}" for name, share in found.items())
+        lines.append(f"| {rig} | {colour} | {way} | {each} | {100 * np.mean(list(found.values())):.1f} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.stdout.write(table(int(sys.argv[1]) if len(sys.argv) > 1 else 200) + "\n")
