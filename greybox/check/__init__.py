@@ -1,5 +1,5 @@
 """What can be said about a model, and about records for it, before anything is fitted."""
 
-from greybox.check.check import Check, Expected, check
+from greybox.check.check import Check, check
 
-__all__ = ["Check", "Expected", "check"]
+__all__ = ["Check", "check"]

@@ -4,38 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-import numpy as np
-
-from greybox.check.generic import generic_record
+from greybox.errors import DataError, ModelError, nearest
 from greybox.experiment import Experiment
-from greybox.fitting.notes import describe
 from greybox.fitting.options import FitOptions
-from greybox.fitting.problem import Problem, prepare
-from greybox.fitting.uncertainty import estimates, uncertainty
+from greybox.fitting.problem import prepare
+from greybox.identifiability.generic import generic_record
+from greybox.identifiability.identifiability import Identifiability, identifiability
+from greybox.identifiability.practical import Expected, Practical, judge, measured_outputs
 from greybox.model import Model
-from greybox.transcription import Evaluation
-
-# Beyond this relative standard deviation a constant is called weakly determined.
-WEAK = 0.5
-
-
-@dataclass(frozen=True)
-class Expected:
-    """What the records can say about a constant: start ``value``, and ``std`` to expect there (None: undetermined)."""
-
-    value: float
-    unit: str
-    std: float | None
 
 
 @dataclass(frozen=True)
 class Check:
     """The findings. ``assumed`` describes the simulated record that stood in for data, "" where records were given.
 
-    ``constants``: free constants by name; ``open_directions``: combinations that the records do not determine, in
-    words; ``noise``: standard deviation by output, ``noise_source`` where it comes from; ``kernel`` and
-    ``kernel_reason``: what runs the model, and why.
+    ``structure``: what the measured outputs can tell at best; None where the model could not be run, then ``doubt`` says
+    why. ``practical``: what these records tell. ``noise``: standard deviation by output, ``noise_source`` where it comes
+    from; ``kernel`` and ``kernel_reason``: what runs the model, and why.
     """
 
     model: Model
@@ -47,9 +34,36 @@ class Check:
     assumed: str
     noise: Mapping[str, float]
     noise_source: str
-    constants: Mapping[str, Expected]
-    open_directions: tuple[str, ...]
-    failure: str = ""
+    structure: Identifiability | None
+    practical: Practical
+    doubt: str = ""
+
+    @property
+    def constants(self) -> Mapping[str, Expected]:
+        """What to expect of each free constant."""
+        return self.practical.constants
+
+    @property
+    def open_directions(self) -> tuple[str, ...]:
+        """Combinations that no record of the measured outputs determines, in words."""
+        return tuple(str(d) for d in self.structure.directions) if self.structure else ()
+
+    @property
+    def failure(self) -> str:
+        """Why nothing can be said of the records, "" where something can."""
+        return self.practical.failure
+
+    @property
+    def complete(self) -> bool:
+        """Whether every free constant is determined, by the structure and by the records."""
+        done = self.structure is None or self.structure.complete
+        return done and not self.failure and all(c.determined for c in self.constants.values())
+
+    def as_dict(self) -> dict[str, Any]:
+        """The findings as numbers, texts, lists and dictionaries, ready for JSON."""
+        from greybox.check.plain import plain
+
+        return plain(self)
 
     def __str__(self) -> str:
         from greybox.check.summary import summary
@@ -62,52 +76,59 @@ def check(
     experiments: Experiment | Sequence[Experiment] = (),
     *,
     noise: Mapping[str, float] | None = None,
+    outputs: Sequence[str] | None = None,
     options: FitOptions | None = None,
 ) -> Check:
     """What is known about ``model`` before a fit, and which constants the records determine near the start values.
 
     Units and names were checked when the model was made. Without ``experiments`` a simulated record stands in for them,
-    see `greybox.check.generic`. ``noise``: standard deviation by output, estimated from the records if left out. The
-    standard deviations to expect hold if the model is right and the start values are near: a fit says more.
+    see `greybox.identifiability.generic`. ``noise``: standard deviation by output, estimated from the records if left
+    out. ``outputs``: what if only these were measured? None for all that the records have. The standard deviations to
+    expect hold if the model is right and the start values are near: a fit says more.
 
-    Raises DataError and ModelError for records that do not go with the model.
+    Raises DataError and ModelError for records that do not go with the model, ModelError for unknown outputs.
     """
     options = options or FitOptions()
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    _check_outputs(model, outputs)
     assumed = ""
     if not group:
         record, assumed = generic_record(model)
         group = (record,)
+    if outputs is not None:
+        group = tuple(_only(e, outputs) for e in group)
+        noise = {name: std for name, std in (noise or {}).items() if name in outputs}
     problem = prepare(model, group, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps)
-    constants, directions, failure = _determined(problem)
-    measured = {name for e in group for name in e.outputs}
+    measured = measured_outputs(problem)
+    structure, doubt = _structure(model, measured, options.at_rest)
     return Check(
         model, model.system.linear, problem.step.label, problem.kernel.description, problem.kernel.reason,
         group, assumed,
         {o.name: float(problem.noise.std[j]) for j, o in enumerate(model.outputs) if o.name in measured},
-        problem.noise.source, constants, directions, failure,
+        problem.noise.source, structure, judge(problem, structure), doubt,
     )  # fmt: skip
 
 
-def _determined(problem: Problem) -> tuple[dict[str, Expected], tuple[str, ...], str]:
-    """Constants with their expected standard deviation, open directions in words, and why there are none."""
-    variables = problem.variables
-    if not variables.names:
-        return {}, (), "no constant is free: nothing to determine"
-    evaluation = problem.shooting(variables).evaluate(np.zeros(variables.size))
-    if not np.isfinite(evaluation.cost):
-        record, sample = evaluation.failed or (0, 0)
-        time = float(problem.records[record].h[:sample].sum())
-        name = problem.experiments[record].name
-        return {}, (), f"the model overflows on {name} after {time:.3g} s at the start values; give others with --start"
-    found = uncertainty(variables, _at_noise(evaluation, variables.size), noise_given=True)
-    expected = estimates(variables, found)
-    constants = {
-        name: Expected(expected[name].value, expected[name].unit, expected[name].std) for name in variables.names
-    }
-    return constants, tuple(describe(d) for d in found.open_directions), ""
+def _structure(model: Model, measured: Sequence[str], at_rest: bool) -> tuple[Identifiability | None, str]:
+    """The structural finding, or why there is none: a model that overflows is told, and the records are still looked at."""
+    try:
+        return identifiability(model, measured, at_rest=at_rest), ""
+    except DataError as error:
+        return None, str(error)
 
 
-def _at_noise(evaluation: Evaluation, size: int) -> Evaluation:
-    """The same curvature with the cost that noise alone would leave."""
-    return replace(evaluation, cost=float(max(evaluation.count - size, 1)))
+def _check_outputs(model: Model, outputs: Sequence[str] | None) -> None:
+    known = [o.name for o in model.outputs]
+    for name in outputs or ():
+        if name not in known:
+            raise ModelError(f"model {model.title!r} has no output {name!r}; {nearest(name, known)}")
+
+
+def _only(experiment: Experiment, outputs: Sequence[str]) -> Experiment:
+    kept = {name: values for name, values in experiment.outputs.items() if name in outputs}
+    if not kept:
+        raise DataError(
+            f"experiment {experiment.name!r} has none of the outputs {', '.join(outputs)};"
+            f" it has {', '.join(experiment.outputs) or 'none'}"
+        )
+    return replace(experiment, outputs=kept)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json as json_format
 from pathlib import Path
 from typing import Annotated
 
@@ -21,16 +22,28 @@ def check(
     free: o.Free,
     effect: o.Effects,
     noise: o.Noise,
+    outputs: Annotated[
+        list[str],
+        typer.Option(
+            "--outputs",
+            metavar="NAME",
+            default_factory=list,
+            help="What if only this output is measured; may be repeated.",
+        ),
+    ],
     hold: o.Hold = o.HoldName.zero,
     at_rest: o.AtRest = False,
     column: o.Columns,
     method: o.Method = o.MethodName.automatic,
     substeps: o.Substeps = 0,
+    json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON instead of text.")] = False,
 ) -> None:
-    """Check MODEL before a fit: equations, units, integration, and which constants the records can determine.
+    """Check MODEL before a fit: equations, units, integration, and which constants can be determined.
 
-    Without DATA the model is excited by a random input at its start values. The expected standard deviations hold near
-    those values and if the model is right.
+    Says first what the measured outputs can tell at best: the combinations of constants that are determined, what stays
+    open, and which sensor or known constant would close it. Then what the records in DATA tell, near the start values
+    and if the model is right: the standard deviation to expect of each constant, and what the input excites. Without
+    DATA the model is driven by a random input.
     """
     from greybox.check import check as check_model
     from greybox.experiment import read_experiments
@@ -41,4 +54,6 @@ def check(
     columns = o.pairs("--column", column) or None
     records = read_experiments(data, plant, columns=columns, hold=hold.value) if data else ()
     choice = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps)
-    typer.echo(str(check_model(plant, records, noise=o.numbers("--noise", noise), options=choice)))
+    only = [name for text in outputs for name in text.replace(",", " ").split()] or None
+    found = check_model(plant, records, noise=o.numbers("--noise", noise), outputs=only, options=choice)
+    typer.echo(json_format.dumps(found.as_dict(), indent=2) if json else str(found))

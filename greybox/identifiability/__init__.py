@@ -1,0 +1,10 @@
+"""What can be determined: by a model's structure, by the records at hand, and by the input that drove them."""
+
+from greybox.identifiability.directions import Direction
+from greybox.identifiability.excitation import Excitation, excitation
+from greybox.identifiability.identifiability import Identifiability, identifiability
+from greybox.identifiability.practical import Expected, Practical, practical
+
+__all__ = [
+    "Direction", "Excitation", "Expected", "Identifiability", "Practical", "excitation", "identifiability", "practical",
+]  # fmt: skip

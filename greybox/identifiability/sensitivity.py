@@ -1,0 +1,96 @@
+"""What the outputs do when constants change: a matrix of slopes, whichever way it was computed, and its rank."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+# Singular values of columns of length one: below the first is rounding, above the second is information.
+ROUNDING, INFORMATION = 1e-11, 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Slopes of the outputs at one point, along the logarithm (or the scale) of each free constant.
+
+    ``blocks``: output -> ``(states, constants)``, matrices (R, nx) along the initial states, which are unknown as well, and
+    (R, np) along the constants. ``doubtful``: singular values below this may come from the integration.
+    """
+
+    blocks: dict[str, tuple[np.ndarray, np.ndarray]]
+    doubtful: float = INFORMATION
+
+    def compressed(self) -> Sensitivity:
+        """The same information in as few rows as there are columns."""
+        small = {}
+        for name, (states, constants) in self.blocks.items():
+            r = np.asarray(np.linalg.qr(np.hstack([states, constants]), mode="r"))
+            small[name] = r[:, : states.shape[1]], r[:, states.shape[1] :]
+        return Sensitivity(small, self.doubtful)
+
+    def of(self, outputs: Sequence[str]) -> np.ndarray:
+        """Slopes along the constants that no change of the initial states can undo, columns scaled to length one first."""
+        states = np.vstack([self.blocks[name][0] for name in outputs])
+        constants = _unit_columns(np.vstack([self.blocks[name][1] for name in outputs]))
+        u, s, _ = np.linalg.svd(_unit_columns(states), full_matrices=False)
+        basis = u[:, s > ROUNDING]
+        for _ in range(2):  # the second time for what rounding left
+            constants = constants - basis @ (basis.T @ constants)
+        return constants
+
+    def lengths(self, outputs: Sequence[str]) -> np.ndarray:
+        """Length of each constant's column: how much it moves the outputs."""
+        return np.linalg.norm(np.vstack([self.blocks[name][1] for name in outputs]), axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Rank:
+    """``rank`` of the sensitivities; ``null`` (np, k) and ``row`` (np, rank) span what is open and what is determined.
+
+    ``values`` are the singular values, ``gap`` the ratio of the last that counts to the first that does not. ``certain``
+    is false where one lies between rounding and information. ``point`` numbers the point.
+    """
+
+    rank: int
+    null: np.ndarray
+    row: np.ndarray
+    values: np.ndarray
+    gap: float
+    certain: bool
+    point: int = 0
+
+
+def rank(point: Sensitivity, outputs: Sequence[str]) -> Rank:
+    """Rank at one point, with only ``outputs`` measured."""
+    matrix, lengths = point.of(outputs), point.lengths(outputs)
+    n = matrix.shape[1]
+    _, s, vt = np.linalg.svd(matrix, full_matrices=True)
+    values = np.concatenate([s, np.zeros(n - len(s))])[:n]
+    count = int((values > point.doubtful).sum())
+    doubtful = bool(((values > ROUNDING) & (values <= point.doubtful)).any())
+    last = values[count - 1] if count else 1.0
+    following = values[count] if count < n else 0.0
+    # Directions in the constants' own scale: a column that was shortened belongs to a constant that moves further.
+    scale = np.where(lengths > 0, lengths, 1.0)
+    null = _orthonormal(vt[count:].T / scale[:, None])
+    row = _orthonormal(vt[:count].T * scale[:, None])
+    return Rank(count, null, row, values, float(last / max(following, 1e-16)), not doubtful)
+
+
+def best(points: Sequence[Sensitivity], outputs: Sequence[str]) -> list[Rank]:
+    """The ranks at the generic points: where it is highest, among those that are certain if there are any."""
+    ranks = [replace(rank(point, outputs), point=k) for k, point in enumerate(points)]
+    ranks = [r for r in ranks if r.certain] or ranks
+    highest = max(r.rank for r in ranks)
+    return [r for r in ranks if r.rank == highest]
+
+
+def _unit_columns(matrix: np.ndarray) -> np.ndarray:
+    lengths = np.linalg.norm(matrix, axis=0)
+    return matrix / np.where(lengths > 0, lengths, 1.0)
+
+
+def _orthonormal(columns: np.ndarray) -> np.ndarray:
+    return np.linalg.qr(_unit_columns(columns))[0] if columns.shape[1] else columns
