@@ -1,16 +1,19 @@
-"""The catalogue: every effect against its equation by hand, on every plant that takes it."""
+"""The catalogue: what every entry says of itself, its terms by hand, and which plant takes which."""
+
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 
 from greybox import Balance, Effect, Input, Model, Output, Parameter, State
-from greybox.effects import CATALOGUE, applicable, effect
-from greybox.errors import ModelError
+from greybox.effects import CATALOGUE, applicable, effect, scales_of, tailored
+from greybox.errors import ModelError, UnitError
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance
 from models.pneumatic_cylinder import pneumatic_cylinder
+from models.pneumatic_full import pneumatic_full
 from models.silverbox import silverbox
 
 NAMES = [entry.name for entry in CATALOGUE]
@@ -18,6 +21,7 @@ MECHANICAL = [micro_actuator, micro_actuator_no_inductance, pneumatic_cylinder, 
 
 # The force that an effect of amplitude a adds at displacement x and velocity v.
 FORCES = {
+    "return_spring": lambda a, x, v: -a * x,
     "coulomb_friction": lambda a, x, v: -a * np.sign(v),
     "quadratic_damping": lambda a, x, v: -a * abs(v) * v,
     "cubic_stiffness": lambda a, x, v: -a * x**3,
@@ -30,12 +34,12 @@ AMPLITUDES = {
     "cubic_stiffness": ("K3", "N/m**3", "1/(s*V)**2", (-np.inf, np.inf)),
     "quadratic_stiffness": ("K2", "N/m**2", "1/(V*s**2)", (-np.inf, np.inf)),
     "constant_load": ("F0", "N", "V/s**2", (-np.inf, np.inf)),
+    "return_spring": ("Ks", "N/m", "1/s**2", (0.0, np.inf)),
     "input_offset": ("u0", "V", "V", (-np.inf, np.inf)),
 }
 STORAGE = {"micro_actuator": "M", "micro_actuator_no_inductance": "M", "pneumatic_cylinder": "M_piston", "emps": "M"}
 
 each_model = pytest.mark.parametrize("model", MECHANICAL, ids=lambda m: m.name)
-each_effect = pytest.mark.parametrize("name", NAMES)
 each_force = pytest.mark.parametrize("name", FORCES)
 
 
@@ -74,6 +78,13 @@ def test_every_effect_says_what_it_is_and_where_it_comes_from(entry):
         assert q.source, q.name
         assert q.description, q.name
         assert not q.fixed, q.name
+    own = {q.name: q for q in entry.parameters}
+    assert set(entry.amplitudes) <= set(own)
+    assert set(entry.neutral) <= set(entry.amplitudes)
+    assert all(own[name].value == entry.neutral.get(name, 0.0) for name in entry.amplitudes)
+    assert all(any(e.name == parent for e in CATALOGUE) for parent in entry.parents)
+    assert bool(entry.parents) == (entry.from_parent is not None)
+    assert [e.name for e in CATALOGUE].index(entry.name) > max((NAMES.index(n) for n in entry.parents), default=-1)
 
 
 @pytest.mark.parametrize("name", AMPLITUDES)
@@ -107,7 +118,7 @@ def test_input_offset_moves_the_input_wherever_it_enters(model):
         np.testing.assert_allclose(np.array(seen), np.array(plain), rtol=1e-12)
 
 
-@each_effect
+@pytest.mark.parametrize("name", AMPLITUDES)
 @each_model
 def test_absent_effect_changes_nothing_and_appears_with_a_slope(model, name):
     changed = model + effect(name)
@@ -174,13 +185,46 @@ def test_tanks_have_no_force_and_say_so(name):
         (cascaded_tanks + effect(name)).system  # noqa: B018
 
 
-def test_applicable_asks_the_model_for_site_and_roles():
-    for model in MECHANICAL:
-        assert set(AMPLITUDES) <= {entry.name for entry in applicable(model)}
-    on_tanks = {entry.name for entry in applicable(cascaded_tanks)}
-    assert "input_offset" in on_tanks
-    assert not on_tanks & set(FORCES)
+ON_ACTUATOR = """
+    coulomb_friction stribeck_friction lugre_friction quadratic_damping cubic_stiffness quadratic_stiffness viscoelastic_creep
+    bouc_wen_hysteresis constant_load second_mode force_constant_droop winding_heating eddy_current input_saturation
+    input_dead_zone transport_delay input_offset sensor_drift sensor_lag
+"""
+ON_CYLINDER = """
+    coulomb_friction stribeck_friction lugre_friction quadratic_damping constant_load return_spring chamber_leakage choked_flow
+    supply_droop position_dependent_volume valve_dead_zone input_saturation valve_lag transport_delay input_offset backlash
+    sensor_lag
+"""
+
+
+@pytest.mark.parametrize(("model", "names"), [(micro_actuator, ON_ACTUATOR), (pneumatic_cylinder, ON_CYLINDER)])
+def test_each_rig_is_offered_what_it_can_hide(model, names):
+    found = [entry.name for entry in applicable(model)]
+    assert sorted(found) == sorted(names.split())
+    assert found == [name for name in NAMES if name in found]
+
+
+def test_all_candidates_of_a_model_fit_it():
+    for model in (emps, silverbox, cascaded_tanks):
+        assert sorted(entry.name for entry in applicable(model)) == sorted(model.candidates)
     assert "constant_load" not in {entry.name for entry in applicable(emps + effect("constant_load"))}
+    # the coil has no state of its own: neither heat nor eddy currents
+    assert "winding_heating" not in {entry.name for entry in applicable(micro_actuator_no_inductance)}
+
+
+def test_without_a_list_sites_roles_and_terms_decide():
+    found = {entry.name for entry in applicable(pneumatic_full)}
+    assert {"coulomb_friction", "valve_lag", "valve_dead_zone", "chamber_leakage"} <= found
+    # it has its own valve law and moving volumes, and its input is no amplifier's
+    assert not found & {"choked_flow", "position_dependent_volume", "supply_droop", "input_dead_zone", "eddy_current"}
+    on_tanks = {entry.name for entry in applicable(replace(cascaded_tanks, candidates=()))}
+    assert "input_offset" in on_tanks
+    assert not on_tanks & {*FORCES, "valve_lag", "viscoelastic_creep"}
+
+
+def test_an_unknown_candidate_lists_the_nearest():
+    with pytest.raises(ModelError, match="no effect 'backlush'; did you mean 'backlash'"):
+        applicable(replace(emps, candidates=("backlush",)))
 
 
 def test_applicable_leaves_springs_out_where_nothing_is_a_displacement():
@@ -206,3 +250,122 @@ def test_an_effect_of_the_users_own_is_five_lines():
     )
     x, u = next(points(emps))
     assert (rates(emps + drag, x, u, B3=2.0) - rates(emps, x, u))[1] * emps.values["M"] == pytest.approx(-2 * x[1] ** 3)
+
+
+def swinging(model, period, rows=400):
+    """Scales of a record of ``model`` in which every state moves."""
+    rng = np.random.default_rng(5)
+    x = np.cumsum(rng.normal(size=(rows, len(model.states))), axis=0)
+    x *= 1e-3 / np.abs(x).max(axis=0)
+    if "chamber_a" in {state.role for state in model.states}:
+        x[:, 2:] = 3.5e5 + 1e7 * x[:, 2:]
+    return scales_of(model, x, rng.uniform(-2, 2, (rows, 1)), period)
+
+
+def test_scales_are_peaks_terms_and_time_constants():
+    x = np.array([[0.0, 0.0, 0.0], [1e-4, -0.02, 0.1], [-5e-5, 0.01, 0.3]])
+    s = scales_of(micro_actuator, x, np.array([0.0, -1.5, 1.0]), 2.5e-4)
+    values = micro_actuator.values
+    assert (s.displacement, s.velocity, s.current, s.input) == (1e-4, 0.02, 0.3, 1.5)
+    assert s.force == pytest.approx(max(values["Kf"] * 0.3, values["K"] * 1e-4))
+    assert s.balances["voltage"] == pytest.approx(values["Ra"] * 0.3)
+    assert s.storage == values["M"]
+    assert (s.period, s.duration) == (2.5e-4, 5e-4)
+    assert s.fastest == pytest.approx(values["La"] / values["Ra"], rel=0.05)
+    assert s.slowest == 5e-4  # the resonance is slower than this record is long
+    # an integrator has no time constant: what is left is the gas spring
+    long = swinging(pneumatic_cylinder, 0.01)
+    p = pneumatic_cylinder.values
+    gas = np.sqrt(2 * p["P_S"] * p["A_piston"] ** 2 / (p["M_piston"] * p["V_total"]))
+    assert 0.5 < long.fastest * gas <= long.slowest * gas < 2
+
+
+@pytest.mark.parametrize(
+    "model", [micro_actuator, pneumatic_cylinder, emps, silverbox, cascaded_tanks], ids=lambda m: m.name
+)
+def test_start_values_for_a_search_are_finite_within_bounds_and_complete(model):
+    s = swinging(model, 1e-3)
+    for entry in applicable(model, s):
+        own = {q.name: q for q in entry.parameters}
+        probe, grid = entry.probe(s) if entry.probe else {}, entry.grid(s) if entry.grid else {}
+        assert set(probe) | set(grid) >= set(entry.amplitudes)
+        assert set(probe) <= set(entry.amplitudes)
+        for name, value in [*probe.items(), *((n, v) for n, values in grid.items() for v in values)]:
+            low, high = own[name].bounds
+            assert np.isfinite(value) and low <= value <= high, (entry.name, name, value)
+        assert all(value != 0 for value in probe.values())
+        assert all(1 <= len(values) <= 8 and len(set(values)) == len(values) for values in grid.values())
+        (model + entry).system  # noqa: B018
+
+
+def test_children_start_from_every_fitted_parent():
+    s = swinging(micro_actuator, 2.5e-4)
+    fitted = {"coulomb_friction": {"Fc": 0.3}, "stribeck_friction": {"Fc": 0.3, "Fs": 0.5, "vs": 1e-3}}
+    for child in (effect("stribeck_friction"), effect("lugre_friction")):
+        own = {q.name for q in tailored(child, s).parameters}
+        for parent in child.parents:
+            starts = child.from_parent(fitted[parent], s)
+            assert starts
+            for start in starts:
+                assert set(start) == own
+                assert 0 < start["Fc"] <= 0.3 <= start["Fs"]
+    assert {start["vs"] for start in effect("lugre_friction").from_parent(fitted["stribeck_friction"], s)} == {1e-3}
+
+
+def test_a_record_bounds_the_delay_and_the_shapes():
+    s = swinging(micro_actuator, 2.5e-4)
+    (delay,) = tailored(effect("transport_delay"), s).parameters
+    assert delay.bounds == (0.0, pytest.approx(16 * 2.5e-4))
+    levels = {q.name: q for q in tailored(effect("stribeck_friction"), s).parameters}
+    assert levels["Fc"].bounds == (0.0, np.inf) and levels["Fc"].value == 0.0
+    speeds = effect("stribeck_friction").grid(s)["vs"]
+    assert levels["vs"].bounds == (pytest.approx(min(speeds) / 1000), pytest.approx(max(speeds) * 1000))
+    assert levels["vs"].value in speeds
+
+
+def test_hooks_that_name_what_is_not_there_list_the_nearest():
+    with pytest.raises(
+        ModelError, match="balance 'voltage' has no term 'resistence' to replace; did you mean 'resistance'"
+    ):
+        micro_actuator + Effect("e", "voltage", [], on_term=lambda x, u, p: {"voltage": {"resistence": -p.Ra * x.i}})
+    with pytest.raises(ModelError, match=r"adds to a balance 'forse'; did you mean 'force'"):
+        micro_actuator + Effect("e", "force", [], on_storage=lambda x, u, p: {"forse": 2})
+    with pytest.raises(
+        UnitError, match=r"no state 'curent' to change; did you mean 'current'|no state 'curent' to change"
+    ):
+        micro_actuator + Effect("e", "voltage", [], on_state=lambda x, u, p: {"curent": x.i})
+    with pytest.raises(UnitError, match=r"on state 'i': has unit V, expected A"):
+        micro_actuator + Effect("e", "voltage", [], on_state=lambda x, u, p: {"current": u.u})
+
+
+def test_a_changed_state_is_seen_by_the_model_and_by_other_effects_but_not_by_its_own_balance():
+    doubled = Effect("doubled", "voltage", [], on_state=lambda x, u, p: {"current": 2 * x.current})
+    added = Effect("added", "force", [], terms=lambda x, u, p: p.force_constant * x.current)
+    x, u = next(points(micro_actuator))
+    twice = np.array([*x[:2], 2 * x[2]])
+    expected = rates(micro_actuator, twice, u)
+    expected[1] += micro_actuator.values["Kf"] * twice[2] / micro_actuator.values["M"]
+    for model in (micro_actuator + doubled + added, micro_actuator + added + doubled):
+        np.testing.assert_allclose(rates(model, x, u), expected)
+        seen = model.system.output_function(x, u, list(model.values.values()))
+        np.testing.assert_allclose(np.array(seen).ravel(), [x[0], twice[2]])
+
+
+def test_storage_is_scaled_under_every_term():
+    heavy = Effect("heavy", "force", [], on_storage=lambda x, u, p: {"force": 1.25})
+    x, u = next(points(micro_actuator))
+    expected = rates(micro_actuator, x, u)
+    expected[1] /= 1.25
+    np.testing.assert_allclose(rates(micro_actuator + heavy, x, u), expected)
+
+
+def test_effects_at_the_sensor_start_where_it_is_and_see_one_another_in_the_order_they_were_added():
+    lagging = cascaded_tanks + effect("sensor_lag")
+    start, _ = lagging.system.start_function(list(lagging.values.values()))
+    assert [float(v) for v in np.array(start).ravel()] == [15.0, 5.0, 5.0]
+    both = (emps + effect("backlash") + effect("sensor_lag")).start(tau_s=0.5)
+    names = list(both.system.state_names)
+    x = np.array([3.0, 0.0, 1.0, 0.25])  # body, its velocity, play, lag
+    rate = np.array(both.system.rhs_function(x, [0.0], list(both.values.values()))).ravel()
+    assert rate[names.index("y")] == pytest.approx((1.0 - 0.25) / 0.5)
+    assert float(both.system.output_function(x, [0.0], list(both.values.values()))) == 0.25

@@ -1,23 +1,26 @@
 """The catalogue: physical effects that a model may lack, as values.
 
 ``model + effect("coulomb_friction")`` is a new model. The effects are grouped by domain, one file each. They speak in
-roles (``x.velocity``, ``x.displacement``) and sites (``force``, ``input``, ``sensor``), so one entry serves every model
-that has them. Amplitudes are zero in the catalogue: an effect just added changes nothing until a fit, or
-``model.start(Fc=1.5)``, says otherwise.
+roles (``x.velocity``, ``p.resistance``) and sites (``force``, ``input``, ``valve``, ``sensor``), so one entry serves every
+model that has them. Amplitudes are zero in the catalogue (or at their neutral value): an effect just added changes nothing
+until a fit, or ``model.start(Fc=1.5)``, says otherwise. The exception is ``choked_flow``, which replaces the linear law.
 """
 
 from __future__ import annotations
 
 from greybox.effects.elasticity import ELASTICITY
+from greybox.effects.electrical import ELECTRICAL
+from greybox.effects.flow import FLOW
 from greybox.effects.friction import FRICTION
 from greybox.effects.load import LOAD
+from greybox.effects.scales import Scales, scales_of, tailored
 from greybox.effects.signal_path import SIGNAL_PATH
 from greybox.errors import ModelError, UnitError, nearest
 from greybox.model import Effect, Model
 
-CATALOGUE: tuple[Effect, ...] = (*FRICTION, *ELASTICITY, *LOAD, *SIGNAL_PATH)
+CATALOGUE: tuple[Effect, ...] = (*FRICTION, *ELASTICITY, *ELECTRICAL, *FLOW, *LOAD, *SIGNAL_PATH)
 
-__all__ = ["CATALOGUE", "applicable", "effect"]
+__all__ = ["CATALOGUE", "Scales", "applicable", "effect", "scales_of", "tailored"]
 
 
 def effect(name: str) -> Effect:
@@ -31,20 +34,24 @@ def effect(name: str) -> Effect:
     raise ModelError(f"the catalogue has no effect {name!r}; {nearest(name, [entry.name for entry in CATALOGUE])}")
 
 
-def applicable(model: Model) -> list[Effect]:
-    """The effects of the catalogue that ``model`` has a place for, in catalogue order.
+def applicable(model: Model, scales: Scales | None = None) -> list[Effect]:
+    """The effects of the catalogue that ``model`` may hide, in catalogue order: its ``candidates``, or all that fit.
 
-    An effect applies if the model has its site and every role that its equation and units speak of, and does not
-    contain it already. A model without a balance ``force`` takes no friction, one without a ``displacement`` no spring.
+    An effect fits if the model has its site, every role that its equation and units speak of and every term that it
+    replaces, and does not contain it already. A model without a balance ``force`` takes no friction, one without a
+    ``displacement`` no spring. With ``scales`` each is `tailored` to the record.
 
-    Raises UnitError if an effect fits but its term has not the unit of its balance: a mistake in the catalogue.
+    Raises ModelError for an unknown name among the candidates, UnitError if an effect fits but its term has not the unit
+    of its balance: a mistake in the catalogue.
     """
-    return [entry for entry in CATALOGUE if _fits(model, entry)]
+    wanted = [effect(name).name for name in model.candidates] or [entry.name for entry in CATALOGUE]
+    fitting = [entry for entry in CATALOGUE if entry.name in wanted and _fits(model, entry)]
+    return [tailored(entry, scales) for entry in fitting] if scales else fitting
 
 
 def _fits(model: Model, entry: Effect) -> bool:
     try:
-        # Writing the equations out asks for every site, role and unit, so the model itself answers.
+        # Writing the equations out asks for every site, role, term and unit, so the model itself answers.
         (model + entry).system  # noqa: B018
     except UnitError:
         raise

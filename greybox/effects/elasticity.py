@@ -1,9 +1,20 @@
-"""Elasticity: springs whose force is not proportional to the displacement."""
+"""Elasticity: springs that are not proportional, that remember, or that carry a mass of their own."""
 
 from __future__ import annotations
 
-from greybox.model import Effect
-from greybox.signals import Expression, Named, Parameter
+from collections.abc import Mapping
+
+import casadi as ca
+
+from greybox.effects.scales import Scales
+from greybox.effects.words import amplitude, shape, spread
+from greybox.model import Balance, Effect
+from greybox.signals import Expression, Named, State
+
+# Of the moving mass: a second mass this heavy is visible but small.
+SECOND_MASS = 0.02
+# Of critical, to start from: structures of metal have 0.002 to 0.03.
+SECOND_DAMPING = 0.02
 
 
 def _cubic(x: Named, u: Named, p: Named) -> Expression:
@@ -14,18 +25,67 @@ def _quadratic(x: Named, u: Named, p: Named) -> Expression:
     return -p.K2 * x.displacement**2
 
 
+def _return_spring(x: Named, u: Named, p: Named) -> Expression:
+    return -p.Ks * x.displacement
+
+
+def _creep(x: Named, u: Named, p: Named) -> Expression:
+    return -p.K1 * (x.displacement - x.z)
+
+
+def _creeping(x: Named, u: Named, p: Named) -> list[Balance]:
+    return [Balance("creep", "{displacement}", p.tau1, "z", stretch=x.displacement - x.z)]
+
+
+def _creep_grid(s: Scales) -> Mapping[str, list[float]]:
+    # Faster than the body itself it is damping, slower than the record a stiffness.
+    return {"tau1": spread(max(s.fastest, 4 * s.period), 0.5 * s.duration, 5)}
+
+
+def _bouc_wen(x: Named, u: Named, p: Named) -> Expression:
+    return -p.alpha * x.z
+
+
+def _hysteresis(x: Named, u: Named, p: Named) -> list[Balance]:
+    # With |gamma| > beta the loop turns into a hardening spring, which has a name of its own.
+    gamma = ca.fmin(ca.fmax(p.gamma, -p.beta), p.beta)
+    v = x.velocity
+    closing = {"beta": -p.beta * ca.fabs(v) * x.z, "gamma": -gamma * v * ca.fabs(x.z)}
+    return [Balance("loop", "{velocity}", 1, "z", motion=v, **closing)]
+
+
+def _second(x: Named, p: Named) -> Expression:
+    """Force of the second mass on the body."""
+    return p.k2 * (x.z1 - x.displacement) + p.c2 * (x.z2 - x.velocity)
+
+
+def _second_mode(x: Named, u: Named, p: Named) -> Expression:
+    return _second(x, p)
+
+
+def _second_mass(x: Named, u: Named, p: Named) -> list[Balance]:
+    return [
+        Balance("second_position", "{velocity}", 1, "z1", velocity=x.z2),
+        Balance("second_force", "{force}", p.m2, "z2", reaction=-_second(x, p)),
+    ]
+
+
+def _second_grid(s: Scales) -> Mapping[str, list[float]]:
+    """Resonances from below the fastest mode of the plant up to a quarter of the sampling rate."""
+    m2 = SECOND_MASS * s.storage
+    low, high = 0.3 / s.slowest, 1.5 / s.period
+    middle = (low * high) ** 0.5
+    return {
+        "m2": [m2],
+        "k2": [m2 * w**2 for w in spread(low, high, 8)],
+        "c2": [2 * SECOND_DAMPING * m2 * middle],
+    }
+
+
 cubic_stiffness = Effect(
     "cubic_stiffness",
     site="force",
-    parameters=[
-        Parameter(
-            "K3",
-            "{force}/{displacement}**3",
-            0.0,
-            source="amplitude, absent until fitted",
-            description="cubic stiffness, positive for a spring that hardens",
-        )
-    ],
+    parameters=[amplitude("K3", "{force}/{displacement}**3", "cubic stiffness, positive for a spring that hardens")],
     terms=_cubic,
     equation="-K3 x^3",
     parity="odd",
@@ -34,18 +94,16 @@ cubic_stiffness = Effect(
         " EMF, a cubic spring changes neither."
     ),
     source="Duffing oscillator: first odd term of the series of a symmetric spring",
+    amplitudes=("K3",),
+    probe=lambda s: {"K3": s.share / s.displacement**3},
 )
 
 quadratic_stiffness = Effect(
     "quadratic_stiffness",
     site="force",
     parameters=[
-        Parameter(
-            "K2",
-            "{force}/{displacement}**2",
-            0.0,
-            source="amplitude, absent until fitted",
-            description="quadratic stiffness of a spring that differs by side, either sign",
+        amplitude(
+            "K2", "{force}/{displacement}**2", "quadratic stiffness of a spring that differs by side, either sign"
         )
     ],
     terms=_quadratic,
@@ -56,6 +114,107 @@ quadratic_stiffness = Effect(
         " a mean shift and harmonics that the dynamics filter."
     ),
     source="first even term of the series of an asymmetric spring",
+    amplitudes=("K2",),
+    probe=lambda s: {"K2": s.share / s.displacement**2},
 )
 
-ELASTICITY: tuple[Effect, ...] = (cubic_stiffness, quadratic_stiffness)
+viscoelastic_creep = Effect(
+    "viscoelastic_creep",
+    site="force",
+    parameters=[
+        amplitude("K1", "{force}/{displacement}", "stiffness of the branch that relaxes", low=0.0),
+        shape("tau1", "s", 0.1, (1e-7, 1e6), "time in which it relaxes"),
+    ],
+    states=[State("z", "{displacement}", lambda p: p.sensor, relaxing=True, description="crept position")],
+    terms=_creep,
+    balances=_creeping,
+    equation="-K1 (x - z), tau1 z' = x - z",
+    parity="linear",
+    tells_apart=(
+        "Vary the frequency over two decades: the loop of creep shrinks away from 1/tau1, that of Bouc-Wen hysteresis"
+        " stays; and measure the current, which a warming winding lowers and creep does not."
+    ),
+    source="standard linear solid (Zener): one Maxwell branch beside the spring",
+    amplitudes=("K1",),
+    probe=lambda s: {"K1": s.share / s.displacement},
+    grid=_creep_grid,
+)
+
+bouc_wen_hysteresis = Effect(
+    "bouc_wen_hysteresis",
+    site="force",
+    parameters=[
+        amplitude("alpha", "{force}/{displacement}", "stiffness of the hysteretic branch", low=0.0),
+        shape("beta", "1/{displacement}", 1e4, (1e-9, 1e12), "how soon the branch yields"),
+        shape(
+            "gamma",
+            "1/{displacement}",
+            0.0,
+            (-1e12, 1e12),
+            "how much softer it is on its way back, between -beta and beta",
+        ),
+    ],
+    states=[State("z", "{displacement}", relaxing=True, description="stretch of the hysteretic branch")],
+    terms=_bouc_wen,
+    balances=_hysteresis,
+    equation="-alpha z, z' = v - beta abs(v) z - gamma v abs(z)",
+    parity="odd",
+    tells_apart=(
+        "Vary the frequency over two decades: the loop of Bouc-Wen hysteresis stays, that of creep shrinks; vary the"
+        " amplitude: it is a spring at small ones, where a cubic spring and Coulomb friction are not."
+    ),
+    source="R. Bouc 1967; Y. K. Wen 1976, Method for random vibration of hysteretic systems (exponent 1)",
+    amplitudes=("alpha",),
+    probe=lambda s: {"alpha": s.share / s.displacement},
+    grid=lambda s: {"beta": spread(0.3 / s.displacement, 30 / s.displacement, 5), "gamma": [0.0]},
+)
+
+second_mode = Effect(
+    "second_mode",
+    site="force",
+    parameters=[
+        shape("m2", "{force}*s/{velocity}", 1e-9, (1e-15, 1e9), "mass that swings on the body", "small, until fitted"),
+        amplitude("k2", "{force}/{displacement}", "stiffness between the two", low=0.0),
+        amplitude("c2", "{force}/{velocity}", "damping between the two", low=0.0),
+    ],
+    states=[
+        State("z1", "{displacement}", lambda p: p.sensor, description="position of the second mass"),
+        State("z2", "{velocity}", description="its velocity"),
+    ],
+    terms=_second_mode,
+    balances=_second_mass,
+    equation="k2 (z1 - x) + c2 (z2 - v), z1' = z2, m2 z2' = -(that)",
+    parity="linear",
+    tells_apart=(
+        "Excite up to the resonance of the second mass: it shows a dip and a peak; far below it cannot be told from a"
+        " short delay of the input."
+    ),
+    source="two masses and a spring (Rayleigh, The Theory of Sound)",
+    amplitudes=("k2", "c2"),
+    grid=_second_grid,
+)
+
+return_spring = Effect(
+    "return_spring",
+    site="force",
+    parameters=[amplitude("Ks", "{force}/{displacement}", "stiffness of a spring towards zero displacement", low=0.0)],
+    terms=_return_spring,
+    equation="-Ks s",
+    parity="linear",
+    tells_apart=(
+        "Measure the pressures: a spring holds a steady difference between them away from the middle, leakage makes it"
+        " decay; without them both draw the piston back."
+    ),
+    source="Hooke's law, for a cylinder that is pushed back by a spring",
+    amplitudes=("Ks",),
+    probe=lambda s: {"Ks": s.share / s.displacement},
+)
+
+ELASTICITY: tuple[Effect, ...] = (
+    cubic_stiffness,
+    quadratic_stiffness,
+    viscoelastic_creep,
+    bouc_wen_hysteresis,
+    second_mode,
+    return_spring,
+)

@@ -2,17 +2,90 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
+from itertools import product
 
 import casadi as ca
 
-from greybox.model import DryFriction, Effect
-from greybox.signals import Expression, Named, Parameter
+from greybox.effects.scales import Scales
+from greybox.effects.words import amplitude, shape, spread
+from greybox.model import Balance, DryFriction, Effect
+from greybox.signals import Expression, Named, State
+
+FULL = "Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky 1998, Friction models and compensation"
+FRICTION_LEVELS = (
+    amplitude("Fc", "{force}", "friction while sliding fast", low=0.0),
+    amplitude("Fs", "{force}", "friction at standstill", low=0.0),
+    shape("vs", "{velocity}", 0.01, (1e-9, 1e6), "velocity over which the friction falls from Fs to Fc"),
+)
+# Friction at standstill over that of sliding, to start from: metals dry 1.2, seals and grease up to 2.5.
+RATIOS = (1.2, 1.6, 2.4)
 
 
 def _coulomb(x: Named, u: Named, p: Named) -> DryFriction:
     # Coulomb holds at standstill exactly what it takes while sliding.
     return DryFriction(sliding=p.Fc, static=p.Fc)
+
+
+def _level(x: Named, p: Named) -> Expression:
+    """Friction of steady sliding at the present speed."""
+    return p.Fc + (p.Fs - p.Fc) * ca.exp(-((x.velocity / p.vs) ** 2))
+
+
+def _stribeck(x: Named, u: Named, p: Named) -> DryFriction:
+    return DryFriction(sliding=_level(x, p), static=p.Fs)
+
+
+def _speeds(s: Scales) -> list[float]:
+    return spread(0.01 * s.velocity, 0.5 * s.velocity, 4)
+
+
+def _stribeck_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    # Between Fc and Fs is what a fitted Coulomb friction shows: both are lowered a little.
+    return [
+        {"Fc": values["Fc"] * share, "Fs": values["Fc"] * share * ratio, "vs": vs}
+        for (share, ratio), vs in product(((1.0, RATIOS[0]), (1.0, RATIOS[1]), (0.8, RATIOS[2])), _speeds(s))
+    ]
+
+
+def _bristle_rate(x: Named, p: Named) -> Expression:
+    # Without friction (Fc = Fs = 0) the bristles bend freely and carry nothing: keep the quotient finite.
+    level = _level(x, p)
+    return x.velocity - p.s0 * ca.fabs(x.velocity) * x.z / ca.if_else(level > 0, level, ca.inf)
+
+
+def _lugre(x: Named, u: Named, p: Named) -> Expression:
+    return ca.if_else(_level(x, p) > 0, -(p.s0 * x.z + p.s1 * _bristle_rate(x, p)), 0)
+
+
+def _bristles(x: Named, u: Named, p: Named) -> list[Balance]:
+    return [Balance("bristles", "{velocity}", 1, "z", bending=_bristle_rate(x, p))]
+
+
+def _bristle_grid(level: float, s: Scales) -> list[Mapping[str, float]]:
+    """Bristles that give way over a share of the stroke, hardly and well damped against the mass on them."""
+    stiff = [level / (share * s.displacement) for share in (0.0005, 0.005, 0.05)]
+    return [{"s0": s0, "s1": damping * (s0 * s.storage) ** 0.5} for s0, damping in product(stiff, (0.1, 1.0))]
+
+
+def _lugre_from_parent(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    """From Stribeck friction as it was found, or from Coulomb friction with a little more at standstill."""
+    if "Fs" in values:
+        parents: list[Mapping[str, float]] = [{name: values[name] for name in ("Fc", "Fs", "vs")}]
+    else:
+        slow, fast = 0.03 * s.velocity, 0.2 * s.velocity
+        parents = [{"Fc": values["Fc"], "Fs": RATIOS[1] * values["Fc"], "vs": vs} for vs in (slow, fast)]
+    return [{**parent, **bristles} for parent in parents for bristles in _bristle_grid(parent["Fc"], s)]
+
+
+def _lugre_grid(s: Scales) -> Mapping[str, list[float]]:
+    bristles = _bristle_grid(s.share, s)
+    stiffest, softest = bristles[0], bristles[-1]
+    return {
+        "vs": spread(0.03 * s.velocity, 0.3 * s.velocity, 2),
+        "s0": spread(softest["s0"], stiffest["s0"], 3),
+        "s1": [(stiffest["s1"] * softest["s1"]) ** 0.5],
+    }
 
 
 def _quadratic_damping(x: Named, u: Named, p: Named) -> Expression:
@@ -22,16 +95,7 @@ def _quadratic_damping(x: Named, u: Named, p: Named) -> Expression:
 coulomb_friction = Effect(
     "coulomb_friction",
     site="force",
-    parameters=[
-        Parameter(
-            "Fc",
-            "{force}",
-            0.0,
-            (0.0, math.inf),
-            source="amplitude, absent until fitted",
-            description="friction force while sliding, and the most it holds at standstill",
-        )
-    ],
+    parameters=[amplitude("Fc", "{force}", "friction while sliding, and the most it holds at standstill", low=0.0)],
     dry=_coulomb,
     equation="-Fc sign(v)",
     parity="odd",
@@ -39,22 +103,58 @@ coulomb_friction = Effect(
         "Record two amplitudes: as the amplitude grows the damping by Coulomb friction falls and that by quadratic"
         " damping rises; Bouc-Wen hysteresis turns into a spring at small amplitudes, where Coulomb friction sticks."
     ),
-    source="Coulomb 1785; Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky 1998, Friction models and compensation",
+    source=f"Coulomb 1785; {FULL}",
+    amplitudes=("Fc",),
+    probe=lambda s: {"Fc": s.share},
+)
+
+stribeck_friction = Effect(
+    "stribeck_friction",
+    site="force",
+    parameters=FRICTION_LEVELS,
+    dry=_stribeck,
+    equation="-(Fc + (Fs - Fc) exp(-(v/vs)^2)) sign(v)",
+    parents=("coulomb_friction",),
+    parity="odd",
+    tells_apart=(
+        "Record slow motion, with reversals and starts from rest: well above vs Stribeck friction is Coulomb friction."
+    ),
+    source=f"R. Stribeck 1902; {FULL}",
+    amplitudes=("Fc", "Fs"),
+    probe=lambda s: {"Fc": s.share, "Fs": RATIOS[1] * s.share},
+    grid=lambda s: {"vs": _speeds(s)},
+    from_parent=_stribeck_from_coulomb,
+)
+
+lugre_friction = Effect(
+    "lugre_friction",
+    site="force",
+    parameters=(
+        *FRICTION_LEVELS,
+        shape("s0", "{force}/{displacement}", 1e4, (1e-9, 1e15), "stiffness of the bristles"),
+        shape("s1", "{force}/{velocity}", 1.0, (0.0, 1e12), "damping of the bristles"),
+    ),
+    states=(State("z", "{displacement}", relaxing=True, description="mean bending of the bristles"),),
+    terms=_lugre,
+    balances=_bristles,
+    equation="-(s0 z + s1 z'), z' = v - s0 abs(v) z / (Fc + (Fs - Fc) exp(-(v/vs)^2))",
+    parents=("coulomb_friction", "stribeck_friction"),
+    parity="odd",
+    tells_apart=(
+        "Record motion of less than Fs / s0 about a standstill: only bristles give way before they slide; otherwise"
+        " LuGre and Stribeck friction are the same."
+    ),
+    source="Canudas de Wit, Olsson, Astrom, Lischinsky 1995, A new model for control of systems with friction",
+    amplitudes=("Fc", "Fs"),
+    probe=lambda s: {"Fc": s.share, "Fs": RATIOS[1] * s.share},
+    grid=_lugre_grid,
+    from_parent=_lugre_from_parent,
 )
 
 quadratic_damping = Effect(
     "quadratic_damping",
     site="force",
-    parameters=[
-        Parameter(
-            "B2",
-            "{force}/{velocity}**2",
-            0.0,
-            (0.0, math.inf),
-            source="amplitude, absent until fitted",
-            description="drag force over squared velocity",
-        )
-    ],
+    parameters=[amplitude("B2", "{force}/{velocity}**2", "drag force over squared velocity", low=0.0)],
     terms=_quadratic_damping,
     equation="-B2 abs(v) v",
     parity="odd",
@@ -63,6 +163,8 @@ quadratic_damping = Effect(
         " damping and falls under Coulomb friction."
     ),
     source="turbulent drag, force over the square of speed (Newton)",
+    amplitudes=("B2",),
+    probe=lambda s: {"B2": s.share / s.velocity**2},
 )
 
-FRICTION: tuple[Effect, ...] = (coulomb_friction, quadratic_damping)
+FRICTION: tuple[Effect, ...] = (coulomb_friction, stribeck_friction, lugre_friction, quadratic_damping)

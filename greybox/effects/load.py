@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from greybox.effects.words import amplitude
 from greybox.model import Effect
-from greybox.signals import Expression, Named, Parameter
+from greybox.signals import Expression, Named
 
 
 def _constant(x: Named, u: Named, p: Named) -> Expression:
@@ -13,15 +14,7 @@ def _constant(x: Named, u: Named, p: Named) -> Expression:
 constant_load = Effect(
     "constant_load",
     site="force",
-    parameters=[
-        Parameter(
-            "F0",
-            "{force}",
-            0.0,
-            source="amplitude, absent until fitted",
-            description="constant external force (a weight), either sign",
-        )
-    ],
+    parameters=[amplitude("F0", "{force}", "constant external force (a weight), either sign")],
     terms=_constant,
     equation="+F0",
     parity="even",
@@ -30,6 +23,8 @@ constant_load = Effect(
         " Measure the current or the pressures, or turn the rig over: a weight changes sign, an offset does not."
     ),
     source="Linear ARX modelling of pneumatic actuator system (chapter 10), section 10.2.3: F_External of eq. 10.6",
+    amplitudes=("F0",),
+    probe=lambda s: {"F0": s.share},
 )
 
 LOAD: tuple[Effect, ...] = (constant_load,)

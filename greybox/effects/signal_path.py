@@ -2,26 +2,162 @@
 
 from __future__ import annotations
 
-from greybox.model import Effect
-from greybox.signals import Expression, Named, Parameter
+from collections.abc import Mapping
+from dataclasses import replace
+
+import casadi as ca
+
+from greybox.effects.scales import Scales
+from greybox.effects.words import amplitude, shape
+from greybox.model import Balance, Effect
+from greybox.signals import Expression, Named, State
+
+LONGEST_DELAY = 16  # sampling periods
+SMALLEST_LAG = 1e-8  # s
 
 
 def _offset(value: Expression, x: Named, u: Named, p: Named) -> Expression:
     return value + p.u0
 
 
+def _clipped(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+    return ca.fmin(ca.fmax(value, -p.u_max), p.u_max)
+
+
+def _dead_zone(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+    return value - ca.fmin(ca.fmax(value, -p.d), p.d)
+
+
+def _spool(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+    return x.w
+
+
+def _spooling(x: Named, u: Named, p: Named) -> list[Balance]:
+    return [Balance("spool", "{valve}", p.tau_v, "w", voltage=u.valve, spool=-x.w)]
+
+
+def _delay(x: Named, u: Named, p: Named) -> Expression:
+    return p.delay
+
+
+def _drifted(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+    return value + x.drift
+
+
+def _drifting(x: Named, u: Named, p: Named) -> list[Balance]:
+    return [Balance("drift", "{sensor}/s", 1, "drift", rate=p.rate)]
+
+
+def _lagging(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+    return x.y
+
+
+def _lag(x: Named, u: Named, p: Named) -> list[Balance]:
+    return [Balance("lag", "{sensor}", p.tau_s, "y", value=x.sensor, reading=-x.y)]
+
+
+def _played(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+    return x.w
+
+
+def _play(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+    return {"w": ca.fmin(ca.fmax(x.w, x.sensor - p.gap), x.sensor + p.gap)}
+
+
+def _levels(s: Scales) -> Mapping[str, list[float]]:
+    return {"u_max": [share * s.input for share in (0.97, 0.85, 0.7, 0.5)]}
+
+
+input_saturation = Effect(
+    "input_saturation",
+    site="input",
+    parameters=[
+        shape("u_max", "{input}", 1e6, (1e-9, 1e9), "largest input that gets through", "large: absent until fitted")
+    ],
+    on_input=_clipped,
+    equation="min(max(u, -u_max), u_max)",
+    parity="odd",
+    tells_apart=(
+        "Look at large inputs at small displacements: a clipped input acts whatever the displacement is, a hardening"
+        " spring and choked flow do not."
+    ),
+    source="supply voltage of an amplifier, end stop of a spool",
+    amplitudes=("u_max",),
+    neutral={"u_max": 1e6},
+    grid=_levels,
+)
+
+input_dead_zone = Effect(
+    "input_dead_zone",
+    site="drive",
+    parameters=[amplitude("d", "{drive}", "half-width of the zone without effect", low=0.0)],
+    on_input=_dead_zone,
+    equation="0 inside +-d, u -+ d outside",
+    parity="odd",
+    tells_apart=(
+        "Add a constant voltage larger than d: the dead zone is gone, Coulomb friction stays; or measure the current,"
+        " which stays at zero inside the zone."
+    ),
+    source="crossover distortion of an amplifier",
+    amplitudes=("d",),
+    probe=lambda s: {"d": 0.01 * s.input},
+)
+
+valve_dead_zone = replace(
+    input_dead_zone,
+    name="valve_dead_zone",
+    site="valve",
+    parameters=(amplitude("d", "{valve}", "half-width of the overlap of the spool", low=0.0),),
+    tells_apart=(
+        "Measure the pressures: in the dead zone none of them changes, while friction lets them build up until the"
+        " piston moves."
+    ),
+    source="overlap of a spool and its ports; Linear ARX modelling of pneumatic actuator system (chapter 10)",
+)
+
+valve_lag = Effect(
+    "valve_lag",
+    site="valve",
+    parameters=[
+        shape("tau_v", "s", SMALLEST_LAG, (SMALLEST_LAG, 100.0), "lag of the spool", "small: absent until fitted")
+    ],
+    states=[State("w", "{valve}", relaxing=True, description="spool position, as the voltage that would hold it")],
+    on_input=_spool,
+    balances=_spooling,
+    equation="tau_v w' = u - w, w in the place of u",
+    parity="linear",
+    tells_apart=(
+        "Measure the pressures: a lag of the spool delays them, a lag of the sensor does not; from voltage to position"
+        " both are the same. Tones at 1/tau_v tell a lag, which weakens them, from a delay."
+    ),
+    source="first order of a spool with its spring and solenoid",
+    amplitudes=("tau_v",),
+    neutral={"tau_v": SMALLEST_LAG},
+    grid=lambda s: {"tau_v": [0.5 * s.period, 3 * s.period, 15 * s.period]},
+    limits=lambda s: {"tau_v": (min(SMALLEST_LAG, 1e-4 * s.period), s.duration)},
+)
+
+transport_delay = Effect(
+    "transport_delay",
+    site="input",
+    parameters=[amplitude("delay", "s", "time by which the input arrives late", low=0.0, high=5e-3)],
+    delay=_delay,
+    equation="u(t - delay)",
+    parity="linear",
+    tells_apart=(
+        "Raise the frequency until delay times frequency is a quarter: a delay turns the phase and keeps the amplitude,"
+        " a lag of amplifier, valve or sensor weakens it."
+    ),
+    source="transport time in a hose (about 3 ms a metre), a converter or a bus",
+    amplitudes=("delay",),
+    probe=lambda s: {"delay": 0.4 * s.period},
+    limits=lambda s: {"delay": (0.0, LONGEST_DELAY * s.period)},
+)
+
 input_offset = Effect(
     "input_offset",
     site="input",
-    parameters=[
-        Parameter(
-            "u0",
-            "{input}",
-            0.0,
-            source="amplitude, absent until fitted",
-            description="offset between the recorded and the acting input, either sign",
-        )
-    ],
+    parameters=[amplitude("u0", "{input}", "offset between the recorded and the acting input, either sign")],
     on_input=_offset,
     equation="u + u0",
     parity="even",
@@ -30,6 +166,76 @@ input_offset = Effect(
         " drive: the load stays, the offset goes; or measure the current at rest, which only the offset moves."
     ),
     source="amplifier and converter offset",
+    amplitudes=("u0",),
+    probe=lambda s: {"u0": 0.01 * s.input},
 )
 
-SIGNAL_PATH: tuple[Effect, ...] = (input_offset,)
+sensor_drift = Effect(
+    "sensor_drift",
+    site="sensor",
+    parameters=[amplitude("rate", "{sensor}/s", "drift of the reading, either sign")],
+    states=[State("drift", "{sensor}", description="how far the reading has drifted")],
+    balances=_drifting,
+    on_output=_drifted,
+    equation="x + rate t",
+    parity="slow",
+    tells_apart=(
+        "Rest for as long as the record: the reading drifts on with nothing applied; creep under a constant load slows"
+        " down and goes back when the load is taken off."
+    ),
+    source="thermal drift of a displacement sensor",
+    amplitudes=("rate",),
+    probe=lambda s: {"rate": 0.02 * s.sensor / s.duration},
+)
+
+sensor_lag = Effect(
+    "sensor_lag",
+    site="sensor",
+    parameters=[
+        shape("tau_s", "s", SMALLEST_LAG, (SMALLEST_LAG, 100.0), "lag of the sensor", "small: absent until fitted")
+    ],
+    states=[State("y", "{sensor}", lambda p: p.sensor, relaxing=True, description="what the sensor shows")],
+    balances=_lag,
+    on_output=_lagging,
+    equation="tau_s y' = x - y, y in the place of x",
+    parity="linear",
+    tells_apart=(
+        "Measure the current or a pressure: a lag of the sensor leaves them alone, a delay or lag of the input does not;"
+        " from the input to this sensor a lag at either end is the same."
+    ),
+    source="filter of a sensor or its amplifier",
+    amplitudes=("tau_s",),
+    neutral={"tau_s": SMALLEST_LAG},
+    grid=lambda s: {"tau_s": [0.5 * s.period, 3 * s.period, 15 * s.period]},
+    limits=lambda s: {"tau_s": (min(SMALLEST_LAG, 1e-4 * s.period), s.duration)},
+)
+
+backlash = Effect(
+    "backlash",
+    site="sensor",
+    parameters=[amplitude("gap", "{sensor}", "half of the play between the body and its sensor", low=0.0)],
+    states=[State("w", "{sensor}", lambda p: p.sensor, description="what the sensor shows")],
+    update=_play,
+    on_output=_played,
+    equation="w = min(max(w, s - gap), s + gap), w in the place of s",
+    parity="odd",
+    tells_apart=(
+        "Move slowly forth and back: play keeps the reading still at every reversal by the same distance whatever the"
+        " force, friction keeps the body itself still until the force has changed."
+    ),
+    source="play in the coupling of a sensor",
+    amplitudes=("gap",),
+    probe=lambda s: {"gap": 0.01 * s.sensor},
+)
+
+SIGNAL_PATH: tuple[Effect, ...] = (
+    input_saturation,
+    input_dead_zone,
+    valve_dead_zone,
+    valve_lag,
+    transport_delay,
+    input_offset,
+    sensor_drift,
+    sensor_lag,
+    backlash,
+)

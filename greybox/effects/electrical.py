@@ -1,0 +1,110 @@
+"""Electrical: what a coil does besides resistance, inductance and a constant force per ampere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from greybox.effects.scales import Scales
+from greybox.effects.words import amplitude, shape, spread
+from greybox.model import Balance, Effect
+from greybox.signals import Expression, Named, State
+
+
+def _droop(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+    left = 1 - p.a * x.displacement**2
+    return {"force_constant": p.force_constant * left, "back_emf_constant": p.back_emf_constant * left}
+
+
+def _warm(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+    return {"resistance": p.resistance * (1 + x.z)}
+
+
+def _heat(x: Named, u: Named, p: Named) -> list[Balance]:
+    # The resistance as it is used already carries the factor 1 + z.
+    return [Balance("heat", "1", p.tau_th, "z", power=p.Rth * p.resistance * x.current**2, cooling=-x.z)]
+
+
+def _split(x: Named, u: Named, p: Named) -> Expression:
+    """Current from the amplifier when the inductance carries ``x.current`` and ``Re`` the rest."""
+    return (u.drive - p.back_emf_constant * x.velocity + p.Re * x.current) / (p.resistance + p.Re)
+
+
+def _eddy_current(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+    return {"current": _split(x, u, p)}
+
+
+def _eddy_force(x: Named, u: Named, p: Named) -> Mapping[str, Mapping[str, Expression]]:
+    # Only the current in the inductance makes force; the other terms take the current from the amplifier.
+    return {"force": {"coil": p.force_constant * x.current}}
+
+
+def _warming(s: Scales) -> Mapping[str, float]:
+    return {"Rth": 0.1 / (s.input * s.current)}
+
+
+def _warming_grid(s: Scales) -> Mapping[str, list[float]]:
+    return {"tau_th": spread(0.02 * s.duration, 2 * s.duration, 4)}
+
+
+force_constant_droop = Effect(
+    "force_constant_droop",
+    site="force",
+    parameters=[amplitude("a", "1/{displacement}**2", "share of force and back EMF lost per squared displacement")],
+    on_parameter=_droop,
+    equation="Kf (1 - a x^2), Kv (1 - a x^2)",
+    parity="odd",
+    tells_apart=(
+        "Measure the current, or compare slow motion with motion above the resonance: the loss goes with the current, the"
+        " force of a cubic spring with the displacement."
+    ),
+    source="bell-shaped force of a voice coil over its stroke; Klippel 2006, Loudspeaker nonlinearities, Bl(x)",
+    amplitudes=("a",),
+    probe=lambda s: {"a": 0.03 / s.displacement**2},
+)
+
+winding_heating = Effect(
+    "winding_heating",
+    site="voltage",
+    parameters=[
+        amplitude("Rth", "1/({voltage}*{current})", "rise of the resistance, as a share, per power", low=0.0),
+        shape("tau_th", "s", 1.0, (1e-3, 1e7), "time in which the winding warms"),
+    ],
+    states=[State("z", "", description="rise of the resistance, as a share")],
+    on_parameter=_warm,
+    balances=_heat,
+    equation="Ra (1 + z), tau_th z' = Rth Ra (1 + z) i^2 - z",
+    parity="slow",
+    tells_apart=(
+        "Rest, then load: the current falls as the winding warms and recovers at rest; creep leaves the current as it"
+        " is."
+    ),
+    source="temperature coefficient of copper, 0.39 % per kelvin, with one thermal time constant",
+    amplitudes=("Rth",),
+    probe=_warming,
+    grid=_warming_grid,
+)
+
+eddy_current = Effect(
+    "eddy_current",
+    site="voltage",
+    parameters=[
+        shape(
+            "Re", "{voltage}/{current}", 1e6, (1e-6, 1e9), "loop resistance in parallel with the inductance",
+            "large: absent until fitted",
+        )
+    ],
+    on_state=_eddy_current,
+    on_term=_eddy_force,
+    equation="La iL' = Re (i - iL), u = Ra i + Re (i - iL) + Kv v, force Kf iL",
+    parity="linear",
+    tells_apart=(
+        "Excite up to Re/La with the current measured: eddy currents let the current lead at high frequency, a delay or"
+        " a slow amplifier lets it lag."
+    ),
+    source="semi-inductance of a coil in iron with one loop: Klippel 2006, Loudspeaker nonlinearities",
+    amplitudes=("Re",),
+    neutral={"Re": 1e6},
+    grid=lambda s: {"Re": [factor * s.input / s.current for factor in (30.0, 5.0, 1.0, 0.3)]},
+)  # fmt: skip
+
+ELECTRICAL: tuple[Effect, ...] = (force_constant_droop, winding_heating, eddy_current)

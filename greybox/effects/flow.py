@@ -1,0 +1,145 @@
+"""Flow: what a valve, two chambers and a supply do besides the linear law. Pressures are absolute."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from greybox.effects.scales import Scales
+from greybox.effects.words import amplitude, shape, spread
+from greybox.model import Balance, Effect
+from greybox.signals import Expression, Named, State
+
+LAMINAR = 0.01  # phi^2 below which the flow is laminar: the root has no slope where both pressures are equal
+LEAST_VOLUME = 0.01  # of a chamber, where a trial step leaves the stroke
+LEAST_PRESSURE = 0.01  # of ambient, where a trial step would empty a chamber
+
+
+def _leakage(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+    across = p.kl * (x.chamber_a - x.chamber_b)
+    return {"pressure_a": -across, "pressure_b": across}
+
+
+def _phi(ratio: Expression, b: Expression) -> Expression:
+    """Flow over choked flow (ISO 6358); it turns round where the downstream pressure is the higher one."""
+    square = 1 - (ca.fmax(ratio - b, 0) / (1 - b)) ** 2
+    return square / ca.sqrt(ca.fmax(ca.fabs(square), LAMINAR))
+
+
+def _flow(u: Expression, p: Named) -> Expression:
+    """``G max(u, 0)``, the rate of pressure by a choked flow."""
+    gain = p.ambient_pressure * p.valve_gain * p.supply_pressure / (p.ambient_density * p.total_volume)
+    return gain * ca.fmax(u, 0)
+
+
+def _filling(x: Named, u: Named, p: Named) -> Mapping[str, Mapping[str, Expression]]:
+    def filled(opening: Expression, pressure: Expression) -> Mapping[str, Expression]:
+        return {"valve_flow": _flow(opening, p) * _phi(pressure / p.supply_pressure, p.b)}
+
+    return {"pressure_a": filled(u.valve, x.chamber_a), "pressure_b": filled(-u.valve, x.chamber_b)}
+
+
+def _venting(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+    def vented(opening: Expression, pressure: Expression) -> Expression:
+        inside = ca.fmax(pressure, LEAST_PRESSURE * p.ambient_pressure)
+        return -p.ce * _flow(opening, p) * (inside / p.supply_pressure) * _phi(p.ambient_pressure / inside, p.b)
+
+    return {"pressure_a": vented(-u.valve, x.chamber_a), "pressure_b": vented(u.valve, x.chamber_b)}
+
+
+def _drooped(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+    return {"valve_gain": p.valve_gain * (1 - x.z)}
+
+
+def _drain(x: Named, u: Named, p: Named) -> list[Balance]:
+    return [Balance("droop", "1", p.tau_d, "z", drain=p.r * ca.fabs(u.valve), recovery=-x.z)]
+
+
+def _droop_grid(s: Scales) -> Mapping[str, list[float]]:
+    return {"tau_d": spread(max(s.fastest, 4 * s.period), 0.2 * s.duration, 4)}
+
+
+def _volumes(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+    change = p.scale * p.piston_area * x.displacement / (p.total_volume / 2)
+    return {"pressure_a": ca.fmax(1 + change, LEAST_VOLUME), "pressure_b": ca.fmax(1 - change, LEAST_VOLUME)}
+
+
+chamber_leakage = Effect(
+    "chamber_leakage",
+    site="pressure_a",
+    parameters=[amplitude("kl", "1/s", "rate at which the pressures of both chambers meet", low=0.0)],
+    terms=_leakage,
+    equation="-kl (p_a - p_b) on chamber a, plus on chamber b",
+    parity="linear",
+    tells_apart=(
+        "Close the valve with a load on the piston and measure the pressures: through a leak their difference decays"
+        " while the piston creeps, a return spring holds it."
+    ),
+    source="laminar gap at the piston seal: flow proportional to the pressure difference",
+    amplitudes=("kl",),
+    # Both pressures move the piston at the rate of the chambers; a hundredth of it is visible but small.
+    probe=lambda s: {"kl": 0.02 / s.fastest},
+)
+
+choked_flow = Effect(
+    "choked_flow",
+    site="pressure_a",
+    parameters=[
+        shape("b", "1", 0.3, (0.01, 0.9), "critical pressure ratio", "usual: spool valves have 0.2 to 0.4"),
+        shape("ce", "1", 1.0, (0.05, 20.0), "conductance of the exhaust over that of the inlet", "equal edges"),
+    ],
+    on_term=_filling,
+    terms=_venting,
+    equation=(
+        "filling: G abs(u) phi(p/P_S, b), venting: -ce G abs(u) (p/P_S) phi(P_a/p, b) in the place of G u;"
+        " phi(r, b) = 1 for r <= b, else sqrt(1 - ((r - b)/(1 - b))^2)"
+    ),
+    parity="odd",
+    tells_apart=(
+        "Measure the pressures: choked flow lets them settle where both flows are equal, whatever the voltage; a clipped"
+        " voltage or a slow supply leaves them at half the supply."
+    ),
+    source="ISO 6358-1; Linear ARX modelling of pneumatic actuator system (chapter 10), eq. 10.1",
+    grid=lambda s: {"b": [0.2, 0.45], "ce": [0.7, 1.0, 1.5]},
+)
+
+supply_droop = Effect(
+    "supply_droop",
+    site="pressure_a",
+    parameters=[
+        amplitude("r", "1/{valve}", "share of the flow lost per opening held", low=0.0),
+        shape("tau_d", "s", 0.5, (1e-6, 1e6), "time in which the supply follows"),
+    ],
+    states=[State("z", "", relaxing=True, description="share of the flow lost")],
+    on_parameter=_drooped,
+    balances=_drain,
+    equation="G (1 - z) u, tau_d z' = r abs(u) - z",
+    parity="odd",
+    tells_apart=(
+        "Hold the valve open: the speed falls within tau_d and recovers at rest; a curved valve gain acts at once."
+    ),
+    source="flow resistance between reservoir and valve, with one time constant",
+    amplitudes=("r",),
+    probe=lambda s: {"r": 0.03 / s.input},
+    grid=_droop_grid,
+)
+
+position_dependent_volume = Effect(
+    "position_dependent_volume",
+    site="pressure_a",
+    parameters=[
+        amplitude("scale", "1", "share of the swept volume that changes the chambers: 1 is geometry", low=0.0, high=2.0)
+    ],
+    on_storage=_volumes,
+    equation="V/2 (1 +- scale A s/(V/2)) for the two chambers",
+    parity="even",
+    tells_apart=(
+        "Repeat a small motion near both ends with the pressures measured: the smaller chamber answers faster."
+    ),
+    source="Linear ARX modelling of pneumatic actuator system (chapter 10), eq. 10.3",
+    amplitudes=("scale",),
+    probe=lambda s: {"scale": 0.1},
+)
+
+FLOW: tuple[Effect, ...] = (chamber_leakage, choked_flow, supply_droop, position_dependent_volume)

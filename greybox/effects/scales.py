@@ -1,0 +1,122 @@
+"""How large things are in a record: what start values of effects are measured by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from greybox.errors import DataError
+from greybox.model import Effect, Model
+
+MOST_ROWS = 5000  # of a record that are looked at
+# A mode slower than this share of the fastest one is an integrator.
+STILL = 1e-9
+# How far bounds of shape parameters reach beyond their grid.
+BEYOND = 1000.0
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Peak absolute values in a record or a simulation of it, in the units of the model.
+
+    ``displacement``, ``velocity``, ``current`` (of the states with these roles), ``input`` (the first), ``sensor`` (how far the
+    main output moves from its first value), ``balances``: the largest term of each balance, ``force`` that of the balance
+    `force`, ``storage`` what that balance stores (the mass); 0 where the model has no such thing, 1 where it has and nothing
+    moves. In seconds: ``period`` between samples, ``duration``, and the time constants ``1 / |lambda|``
+    of the model, ``fastest`` and ``slowest`` (integrators left out, at most the duration).
+    """
+
+    displacement: float
+    velocity: float
+    current: float
+    input: float
+    sensor: float
+    force: float
+    storage: float
+    balances: Mapping[str, float]
+    period: float
+    duration: float
+    fastest: float
+    slowest: float
+
+    @property
+    def share(self) -> float:
+        """Two hundredths of the largest force: an effect of this size is visible but small."""
+        return 0.02 * self.force
+
+
+def scales_of(model: Model, x: np.ndarray, u: np.ndarray, period: float) -> Scales:
+    """The scales of ``model`` along its states ``x`` (N, nx) and inputs ``u`` (N, nu), sampled every ``period`` seconds.
+
+    Rows that are not finite are left out. Raises DataError if there is no other.
+    """
+    system, p = model.system, np.array(list(model.values.values()))
+    duration = period * max(len(x) - 1, 1)
+    every = max(1, len(x) // MOST_ROWS)
+    x, u = np.asarray(x, float)[::every], np.asarray(u, float).reshape(len(u), -1)[::every]
+    good = np.isfinite(x).all(axis=1) & np.isfinite(u).all(axis=1)
+    x, u = x[good], u[good]
+    if not len(x):
+        raise DataError(
+            f"model {model.title!r}: no row of the simulated states is finite; start from other values of its constants"
+        )
+    roles = {state.role: k for k, state in enumerate(model.all_states) if state.role}
+
+    def peak(role: str) -> float:
+        return _peak(x[:, roles[role]]) if role in roles else 0.0
+
+    arguments = [system.x, system.u, system.p]
+    every_term = [ca.Function("terms", arguments, [ca.vertcat(*b.terms.values())]) for b in system.balances]
+    balances = {b.name: _peak(np.asarray(f(x.T, u.T, p))) for b, f in zip(system.balances, every_term, strict=True)}
+    stored = next((b.storage for b in system.balances if b.name == "force"), 0)
+    shown = np.asarray(system.output_function(x.T, u.T, p))[0]
+    storage = ca.Function("storage", arguments, [ca.SX(stored)])
+    fastest, slowest = _time_constants(model, x, u, p, duration)
+    return Scales(
+        displacement=peak("displacement"), velocity=peak("velocity"), current=peak("current"),
+        input=_peak(u[:, 0]) if u.shape[1] else 0.0, sensor=_peak(shown - shown[0]), force=balances.get("force", 0.0),
+        storage=float(storage(x[0], u[0], p)), balances=balances, period=period, duration=duration,
+        fastest=fastest, slowest=slowest,
+    )  # fmt: skip
+
+
+def tailored(entry: Effect, scales: Scales) -> Effect:
+    """``entry`` for a record of these scales: shape parameters start inside the grid, and their bounds reach a thousand times further.
+
+    A delay gets its longest value from here: the catalogue cannot know how the record is sampled.
+    """
+    grid = entry.grid(scales) if entry.grid else {}
+    limits = dict(entry.limits(scales)) if entry.limits else {}
+    parameters = []
+    for q in entry.parameters:
+        low, high = q.bounds
+        value = q.value
+        if q.name in limits:
+            low, high = limits[q.name]
+        elif q.name in grid and q.name not in entry.amplitudes:
+            values = sorted(grid[q.name])
+            value = values[len(values) // 2]
+            if q.positive and low < values[0] and values[-1] < high:
+                low, high = max(low, values[0] / BEYOND), min(high, values[-1] * BEYOND)
+        parameters.append(replace(q, bounds=(low, high), value=min(max(value, low), high)))
+    return replace(entry, parameters=tuple(parameters))
+
+
+def _peak(values: np.ndarray) -> float:
+    return float(np.abs(values).max(initial=0.0)) or 1.0
+
+
+def _time_constants(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray, duration: float) -> tuple[float, float]:
+    rates = []
+    for k in range(0, len(x), max(1, len(x) // 10)):
+        jacobian = model.system.jacobian(x[k], u[k], p).full()
+        if np.isfinite(jacobian).all():
+            rates.append(np.abs(np.linalg.eigvals(jacobian)))
+    found = np.concatenate([*rates, np.empty(0)])
+    moving = found[found > STILL * found.max(initial=0.0)]
+    if not len(moving):
+        return duration, duration
+    return min(1 / float(moving.max()), duration), min(1 / float(moving.min()), duration)
