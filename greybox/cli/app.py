@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperArgument, TyperCommand, TyperOption
 
 from greybox.cli.check import check
 from greybox.cli.demo import demo
+from greybox.cli.discover import discover
 from greybox.cli.fit import fit
 from greybox.cli.guard import guarded
 from greybox.cli.init import init
 from greybox.cli.models import models
 from greybox.cli.simulate import simulate
+
+class Plain(TyperCommand):
+    """A command whose help names no types of Python: what a value is for stands in its own line."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        for parameter in self.params:
+            if isinstance(parameter, TyperArgument):
+                vars(parameter)["display_type_rich"] = lambda ctx: None
+            elif isinstance(parameter, TyperOption) and callable(parameter.default):  # an empty list
+                parameter.show_default = False
+
 
 app = typer.Typer(
     name="greybox",
@@ -34,6 +48,7 @@ def example(*lines: str) -> str:
 
 
 app.command(
+    cls=Plain,
     short_help="Fit a model's constants to records.",
     epilog=example(
         "greybox fit micro_actuator record.csv --fix M=0.01 --fix Ra=8 --validate other.csv",
@@ -42,6 +57,15 @@ app.command(
     ),
 )(guarded(fit))
 app.command(
+    cls=Plain,
+    short_help="Find which effect a model lacks, and name it.",
+    epilog=example(
+        "greybox discover micro_actuator train.csv --validate test.csv --fix M=0.01 --at-rest",
+        "greybox discover emps train.csv --validate test.csv --effects coulomb_friction,constant_load",
+    ),
+)(guarded(discover))
+app.command(
+    cls=Plain,
     short_help="Run a model and write a record.",
     epilog=example(
         "greybox simulate micro_actuator --step 1 --duration 0.2 --sampling-time 2.5e-4",
@@ -51,18 +75,22 @@ app.command(
     ),
 )(guarded(simulate))
 app.command(
+    cls=Plain,
     short_help="What is known before a fit: units, integration, determined constants.",
     epilog=example("greybox check micro_actuator", "greybox check micro_actuator record.csv --fix M=0.01"),
 )(guarded(check))
 app.command(
+    cls=Plain,
     short_help="List the models, or print one.",
     epilog=example("greybox models", "greybox models micro_actuator", "greybox models my/rig.py"),
 )(guarded(models))
 app.command(
+    cls=Plain,
     short_help="Write a project of your own to start from.",
     epilog=example("greybox init my_rig", "cd my_rig && greybox models"),
 )(guarded(init))
 app.command(
+    cls=Plain,
     short_help="Find the constants of a simulated actuator.",
     epilog=example("greybox demo", "greybox demo --output somewhere"),
 )(guarded(demo))
@@ -88,8 +116,8 @@ def _front(
     """Options before the sub-command."""
 
 
-def main() -> None:
-    """Run the command; the process ends with 0, 1 (no success), 2 (bad input) or 130 (Ctrl-C)."""
+def run() -> None:
+    """Run the command that ``sys.argv`` holds."""
     # The matrices are small: a pool of threads costs more than it does. Read when numpy is loaded, which is later.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")

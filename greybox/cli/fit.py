@@ -11,6 +11,7 @@ from greybox.cli import options as o
 from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
 from greybox.cli.interrupt import held
 from greybox.cli.progress import meter
+from greybox.cli.records import by_record, tell_notes
 
 if TYPE_CHECKING:
     from greybox.result import Fit
@@ -36,10 +37,11 @@ def fit(
     ],
     skip: Annotated[
         int,
-        typer.Option("--skip", metavar="N", min=0, help="Rows at the start of validation records that do not count."),
+        typer.Option("--skip", metavar="N", min=0, help="Rows at the start of --validate records that do not count."),
     ] = 0,
     hold: o.Hold = o.HoldName.zero,
     at_rest: o.AtRest = False,
+    free_decay: o.FreeDecay = False,
     column: o.Columns,
     method: o.Method = o.MethodName.automatic,
     substeps: o.Substeps = 0,
@@ -64,35 +66,40 @@ def fit(
     from greybox.project import resolve
 
     plant = o.changed(resolve(model), effects=effect, fix=fix, start=start, free=free)
+    o.check_substeps(plant, method, substeps)
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-fit")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
-    records = read_experiments(data, plant, columns=columns, hold=hold.value)
-    judges = read_experiments(validate, plant, columns=columns, hold=hold.value) if validate else ()
+    records, judges = (
+        read_experiments(files, plant, columns=columns, hold=hold.value, allow_constant_input=free_decay) if files else ()
+        for files in (data, validate)
+    )
     o.check_skip(skip, judges)
+    if not quiet:
+        tell_notes(records, judges)
     choice = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps)
     with held() as interrupt, meter(plant.title, interrupt) as report:
         result = fit_model(plant, records, noise=said, validation=judges, skip=skip, options=choice, report=report)
         saved = result.save(folder / "fit.json")
-    _tell(result, saved, quiet=quiet, json=json)
+    _tell(result, saved, skip, quiet=quiet, json=json)
     if interrupt.asked or result.status == "interrupted":
         stop(f"interrupted; the best point so far is in {saved}", INTERRUPTED)
-    _draw(result, saved, quiet=quiet or json)
+    _draw(result, saved, skip, quiet=quiet or json)
     if not result.success:
         stop(f"no success: {result.meaning}", UNSUCCESSFUL)
 
 
-def _tell(result: Fit, saved: Path, *, quiet: bool, json: bool) -> None:
+def _tell(result: Fit, saved: Path, skip: int, *, quiet: bool, json: bool) -> None:
     if json:
         typer.echo(saved.read_text(encoding="utf-8"), nl=False)
     elif not quiet:
-        typer.echo(f"{result.equations}\n\n{result}")
+        typer.echo("\n".join([result.equations, "", str(result), *by_record(result, skip)]))
 
 
-def _draw(result: Fit, saved: Path, *, quiet: bool) -> None:
+def _draw(result: Fit, saved: Path, skip: int, *, quiet: bool) -> None:
     from greybox.figures import fit_figure
 
     try:
-        figures = fit_figure(result, saved.parent)
+        figures = fit_figure(result, saved.parent, skip=skip)
     except KeyboardInterrupt:
         stop(f"interrupted while drawing; the fit is in {saved}", INTERRUPTED)
     if not quiet:

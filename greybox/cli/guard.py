@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import functools
+import signal
+import threading
 import warnings
 from collections.abc import Callable
 from typing import Any, NoReturn
 
 import typer
 
+from greybox.cli import INTERRUPTED
 from greybox.errors import GreyboxError
 
-UNSUCCESSFUL, BAD_INPUT, INTERRUPTED = 1, 2, 130
+__all__ = ["BAD_INPUT", "INTERRUPTED", "UNSUCCESSFUL", "guarded", "note", "stop"]
+
+UNSUCCESSFUL, BAD_INPUT = 1, 2
 
 
 def guarded(command: Callable[..., None]) -> Callable[..., None]:
@@ -21,6 +26,8 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
     def run(*args: Any, **options: Any) -> None:
         with warnings.catch_warnings():
             warnings.showwarning = _shown
+            if threading.current_thread() is threading.main_thread():
+                signal.signal(signal.SIGINT, signal.default_int_handler)
             try:
                 command(*args, **options)
             except GreyboxError as error:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greybox.cli.guard import note
 from greybox.errors import GreyboxError, ModelError
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from greybox.model import Model
 
 Names = list[str]
+FEWEST_JUDGED = 10  # rows of a validation record that must be left
 
 
 class HoldName(StrEnum):
@@ -25,6 +27,7 @@ class HoldName(StrEnum):
 
     zero = "zero"
     first = "first"
+    band_limited = "band-limited"
 
 
 class MethodName(StrEnum):
@@ -33,6 +36,9 @@ class MethodName(StrEnum):
     automatic = "automatic"
     exact = "exact"
     rk4 = "rk4"
+    mixed = "mixed"
+    midpoint = "midpoint"
+    radau = "radau"
 
 
 ModelName = Annotated[
@@ -79,7 +85,7 @@ Noise = Annotated[
     ),
 ]
 Hold = Annotated[
-    HoldName, typer.Option("--hold", help="The input between samples: zero (held) or first (straight lines).")
+    HoldName, typer.Option("--hold", help="The input between samples: zero (held), first (straight lines) or band-limited.")
 ]
 Columns = Annotated[
     Names,
@@ -94,11 +100,15 @@ AtRest = Annotated[
     bool,
     typer.Option("--at-rest", help="Records begin at the states that the model declares, instead of estimated ones."),
 ]
+FreeDecay = Annotated[
+    bool,
+    typer.Option("--free-decay", help="Accept records whose input is zero throughout: the plant was let go and left alone."),
+]
 Method = Annotated[
-    MethodName, typer.Option("--method", help="How to integrate: automatic, exact (linear models), rk4.")
+    MethodName, typer.Option("--method", help="How to integrate: automatic, exact (linear models), rk4, mixed, or midpoint and radau (stiff models).")
 ]
 Substeps = Annotated[
-    int, typer.Option("--substeps", metavar="N", min=0, help="RK4 steps in each sampling interval; 0 chooses.")
+    int, typer.Option("--substeps", metavar="N", min=0, help="Steps in each sampling interval; 0 chooses.")
 ]
 
 
@@ -172,8 +182,21 @@ def writable_folder(path: Path) -> Path:
     return path
 
 
-def check_skip(skip: int, records: Iterable[Experiment]) -> None:
-    """Refuse, before the fit, to leave out more rows than a validation record has."""
-    shortest = min((r.rows for r in records), default=skip + 1)
-    if skip >= shortest:
-        raise GreyboxError(f"--skip {skip}: the shortest validation record has {shortest} rows; leave out fewer")
+def check_skip(skip: int, records: Sequence[Experiment]) -> None:
+    """Refuse, before the fit, to leave out rows of nothing, or so many that a validation record has nothing left to judge by."""
+    if skip and not records:
+        raise GreyboxError(f"--skip {skip} has no effect: it leaves out rows of validation records; give --validate FILE too")
+    shortest = min((r.rows for r in records), default=skip + FEWEST_JUDGED)
+    if skip and shortest - skip < FEWEST_JUDGED:
+        raise GreyboxError(
+            f"--skip {skip}: the shortest validation record has {shortest} rows, and at least {FEWEST_JUDGED} must be left;"
+            " leave out fewer"
+        )
+
+
+def check_substeps(model: Model, method: MethodName, substeps: int) -> None:
+    """Refuse a number of substeps with a method that has none; say so where the automatic choice may be such a one."""
+    if substeps and method is MethodName.exact:
+        raise GreyboxError(f"--substeps {substeps} has no effect: --method exact has no substeps; leave out one of the two")
+    if substeps and method is MethodName.automatic and model.system.linear:
+        note(f"note: --substeps {substeps} has no effect where a linear model is integrated exactly; --method rk4 has substeps")

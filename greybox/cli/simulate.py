@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from greybox.cli import options as o
-from greybox.cli.guard import UNSUCCESSFUL, stop
+from greybox.cli.guard import UNSUCCESSFUL, note, stop
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
@@ -99,15 +100,16 @@ def simulate(
 
     plant = o.changed(resolve(model), effects=effect, start=set_)
     target = output or Path("results") / f"{plant.name}-simulated.csv"
-    if target.is_dir():
-        raise GreyboxError(f"--output {target}: it is a folder; give a file that ends in .csv")
-    o.writable_folder(target.parent)
+    _check_target(target, inputs)
+    o.check_substeps(plant, method, substeps)
     said = o.numbers("--noise", noise)
     generator = np.random.default_rng(seed)
     shapes = {"--step": step, "--multisine": multisine, "--chirp": chirp}
     chosen = {name: size for name, size in shapes.items() if size is not None}
     if (inputs is not None) + len(chosen) != 1 and plant.inputs:
         raise GreyboxError(f"{plant.title}: give either a file with inputs or one of {', '.join(shapes)}")
+    shaping = {"--band": band, "--offset": offset, "--duration": duration, "--sampling-time": sampling_time}
+    _refuse_idle(inputs is not None, multisine is not None or chirp is not None, shaping, column)
     if inputs is not None:
         experiment = read_inputs(inputs, plant, columns=o.pairs("--column", column), hold=hold.value)
     else:
@@ -118,10 +120,31 @@ def simulate(
             f"{plant.title}: the simulation overflows {run.overflow:.4g} s after its start; nothing was written",
             UNSUCCESSFUL,
         )
+    replaced = target.exists()
     write_csv(run.record(said, generator), plant, target)
+    if replaced:
+        note(f"note: {target} was there already; it has been overwritten")
     typer.echo(
         f"{target}: {len(run.time)} rows, {', '.join([*run.inputs, *run.outputs])}; integrated by {run.discretisation}"
     )
+
+
+def _check_target(target: Path, inputs: Path | None) -> None:
+    """Refuse a file that cannot be written, and the one that is read."""
+    if target.is_dir():
+        raise GreyboxError(f"--output {target}: it is a folder; give a file that ends in .csv")
+    if inputs is not None and target.exists() and inputs.exists() and target.samefile(inputs):
+        raise GreyboxError(f"--output {target}: it is the file of inputs, which would be lost; give another file")
+    o.writable_folder(target.parent)
+
+
+def _refuse_idle(from_file: bool, banded: bool, shaping: Mapping[str, object], columns: Collection[str]) -> None:
+    """Refuse options that would change nothing: of a test signal beside a file of inputs, and the other way round."""
+    idle = [name for name, value in shaping.items() if value and (from_file or (name == "--band" and not banded))]
+    idle += ["--column"] if columns and not from_file else []
+    if idle:
+        beside = "a file of inputs" if from_file else "this test signal"
+        raise GreyboxError(f"{', '.join(idle)}: no effect beside {beside}; leave {'it' if len(idle) == 1 else 'them'} out")
 
 
 def _signal(

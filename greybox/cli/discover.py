@@ -1,0 +1,74 @@
+"""`greybox discover`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from greybox.cli import options as o
+from greybox.cli.guard import note
+
+
+def discover(
+    model: o.ModelName,
+    estimation: Annotated[
+        list[Path], typer.Argument(metavar="ESTIMATION", help="Records to learn from, headers 'name [unit]'.")
+    ],
+    *,
+    validate: Annotated[
+        list[Path],
+        typer.Option(
+            "--validate", metavar="FILE", default_factory=list, help="A record to judge by; may be repeated."
+        ),
+    ],
+    fix: o.Fix,
+    start: o.Start,
+    free: o.Free,
+    noise: o.Noise,
+    quiet: Annotated[
+        list[Path],
+        typer.Option(
+            "--quiet", metavar="FILE", default_factory=list, help="A record with the input at rest: it tells the noise."
+        ),
+    ],
+    hold: o.Hold = o.HoldName.zero,
+    at_rest: o.AtRest = False,
+    column: o.Columns,
+    effects: Annotated[
+        str, typer.Option("--effects", metavar="NAME,...", help="Only these effects of the catalogue. [default: all]")
+    ] = "",
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", metavar="DIR", help="Folder for discovery.json. [default: results/MODEL-discover]"),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the discovery as JSON instead of text.")] = False,
+) -> None:
+    """Find which effect MODEL lacks, name it, add it, and show the gap shrink on records not used for it.
+
+    Refits the model with each effect of the catalogue, keeps what the ESTIMATION records demand, and judges it on the
+    --validate records. Says "complete" when nothing is missing, "ambiguous" when the records cannot tell, "unknown" when
+    the catalogue does not explain what is missing. Writes DIR/discovery.json.
+
+    Exit code 0: there is an answer. 2: bad input, nothing was written.
+    """
+    from greybox.discover import discover as find
+    from greybox.effects import effect
+    from greybox.experiment import read_experiments
+    from greybox.fitting import FitOptions
+    from greybox.project import resolve
+
+    plant = o.changed(resolve(model), fix=fix, start=start, free=free)
+    folder = o.writable_folder(output or Path("results") / f"{plant.name}-discover")
+    said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
+    records = read_experiments(estimation, plant, columns=columns, hold=hold.value)
+    judges = read_experiments(validate, plant, columns=columns, hold=hold.value) if validate else ()
+    silent = read_experiments(quiet, plant, columns=columns, hold=hold.value, allow_constant_input=True) if quiet else ()
+    chosen = [effect(name.strip()) for name in effects.split(",") if name.strip()] or None
+    found = find(
+        plant, records, validation=judges, noise=said, quiet=silent, effects=chosen,
+        options=FitOptions(at_rest=at_rest), say=note,
+    )  # fmt: skip
+    saved = found.save(folder / "discovery.json")
+    typer.echo(saved.read_text(encoding="utf-8") if json else f"{found}\n\nwritten: {saved}", nl=not json)

@@ -1,0 +1,145 @@
+"""The bench: one set of records on which many models are tried, each from several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from greybox.experiment import Experiment
+from greybox.fitting import FitOptions
+from greybox.fitting.problem import Problem, prepare
+from greybox.fitting.solve import Solution, solve
+from greybox.model import Model
+from greybox.noise import Noise
+from greybox.transcription import Evaluation, Variables
+
+Start = Mapping[str, float]
+
+# Iterations of one refit: what has not converged by then is not the answer, or is finished in the last fit.
+ITERATIONS = 60
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A model refitted: ``cost`` is the sum of squared whitened residuals over ``count`` samples, ``free`` the number of constants."""
+
+    model: Model
+    cost: float
+    count: int
+    free: int
+    problem: Problem
+    variables: Variables
+    evaluation: Evaluation
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects in the model."""
+        return tuple(e.name for e in self.model.effects)
+
+    @property
+    def per_sample(self) -> float:
+        """Cost over the number of samples: 1 where only noise is left."""
+        return self.cost / self.count
+
+    @property
+    def criterion(self) -> float:
+        """Schwarz's criterion: cost plus ``ln(samples)`` for each free constant."""
+        return self.cost + self.free * float(np.log(self.count))
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Records, noise and the plain model, with the start values it came with."""
+
+    plain: Model
+    experiments: tuple[Experiment, ...]
+    noise: Mapping[str, float] | Noise
+    quiet: tuple[Experiment, ...]
+    options: FitOptions
+
+    @cached_property
+    def base(self) -> Trial:
+        """The plain model, fitted to a growing part of the record from its start values."""
+        return _trial(self.plain, solve(self.problem(self.plain), self.options))
+
+    def problem(self, model: Model, experiments: tuple[Experiment, ...] | None = None) -> Problem:
+        """The records (or others) as a fit of ``model`` sees them; the noise is looked at once."""
+        known = self.noise if model is self.plain or isinstance(self.noise, Noise) else self._noise
+        return prepare(
+            model, experiments or self.experiments, known, at_rest=self.options.at_rest, method=self.options.method,
+            substeps=self.options.substeps, quiet=self.quiet,
+        )  # fmt: skip
+
+    @cached_property
+    def _noise(self) -> Noise:
+        return self.base.problem.noise
+
+    @property
+    def noise_std(self) -> dict[str, float]:
+        """Noise standard deviation of each measured output."""
+        measured = {name for e in self.experiments for name in e.outputs}
+        pairs = zip(self.plain.outputs, self._noise.std, strict=True)
+        return {o.name: float(std) for o, std in pairs if o.name in measured}
+
+    def best(self, model: Model, starts: Iterable[Start], keep: int = 2, iterations: int = ITERATIONS) -> Trial | None:
+        """``model`` refitted from the most promising ``keep`` of ``starts``; None where none of them can be simulated."""
+        problem = self.problem(model)
+        ranked = sorted((point for s in starts if (point := _promise(problem, s)) is not None), key=lambda point: point[0])
+        options = replace(self.options, progressive=False, thorough=False, iterations=iterations)
+        trials = [_trial(model, solve(replace(problem, variables=v), options)) for _, v in ranked[:keep]]
+        finite = [t for t in trials if np.isfinite(t.cost)]
+        return min(finite, key=lambda t: t.cost, default=None)
+
+    def promise(self, model: Model, starts: Iterable[Start]) -> float:
+        """The lowest cost that a Gauss-Newton step from any of ``starts`` foresees."""
+        problem = self.problem(model)
+        return min((point[0] for s in starts if (point := _promise(problem, s)) is not None), default=np.inf)
+
+
+def _trial(model: Model, solution: Solution) -> Trial:
+    variables, evaluation = solution.variables, solution.evaluation
+    values = dict(zip(model.values, map(float, variables.fixed), strict=True))
+    return Trial(
+        model.start(**values), evaluation.cost, evaluation.count, variables.size, solution.problem, variables, evaluation
+    )  # fmt: skip
+
+
+def _promise(problem: Problem, start: Start) -> tuple[float, Variables] | None:
+    """Cost foreseen from one start, and the variables there; None where the model cannot be simulated."""
+    variables = started(problem.variables, start)
+    e = problem.shooting(variables).evaluate(np.zeros(variables.size))
+    if not np.isfinite(e.cost):
+        return None
+    low, high = variables.bounds()
+    return e.cost - foreseen(e, low, high), variables
+
+
+def foreseen(e: Evaluation, low: np.ndarray, high: np.ndarray) -> float:
+    """Decrease of the cost by a Gauss-Newton step that stays within the bounds (variables that would leave are held)."""
+    inside = np.ones(len(low), bool)
+    for _ in range(3):
+        step = np.zeros(len(low))
+        gradient, hessian = e.gradient[inside], e.hessian[np.ix_(inside, inside)]
+        step[inside] = -np.linalg.lstsq(hessian, gradient, rcond=1e-12)[0]
+        leaving = inside & ((step < low) | (step > high))
+        if not leaving.any():
+            break
+        inside &= ~leaving
+        step[leaving] = 0.0
+    return float(-(e.gradient @ step) - 0.5 * step @ e.hessian @ step)
+
+
+def started(variables: Variables, start: Start) -> Variables:
+    """The same variables with other values at ``z = 0``."""
+    fixed = variables.fixed.copy()
+    names = variables.model.system.parameter_names
+    for name, value in start.items():
+        fixed[names.index(name)] = value
+    base = fixed[variables.which]
+    scale = np.where(base == 0, variables.scale, np.abs(base))
+    return replace(variables, fixed=fixed, base=base, scale=scale)
+
+

@@ -1,0 +1,202 @@
+"""`discover`: a model, records to learn from and records to judge by in; a verdict with its evidence out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.discover import rules
+from greybox.discover.bench import Bench, Trial
+from greybox.discover.colour import LEFT_OVER, colour_known, remainder, renoised
+from greybox.discover.hidden import hidden
+from greybox.discover.result import Discovery, Gap, Rank
+from greybox.discover.search import Say, Search
+from greybox.discover.separate import Separation, separations
+from greybox.discover.where import likeliest, sites
+from greybox.discover.words import story
+from greybox.effects import Scales, applicable, scales_of, tailored
+from greybox.errors import DataError
+from greybox.experiment import Experiment
+from greybox.fitting import FitOptions, fit, validate
+from greybox.model import Effect, Model
+from greybox.noise import Noise
+from greybox.result import Fit, Misfit
+
+Records = Experiment | Sequence[Experiment]
+
+# Times that the noise is looked at again, and sets of effects that are refitted then.
+ROUNDS, CARRIED = 2, 8
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A finished search: what was chosen, what explains the records as well, and both fits judged on other records."""
+
+    search: Search
+    chosen: Trial
+    rivals: Sequence[Trial]
+    base: Fit
+    best: Fit
+    gap: Mapping[str, Gap]
+
+    @property
+    def worst(self) -> Gap:
+        """The output that the plain model misses most, in units of its noise."""
+        return max(self.gap.values(), key=lambda g: g.before / g.floor)
+
+    @property
+    def verdict(self) -> str:
+        """``complete``, ``named``, ``ambiguous`` or ``unknown``."""
+        base, chosen = self.search.base, self.chosen
+        if not chosen.effects:
+            seen = base.per_sample > rules.threshold(base.count) or self.shows_elsewhere
+            return "unknown" if seen else "complete"
+        visible = self.worst.before / self.worst.floor > rules.VISIBLE
+        if not rules.clean(base, chosen) or remainder(chosen) > LEFT_OVER or (visible and self.worst.closed < rules.HELD_OUT):
+            return "unknown"
+        return "ambiguous" if self.rivals else "named"
+
+    @property
+    def shows_elsewhere(self) -> bool:
+        """Whether the plain model fails on the judging records only."""
+        if self.chosen.effects:
+            return False
+        noise = self.search.base.problem.noise
+        outputs = [o.name for o in self.base.model.outputs]
+        return any(
+            g.before / g.floor > rules.visible(self.base.validation[name].samples, noise.colour[outputs.index(name)])
+            for name, g in self.gap.items()
+        )
+
+
+def discover(
+    model: Model,
+    estimation: Records,
+    *,
+    validation: Records,
+    noise: Mapping[str, float] | None = None,
+    quiet: Records = (),
+    effects: Sequence[Effect] | None = None,
+    options: FitOptions | None = None,
+    say: Say | None = None,
+) -> Discovery:
+    """Find which effect, if any, ``model`` lacks.
+
+    Refits the model with each effect of the catalogue that it has a place for (or of ``effects``) to the ``estimation`` records,
+    keeps what the data demand, and judges it on the ``validation`` records, which no constant has seen. An effect that shows in
+    the validation records only (a saturation that the estimation input never reaches) is learnt from their first half and
+    judged on the second. Raises DataError where there is nothing to judge by, or for records that do not go with the model.
+    """
+    began = time.perf_counter()
+    options, say = options or FitOptions(), say or _silent
+    judges = _several(validation)
+    if not judges:
+        raise DataError("no validation record: a discovery is judged on data that no constant has seen; give at least one")
+    bench = Bench(model, _several(estimation), dict(noise or {}), _several(quiet), options)
+    scales = _scales(bench)
+    candidates = [tailored(e, scales) for e in effects] if effects else applicable(model, scales)
+    found, notes = _evidence(bench, candidates, scales, judges, 0, say), []
+    if found.shows_elsewhere and options.at_rest:
+        say("the plain model fails on the validation records only: learning from their first half")
+        half = min(j.rows for j in judges) // 2
+        wider = replace(bench, experiments=(*bench.experiments, *(j.window(0, half) for j in judges)))
+        found = _evidence(wider, candidates, scales, judges, half, say)
+        notes.append("the effect does not show in the estimation records: it was learnt from the first half of the validation records")
+    return _discovery(found, notes, time.perf_counter() - began)
+
+
+def _evidence(
+    bench: Bench, candidates: Sequence[Effect], scales: Scales, judges: tuple[Experiment, ...], skip: int, say: Say
+) -> Evidence:
+    say(f"plain model: misfit {bench.base.per_sample**0.5:.3g} times the noise")
+    search = Search(bench, candidates, scales, say)
+    if colour_known(bench.base.problem.noise, bool(bench.quiet)):
+        chosen = search.run()
+    else:
+        search, chosen = _with_unknown_noise(search, say)
+    rivals = search.rivals(chosen) if chosen.effects else []
+    base, best = (_judged(t, bench, judges, skip) for t in (search.base, chosen))
+    gap = {o: _gap(base.validation[o], best.validation[o]) for o in base.validation}
+    return Evidence(search, chosen, rivals, base, best, gap)
+
+
+def _judged(trial: Trial, bench: Bench, judges: tuple[Experiment, ...], skip: int) -> Fit:
+    """The trial as a fit with intervals, judged on the other records."""
+    quick = replace(bench.options, progressive=False, thorough=False)
+    result = fit(trial.model, bench.experiments, noise=trial.problem.noise, options=quick)
+    judged = validate(result.model, judges, noise=result.noise, skip=skip, options=quick)
+    return replace(result, validation=judged.misfit, validation_traces=judged.traces)
+
+
+def _with_unknown_noise(search: Search, say: Say) -> tuple[Search, Trial]:
+    """The search with the noise that the best single effect leaves over, and again with the one that the chosen model leaves."""
+    chosen = search.first()
+    for _ in range(ROUNDS):
+        noise = renoised(chosen)
+        if _same(noise, chosen.problem.noise):
+            say("the residual is white")
+        else:
+            say(f"noise as the residual of {chosen.model.title} shows it: {', '.join(map(str, noise.colour))}")
+        bench = replace(search.bench, noise=noise, plain=search.base.model)
+        search = Search(bench, _best(search), search.scales, say, search.tried)
+        before, chosen = chosen, search.run()
+        if before.effects == chosen.effects:
+            break
+    return search, chosen
+
+
+def _same(noise: Noise, before: Noise) -> bool:
+    """Whether a second look at the noise changes nothing: white as before, and of the same level."""
+    level = np.allclose(noise.std, before.std, rtol=0.05)
+    return level and all(a.reflection == b.reflection for a, b in zip(noise.colour, before.colour, strict=True))
+
+
+def _best(search: Search) -> list[Effect]:
+    """The candidates that did best, in catalogue order, with their parents and children: the others are out of the running."""
+    ranked = sorted(search.tried.values(), key=lambda t: t.criterion)
+    names = {name for t in ranked[:CARRIED] for name in t.effects}
+    family = names | {parent for e in search.candidates if e.name in names for parent in e.parents}
+    return [e for e in search.candidates if e.name in family]
+
+
+def _discovery(found: Evidence, notes: Sequence[str], seconds: float) -> Discovery:
+    verdict, chosen, search = found.verdict, found.chosen, found.search
+    trials = sorted(search.tried.values(), key=lambda t: t.criterion)
+    ranking = [Rank(t.effects, t.per_sample**0.5, t.criterion - trials[0].criterion) for t in trials]
+    places = likeliest(sites(search.base)) if verdict != "complete" else []
+    tests = [s[0] for rival in found.rivals if (s := separations(search.bench, chosen, rival))]
+    limits = hidden(search.singles) if verdict == "complete" else []
+    return Discovery(
+        verdict, found.base, found.best, [t.effects for t in found.rivals], found.gap, ranking, places,
+        story(verdict, chosen, found.rivals, found.gap), (*notes, *map(_told, tests), *limits), seconds,
+    )  # fmt: skip
+
+
+def _told(test: Separation) -> str:
+    rival = " + ".join(test.rival)
+    if test.cost < rules.TIE:
+        return f"no experiment tried would tell {rival} apart with these sensors (at best chi-square {test.cost:.2g})"
+    return str(test)
+
+
+def _silent(_: str) -> None:
+    return None
+
+
+def _several(records: Records) -> tuple[Experiment, ...]:
+    return (records,) if isinstance(records, Experiment) else tuple(records)
+
+
+def _scales(bench: Bench) -> Scales:
+    """Peaks and times of the fitted plain model on the first record."""
+    problem, variables = bench.base.problem, bench.base.variables
+    _, states = problem.shooting(variables).simulate(np.zeros(variables.size))[0]
+    record = problem.records[0]
+    return scales_of(bench.base.model, states, record.u, float(np.median(record.h)))
+
+
+def _gap(before: Misfit, after: Misfit) -> Gap:
+    return Gap(before.rmse, after.rmse, before.rmse / before.noise_ratio, before.unit)

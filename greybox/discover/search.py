@@ -1,0 +1,197 @@
+"""Forward, backward and swap: which effects, if any, turn the plain model into one that explains the records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from greybox.discover import rules
+from greybox.discover.bench import ITERATIONS, Bench, Start, Trial
+from greybox.discover.starts import candidate_starts, child_starts
+from greybox.effects import Scales
+from greybox.model import Effect
+
+# First picks that are carried on in parallel, second effects refitted for each, and effects at most.
+BEAM, SECONDS, MOST_EFFECTS = 3, 6, 3
+# Iterations of a first, short refit; effects that are then refitted thoroughly; generations of children (Coulomb, Stribeck, LuGre).
+SHORT, LEADING, GENERATIONS = 12, 5, 2
+# Effects put in the place of one that was chosen, refitted.
+SWAPS = 4
+
+Say = Callable[[str], None]
+
+
+@dataclass
+class Search:
+    """A search in progress over ``candidates`` (in catalogue order, parents before children)."""
+
+    bench: Bench
+    candidates: Sequence[Effect]
+    scales: Scales
+    say: Say
+    seeds: Mapping[frozenset[str], Trial] = field(default_factory=dict)
+    base: Trial = field(init=False)
+    singles: list[Trial] = field(init=False, default_factory=list)
+    tried: dict[frozenset[str], Trial] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.base = self.bench.base
+
+    def first(self) -> Trial:
+        """The best model with a single effect, whether or not the data demand it."""
+        if not self.singles:
+            names = [e.name for e in self.candidates]
+            self._try([e for e in self.candidates if not set(e.parents) & set(names)])
+            for _ in range(GENERATIONS):  # children of parents that did well, and theirs
+                leading = {t.effects[0] for t in sorted(self.singles, key=lambda t: t.criterion)[:LEADING]}
+                done = {t.effects[0] for t in self.singles}
+                self._try([e for e in self.candidates if e.name not in done and set(e.parents) & leading])
+            self._polish()
+        if not self.singles:
+            return self.base
+        return self._parsimonious(min(self.singles, key=lambda t: t.criterion), self.singles)
+
+    def _try(self, effects: Sequence[Effect]) -> None:
+        """Each effect alone, one short refit from its most promising start."""
+        found = [self._added(self.base, e, keep=1, iterations=SHORT) for e in effects]
+        self.singles += [t for t in found if t is not None]
+
+    def _polish(self) -> None:
+        """The leading effects once more, thoroughly: from several starts and to convergence."""
+        for t in sorted(self.singles, key=lambda t: t.criterion)[:LEADING]:
+            del self.tried[frozenset(t.effects)]
+            again = self._added(self.base, self._effect(t.effects[0]), more=[t.model.values])
+            best = again if again is not None and again.cost < t.cost else t
+            self.tried[frozenset(t.effects)] = best
+            self.singles[self.singles.index(t)] = best
+
+    def run(self) -> Trial:
+        """The model that explains the records best without a part that is not needed; the plain one if nothing is missing."""
+        chosen = self.first()
+        if chosen is self.base:
+            return self.base
+        self._retest_base(chosen)
+        if not rules.accepted(self.base, self.base, chosen):
+            return self.base
+        self.say(f"{chosen.effects[0]}: misfit {self.base.per_sample**0.5:.3g} -> {chosen.per_sample**0.5:.3g} times the noise")
+        while not rules.clean(self.base, chosen) and len(chosen.effects) < MOST_EFFECTS:
+            larger = self._extended(chosen)
+            if larger is None or not rules.accepted(self.base, chosen, larger):
+                break
+            chosen = larger
+            self.say(f"{' + '.join(chosen.effects)}: misfit {chosen.per_sample**0.5:.3g} times the noise")
+        return self._swapped(self._pruned(chosen))
+
+    def rivals(self, chosen: Trial) -> list[Trial]:
+        """Other models of the same size that explain the records as well, and are not the chosen one with more or less in it."""
+        same = [t for t in self.tried.values() if len(t.effects) == len(chosen.effects) and set(t.effects) != set(chosen.effects)]
+        return [t for t in same if t.criterion - chosen.criterion < rules.TIE and not self._related(t, chosen)]
+
+    def _added(
+        self, trial: Trial, effect: Effect, keep: int = 2, iterations: int = ITERATIONS, more: Sequence[Start] = ()
+    ) -> Trial | None:
+        """``trial`` with one more effect, refitted from the ``keep`` best starts (once for each set of effects)."""
+        key = frozenset((*trial.effects, effect.name))
+        if key in self.tried:
+            return self.tried[key]
+        model = trial.model + effect
+        seed = self.seeds.get(key)
+        if seed is not None:  # refitted before, with another idea of the noise
+            starts = [seed.model.values]
+        else:
+            starts = [*more, *candidate_starts(model, effect, trial, self.bench.plain, self.scales)]
+        for name in effect.parents:
+            parent = self.tried.get(frozenset((*trial.effects, name)))
+            if parent is not None:
+                starts += child_starts(model, effect, parent, self._effect(name), self.scales)
+        found = self.bench.best(model, starts, keep, iterations)
+        if found is not None:
+            self.tried[key] = found
+        return found
+
+    def _extended(self, chosen: Trial) -> Trial | None:
+        """The best model with one effect more, from the chosen one and (for a second effect) from the other good first picks."""
+        firsts = [chosen]
+        if len(chosen.effects) == 1:
+            others = sorted(self.singles, key=lambda t: t.criterion)
+            firsts += [t for t in others if t.effects != chosen.effects][: BEAM - 1]
+        found = [t for first in firsts for t in self._seconds(first)]
+        if not found:
+            return None
+        return self._parsimonious(min(found, key=lambda t: t.criterion), found)
+
+    def _seconds(self, first: Trial) -> list[Trial]:
+        """``first`` with each promising further effect."""
+        room = [e for e in self.candidates if e.name not in first.effects and not self._family(e, first)]
+        hopes = {e.name: self._hope(first, e) for e in room}
+        promising = sorted(room, key=lambda e: hopes[e.name])[:SECONDS]
+        return [t for e in promising if (t := self._added(first, e)) is not None]
+
+    def _hope(self, first: Trial, effect: Effect) -> float:
+        model = first.model + effect
+        return self.bench.promise(model, candidate_starts(model, effect, first, first.model, self.scales))
+
+    def _pruned(self, chosen: Trial) -> Trial:
+        """Without every effect that the data do not need once the others are there."""
+        for name in chosen.effects:
+            if len(chosen.effects) == 1:
+                break
+            smaller = self._refitted(chosen, name)
+            need = max(rules.STRONG, rules.FURTHER_SHARE * rules.excess(self.base))
+            if smaller is not None and smaller.cost - chosen.cost < need:
+                chosen = smaller
+        return chosen
+
+    def _refitted(self, chosen: Trial, without: str) -> Trial | None:
+        model = chosen.model.without(without)
+        values = {name: value for name, value in chosen.model.values.items() if name in model.values}
+        starts = [values, {**values, **self.bench.plain.values}]
+        known = self.tried.get(frozenset(e.name for e in model.effects))
+        found = [t for t in (self.bench.best(model, starts), known) if t is not None]
+        return min(found, key=lambda t: t.cost, default=None)
+
+    def _swapped(self, chosen: Trial) -> Trial:
+        """With each effect replaced by a better one, if there is one."""
+        if len(chosen.effects) == 1:
+            return chosen  # every single effect has been refitted already
+        for name in chosen.effects:
+            rest = self._refitted(chosen, name)
+            if rest is None:
+                continue
+            room = [e for e in self.candidates if e.name not in chosen.effects]
+            hopes = {e.name: self._hope(rest, e) for e in room}
+            others = [self._added(rest, e) for e in sorted(room, key=lambda e: hopes[e.name])[:SWAPS]]
+            better = [t for t in others if t is not None and t.criterion < chosen.criterion - rules.TIE]
+            chosen = min(better, key=lambda t: t.criterion, default=chosen)
+        return chosen
+
+    def _retest_base(self, extended: Trial) -> None:
+        """The plain model once more, from the constants of the extended one: a base fit stuck in a wrong place is a false alarm."""
+        values = {name: value for name, value in extended.model.values.items() if name in self.base.model.values}
+        again = self.bench.best(self.base.model, [values], keep=1)
+        if again is not None and again.cost < self.base.cost:
+            self.base = replace(again, model=again.model)
+
+    def _parsimonious(self, best: Trial, among: Sequence[Trial]) -> Trial:
+        """The simplest member of a family that does nearly as well as its best."""
+        for name in best.effects:
+            for parent in self._effect(name).parents:
+                wanted = {parent if n == name else n for n in best.effects}
+                simpler = next((t for t in among if set(t.effects) == wanted), None)
+                need = max(rules.CHILD, rules.CHILD_SHARE * (self.base.cost - best.cost))
+                if simpler is not None and simpler.cost - best.cost <= need:
+                    return self._parsimonious(simpler, among)
+        return best
+
+    def _family(self, effect: Effect, trial: Trial) -> bool:
+        """Whether ``effect`` is a parent or child of one in ``trial``: a family is represented once."""
+        return any(effect.name in self._effect(n).parents or n in effect.parents for n in trial.effects)
+
+    def _related(self, a: Trial, b: Trial) -> bool:
+        """Whether one model is the other with a parent effect in the place of its child."""
+        ours, theirs = set(a.effects) - set(b.effects), set(b.effects) - set(a.effects)
+        pairs = [(x, y) for x in ours for y in theirs]
+        return any(y in self._effect(x).parents or x in self._effect(y).parents for x, y in pairs)
+
+    def _effect(self, name: str) -> Effect:
+        return next(e for e in self.candidates if e.name == name)
