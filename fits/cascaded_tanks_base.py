@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import greybox as gb
+from fits import data_folder
 from models.cascaded_tanks import cascaded_tanks
 
 
@@ -28,6 +29,6 @@ def verdict(fitted: gb.Fit) -> None:
 
 
 if __name__ == "__main__":
-    fit = study(Path(sys.argv[1]))
+    fit = study(data_folder("cascaded_tanks_base", "train.csv", "test.csv"))
     sys.stdout.write(f"{fit}\n")
     verdict(fit)

@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 
 import greybox as gb
+from fits import data_folder
 from models.emps import emps
 
 
@@ -37,7 +38,7 @@ def verdict(plain: gb.Fit, rubbing: gb.Fit) -> None:
 
 
 if __name__ == "__main__":
-    fits = study(Path(sys.argv[1]))
+    fits = study(data_folder("emps_dry_friction", "train.csv", "test.csv"))
     for fit in fits:
         sys.stdout.write(f"{fit}\n\n")
     verdict(*fits)

@@ -13,20 +13,26 @@ import sys
 from pathlib import Path
 
 import greybox as gb
+from fits import data_folder
 from models.silverbox import silverbox
 
+RECORDS = ("train_multisine", "test_multisine", "test_arrow")
 EFFECTS = ("cubic_stiffness", "quadratic_stiffness", "input_offset")
 
 
 def study(folder: Path) -> tuple[gb.Fit, dict[str, float], dict[str, float]]:
     """The fit of the hardening model, and free-run errors (V) on the test records: of the linear model and of this one."""
-    read = {name: gb.read_csv(folder / f"{name}.csv", silverbox, hold="first") for name in ("train_multisine", "test_multisine", "test_arrow")}
-    tests = {"multisine": read["test_multisine"], "arrow": read["test_arrow"], "arrow without extrapolation": read["test_arrow"].window(0, 32000)}
+    read = {name: gb.read_csv(folder / f"{name}.csv", silverbox, hold="first") for name in RECORDS}
+    arrow = read["test_arrow"]
+    tests = {"multisine": read["test_multisine"], "arrow": arrow, "arrow without extrapolation": arrow.window(0, 32000)}
     hardening = silverbox
     for name in EFFECTS:
         hardening = hardening + gb.effect(name)
     linear, fitted = (gb.fit(model, read["train_multisine"]) for model in (silverbox, hardening))
-    errors = [{name: gb.validate(f.model, record, skip=50).misfit["y"].rmse for name, record in tests.items()} for f in (linear, fitted)]
+    errors = [
+        {name: gb.validate(f.model, record, skip=50).misfit["y"].rmse for name, record in tests.items()}
+        for f in (linear, fitted)
+    ]
     return fitted, errors[0], errors[1]
 
 
@@ -38,7 +44,7 @@ def verdict(fitted: gb.Fit, linear: dict[str, float], hardening: dict[str, float
 
 
 if __name__ == "__main__":
-    result = study(Path(sys.argv[1]))
+    result = study(data_folder("silverbox_hardening", *(f"{name}.csv" for name in RECORDS)))
     sys.stdout.write(f"{result[0]}\n")
     for name in result[1]:
         sys.stdout.write(f"{name}: linear {1e3 * result[1][name]:.2f} mV, hardening {1e3 * result[2][name]:.3f} mV\n")

@@ -9,10 +9,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from greybox.discovery import Discovery, discover
     from greybox.effects import CATALOGUE, effect
     from greybox.errors import DataError, FitError, GreyboxError, ModelError, UnitError
     from greybox.experiment import Experiment, read_csv, read_experiments
-    from greybox.fitting import FitOptions, fit, validate
+    from greybox.fitting import FitOptions, fit, multistart, validate
     from greybox.model import Balance, DryFriction, Effect, Model
     from greybox.result import Estimate, Fit, Misfit, load_fit
     from greybox.signals import Input, Output, Parameter, State
@@ -20,10 +21,11 @@ if TYPE_CHECKING:
 
 # Where each public name lives. Loaded when first asked for: stating a model should not load a solver.
 _ROOMS = {
+    "discovery": ("Discovery", "discover"),
     "effects": ("CATALOGUE", "effect"),
     "errors": ("DataError", "FitError", "GreyboxError", "ModelError", "UnitError"),
     "experiment": ("Experiment", "read_csv", "read_experiments"),
-    "fitting": ("FitOptions", "fit", "validate"),
+    "fitting": ("FitOptions", "fit", "multistart", "validate"),
     "model": ("Balance", "DryFriction", "Effect", "Model"),
     "result": ("Estimate", "Fit", "Misfit", "load_fit"),
     "signals": ("Input", "Output", "Parameter", "State"),
@@ -32,9 +34,9 @@ _ROOMS = {
 _HOME = {name: f"greybox.{room}" for room, names in _ROOMS.items() for name in names}
 
 __all__ = [
-    "CATALOGUE", "Balance", "DataError", "DryFriction", "Effect", "Estimate", "Experiment", "Fit", "FitError",
+    "CATALOGUE", "Balance", "DataError", "Discovery", "DryFriction", "Effect", "Estimate", "Experiment", "Fit", "FitError",
     "FitOptions", "GreyboxError", "Input", "Misfit", "Model", "ModelError", "Output", "Parameter", "Simulation",
-    "State", "UnitError", "effect", "fit", "load_fit", "read_csv", "read_experiments", "simulate", "validate",
+    "State", "UnitError", "discover", "effect", "fit", "load_fit", "multistart", "read_csv", "read_experiments", "simulate", "validate",
 ]  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from greybox.project import shipped
 from greybox.result import Fit
 from greybox.simulation import chirp, multisine, write_csv
 from greybox.twin import twin
+from greybox.units import tidy
 
 MODEL = "micro_actuator"
 SAMPLING_TIME, ROWS, CHECK_ROWS = 2.5e-4, 6000, 3000  # 4 kHz: 1.5 s to fit, 0.75 s to judge
@@ -60,7 +61,7 @@ class Demo:
                     f"{e.value:.6g}",
                     std,
                     f"{abs(self.deviations[name]):.1f} std",
-                    e.unit,
+                    tidy(e.unit),
                 ]
             )
         widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]

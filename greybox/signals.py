@@ -78,9 +78,13 @@ class Parameter:
     def __post_init__(self) -> None:
         low, high = self.bounds
         if not low < high:
-            raise ModelError(f"parameter {self.name!r}: bounds [{low:g}, {high:g}] {self.unit} are empty; give (low, high) with low < high")
+            raise ModelError(
+                f"parameter {self.name!r}: bounds [{low:g}, {high:g}] {self.unit} are empty; give (low, high) with low < high"
+            )
         if not math.isfinite(self.value):
-            raise ModelError(f"parameter {self.name!r}: value {self.value} is not a finite number; give a rough physical value in {self.unit}")
+            raise ModelError(
+                f"parameter {self.name!r}: value {self.value} is not a finite number; give a rough physical value in {self.unit}"
+            )
         if not low <= self.value <= high:
             raise ModelError(
                 f"parameter {self.name!r}: {self.value:g} {self.unit} lies outside its bounds [{low:g}, {high:g}] {self.unit};"

@@ -18,7 +18,17 @@ def linear_matrices(model):
     s = model.system
     xu = ca.vertcat(s.x, s.u)
     at_zero = [ca.substitute(e, xu, 0) for e in (s.rhs, s.outputs)]
-    f = ca.Function("m", [s.p], [ca.jacobian(s.rhs, s.x), ca.jacobian(s.rhs, s.u), ca.jacobian(s.outputs, s.x), ca.jacobian(s.outputs, s.u), *at_zero])
+    f = ca.Function(
+        "m",
+        [s.p],
+        [
+            ca.jacobian(s.rhs, s.x),
+            ca.jacobian(s.rhs, s.u),
+            ca.jacobian(s.outputs, s.x),
+            ca.jacobian(s.outputs, s.u),
+            *at_zero,
+        ],
+    )
     a, b, c, d, a0, c0 = (m.full() for m in f(values(model)))
     return a, b, c, d, a0.ravel(), c0.ravel()
 
@@ -27,7 +37,9 @@ def linear_record(model, u, period, x0=None, noise=None, seed=0, name="twin"):
     """Held input over a linear model, discretised by scipy."""
     a, b, c, d, a0, c0 = linear_matrices(model)
     nx = len(a)
-    phi, gamma, *_ = cont2discrete((a, np.column_stack([b, a0]), np.eye(nx), np.zeros((nx, b.shape[1] + 1))), period, "zoh")
+    phi, gamma, *_ = cont2discrete(
+        (a, np.column_stack([b, a0]), np.eye(nx), np.zeros((nx, b.shape[1] + 1))), period, "zoh"
+    )
     x = np.zeros(nx) if x0 is None else np.array(x0, float)
     u = np.asarray(u, float).reshape(len(u), -1)
     y = np.empty((len(u), len(c)))

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.main import get_command
 from typer.testing import CliRunner, Result
 
 from greybox import Experiment, FitOptions, fit, load_fit, read_csv
-from greybox.cli import app
 from greybox.cli import fit as fit_command
+from greybox.cli.app import app
 from greybox.cli.interrupt import held
 from greybox.simulation import multisine, simulate, write_csv
 from models.micro_actuator import micro_actuator
@@ -109,6 +110,68 @@ def test_quiet_means_silent(run: Run, data: Path, tmp_path: Path) -> None:
     assert everything(tmp_path) == ["out", "out/fit-train.png", "out/fit.json"]
 
 
+def test_notes_of_the_records_go_to_stderr_once(run: Run, data: Path, tmp_path: Path) -> None:
+    _, *rows = (data / "train.csv").read_text().splitlines()
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text("\n".join(["time,u,x,temp", *(row.rpartition(",")[0] + ",20" for row in rows)]))
+    arguments = ["fit", "micro_actuator", "a.csv", "--validate", "b.csv", *KNOWN, "--fix", "Kf", "--noise", "x=2e-7"]
+    result = run(*arguments, "--json")
+    assert result.exit_code == 0, result.output
+    assert result.stderr.splitlines() == [
+        "note: a.csv, b.csv: not measured: output 'i'",
+        "note: a.csv, b.csv: no unit in the header of time, u, x: taken as s, V, m",
+        "note: a.csv, b.csv: columns ignored: 'temp'",
+    ]
+    assert run(*arguments, "-q").output == ""
+
+
+def test_several_validation_records_are_judged_one_by_one(run: Run, data: Path, tmp_path: Path) -> None:
+    off = read_csv(data / "test.csv", micro_actuator)
+    write_csv(off.with_outputs({**off.outputs, "x": off.outputs["x"] + 2e-6}), micro_actuator, tmp_path / "off.csv")
+    judges = ["--validate", data / "test.csv", "--validate", "off.csv", "--skip", 50]
+    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, *PRECISE, *judges, "--at-rest", "--output", "out")
+    assert result.exit_code == 0, result.output
+    table = result.stdout.partition("validation record ")[2].partition("written")[0]
+    ratios = {tuple(line.split()[:2]): float(line.split()[6]) for line in table.splitlines()[1:] if line.strip()}
+    assert set(ratios) == {(name, output) for name in ("test", "off") for output in ("x", "i")}
+    assert ratios["test", "x"] == pytest.approx(1, abs=0.15)
+    assert ratios["off", "x"] == pytest.approx(np.hypot(10, 1), rel=0.05)
+    model = micro_actuator.fix(M=0.01, Ra=8)
+    saved = load_fit(tmp_path / "out" / "fit.json", model)
+    pooled = np.sqrt(np.mean([ratios["test", "x"] ** 2, ratios["off", "x"] ** 2]))
+    assert saved.validation["x"].noise_ratio == pytest.approx(pooled, rel=1e-3)
+
+
+def test_an_output_that_only_a_validation_record_has_is_drawn(run: Run, data: Path, tmp_path: Path) -> None:
+    rows = [line.rpartition(",")[0] for line in (data / "train.csv").read_text().splitlines()]
+    (tmp_path / "x.csv").write_text("\n".join(rows))
+    judge = ["--validate", data / "test.csv"]
+    result = run("fit", "micro_actuator", "x.csv", *KNOWN, "--fix", "Kf", *judge, "--output", "out")
+    assert result.exit_code == 0, result.output
+    assert everything(tmp_path / "out") == ["fit-x.png", "fit.json", "validation-test.png"]
+
+
+def test_a_free_decay_is_fitted_when_it_is_said_to_be_one(run: Run, tmp_path: Path) -> None:
+    time = 2.5e-4 * np.arange(1200)
+    decay = simulate(micro_actuator, {"time": time, "u": 0 * time}, initial={"x": 1e-4})
+    write_csv(decay.record(NOISE, np.random.default_rng(3)), micro_actuator, tmp_path / "decay.csv")
+    arguments = ["fit", "micro_actuator", "decay.csv", *KNOWN, "--fix", "Kf", "--fix", "Kv", "--fix", "La", *PRECISE]
+    refused = run(*arguments)
+    assert refused.exit_code == 2
+    assert "(shell: --free-decay)" in refused.stderr
+    result = run(*arguments, "--free-decay", "--output", "out")
+    assert result.exit_code == 0, result.output
+    assert "note: decay.csv: input 'u' is constant at 0" in result.stderr
+    found = json.loads((tmp_path / "out" / "fit.json").read_text())["parameters"]["K"]
+    assert abs(found["value"] - micro_actuator.values["K"]) < 4 * found["std"]
+
+
+def test_substeps_that_may_have_no_effect_are_noted(run: Run, data: Path) -> None:
+    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, *PRECISE, "--substeps", 4, "--output", "out")
+    assert result.exit_code == 0
+    assert "note: --substeps 4 has no effect where a linear model is integrated exactly" in result.stderr
+
+
 def test_an_effect_brings_its_parameters(run: Run, data: Path, tmp_path: Path) -> None:
     options = ["--effect", "cubic_stiffness", "--method", "rk4", "--substeps", 8, "--at-rest", "--output", "out"]
     name = next(q.name for q in _with_effect("cubic_stiffness").all_parameters if q.name not in micro_actuator.values)
@@ -152,6 +215,9 @@ BAD_FITS = [
     (["micro_actuator", "DATA", "--noise", "x=0"], "not a positive standard deviation"),
     (["micro_actuator", "DATA", "--column", "x=Laser"], "'Laser', which the file does not have"),
     (["micro_actuator", "DATA", "--validate", "DATA", "--skip", "1500"], "shortest validation record has 1500"),
+    (["micro_actuator", "DATA", "--validate", "DATA", "--skip", "1491"], "at least 10 must be left; leave out fewer"),
+    (["micro_actuator", "DATA", "--skip", "100"], "--skip 100 has no effect: it leaves out rows of validation records"),
+    (["micro_actuator", "DATA", "--method", "exact", "--substeps", "4"], "--method exact has no substeps"),
     (["micro_actuator", "DATA", "--validate", "none.csv"], "none.csv: file not found"),
     (["micro_actuator", "DATA", "--output", "DATA"], "it is a file; give a folder"),
     (["micro_actuator", "DATA", "--output", "/proc/none"], "cannot be written to"),
@@ -300,6 +366,9 @@ def test_simulate_takes_inputs_from_a_file(run: Run, tmp_path: Path) -> None:
         (["micro_actuator", "none.csv"], 2, "none.csv: file not found"),
         (["micro_actuator", "--step", "1", *PACE, "--output", "."], 2, "folder"),
         (["runaway.py", "--step", "1", *PACE], 1, "overflows"),
+        (["micro_actuator", "--step", "1", "--band", "5:8", *PACE], 2, "--band: no effect beside this test signal"),
+        (["micro_actuator", "--step", "1", "--column", "u=V", *PACE], 2, "--column: no effect beside this test signal"),
+        (["micro_actuator", "u.csv", "--band", "5:8", *PACE], 2, "--band, --duration, --sampling-time: no effect beside"),
     ],
 )  # fmt: skip
 def test_simulate_refuses(run: Run, tmp_path: Path, arguments: list[str], code: int, message: str) -> None:
@@ -308,6 +377,29 @@ def test_simulate_refuses(run: Run, tmp_path: Path, arguments: list[str], code: 
     assert result.exit_code == code
     assert message in result.stderr
     assert not list(tmp_path.rglob("*.csv"))
+
+
+def test_simulate_never_overwrites_its_own_input(run: Run, tmp_path: Path) -> None:
+    text = "time [s],u [V]\n" + "".join(f"{k * 1e-3:g},{k % 7}\n" for k in range(30))
+    (tmp_path / "u.csv").write_text(text)
+    refused = run("simulate", "micro_actuator", "u.csv", "--output", tmp_path / "u.csv")
+    assert refused.exit_code == 2
+    assert "it is the file of inputs, which would be lost; give another file" in refused.stderr
+    assert (tmp_path / "u.csv").read_text() == text
+    assert run("simulate", "micro_actuator", "u.csv", "--output", "y.csv").stderr == ""
+    again = run("simulate", "micro_actuator", "u.csv", "--output", "y.csv")
+    assert again.exit_code == 0
+    assert again.stderr == "note: y.csv was there already; it has been overwritten\n"
+
+
+def test_a_constant_in_no_equation_is_noted(run: Run, tmp_path: Path) -> None:
+    text = RUNAWAY.replace("parameters=[", 'parameters=[Parameter("spare", "N", 1.0), ')
+    assert text != RUNAWAY
+    (tmp_path / "rig.py").write_text(text)
+    result = run("models", "rig.py")
+    assert result.exit_code == 0, result.output
+    assert "note: parameter 'spare' is in no equation" in result.stderr
+    assert run("models", "micro_actuator").stderr == ""
 
 
 def test_check_names_what_the_record_leaves_open(run: Run, data: Path) -> None:
@@ -332,12 +424,33 @@ def test_init_and_a_fit_inside(run: Run, data: Path, tmp_path: Path, monkeypatch
     assert (tmp_path / "mine" / "results" / "micro_actuator-fit" / "fit.json").is_file()
 
 
-@pytest.mark.parametrize("command", ["fit", "simulate", "check", "models", "init", "demo"])
-def test_help_ends_with_an_example(run: Run, command: str) -> None:
+@pytest.mark.parametrize("command", sorted(get_command(app).commands))
+def test_help_ends_with_an_example_and_speaks_no_python(run: Run, command: str) -> None:
     result = run(command, "--help")
     assert result.exit_code == 0
     assert f"  greybox {command}" in result.stdout.partition("Examples:")[2]
-    assert "list[" not in result.stdout.partition("Options:")[2]
+    assert "<class" not in result.stdout
+    assert "list[" not in result.stdout
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGINT to send")
+def test_ctrl_c_while_the_command_is_being_loaded_is_told_in_one_line() -> None:
+    # What is imported first stands still until the signal comes.
+    code = (
+        "import sys, time, greybox.cli\n"
+        "class Slow:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'typer':\n"
+        "            print('loading', flush=True)\n"
+        "            time.sleep(30)\n"
+        "sys.meta_path.insert(0, Slow())\n"
+        "greybox.cli.main()\n"
+    )
+    command = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert command.stdout.readline() == "loading\n"
+    command.send_signal(signal.SIGINT)
+    _, errors = command.communicate(timeout=20)
+    assert (command.returncode, errors) == (130, "error: interrupted\n")
 
 
 def test_help_and_version_load_nothing_heavy() -> None:

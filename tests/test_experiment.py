@@ -85,7 +85,8 @@ REFUSED = [
     ({"inputs": {"u": np.zeros(N)}}, "constant input: 'u' is 0 in every row, so the record does not excite the plant"),
     ({"inputs": {"u": np.zeros(N), "w": np.zeros(N)}}, "'u' and 'w' are 0 in every row"),
     ({"inputs": {"u": np.ones(N)}, "outputs": {"y": np.ones(N)}}, "nothing moves: 'u', 'y' are constant"),
-    ({"inputs": {}, "outputs": {"y": np.ones(N)}}, "nothing moves: 'y' are constant"),
+    ({"inputs": {}, "outputs": {"y": np.ones(N)}}, "nothing moves: 'y' is constant"),
+    ({"outputs": {"y": np.ones(N), "z": np.ones(N)}}, "no output moves: 'y', 'z' are constant over the whole record"),
     ({"conditions": {"T": np.nan}}, "condition 'T' is nan; give a finite number"),
 ]
 
@@ -259,8 +260,36 @@ def test_time_in_single_precision_is_uniform():
     assert uniform_step(time) == pytest.approx(1e-3, rel=1e-6)
 
 
+def test_time_printed_to_nearly_half_a_step_is_uniform_and_noted():
+    time = np.array([float(f"{t:.4f}") for t in np.arange(2000) * 2.5e-4])  # 4 kHz: steps of 0.2 and 0.3 ms
+    assert uniform_step(time) == pytest.approx(2.5e-4, rel=1e-5)
+    experiment = make(time=time, inputs={"u": np.sin(time)}, outputs={"y": np.cos(time)})
+    assert experiment.regular
+    (note,) = experiment.notes
+    assert note.startswith("time looks rounded: steps from 0.0002 to 0.0003 s differ by no more than a printed unit")
+    for row in (1, 7, 1000, 1998):
+        assert uniform_step(np.delete(time, row)) is None
+
+
+@pytest.mark.parametrize("step", [2.23, 2.5, 3.7, 7.3])
+@pytest.mark.parametrize("rows", [10, 11, 40])
+def test_a_missing_row_never_hides_behind_rounding(step, rows):
+    for offset in np.linspace(0, 1, 12):
+        time = np.round((np.arange(rows) + offset) * step)
+        assert all(uniform_step(np.delete(time, k)) is None for k in range(1, rows - 1))
+
+
 def test_rounding_as_coarse_as_the_step_is_irregular():
-    assert uniform_step(np.round(np.arange(100) * 0.25, 1)) is None
+    assert uniform_step(np.round(np.arange(100) * 0.12, 1)) is None
+
+
+def test_a_hole_is_named_with_its_place():
+    time = np.where(np.arange(N) > 20, TIME + 30, TIME)
+    (note,) = make(time=time).notes
+    assert note.startswith("time has a hole from 10 to 40.5 s (usual step 0.5 s)")
+    late = 0.5 * np.arange(100) + 30 * (np.arange(100) > 20) + 5 * (np.arange(100) > 60)
+    (note,) = make(time=late, inputs={"u": np.sin(late)}, outputs={"y": np.cos(late)}).notes
+    assert note.startswith("time has 2 holes, the longest from 10 to 40.5 s")
 
 
 def test_a_drifting_clock_is_irregular():

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
+from greybox.figures import fit_figure, misfits_of
 from greybox.figures.envelope import envelope
 from greybox.figures.scale import label, scaled, written
+from greybox.result import Fit, Misfit, Trace
+from models.micro_actuator import micro_actuator
 
 
 def test_an_envelope_keeps_every_peak() -> None:
@@ -56,4 +60,49 @@ def test_units_get_the_prefix_that_suits_them(unit: str, largest: float, text: s
 def test_labels_are_written_as_in_print() -> None:
     assert label("x", "µm") == "x [µm]"
     assert label("x", "") == "x"
-    assert written("kg*m**2/s**3") == "kg m²/s³"
+    assert written("kg*m**2/s**3") == written("kg*m^2/s^3") == "kg m²/s³"
+
+
+def judged(validation: list[Trace], pooled: dict[str, Misfit]) -> Fit:
+    """A fit of the displacement alone, with records for validation that have the current too."""
+    fields = dict.fromkeys(Fit.__dataclass_fields__, None)
+    known = {"model": micro_actuator, "traces": [trace("train", x=1e-7)], "noise": {"x": 1e-7}}
+    return Fit(**(fields | known | {"validation_traces": validation, "validation": pooled}))
+
+
+def trace(name: str, **errors: float) -> Trace:
+    """100 rows, each output off by a constant."""
+    time = np.linspace(0, 1, 100)
+    measured = {output: np.sin(7 * time) for output in errors}
+    simulated = {output: measured[output] - error for output, error in errors.items()}
+    return Trace(name, "", time, measured, simulated, {})
+
+
+def test_each_record_has_its_own_misfit() -> None:
+    pooled = {"x": Misfit(3e-7, "m", 99.0, 3.0, 200), "i": Misfit(0.01, "A", 99.0, 2.0, 200)}
+    good, bad = trace("good", x=1e-7, i=0.005), trace("bad", x=5e-7, i=0.02)
+    bad.measured["x"][:20] += 1.0
+    fit = judged([good, bad], pooled)
+    assert misfits_of(fit, good)["x"].noise_ratio == pytest.approx(1)
+    assert misfits_of(fit, bad)["x"].noise_ratio > 1e6
+    assert misfits_of(fit, bad, skip=20)["x"].noise_ratio == pytest.approx(5)
+    # The fitted record lacks the current: its noise is the one by which the validation judged it, 0.01 A / 2.
+    assert misfits_of(fit, good)["i"].noise_ratio == pytest.approx(1)
+    assert misfits_of(fit, bad)["i"].noise_ratio == pytest.approx(4)
+
+
+def test_titles_carry_the_records_own_misfit_and_no_band_is_drawn_without_noise(monkeypatch, tmp_path) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+    pooled = {"x": Misfit(3e-7, "m", 99.0, 3.0, 200)}
+    files = fit_figure(judged([trace("good", x=1e-7, i=0.005), trace("bad", x=5e-7)], pooled), tmp_path)
+    assert [f.name for f in files] == ["fit-train.png", "validation-good.png", "validation-bad.png"]
+    titles = [[a.get_title(loc="left") for a in figure.axes if a.get_title(loc="left")] for figure in drawn]
+    assert [t[0].split(",")[0] for t in titles] == [
+        "x: misfit 1 x noise",
+        "x: misfit 1 x noise",
+        "x: misfit 5 x noise",
+    ]
+    assert titles[1][1].startswith("i: best fit")
+    bands = [[len(a.patches) for a in figure.axes if a.get_ylabel().startswith("residual")] for figure in drawn]
+    assert bands == [[1], [1, 0], [1]]

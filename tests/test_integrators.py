@@ -37,7 +37,9 @@ def test_the_exact_hold_is_scipys_zero_order_hold(model, period):
     phi, gamma, *_ = cont2discrete((a, b, np.eye(nx), np.zeros((nx, nu))), period, "zoh")
     scale = np.maximum(np.abs(phi), 1e-12 * np.abs(phi).max())
     assert np.max(np.abs(q[0, : nx * nx].reshape(nx, nx, order="F") - phi) / scale.max()) < 1e-12
-    assert np.allclose(q[0, nx * nx : nx * nx + nx * nu], gamma.ravel(order="F"), rtol=1e-12, atol=1e-12 * np.abs(gamma).max())
+    assert np.allclose(
+        q[0, nx * nx : nx * nx + nx * nu], gamma.ravel(order="F"), rtol=1e-12, atol=1e-12 * np.abs(gamma).max()
+    )
 
 
 @pytest.mark.parametrize("model", LINEAR, ids=lambda m: m.name)
@@ -48,7 +50,9 @@ def test_the_exact_hold_follows_a_ramp_exactly(model):
     h, ua, ub = 1e-3, 0.7, -1.1
     q, _ = (step := exact_hold(model.system)).coefficients(values(model), np.array([h]), ALL(0))
     x0 = np.linspace(0.1, 0.4, nx)
-    c = ca.Function("c", [model.system.p], [ca.substitute(model.system.rhs, ca.vertcat(model.system.x, model.system.u), 0)])(values(model))
+    c = ca.Function(
+        "c", [model.system.p], [ca.substitute(model.system.rhs, ca.vertcat(model.system.x, model.system.u), 0)]
+    )(values(model))
     slope = (ub - ua) / h
     exact = solve_ivp(
         lambda t, x: a @ x + b[:, 0] * (ua + slope * t) + c.full().ravel(), (0, h), x0, method="DOP853", rtol=1e-12, atol=1e-14
@@ -74,7 +78,12 @@ def duffing():
         [State("x", "m"), State("v", "m/s")],
         [Input("u", "N")],
         [Output("x", "m")],
-        [Parameter("M", "kg", 1.0), Parameter("B", "N*s/m", 0.4), Parameter("K", "N/m", 4.0), Parameter("K3", "N/m**3", 3.0)],
+        [
+            Parameter("M", "kg", 1.0),
+            Parameter("B", "N*s/m", 0.4),
+            Parameter("K", "N/m", 4.0),
+            Parameter("K3", "N/m**3", 3.0),
+        ],
         lambda x, u, p: [
             Balance("position", "m/s", 1, "x", velocity=x.v),
             Balance("force", "N", p.M, "v", drive=u.u, damping=-p.B * x.v, spring=-p.K * x.x, cubic=-p.K3 * x.x**3),
@@ -187,11 +196,15 @@ def test_the_step_with_friction_is_differentiable_across_a_stop():
     model = rubbing(3.0)
     step, p = rk4(model.system), values(model)
     x, u = np.array([0.1, 0.012]), 0.4
-    slope = ca.Function("s", (a := step.advance).sx_in(), [ca.jacobian(a(*a.sx_in()), a.sx_in()[3])])(x, u, u, p, 0.02).full()
+    slope = ca.Function("s", (a := step.advance).sx_in(), [ca.jacobian(a(*a.sx_in()), a.sx_in()[3])])(
+        x, u, u, p, 0.02
+    ).full()
     for k in range(len(p)):
         e = np.zeros(len(p))
         e[k] = 1e-6 * p[k]
-        difference = (step.advance(x, u, u, p + e, 0.02) - step.advance(x, u, u, p - e, 0.02)).full().ravel() / (2 * e[k])
+        difference = (step.advance(x, u, u, p + e, 0.02) - step.advance(x, u, u, p - e, 0.02)).full().ravel() / (
+            2 * e[k]
+        )
         assert np.allclose(slope[:, k], difference, rtol=1e-5, atol=1e-9)
 
 

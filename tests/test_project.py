@@ -169,6 +169,25 @@ def test_a_broken_file_does_not_hide_the_others(folder: Path, write: Write) -> N
         resolve("a_broken")
 
 
+def test_a_broken_file_is_not_replaced_by_the_shipped_model(folder: Path, write: Write) -> None:
+    write("models/rigs.py", rig("micro_actuator").replace("p.k *", "p.kk *"))
+    with pytest.raises(ModelError, match=r"rigs.py, line 8: no parameter 'kk'"):
+        resolve("micro_actuator")
+    assert resolve("silverbox").name == "silverbox"
+    write("models/good.py", rig("emps"))
+    assert len(resolve("emps").parameters) == 2
+    write("models/emps.py", "import greybox\n1 / 0\n")
+    with pytest.raises(ModelError, match=r"emps.py, line 2: ZeroDivisionError"):
+        resolve("emps")
+
+
+def test_a_model_made_of_a_neighbours_parts_is_found(folder: Path, write: Write) -> None:
+    write("models/parts.py", rig("base"))
+    write("models/stiff.py", "from models.parts import base\n\nstiff = base.start(k=50)\n")
+    assert resolve("stiff").values["k"] == 50
+    assert {"base", "stiff"} <= {f.name for f in listing().models}
+
+
 def test_init_writes_a_project_that_works_by_itself(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written = init(folder / "rig")
     assert {p.relative_to(folder / "rig").parts[0] for p in written} >= {"models", "README.md"}

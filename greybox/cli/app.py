@@ -17,6 +17,7 @@ from greybox.cli.init import init
 from greybox.cli.models import models
 from greybox.cli.simulate import simulate
 
+
 class Plain(TyperCommand):
     """A command whose help names no types of Python: what a value is for stands in its own line."""
 

@@ -19,9 +19,7 @@ def discover(
     *,
     validate: Annotated[
         list[Path],
-        typer.Option(
-            "--validate", metavar="FILE", default_factory=list, help="A record to judge by; may be repeated."
-        ),
+        typer.Option("--validate", metavar="FILE", default_factory=list, help="A record to judge by; may be repeated."),
     ],
     fix: o.Fix,
     start: o.Start,
@@ -53,7 +51,7 @@ def discover(
 
     Exit code 0: there is an answer. 2: bad input, nothing was written.
     """
-    from greybox.discover import discover as find
+    from greybox.discovery import discover as find
     from greybox.effects import effect
     from greybox.experiment import read_experiments
     from greybox.fitting import FitOptions
@@ -64,7 +62,9 @@ def discover(
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
     records = read_experiments(estimation, plant, columns=columns, hold=hold.value)
     judges = read_experiments(validate, plant, columns=columns, hold=hold.value) if validate else ()
-    silent = read_experiments(quiet, plant, columns=columns, hold=hold.value, allow_constant_input=True) if quiet else ()
+    silent = (
+        read_experiments(quiet, plant, columns=columns, hold=hold.value, allow_constant_input=True) if quiet else ()
+    )
     chosen = [effect(name.strip()) for name in effects.split(",") if name.strip()] or None
     found = find(
         plant, records, validation=judges, noise=said, quiet=silent, effects=chosen,

@@ -70,7 +70,9 @@ def fit(
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-fit")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
     records, judges = (
-        read_experiments(files, plant, columns=columns, hold=hold.value, allow_constant_input=free_decay) if files else ()
+        read_experiments(files, plant, columns=columns, hold=hold.value, allow_constant_input=free_decay)
+        if files
+        else ()
         for files in (data, validate)
     )
     o.check_skip(skip, judges)

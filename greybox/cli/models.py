@@ -19,10 +19,14 @@ def models(
     effect: o.Effects,
 ) -> None:
     """List the models there are, or print the equations and constants of one."""
+    from greybox.model.stated import unused
     from greybox.project import listing, resolve
 
     if model is not None:
-        typer.echo(str(o.changed(resolve(model), effects=effect)))
+        one = o.changed(resolve(model), effects=effect)
+        typer.echo(str(one))
+        for name in unused(one):
+            note(f"note: parameter {name!r} is in no equation: a term is missing, or the parameter is one too many")
         return
     found = listing()
     for item in found.models:

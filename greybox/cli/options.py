@@ -85,7 +85,8 @@ Noise = Annotated[
     ),
 ]
 Hold = Annotated[
-    HoldName, typer.Option("--hold", help="The input between samples: zero (held), first (straight lines) or band-limited.")
+    HoldName,
+    typer.Option("--hold", help="The input between samples: zero (held), first (straight lines) or band-limited."),
 ]
 Columns = Annotated[
     Names,
@@ -102,10 +103,16 @@ AtRest = Annotated[
 ]
 FreeDecay = Annotated[
     bool,
-    typer.Option("--free-decay", help="Accept records whose input is zero throughout: the plant was let go and left alone."),
+    typer.Option(
+        "--free-decay", help="Accept records whose input is zero throughout: the plant was let go and left alone."
+    ),
 ]
 Method = Annotated[
-    MethodName, typer.Option("--method", help="How to integrate: automatic, exact (linear models), rk4, mixed, or midpoint and radau (stiff models).")
+    MethodName,
+    typer.Option(
+        "--method",
+        help="How to integrate: automatic, exact (linear models), rk4, mixed, or midpoint and radau (stiff models).",
+    ),
 ]
 Substeps = Annotated[
     int, typer.Option("--substeps", metavar="N", min=0, help="Steps in each sampling interval; 0 chooses.")
@@ -185,7 +192,9 @@ def writable_folder(path: Path) -> Path:
 def check_skip(skip: int, records: Sequence[Experiment]) -> None:
     """Refuse, before the fit, to leave out rows of nothing, or so many that a validation record has nothing left to judge by."""
     if skip and not records:
-        raise GreyboxError(f"--skip {skip} has no effect: it leaves out rows of validation records; give --validate FILE too")
+        raise GreyboxError(
+            f"--skip {skip} has no effect: it leaves out rows of validation records; give --validate FILE too"
+        )
     shortest = min((r.rows for r in records), default=skip + FEWEST_JUDGED)
     if skip and shortest - skip < FEWEST_JUDGED:
         raise GreyboxError(
@@ -197,6 +206,10 @@ def check_skip(skip: int, records: Sequence[Experiment]) -> None:
 def check_substeps(model: Model, method: MethodName, substeps: int) -> None:
     """Refuse a number of substeps with a method that has none; say so where the automatic choice may be such a one."""
     if substeps and method is MethodName.exact:
-        raise GreyboxError(f"--substeps {substeps} has no effect: --method exact has no substeps; leave out one of the two")
+        raise GreyboxError(
+            f"--substeps {substeps} has no effect: --method exact has no substeps; leave out one of the two"
+        )
     if substeps and method is MethodName.automatic and model.system.linear:
-        note(f"note: --substeps {substeps} has no effect where a linear model is integrated exactly; --method rk4 has substeps")
+        note(
+            f"note: --substeps {substeps} has no effect where a linear model is integrated exactly; --method rk4 has substeps"
+        )

@@ -28,7 +28,10 @@ def by_record(fit: Fit, skip: int) -> list[str]:
     from greybox.result.summary import MISFIT_HEADS, misfit_cells, table
 
     lines: list[str] = []
-    for title, traces, left_out in (("fitted record", fit.traces, 0), ("validation record", fit.validation_traces, skip)):
+    for title, traces, left_out in (
+        ("fitted record", fit.traces, 0),
+        ("validation record", fit.validation_traces, skip),
+    ):
         rows: list[Sequence[str]] = [
             [trace.name, output, *misfit_cells(m)]
             for trace in traces

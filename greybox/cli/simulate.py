@@ -18,6 +18,30 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 10_000_000
 
+Values = Annotated[
+    o.Names,
+    typer.Option(
+        "--set",
+        "--fix",
+        "--start",
+        metavar="NAME=VALUE",
+        default_factory=list,
+        help="The value of a constant, in its unit.",
+    ),
+]
+Initial = Annotated[
+    o.Names,
+    typer.Option(
+        "--initial", metavar="STATE=VALUE", default_factory=list, help="A state at the first row, in its unit."
+    ),
+]
+Noise = Annotated[
+    o.Names,
+    typer.Option(
+        "--noise", metavar="OUTPUT=STD", default_factory=list, help="White noise on an output: its standard deviation."
+    ),
+]
+
 
 def simulate(
     model: o.ModelName,
@@ -47,33 +71,10 @@ def simulate(
     sampling_time: Annotated[
         float | None, typer.Option("--sampling-time", metavar="SECONDS", help="Time between rows.")
     ] = None,
-    set_: Annotated[
-        list[str],
-        typer.Option(
-            "--set",
-            "--fix",
-            "--start",
-            metavar="NAME=VALUE",
-            default_factory=list,
-            help="The value of a constant, in its unit.",
-        ),
-    ],
-    initial: Annotated[
-        list[str],
-        typer.Option(
-            "--initial", metavar="STATE=VALUE", default_factory=list, help="A state at the first row, in its unit."
-        ),
-    ],
+    set_: Values,
+    initial: Initial,
     effect: o.Effects,
-    noise: Annotated[
-        list[str],
-        typer.Option(
-            "--noise",
-            metavar="OUTPUT=STD",
-            default_factory=list,
-            help="White noise on an output: its standard deviation.",
-        ),
-    ],
+    noise: Noise,
     seed: Annotated[
         int, typer.Option("--seed", metavar="N", min=0, help="Of the noise and of a multisine's phases.")
     ] = 0,
@@ -99,17 +100,13 @@ def simulate(
     from greybox.simulation import simulate as run_model
 
     plant = o.changed(resolve(model), effects=effect, start=set_)
-    target = output or Path("results") / f"{plant.name}-simulated.csv"
-    _check_target(target, inputs)
+    target = _target(output or Path("results") / f"{plant.name}-simulated.csv", inputs)
     o.check_substeps(plant, method, substeps)
     said = o.numbers("--noise", noise)
     generator = np.random.default_rng(seed)
     shapes = {"--step": step, "--multisine": multisine, "--chirp": chirp}
-    chosen = {name: size for name, size in shapes.items() if size is not None}
-    if (inputs is not None) + len(chosen) != 1 and plant.inputs:
-        raise GreyboxError(f"{plant.title}: give either a file with inputs or one of {', '.join(shapes)}")
     shaping = {"--band": band, "--offset": offset, "--duration": duration, "--sampling-time": sampling_time}
-    _refuse_idle(inputs is not None, multisine is not None or chirp is not None, shaping, column)
+    chosen = _one_drive(plant, inputs, shapes, shaping, column)
     if inputs is not None:
         experiment = read_inputs(inputs, plant, columns=o.pairs("--column", column), hold=hold.value)
     else:
@@ -129,22 +126,34 @@ def simulate(
     )
 
 
-def _check_target(target: Path, inputs: Path | None) -> None:
-    """Refuse a file that cannot be written, and the one that is read."""
-    if target.is_dir():
-        raise GreyboxError(f"--output {target}: it is a folder; give a file that ends in .csv")
-    if inputs is not None and target.exists() and inputs.exists() and target.samefile(inputs):
-        raise GreyboxError(f"--output {target}: it is the file of inputs, which would be lost; give another file")
-    o.writable_folder(target.parent)
+def _target(path: Path, inputs: Path | None) -> Path:
+    """``path``, unless it cannot be written or is the file that is read."""
+    if path.is_dir():
+        raise GreyboxError(f"--output {path}: it is a folder; give a file that ends in .csv")
+    if inputs is not None and path.exists() and inputs.exists() and path.samefile(inputs):
+        raise GreyboxError(f"--output {path}: it is the file of inputs, which would be lost; give another file")
+    o.writable_folder(path.parent)
+    return path
 
 
-def _refuse_idle(from_file: bool, banded: bool, shaping: Mapping[str, object], columns: Collection[str]) -> None:
-    """Refuse options that would change nothing: of a test signal beside a file of inputs, and the other way round."""
-    idle = [name for name, value in shaping.items() if value and (from_file or (name == "--band" and not banded))]
-    idle += ["--column"] if columns and not from_file else []
+def _one_drive(
+    model: Model, inputs: Path | None, shapes: Mapping[str, float | None], shaping: Mapping[str, object], columns: Collection[str]
+) -> dict[str, float]:  # fmt: skip
+    """The test signal that is wanted, none beside a file of inputs; refuses two drives, and options that would change nothing."""
+    chosen = {name: size for name, size in shapes.items() if size is not None}
+    if (inputs is not None) + len(chosen) != 1 and model.inputs:
+        raise GreyboxError(f"{model.title}: give either a file with inputs or one of {', '.join(shapes)}")
+    banded = "--multisine" in chosen or "--chirp" in chosen
+    idle = [
+        name for name, value in shaping.items() if value and (inputs is not None or (name == "--band" and not banded))
+    ]
+    idle += ["--column"] if columns and inputs is None else []
     if idle:
-        beside = "a file of inputs" if from_file else "this test signal"
-        raise GreyboxError(f"{', '.join(idle)}: no effect beside {beside}; leave {'it' if len(idle) == 1 else 'them'} out")
+        beside = "this test signal" if inputs is None else "a file of inputs"
+        raise GreyboxError(
+            f"{', '.join(idle)}: no effect beside {beside}; leave {'it' if len(idle) == 1 else 'them'} out"
+        )
+    return chosen
 
 
 def _signal(

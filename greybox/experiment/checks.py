@@ -83,10 +83,10 @@ def measured(
     ]
     still = all(map(constant, inputs.values()))
     if outputs and not empty and all(map(constant, outputs.values())):
-        names = [*(inputs if still else ()), *outputs]
+        dead = [*(inputs if still else ()), *outputs]
         what = "nothing moves" if still else "no output moves"
         found.append(
-            f"{what}: {', '.join(map(repr, names))} {'is' if len(names) == 1 else 'are'} constant over the whole record;"
+            f"{what}: {', '.join(map(repr, dead))} {'is' if len(dead) == 1 else 'are'} constant over the whole record;"
             " a record must show the plant in motion, check the sensors and the columns"
         )
     elif inputs and still and not allow_constant_input and not any(v[0] for v in inputs.values()):

@@ -31,8 +31,9 @@ class Experiment:
     ``time`` (N,) in seconds, increasing. ``inputs``: name -> (N,), finite. ``outputs``: name -> (N,), NaN where nothing
     was measured. ``hold`` says how the input moves between samples: ``"zero"`` stays until the next row (a computer
     drives it), ``"first"`` runs straight to it (the input itself is a measured, smooth signal), ``"band-limited"`` has no
-    content above half the sampling rate (a smooth signal behind an anti-alias filter). ``source`` is the file it came from, ``conditions`` are constants of this experiment alone, ``notes`` what one should know about it (a part
-    keeps those of the whole).
+    content above half the sampling rate (a smooth signal behind an anti-alias filter). ``source`` is the file it came
+    from, ``conditions`` are constants of this experiment alone, ``notes`` what one should know about it (a part keeps
+    those of the whole).
 
     ``sampling_time`` in seconds, None when time is irregular (rule: `greybox.experiment.timebase`). ``fingerprint``: 16
     hex digits of the SHA-256 over names and arrays; equal data, equal fingerprint, whatever the file was called.
@@ -101,7 +102,9 @@ class Experiment:
         """
         bare = cls(name, time, inputs, outputs, hold, source, conditions or {})  # type: ignore[arg-type]
         refuse(f"experiment {name!r}", measured(bare.inputs, bare.outputs, bare.rows, allow_constant_input))
-        return replace(bare, notes=(*notes, *remarks(bare.inputs, bare.outputs), *timing(bare.time, bare.sampling_time)))
+        return replace(
+            bare, notes=(*notes, *remarks(bare.inputs, bare.outputs), *timing(bare.time, bare.sampling_time))
+        )
 
     @property
     def rows(self) -> int:
@@ -160,7 +163,7 @@ class Experiment:
         """The same record with another course of the input between samples: ``"zero"``, ``"first"``, ``"band-limited"``."""
         return _with_step(replace(self, hold=hold), self.sampling_time)
 
-    def with_outputs(self, outputs: Mapping[str, ArrayLike]) -> Experiment:
+    def with_outputs(self, outputs: Mapping[str, np.ndarray]) -> Experiment:
         """The same record with these outputs, name -> (N,), in place of its own; none for the inputs alone."""
         return _with_step(replace(self, outputs=outputs), self.sampling_time)
 

@@ -31,11 +31,14 @@ def misplaced_header(lines: Sequence[str], numbers: Sequence[int]) -> str:
         return ""
     header, where = shown[first - 1], numbers[first - 1]
     if first == 2 and _are_units(header):
-        return f"line {where} looks like units ({header.strip()}); put them into the header, as in 'time [s],u [V],x [um]', and delete the line"
+        example = "'time [s],u [V],x [um]'"
+        return f"line {where} looks like units ({header.strip()}); put them into the header, as in {example}, and delete the line"
     if len(_words(shown[0])) == len(_words(header)):
         return ""
     before = f"the {first - 1} lines" if first > 2 else "the line"
-    return f"line {where} looks like the header ({header.strip()[:60]}); delete {before} before it, or begin them with '#'"
+    return (
+        f"line {where} looks like the header ({header.strip()[:60]}); delete {before} before it, or begin them with '#'"
+    )
 
 
 def _words(line: str) -> list[str]:

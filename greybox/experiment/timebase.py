@@ -62,14 +62,18 @@ def timing(time: np.ndarray, sampling_time: float | None) -> list[str]:
     if sampling_time is not None:
         if np.abs(step - sampling_time).max() <= STEP_TOLERANCE * sampling_time:
             return []
-        return [f"time looks rounded: {spread} differ by no more than a printed unit; taken as every {sampling_time:.6g} s"]
+        return [
+            f"time looks rounded: {spread} differ by no more than a printed unit; taken as every {sampling_time:.6g} s"
+        ]
     usual = float(np.median(step))
     holes = np.flatnonzero(step > HOLE * usual)
     if 0 < len(holes) <= max(1, FEW_HOLES * len(step)):
         longest = holes[np.argmax(step[holes])]
         found = f"{len(holes)} holes, the longest" if len(holes) > 1 else "a hole"
         where = f"from {time[longest]:.6g} to {time[longest + 1]:.6g} s"
-        return [f"time has {found} {where} (usual step {usual:.6g} s): the input is taken to go on through it; cut the record there"]
+        return [
+            f"time has {found} {where} (usual step {usual:.6g} s): the input is taken to go on through it; cut the record there"
+        ]
     return [f"time is irregular: {spread}; each interval is taken as long as it is"]
 
 

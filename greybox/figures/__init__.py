@@ -1,5 +1,5 @@
 """The only room that draws: pictures of fits as PNG files."""
 
-from greybox.figures.fit_figure import fit_figure
+from greybox.figures.fit_figure import fit_figure, misfits_of
 
-__all__ = ["fit_figure"]
+__all__ = ["fit_figure", "misfits_of"]

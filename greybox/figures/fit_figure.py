@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from greybox.figures.envelope import envelope
 from greybox.figures.scale import label, scaled
+from greybox.fitting.traces import misfit
 from greybox.result import Fit, Misfit, Trace
 
 MEASURED, SIMULATED, RESIDUAL, BAND = "#9a9a9a", "#c0392b", "#1f5a8a", "#dcdcdc"
@@ -20,30 +21,38 @@ ZOOM_ROWS = 200  # rows of the closer look
 DPI = 110
 
 
-def fit_figure(fit: Fit, directory: str | Path) -> list[Path]:
+def fit_figure(fit: Fit, directory: str | Path, *, skip: int = 0) -> list[Path]:
     """Draw each record of ``fit`` into ``directory`` as PNG: ``fit-<record>.png`` and ``validation-<record>.png``.
 
     For each output: measured and simulated over the whole record, a closer look at its liveliest stretch, and below
-    both the residual (measured minus simulated) with a band of two standard deviations of the noise. Returns the files,
-    in the order of the records.
+    both the residual (measured minus simulated) with a band of two standard deviations of the noise, where that is
+    known. The title has the record's own misfit, for validation records without their first ``skip`` rows. Returns the
+    files, in the order of the records.
     """
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
-    for kind, traces, misfit in (
-        ("fit", fit.traces, fit.misfit),
-        ("validation", fit.validation_traces, fit.validation),
-    ):
+    for kind, traces in (("fit", fit.traces), ("validation", fit.validation_traces)):
         for trace in traces:
             file = folder / f"{kind}-{re.sub(r'[^A-Za-z0-9_.-]+', '_', trace.name)}.png"
             if file in files:
                 file = file.with_stem(f"{file.stem}-{len(files) + 1}")
-            _draw(fit, trace, misfit, kind).savefig(file, dpi=DPI)
+            own = misfits_of(fit, trace, skip if kind == "validation" else 0)
+            _draw(fit, trace, own, kind).savefig(file, dpi=DPI)
             files.append(file)
     return files
 
 
-def _draw(fit: Fit, trace: Trace, misfit: Mapping[str, Misfit], kind: str) -> Figure:
+def misfits_of(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, Misfit]:
+    """Misfit of one record of ``fit`` by output, without its first ``skip`` rows."""
+    units = {o.name: o.unit for o in fit.model.outputs}
+    # An output that the fitted records lack has the noise by which the validation judged it.
+    judged = {name: m.rmse / m.noise_ratio for name, m in fit.validation.items() if m.noise_ratio > 0}
+    noise = {**judged, **fit.noise}
+    return {name: misfit([trace], name, units[name], noise.get(name, np.nan), skip) for name in trace.measured}
+
+
+def _draw(fit: Fit, trace: Trace, own: Mapping[str, Misfit], kind: str) -> Figure:
     outputs = list(trace.measured)
     zoom = _liveliest(trace.measured[outputs[0]]) if len(trace.time) > 2 * ZOOM_ROWS else None
     figure = Figure(figsize=(11 if zoom else 8, 1.0 + 3.4 * len(outputs)), layout="constrained")
@@ -61,7 +70,7 @@ def _draw(fit: Fit, trace: Trace, misfit: Mapping[str, Misfit], kind: str) -> Fi
             _output(
                 axes[2 * k, column], axes[2 * k + 1, column], fit, trace, name, rows or slice(None), first=column == 0
             )
-        axes[2 * k, 0].set_title(_verdict(name, misfit), loc="left", fontsize=9)
+        axes[2 * k, 0].set_title(_verdict(name, own[name]), loc="left", fontsize=9)
         if zoom:
             axes[2 * k, 1].set_title("closer look", loc="left", fontsize=9)
         _legend(axes[2 * k, columns - 1], axes[2 * k + 1, columns - 1])
@@ -74,12 +83,14 @@ def _draw(fit: Fit, trace: Trace, misfit: Mapping[str, Misfit], kind: str) -> Fi
 def _output(top: Axes, bottom: Axes, fit: Fit, trace: Trace, name: str, rows: slice, *, first: bool) -> None:
     unit = next(o.unit for o in fit.model.outputs if o.name == name)
     factor, text = scaled(unit, trace.measured[name], trace.simulated[name])
-    small, small_text = scaled(unit, trace.residual(name), np.array([2 * fit.noise[name]]))
+    noise = fit.noise.get(name, 0.0)
+    small, small_text = scaled(unit, trace.residual(name), np.array([2 * noise]))
     time = trace.time[rows]
     top.plot(*envelope(time, factor * trace.measured[name][rows]), color=MEASURED, lw=1.8, label="measured")
     top.plot(*envelope(time, factor * trace.simulated[name][rows]), color=SIMULATED, lw=0.8, label="simulated")
-    band = small * 2 * fit.noise[name]
-    bottom.axhspan(-band, band, color=BAND, lw=0, label="± 2 noise")
+    band = small * 2 * noise
+    if band:
+        bottom.axhspan(-band, band, color=BAND, lw=0, label="± 2 noise")
     bottom.plot(*envelope(time, small * trace.residual(name)[rows]), color=RESIDUAL, lw=0.6)
     bottom.set_ylim(*_limits(small * trace.residual(name), band))
     for axis in (top, bottom):
@@ -107,9 +118,9 @@ def _limits(residual: np.ndarray, band: float) -> tuple[float, float]:
     return (-reach, reach) if reach > 0 else (-1.0, 1.0)
 
 
-def _verdict(name: str, misfit: Mapping[str, Misfit]) -> str:
-    m = misfit.get(name)
-    return name if m is None else f"{name}: misfit {m.noise_ratio:.3g} x noise, best fit {m.best_fit_percent:.2f} %"
+def _verdict(name: str, m: Misfit) -> str:
+    over_noise = f"misfit {m.noise_ratio:.3g} x noise, " if np.isfinite(m.noise_ratio) else ""
+    return f"{name}: {over_noise}best fit {m.best_fit_percent:.2f} %"
 
 
 def _liveliest(values: np.ndarray) -> slice:

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from greybox.units import tidy
+
 # Units that take a prefix as they are; others (m/s**2, rad, bar) are left alone.
 PREFIXED = {"m", "m/s", "s", "V", "V/s", "A", "N", "Pa", "W", "Hz", "H", "F", "T", "N*m", "J"}
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
@@ -23,7 +25,7 @@ def scaled(unit: str, *signals: np.ndarray) -> tuple[float, str]:
 
 def written(unit: str) -> str:
     """A unit for an axis: ``N s/m²``."""
-    return unit.replace("**2", "²").replace("**3", "³").replace("**", "^").replace("*", " ")
+    return tidy(unit).replace("^2", "²").replace("^3", "³").replace("*", " ")
 
 
 def label(name: str, unit: str) -> str:

@@ -142,6 +142,7 @@ def _statistics(solution: Solution) -> dict[str, object]:
     return {
         "optimiser": "IPOPT", "ipopt_status": solution.solver_status, "iterations": solution.iterations,
         "passes": solution.evaluations, "seconds": solution.seconds, "record_shares": list(solution.shares),
+        "strategy": solution.strategy,
         "kernel": solution.problem.kernel.name, "substeps": solution.problem.step.substeps,
     }  # fmt: skip
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from greybox.fitting.alias import VISIBLE, VISIBLE_BY_DIFFERENCES, Move
 from greybox.fitting.solve import Solution
+from greybox.fitting.triage import triage
 from greybox.fitting.uncertainty import SANDWICH, Uncertainty
 from greybox.noise.hierarchy import DIFFERENCES
 from greybox.optimiser import Status
@@ -51,7 +52,7 @@ def meaning(solution: Solution, misfit: Mapping[str, Misfit]) -> str:
         causes = "; ".join(f"({k + 1}) {cause}" for k, cause in enumerate(CAUSES[solution.status]))
         text += f". Likely causes, in order: {causes}"
     if solution.evaluation.failed:
-        text += f". {_where(solution)}"
+        text += f". {triage(solution.problem, solution.variables, *solution.evaluation.failed)}"
     elif misfit:
         worst = max(misfit, key=lambda name: misfit[name].noise_ratio)
         text += f"; misfit {misfit[worst].noise_ratio:.3g} times the noise in {worst}"
@@ -147,10 +148,3 @@ def correlation(runs: Sequence[Trace], output: str) -> float:
             products += float(r[1:][pair] @ r[:-1][pair])
             squares += float(r[np.isfinite(r)] @ r[np.isfinite(r)])
     return products / squares if squares > 0 else 0.0
-
-
-def _where(solution: Solution) -> str:
-    experiment, sample = solution.evaluation.failed or (0, 0)
-    record = solution.problem.records[experiment]
-    time = float(record.h[:sample].sum())
-    return f"The simulation of experiment {experiment + 1} overflows {time:.4g} s after its start (row {sample + 1})"

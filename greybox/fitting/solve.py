@@ -229,7 +229,11 @@ def _finished(
 def _promised(gradient: np.ndarray, hessian: np.ndarray) -> float:
     """By how much a Gauss-Newton step would lower the cost: ``g' H^-1 g / 2`` over the directions that have a curvature."""
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    curvature, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = hessian / scale / scale[:, None]
+    if not np.isfinite(scaled).all():  # sensitivities near overflow: anything may still be gained
+        return np.inf
+    curvature, vectors = np.linalg.eigh(scaled)
     usable = curvature > 1e-13 * curvature.max(initial=0.0)
     return 0.5 * float(np.sum((vectors.T @ (gradient / scale))[usable] ** 2 / curvature[usable]))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-
 from greybox.errors import DataError
 from greybox.experiment import Experiment
 from greybox.fitting.options import FitOptions
@@ -60,5 +59,3 @@ def _beginning(problem: Problem, rows: int) -> Problem:
     """The same problem on the first rows only, as many as there are unknown states at least."""
     least = max(rows, 2 * len(problem.model.system.state_names))
     return replace(problem, records=tuple(r.first(min(least, len(r.u))) for r in problem.records), experiments=())
-
-

@@ -4,6 +4,7 @@ time."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -47,6 +48,10 @@ class InterpretedKernel:
     @cached_property
     def _tapes(self) -> tuple[Tape, Tape]:
         return shorten(read(self.step.advance, active=(0, 3))), shorten(read(self.step.outputs, active=(0, 2)))
+
+    def repeated(self, substeps: int) -> InterpretedKernel:
+        """The same step with another number of substeps in an interval."""
+        return InterpretedKernel(replace(self.step, substeps=substeps), self.reason)
 
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""

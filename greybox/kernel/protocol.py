@@ -44,6 +44,9 @@ class Kernel(Protocol):
     description: str
     reason: str
 
+    def repeated(self, substeps: int) -> Kernel:
+        """The same step with another number of substeps in an interval; nothing is compiled anew."""
+
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from greybox.errors import DataError
+from greybox.integrators.past import with_past
+from greybox.integrators.step import Step
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,7 +17,8 @@ class Record:
 
     ``u`` (N, nu), ``y`` (N, ny) with NaN where nothing was measured, ``h`` (N-1,) interval lengths in seconds, ``row``
     (N-1,) which row of the step's coefficients belongs to each interval, ``lengths`` (nh,) the distinct interval
-    lengths those rows stand for, ``first_order`` whether the input is linear between samples (else held).
+    lengths those rows stand for, ``first_order`` whether the input is linear between samples (else held). ``every``: how
+    many rows make a sample; the rows between samples carry the course of the input and have NaN in ``y``.
 
     Raises DataError if the lengths of the arrays disagree: the kernels read them without asking again.
     """
@@ -26,6 +29,7 @@ class Record:
     row: np.ndarray
     lengths: np.ndarray
     first_order: bool = False
+    every: int = 1
 
     def __post_init__(self) -> None:
         for name in ("u", "y", "h", "row", "lengths"):
@@ -46,6 +50,19 @@ class Record:
 
     def first(self, rows: int) -> Record:
         """The beginning of the record."""
-        return Record(
-            self.u[:rows], self.y[:rows], self.h[: rows - 1], self.row[: rows - 1], self.lengths, self.first_order
-        )
+        return replace(self, u=self.u[:rows], y=self.y[:rows], h=self.h[: rows - 1], row=self.row[: rows - 1])
+
+    def samples(self, values: np.ndarray) -> np.ndarray:
+        """Of an array with one entry for each row (N, ...) the entries that are samples."""
+        return values[:: self.every]
+
+    def seen_by(self, step: Step) -> Record:
+        """The record as ``step`` reads it: one row of coefficients where it needs one, the past of a delayed input beside it.
+
+        Raises DataError for a delayed input and intervals of different lengths.
+        """
+        record = self if step.per_interval else replace(self, row=np.zeros_like(self.row))
+        if step.past is None:
+            return record
+        u = with_past(self.u, self.lengths, step.past, self.first_order)
+        return replace(record, u=u, first_order=True)

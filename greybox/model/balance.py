@@ -27,7 +27,13 @@ class Balance:
     def __init__(self, name: str, unit: str, storage: Expression, state: str, /, **terms: Expression) -> None:
         if not terms:
             raise ModelError(f"balance {name!r} has no terms; name at least one, as in Balance(..., spring=-p.K * x.x)")
-        for field, value in {"name": name, "unit": unit, "storage": storage, "state": state, "terms": dict(terms)}.items():
+        for field, value in {
+            "name": name,
+            "unit": unit,
+            "storage": storage,
+            "state": state,
+            "terms": dict(terms),
+        }.items():
             object.__setattr__(self, field, value)
 
     def with_term(self, name: str, expression: Expression) -> Balance:
@@ -40,11 +46,11 @@ class Balance:
         """The same balance with other expressions for some of its terms."""
         unknown = [name for name in terms if name not in self.terms]
         if unknown:
-            raise ModelError(f"balance {self.name!r} has no term {unknown[0]!r} to replace; {nearest(unknown[0], self.terms)}")
+            raise ModelError(
+                f"balance {self.name!r} has no term {unknown[0]!r} to replace; {nearest(unknown[0], self.terms)}"
+            )
         return Balance(self.name, self.unit, self.storage, self.state, **{**self.terms, **terms})
 
     def with_storage(self, factor: Expression) -> Balance:
         """The same balance with what it stores multiplied by ``factor``."""
         return Balance(self.name, self.unit, self.storage * factor, self.state, **self.terms)
-
-

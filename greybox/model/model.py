@@ -52,7 +52,9 @@ class Model:
         for names in (inner, outer):
             twice = sorted({n for n in names if names.count(n) > 1})
             if twice:
-                raise ModelError(f"model {self.name!r}: the name {twice[0]!r} is used twice; every signal and parameter needs its own")
+                raise ModelError(
+                    f"model {self.name!r}: the name {twice[0]!r} is used twice; every signal and parameter needs its own"
+                )
         check_names(self)
         check_stated(self)
         check_units(self)
@@ -120,7 +122,9 @@ class Model:
     def without(self, effect: str) -> Model:
         """The model without the effect of this name."""
         if effect not in [e.name for e in self.effects]:
-            raise ModelError(f"model {self.title!r} has no effect {effect!r}; {nearest(effect, [e.name for e in self.effects])}")
+            raise ModelError(
+                f"model {self.title!r} has no effect {effect!r}; {nearest(effect, [e.name for e in self.effects])}"
+            )
         return replace(self, effects=tuple(e for e in self.effects if e.name != effect))
 
     def fix(self, *names: str, **values: float) -> Model:

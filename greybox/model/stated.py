@@ -11,6 +11,7 @@ import casadi as ca
 
 from greybox.errors import ModelError, nearest
 from greybox.model.balance import Balance
+from greybox.model.walk import walk
 from greybox.signals import Input, Named, Output, Parameter, Signal, State
 
 if TYPE_CHECKING:
@@ -28,14 +29,17 @@ def check_names(model: Model) -> None:
             f"model {model.name!r}: its name becomes a file's name; write it with letters, digits, _ and - alone"
         )
     problems = []
-    for item in (*model.states, *model.inputs, *model.outputs, *model.parameters):
+    items: tuple[Signal, ...] = (*model.states, *model.inputs, *model.outputs, *model.parameters)
+    for item in items:
         kind = type(item).__name__.lower()
         if not item.name.isidentifier() or item.name.startswith("_"):
             problems.append(f"{kind} {item.name!r}: a name is a letter and then letters, digits and _, as in v_2")
         elif item.name in TAKEN:
             problems.append(f"{kind} {item.name!r}: this name is taken ({', '.join(sorted(TAKEN))}); give another")
         elif isinstance(item, Input | Output) and item.name in TIME_NAMES:
-            problems.append(f"{kind} {item.name!r}: a column of this name holds the time of a record; give another name")
+            problems.append(
+                f"{kind} {item.name!r}: a column of this name holds the time of a record; give another name"
+            )
     if problems:
         raise ModelError(f"model {model.name!r}: {'; '.join(problems)}")
 
@@ -52,7 +56,9 @@ def check_stated(model: Model) -> None:
     title = f"model {model.name!r}"
     for number, balance in enumerate(_balances(title, model.balances, x, u, p), 1):
         if not isinstance(balance, Balance):
-            raise ModelError(f"{title}: balances returns {balance!r} as number {number} of its list; write Balance(...)")
+            raise ModelError(
+                f"{title}: balances returns {balance!r} as number {number} of its list; write Balance(...)"
+            )
         for term, value in balance.terms.items():
             _check_number(f"{title}: balance {balance.name!r}, term {term!r}", value)
     for output in model.outputs:
@@ -102,8 +108,10 @@ def _check_number(subject: str, value: Any) -> None:
         expression = ca.SX(value)
     except (NotImplementedError, TypeError, ValueError):
         raise ModelError(f"{subject} is {value!r}; write an expression of x, u and p, or a number") from None
-    if expression.is_constant() and math.isnan(float(expression)):
-        raise ModelError(f"{subject} is not a number; use casadi.sin, casadi.sqrt ... on symbols, math.sin turns them into nan")
+    if walk(expression, lambda symbol: False, math.isnan, lambda node, values: any(values)):
+        raise ModelError(
+            f"{subject} is not a number; use casadi.sin, casadi.sqrt ... on symbols, math.sin turns them into nan"
+        )
 
 
 def _symbols(kind: str, items: Sequence[State] | Sequence[Input] | Sequence[Parameter]) -> Named:

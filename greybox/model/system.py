@@ -134,16 +134,18 @@ def bind(model: Model) -> tuple[Bound, ...]:
     bound: list[Bound] = []
     for effect in model.effects:
         if any(effect.name == other.effect.name for other in bound):
-            raise ModelError(f"model {model.name!r} already has the effect {effect.name!r}; an effect can be added once")
+            raise ModelError(
+                f"model {model.name!r} already has the effect {effect.name!r}; an effect can be added once"
+            )
         site = places.get(effect.site, effect.site)
         if effect.site and site not in sites:
-            raise ModelError(f"effect {effect.name!r} acts at {effect.site!r}, which model {model.name!r} does not have; {nearest(site, sites)}")
+            raise ModelError(
+                f"effect {effect.name!r} acts at {effect.site!r}, which model {model.name!r} does not have; {nearest(site, sites)}"
+            )
 
-        def unique(name: str, effect: Effect = effect) -> str:
-            return f"{effect.name}.{name}" if name in taken else name
-
-        def resolved(item: Any, effect: Effect = effect) -> Any:
-            return replace(item, name=unique(item.name), unit=_fill(item.unit, units, effect, model.name))
+        def resolved(item: Any, effect: Effect = effect, used: frozenset[str] = frozenset(taken)) -> Any:
+            name = f"{effect.name}.{item.name}" if item.name in used else item.name
+            return replace(item, name=name, unit=_fill(item.unit, units, effect, model.name))
 
         parameters, states = tuple(map(resolved, effect.parameters)), tuple(map(resolved, effect.states))
         taken |= {item.name for item in (*parameters, *states)}
@@ -157,7 +159,9 @@ def expand(model: Model) -> System:
     states = (*model.states, *(s for b in effects for s in b.states))
     parameters = (*model.parameters, *(q for b in effects for q in b.parameters))
     x, u, p = _symbols("state", states), _symbols("input", model.inputs), _symbols("parameter", parameters)
-    raw_x, raw_u, raw_p = (ca.vertcat(*[n[s.name] for s in group]) for n, group in ((x, states), (u, model.inputs), (p, parameters)))
+    raw_x, raw_u, raw_p = (
+        ca.vertcat(*[n[s.name] for s in group]) for n, group in ((x, states), (u, model.inputs), (p, parameters))
+    )
 
     for b in effects:  # parameters where they are used
         if b.effect.on_parameter:
@@ -198,16 +202,28 @@ def expand(model: Model) -> System:
         if b.effect.dry:
             target = _at(balances, b.site, b.effect)
             friction = b.effect.dry(*names)
-            dry.append(Dry(b.effect.name, b.site, order.index(target.state), ca.SX(friction.sliding), ca.SX(friction.static)))
-            balances[b.site] = target.with_term(b.effect.name, -friction.sliding * ca.sign(raw_x[order.index(target.state)]))
+            dry.append(
+                Dry(b.effect.name, b.site, order.index(target.state), ca.SX(friction.sliding), ca.SX(friction.static))
+            )
+            balances[b.site] = target.with_term(
+                b.effect.name, -friction.sliding * ca.sign(raw_x[order.index(target.state)])
+            )
         if b.effect.balances:
             for own in b.effect.balances(*names):
-                renamed = Balance(f"{b.effect.name}.{own.name}", _fill(own.unit, words, b.effect, model.name), own.storage, b.own.get(own.state, own.state), **own.terms)
+                renamed = Balance(
+                    f"{b.effect.name}.{own.name}",
+                    _fill(own.unit, words, b.effect, model.name),
+                    own.storage,
+                    b.own.get(own.state, own.state),
+                    **own.terms,
+                )
                 balances[renamed.name] = renamed
         if b.effect.update:
             updates += updates_of(b.effect.name, b.effect.update(*names), b.own, order)
         if b.effect.delay:
-            delays.append(delay_of(b.effect.name, b.effect.delay(*names), b.site, [i.name for i in model.inputs], parameters))
+            delays.append(
+                delay_of(b.effect.name, b.effect.delay(*names), b.site, [i.name for i in model.inputs], parameters)
+            )
         if b.effect.on_output:
             y[b.site] = b.effect.on_output(y[b.site], *names)
 
@@ -244,7 +260,9 @@ def _base_balances(model: Model) -> list[Balance]:
 def _start(model: Model, p: Named, reading: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX:
     """The state at rest: that of the plant, and those of effects, which may speak of the main output ``reading`` at rest."""
     plant = _started(model.states, p)
-    at_rest = ca.substitute(ca.SX(reading), ca.vertcat(x[: plant.numel()], u), ca.vertcat(plant, ca.SX.zeros(u.numel())))
+    at_rest = ca.substitute(
+        ca.SX(reading), ca.vertcat(x[: plant.numel()], u), ca.vertcat(plant, ca.SX.zeros(u.numel()))
+    )
     known = p.replaced({"sensor": at_rest})
     own = [_started(b.states, b.within(known, b.effect.parameters)) for b in model.bound_effects]
     return ca.vertcat(plant, *own)
@@ -272,7 +290,9 @@ def _fill(unit: str, words: Mapping[str, str], effect: Effect, model: str) -> st
     try:
         return tidy(unit.format_map(words))
     except KeyError as missing:
-        raise ModelError(f"effect {effect.name!r} needs a {missing.args[0]}, which model {model!r} does not have; {nearest(missing.args[0], words)}") from None
+        raise ModelError(
+            f"effect {effect.name!r} needs a {missing.args[0]}, which model {model!r} does not have; {nearest(missing.args[0], words)}"
+        ) from None
     except ModelError as error:
         raise ModelError(f"effect {effect.name!r}: {error}") from None
 
@@ -294,7 +314,10 @@ def _one_balance_each(
     by_state: dict[str, Balance] = {}
     for b in balances.values():
         if b.state in by_state:
-            raise ModelError(f"model {model!r}: balances {by_state[b.state].name!r} and {b.name!r} both give the rate of {b.state!r}; each state needs one")
+            raise ModelError(
+                f"model {model!r}: balances {by_state[b.state].name!r} and {b.name!r} both give the rate of {b.state!r};"
+                " each state needs one"
+            )
         by_state[b.state] = b
     both = [n for n in updated if n in by_state]
     if both:
@@ -306,8 +329,12 @@ def _one_balance_each(
     missing = [n for n in names if n not in by_state]
     strange = [n for n in by_state if n not in names]
     if missing or strange:
-        found = [f"no balance gives the rate of {n!r}" for n in missing] + [f"balance {by_state[n].name!r} names an unknown state {n!r}" for n in strange]
-        raise ModelError(f"model {model!r}: {'; '.join(found)}; every state needs exactly one balance (states: {', '.join(names)})")
+        found = [f"no balance gives the rate of {n!r}" for n in missing] + [
+            f"balance {by_state[n].name!r} names an unknown state {n!r}" for n in strange
+        ]
+        raise ModelError(
+            f"model {model!r}: {'; '.join(found)}; every state needs exactly one balance (states: {', '.join(names)})"
+        )
     return tuple(by_state[n] for n in names)
 
 

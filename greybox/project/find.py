@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 from greybox.errors import ModelError, nearest
 from greybox.model import Model
@@ -67,13 +66,11 @@ def listing() -> Listing:
     found: dict[str, Found] = {}
     problems: list[str] = []
     for source in _sources():
-        for file in source.files:
-            try:
-                models = models_of(source.module(file))
-            except ModelError as error:
-                problems.append(str(error))
+        for file, held in source.contents():
+            if isinstance(held, ModelError):
+                problems.append(str(held))
                 continue
-            for name, model in models.items():
+            for name, model in held.items():
                 found.setdefault(name, Found(name, model, source.where(file)))
     return Listing(tuple(found.values()), tuple(problems))
 
@@ -86,31 +83,37 @@ class _Source:
     named: bool
     shipped: bool
 
-    @property
-    def files(self) -> list[Path]:
-        return model_files(self.root)
-
-    def module(self, file: Path) -> ModuleType:
-        return load_named(self.root, file) if self.named else load_apart(file)
+    def contents(self, first: str = "") -> Iterator[tuple[Path, dict[str, Model] | ModelError]]:
+        """Each file with its models by variable, or with what is wrong with it; the file called ``first`` comes first."""
+        for file in sorted(model_files(self.root), key=lambda file: file.stem != first):
+            try:
+                yield file, models_of(load_named(self.root, file) if self.named else load_apart(file))
+            except ModelError as error:
+                yield file, error
 
     def where(self, file: Path) -> str:
         return f"models/{file.name}, shipped with greybox" if self.shipped else shown(file)
 
     def find(self, name: str) -> Model | None:
-        """The model of this name: in the file of this name, else in any other."""
-        own = next((file for file in self.files if file.stem == name), None)
-        if own is not None:
-            models = models_of(self.module(own))
-            if name in models or len(models) == 1:
-                return models.get(name) or next(iter(models.values()))
-        for file in self.files:
-            try:
-                models = models_of(self.module(file)) if file != own else {}
-            except ModelError:  # another file's mistake: told if the name is found nowhere
+        """The model of this name: in the file of this name, else in any other; None if no file could hold it.
+
+        Raises ModelError for a file that cannot be run and speaks of the name: another model must not stand in for it.
+        """
+        broken: ModelError | None = None
+        for file, models in self.contents(name):
+            if isinstance(models, ModelError):
+                if file.stem == name:
+                    raise models
+                if broken is None and name.encode() in file.read_bytes():
+                    broken = models
                 continue
+            if file.stem == name and len(models) == 1:
+                return next(iter(models.values()))
             for variable, model in models.items():
                 if name in (variable, model.name):
                     return model
+        if broken is not None:
+            raise broken
         return None
 
 

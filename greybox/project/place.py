@@ -20,14 +20,12 @@ def template_root() -> Path:
 
 
 def model_files(root: Path) -> list[Path]:
-    """Files in ``models/`` of a project that use greybox, in alphabetical order."""
-    return [
-        path for path in sorted((root / "models").glob("*.py")) if path.name != "__init__.py" and _uses_greybox(path)
-    ]
+    """Files in ``models/`` of a project, in alphabetical order."""
+    return [path for path in sorted((root / "models").glob("*.py")) if path.name != "__init__.py"]
 
 
 def _is_project(folder: Path) -> bool:
-    return (folder / "models").is_dir() and bool(model_files(folder))
+    return any(map(_uses_greybox, model_files(folder)))
 
 
 def _uses_greybox(path: Path) -> bool:

@@ -28,6 +28,8 @@ def summary(fit: Fit) -> str:
     elif any(e.std is not None for e in fit.parameters.values()):
         lines += ["", "intervals: Gauss-Newton covariance, the residual is white"]
     lines += ["", f"noise: {fit.noise_source}", f"discretisation: {fit.discretisation}"]
+    if fit.solver.get("strategy"):
+        lines.append(f"search: {fit.solver['strategy']}")
     lines += [f"note: {note}" for note in fit.notes]
     return "\n".join(lines)
 
@@ -75,7 +77,11 @@ def _constant(name: str, e: Estimate) -> list[str]:
 
 def misfit_cells(m: Misfit) -> list[str]:
     """rmse, best fit and rmse over noise, as tables show them."""
-    return [f"{number(m.rmse, 4)} {tidy(m.unit)}".rstrip(), f"{m.best_fit_percent:.2f} %", f"{number(m.noise_ratio, 4)} x noise"]
+    return [
+        f"{number(m.rmse, 4)} {tidy(m.unit)}".rstrip(),
+        f"{m.best_fit_percent:.2f} %",
+        f"{number(m.noise_ratio, 4)} x noise",
+    ]
 
 
 def _misfits(title: str, misfit: Mapping[str, Misfit]) -> list[str]:

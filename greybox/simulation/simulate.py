@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,7 +48,7 @@ class Simulation:
         Raises ModelError for noise on an unknown output or without a generator, DataError for a run that overflowed.
         """
         outputs = with_noise(self.outputs, noise or {}, generator)
-        return replace(self.source, outputs=outputs)
+        return self.source.with_outputs(outputs)
 
 
 def simulate(
@@ -68,7 +68,7 @@ def simulate(
     Raises DataError for a missing input, ModelError for an unknown state. A run that overflows is returned: see
     `Simulation.overflow`.
     """
-    experiment = inputs if isinstance(inputs, Experiment) else _experiment(model, inputs)
+    experiment = inputs.with_outputs({}) if isinstance(inputs, Experiment) else _experiment(model, inputs)
     record = record_of(model, experiment)
     p, x0 = np.array(list(model.values.values())), initial_state(model, initial)
     step = discretise(model.system, p, x0[None, :], record.lengths, method=method, substeps=substeps)
@@ -86,7 +86,7 @@ def simulate(
     return Simulation(
         experiment.time, {i.name: experiment.inputs[i.name] for i in model.inputs},
         {o.name: y[:, j] for j, o in enumerate(model.outputs)},
-        {name: x[:, j] for j, name in enumerate(model.system.state_names)}, step.label, replace(experiment, outputs={}),
+        {name: x[:, j] for j, name in enumerate(model.system.state_names)}, step.label, experiment,
     )  # fmt: skip
 
 
@@ -132,9 +132,9 @@ def _experiment(model: Model, arrays: Mapping[str, ArrayLike]) -> Experiment:
 def _run(step: Step, record: Record, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Outputs (N, ny) and states (N, nx)."""
     q, _ = step.coefficients(p, record.lengths, np.empty(0, int))
-    if not step.per_interval:
-        record = replace(record, row=np.zeros_like(record.row))
-    return make_kernel(step).simulate(record, q, p, x0)
+    record = record.seen_by(step)
+    y, x = make_kernel(step).simulate(record, q, p, x0)
+    return record.samples(y), record.samples(x)
 
 
 def _settled(before: np.ndarray, after: np.ndarray) -> bool:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from pathlib import Path
+
 import numpy as np
 from scipy.signal import firwin, resample_poly
 
@@ -17,17 +20,31 @@ FINER = 12
 HALF_LENGTH, KAISER = 32, 9.0
 
 
+def experiments_of(given: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
+    """One or several measured experiments as a tuple.
+
+    Raises DataError for none, for what is no experiment (the path of a file), and for one without a measured output.
+    """
+    group = (given,) if isinstance(given, Experiment | str | Path) else tuple(given)
+    if not group:
+        raise DataError("no experiment to fit; give at least one")
+    for item in group:
+        if not isinstance(item, Experiment):
+            raise DataError(
+                f"{item!r} is not an experiment; read a file with read_csv(path, model), or give Experiment.from_arrays(...)"
+            )
+        if not item.outputs:
+            raise DataError(f"experiment {item.name!r} has no measured output; there is nothing to compare with")
+    return group
+
+
 def record_of(model: Model, experiment: Experiment) -> Record:
     """``experiment`` as `Record`; an output that was not measured is a column of NaN.
 
     A band-limited input becomes a finer one that is linear between rows, `FINER` of them in each interval (`Record.every`), with
-    NaN in the outputs of the rows put between. Raises DataError for what is no experiment, where an input of the model is missing,
-    where outputs were measured but none of the model's, and for a band-limited input that was not sampled uniformly.
+    NaN in the outputs of the rows put between. Raises DataError where an input of the model is missing, where outputs were measured
+    but none of the model's, and for a band-limited input that was not sampled uniformly.
     """
-    if not isinstance(experiment, Experiment):
-        raise DataError(
-            f"{experiment!r} is not an experiment; read a file with read_csv(path, model), or give Experiment.from_arrays(...)"
-        )
     missing = [i.name for i in model.inputs if i.name not in experiment.inputs]
     if missing:
         raise DataError(
@@ -86,7 +103,9 @@ def interpolated(u: np.ndarray, finer: int) -> np.ndarray:
 
 def _distinct(intervals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The distinct interval lengths, and which of them each interval has."""
-    if len(intervals) and np.ptp(intervals) <= SAME_LENGTH * intervals[0]:  # the usual case, without five copies of a long record
+    if (
+        len(intervals) and np.ptp(intervals) <= SAME_LENGTH * intervals[0]
+    ):  # the usual case, without five copies of a long record
         return intervals[:1].copy(), np.zeros(len(intervals), np.int32)
     order = np.argsort(intervals, kind="stable")
     ordered = intervals[order]

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.discover.bench import Trial
+from greybox.discovery.bench import Trial
 from greybox.fitting.problem import Problem
 from greybox.noise import Noise, autoregression, segments
 from greybox.transcription import SingleShooting
@@ -59,7 +59,10 @@ def _residuals(trial: Trial) -> list[tuple[int, np.ndarray]]:
     problem: Problem = trial.problem
     z = np.zeros(trial.variables.size)
     shooting = SingleShooting(trial.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
-    runs = [(record.samples(y), record.samples(record.y)) for (y, _), record in zip(shooting.simulate(z), shooting.records, strict=True)]
+    runs = [
+        (record.samples(y), record.samples(record.y))
+        for (y, _), record in zip(shooting.simulate(z), shooting.records, strict=True)
+    ]
     result = []
     for j in range(len(problem.noise.std)):
         parts = [(seen[:, j] - y[:, j]) / problem.noise.std[j] for y, seen in runs]

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import expm
 
-from greybox.discover.bench import Trial
+from greybox.discovery.bench import Trial
 from greybox.model import System
 
 # Intensities tried, as rms of the response over the noise; rows used at most; Riccati steps.
@@ -62,13 +62,23 @@ def likeliest(found: list[Site]) -> list[str]:
     return [s.name for s in found if found[0].gain - s.gain <= lead]
 
 
-def _places(trial: Trial, h: float, measured: np.ndarray, scale: np.ndarray) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
+def _places(
+    trial: Trial, h: float, measured: np.ndarray, scale: np.ndarray
+) -> list[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
     """Name, transition, way in and way out (scaled by the noise) of an unknown signal at each site."""
     system, p = trial.problem.model.system, trial.variables.fixed
     nx = system.x.numel()
-    pieces = (ca.jacobian(system.rhs, system.x), ca.jacobian(system.rhs, system.u), ca.jacobian(system.outputs, system.x))
+    pieces = (
+        ca.jacobian(system.rhs, system.x),
+        ca.jacobian(system.rhs, system.u),
+        ca.jacobian(system.outputs, system.x),
+    )
     a, b, c = (m.full() for m in ca.Function("m", [system.p], list(pieces))(p))
-    ways = {bal.name: np.eye(nx)[:, system.state_names.index(bal.state)] for bal in system.balances if not _is_definition(system, bal.state)}
+    ways = {
+        bal.name: np.eye(nx)[:, system.state_names.index(bal.state)]
+        for bal in system.balances
+        if not _is_definition(system, bal.state)
+    }
     # An input that enters one balance only is that balance; one that enters several is a place of its own.
     ways |= {name: b[:, k] for k, name in enumerate(system.input_names) if np.count_nonzero(b[:, k]) > 1}
     c = np.column_stack([scale[:, None] * c[measured], np.zeros(len(measured))])

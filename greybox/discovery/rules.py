@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from greybox.discover.bench import Trial
+from greybox.discovery.bench import Trial
 from greybox.noise import AutoRegression
 
 # A first effect must lower the cost by this much more than its constants cost (Schwarz).
@@ -27,9 +27,14 @@ MEMORY = 500
 HELD_OUT, PARTLY = 0.9, 0.5
 
 
+def chance(count: int) -> float:
+    """Cost per sample that noise of exactly known level hardly ever exceeds."""
+    return 1 + 4 * math.sqrt(2 / count)
+
+
 def threshold(count: int) -> float:
     """Cost per sample above which something other than noise is left."""
-    return 1 + 4 * math.sqrt(2 / count) + FLOOR
+    return chance(count) + FLOOR
 
 
 def visible(samples: int, colour: AutoRegression) -> float:

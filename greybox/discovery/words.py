@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from greybox.discover.bench import Trial
-from greybox.discover.result import Gap
+from greybox.discovery.bench import Trial
+from greybox.discovery.result import Gap
 
 
 def story(verdict: str, chosen: Trial, rivals: Sequence[Trial], gap: Mapping[str, Gap]) -> str:

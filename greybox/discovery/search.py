@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from greybox.discover import rules
-from greybox.discover.bench import ITERATIONS, Bench, Start, Trial
-from greybox.discover.starts import candidate_starts, child_starts
+from greybox.discovery import rules
+from greybox.discovery.bench import ITERATIONS, Bench, Start, Trial
+from greybox.discovery.colour import LEFT_OVER, remainder
+from greybox.discovery.starts import candidate_starts, child_starts
 from greybox.effects import Scales
 from greybox.model import Effect
 
 # First picks that are carried on in parallel, second effects refitted for each, and effects at most.
-BEAM, SECONDS, MOST_EFFECTS = 3, 6, 3
+BEAM, SECONDS, MOST_EFFECTS = 3, 5, 3
 # Iterations of a first, short refit; effects that are then refitted thoroughly; generations of children (Coulomb, Stribeck, LuGre).
 SHORT, LEADING, GENERATIONS = 12, 5, 2
+# Models with a further effect that are refitted to convergence.
+FINISHED = 3
 # Effects put in the place of one that was chosen, refitted.
 SWAPS = 4
 
@@ -73,8 +76,10 @@ class Search:
         self._retest_base(chosen)
         if not rules.accepted(self.base, self.base, chosen):
             return self.base
-        self.say(f"{chosen.effects[0]}: misfit {self.base.per_sample**0.5:.3g} -> {chosen.per_sample**0.5:.3g} times the noise")
-        while not rules.clean(self.base, chosen) and len(chosen.effects) < MOST_EFFECTS:
+        self.say(
+            f"{chosen.effects[0]}: misfit {self.base.per_sample**0.5:.3g} -> {chosen.per_sample**0.5:.3g} times the noise"
+        )
+        while self._suspicious(chosen) and len(chosen.effects) < MOST_EFFECTS:
             larger = self._extended(chosen)
             if larger is None or not rules.accepted(self.base, chosen, larger):
                 break
@@ -82,9 +87,17 @@ class Search:
             self.say(f"{' + '.join(chosen.effects)}: misfit {chosen.per_sample**0.5:.3g} times the noise")
         return self._swapped(self._pruned(chosen))
 
+    def _suspicious(self, chosen: Trial) -> bool:
+        """Whether a further effect is worth looking for: the misfit, or the residual's memory, is more than chance."""
+        return chosen.per_sample > rules.chance(chosen.count) or remainder(chosen) > LEFT_OVER
+
     def rivals(self, chosen: Trial) -> list[Trial]:
         """Other models of the same size that explain the records as well, and are not the chosen one with more or less in it."""
-        same = [t for t in self.tried.values() if len(t.effects) == len(chosen.effects) and set(t.effects) != set(chosen.effects)]
+        same = [
+            t
+            for t in self.tried.values()
+            if len(t.effects) == len(chosen.effects) and set(t.effects) != set(chosen.effects)
+        ]
         return [t for t in same if t.criterion - chosen.criterion < rules.TIE and not self._related(t, chosen)]
 
     def _added(
@@ -96,6 +109,7 @@ class Search:
             return self.tried[key]
         model = trial.model + effect
         seed = self.seeds.get(key)
+        starts: list[Start]
         if seed is not None:  # refitted before, with another idea of the noise
             starts = [seed.model.values]
         else:
@@ -112,20 +126,46 @@ class Search:
     def _extended(self, chosen: Trial) -> Trial | None:
         """The best model with one effect more, from the chosen one and (for a second effect) from the other good first picks."""
         firsts = [chosen]
-        if len(chosen.effects) == 1:
-            others = sorted(self.singles, key=lambda t: t.criterion)
-            firsts += [t for t in others if t.effects != chosen.effects][: BEAM - 1]
-        found = [t for first in firsts for t in self._seconds(first)]
+        if (
+            len(chosen.effects) == 1
+        ):  # a family is carried on by its plainest member: the others cost more and say the same
+            ranked = [self._plainest(t) for t in (chosen, *sorted(self.singles, key=lambda t: t.criterion))]
+            firsts = list({t.effects: t for t in ranked}.values())[:BEAM]
+        found = sorted((t for first in firsts for t in self._seconds(first)), key=lambda t: t.criterion)
         if not found:
             return None
-        return self._parsimonious(min(found, key=lambda t: t.criterion), found)
+        best = min((self._finished(t) for t in found[:FINISHED]), key=lambda t: t.criterion)
+        return self._parsimonious(self._grown(best), list(self.tried.values()))
+
+    def _plainest(self, trial: Trial) -> Trial:
+        """The tried parent of a single effect, or its parent's parent."""
+        parents = [t for name in self._effect(trial.effects[0]).parents for t in self.singles if t.effects == (name,)]
+        return self._plainest(parents[0]) if parents else trial
+
+    def _grown(self, trial: Trial) -> Trial:
+        """With an effect replaced by its child, where that still leaves something and the child is better."""
+        for name in trial.effects:
+            for child in (e for e in self.candidates if name in e.parents and self._suspicious(trial)):
+                rest = self._refitted(trial, name)
+                grown = None if rest is None else self._added(rest, child, keep=1, iterations=SHORT)
+                if grown is not None and grown.criterion < trial.criterion:
+                    trial = self._finished(grown)
+                    break
+        return trial
 
     def _seconds(self, first: Trial) -> list[Trial]:
         """``first`` with each promising further effect."""
         room = [e for e in self.candidates if e.name not in first.effects and not self._family(e, first)]
         hopes = {e.name: self._hope(first, e) for e in room}
         promising = sorted(room, key=lambda e: hopes[e.name])[:SECONDS]
-        return [t for e in promising if (t := self._added(first, e)) is not None]
+        return [t for e in promising if (t := self._added(first, e, keep=1, iterations=SHORT)) is not None]
+
+    def _finished(self, trial: Trial) -> Trial:
+        """A short refit carried on to convergence."""
+        again = self.bench.best(trial.model, [trial.model.values], keep=1)
+        best = again if again is not None and again.cost < trial.cost else trial
+        self.tried[frozenset(best.effects)] = best
+        return best
 
     def _hope(self, first: Trial, effect: Effect) -> float:
         model = first.model + effect
@@ -158,12 +198,14 @@ class Search:
             rest = self._refitted(chosen, name)
             if rest is None:
                 continue
-            room = [e for e in self.candidates if e.name not in chosen.effects]
+            room = [e for e in self.candidates if e.name not in chosen.effects and not self._family(e, chosen)]
             hopes = {e.name: self._hope(rest, e) for e in room}
-            others = [self._added(rest, e) for e in sorted(room, key=lambda e: hopes[e.name])[:SWAPS]]
+            promising = sorted(room, key=lambda e: hopes[e.name])[:SWAPS]
+            others = [self._added(rest, e, keep=1, iterations=SHORT) for e in promising]
             better = [t for t in others if t is not None and t.criterion < chosen.criterion - rules.TIE]
-            chosen = min(better, key=lambda t: t.criterion, default=chosen)
-        return chosen
+            if better:
+                chosen = self._finished(min(better, key=lambda t: t.criterion))
+        return self._parsimonious(chosen, list(self.tried.values()))
 
     def _retest_base(self, extended: Trial) -> None:
         """The plain model once more, from the constants of the extended one: a base fit stuck in a wrong place is a false alarm."""

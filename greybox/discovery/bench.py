@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,6 +20,8 @@ Start = Mapping[str, float]
 
 # Iterations of one refit: what has not converged by then is not the answer, or is finished in the last fit.
 ITERATIONS = 60
+# A start whose curvature is beyond this is next to an overflow.
+HUGE = 1e100
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,9 @@ class Bench:
     def best(self, model: Model, starts: Iterable[Start], keep: int = 2, iterations: int = ITERATIONS) -> Trial | None:
         """``model`` refitted from the most promising ``keep`` of ``starts``; None where none of them can be simulated."""
         problem = self.problem(model)
-        ranked = sorted((point for s in starts if (point := _promise(problem, s)) is not None), key=lambda point: point[0])
+        ranked = sorted(
+            (point for s in starts if (point := _promise(problem, s)) is not None), key=lambda point: point[0]
+        )
         options = replace(self.options, progressive=False, thorough=False, iterations=iterations)
         trials = [_trial(model, solve(replace(problem, variables=v), options)) for _, v in ranked[:keep]]
         finite = [t for t in trials if np.isfinite(t.cost)]
@@ -111,7 +115,7 @@ def _promise(problem: Problem, start: Start) -> tuple[float, Variables] | None:
     """Cost foreseen from one start, and the variables there; None where the model cannot be simulated."""
     variables = started(problem.variables, start)
     e = problem.shooting(variables).evaluate(np.zeros(variables.size))
-    if not np.isfinite(e.cost):
+    if not (np.isfinite(e.cost) and np.abs(e.hessian).max(initial=0.0) < HUGE):
         return None
     low, high = variables.bounds()
     return e.cost - foreseen(e, low, high), variables
@@ -141,5 +145,3 @@ def started(variables: Variables, start: Start) -> Variables:
     base = fixed[variables.which]
     scale = np.where(base == 0, variables.scale, np.abs(base))
     return replace(variables, fixed=fixed, base=base, scale=scale)
-
-

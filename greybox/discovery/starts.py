@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 
-from greybox.discover.bench import Start, Trial
+from greybox.discovery.bench import Start, Trial
 from greybox.effects import Scales
 from greybox.model import Effect, Model
 
@@ -36,7 +36,11 @@ def child_starts(model: Model, child: Effect, parent: Trial, parent_effect: Effe
     fitted = next(b.own for b in parent.model.bound_effects if b.effect.name == parent_effect.name)
     own = next(b.own for b in model.bound_effects if b.effect.name == child.name)
     values = {name: parent.model.values[there] for name, there in fitted.items() if there in parent.model.values}
-    kept = {name: value for name, value in parent.model.values.items() if name in model.values and name not in fitted.values()}
+    kept = {
+        name: value
+        for name, value in parent.model.values.items()
+        if name in model.values and name not in fitted.values()
+    }
     for start in child.from_parent(values, scales):
         yield {**kept, **{own[name]: _inside(model, own[name], value) for name, value in start.items()}}
 

@@ -8,16 +8,18 @@ constants. Below about ten the experiment tells nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.discover.bench import Bench, Trial, foreseen
+from greybox.discovery.bench import Bench, Trial, foreseen
 from greybox.experiment import Experiment
 from greybox.simulation import chirp, multisine, simulate
 
 # Experiments are compared on this many samples at most: enough to rank them.
 MOST_SAMPLES = 4000
+# Noise of a sensor that is not there yet, as a share of what it would show at most.
+NEW_SENSOR = 0.01
 SEED = 1
 
 
@@ -70,9 +72,13 @@ def menu(record: Experiment) -> dict[str, Experiment]:
         "a slow triangle": peak * (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * 2 / time[-1] * time)),
     }
     names = list(record.inputs)
-    menu = {label: Experiment(label, time, {n: u for n in names}, {}) for label, u in shapes.items()}
+    menu = {label: Experiment(label, time, dict.fromkeys(names, u), {}) for label, u in shapes.items()}
     own = record.window(0, rows)
-    for label, factor in (("the same input", 1.0), ("the same input at a third", 1 / 3), ("the same input doubled", 2.0)):
+    for label, factor in (
+        ("the same input", 1.0),
+        ("the same input at a third", 1 / 3),
+        ("the same input doubled", 2.0),
+    ):
         menu[label] = Experiment(label, own.time, {n: factor * u for n, u in own.inputs.items()}, {}, own.hold)
     return menu
 
@@ -81,5 +87,12 @@ def _lost(bench: Bench, rival: Trial, record: Experiment, measured: tuple[str, .
     """Cost of the rival on a record of the chosen model, after its constants have adapted."""
     seen = Experiment(record.name, record.time, record.inputs, {n: record.outputs[n] for n in measured}, record.hold)
     problem = bench.problem(rival.model, (seen,))
+    std = problem.noise.std.copy()
+    for j, output in enumerate(rival.model.outputs):
+        if (
+            output.name in measured and output.name not in bench.noise_std
+        ):  # nobody has said how good that sensor would be
+            std[j] = NEW_SENSOR * max(float(np.abs(record.outputs[output.name]).max()), 1e-300)
+    problem = problem.with_noise(replace(problem.noise, std=std))
     e = problem.shooting(problem.variables).evaluate(np.zeros(problem.variables.size))
     return e.cost - foreseen(e, *problem.variables.bounds()) if np.isfinite(e.cost) else np.inf

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.discover.bench import Trial
+from greybox.discovery.bench import Trial
 
 # Standard deviations that an amplitude must exceed to be found nine times out of ten at a false-alarm rate of one per cent.
 POWER = 3.3

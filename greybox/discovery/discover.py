@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.discover import rules
-from greybox.discover.bench import Bench, Trial
-from greybox.discover.colour import LEFT_OVER, colour_known, remainder, renoised
-from greybox.discover.hidden import hidden
-from greybox.discover.result import Discovery, Gap, Rank
-from greybox.discover.search import Say, Search
-from greybox.discover.separate import Separation, separations
-from greybox.discover.where import likeliest, sites
-from greybox.discover.words import story
+from greybox.discovery import rules
+from greybox.discovery.bench import Bench, Trial
+from greybox.discovery.colour import KNOWN, LEFT_OVER, colour_known, remainder, renoised
+from greybox.discovery.hidden import hidden
+from greybox.discovery.result import Discovery, Gap, Rank
+from greybox.discovery.search import Say, Search
+from greybox.discovery.separate import Separation, separations
+from greybox.discovery.where import likeliest, sites
+from greybox.discovery.words import story
 from greybox.effects import Scales, applicable, scales_of, tailored
 from greybox.errors import DataError
 from greybox.experiment import Experiment
@@ -55,7 +55,11 @@ class Evidence:
             seen = base.per_sample > rules.threshold(base.count) or self.shows_elsewhere
             return "unknown" if seen else "complete"
         visible = self.worst.before / self.worst.floor > rules.VISIBLE
-        if not rules.clean(base, chosen) or remainder(chosen) > LEFT_OVER or (visible and self.worst.closed < rules.HELD_OUT):
+        if (
+            not rules.clean(base, chosen)
+            or remainder(chosen) > LEFT_OVER
+            or (visible and self.worst.closed < rules.HELD_OUT)
+        ):
             return "unknown"
         return "ambiguous" if self.rivals else "named"
 
@@ -94,7 +98,9 @@ def discover(
     options, say = options or FitOptions(), say or _silent
     judges = _several(validation)
     if not judges:
-        raise DataError("no validation record: a discovery is judged on data that no constant has seen; give at least one")
+        raise DataError(
+            "no validation record: a discovery is judged on data that no constant has seen; give at least one"
+        )
     bench = Bench(model, _several(estimation), dict(noise or {}), _several(quiet), options)
     scales = _scales(bench)
     candidates = [tailored(e, scales) for e in effects] if effects else applicable(model, scales)
@@ -104,7 +110,9 @@ def discover(
         half = min(j.rows for j in judges) // 2
         wider = replace(bench, experiments=(*bench.experiments, *(j.window(0, half) for j in judges)))
         found = _evidence(wider, candidates, scales, judges, half, say)
-        notes.append("the effect does not show in the estimation records: it was learnt from the first half of the validation records")
+        notes.append(
+            "the effect does not show in the estimation records: it was learnt from the first half of the validation records"
+        )
     return _discovery(found, notes, time.perf_counter() - began)
 
 
@@ -133,10 +141,13 @@ def _judged(trial: Trial, bench: Bench, judges: tuple[Experiment, ...], skip: in
 
 def _with_unknown_noise(search: Search, say: Say) -> tuple[Search, Trial]:
     """The search with the noise that the best single effect leaves over, and again with the one that the chosen model leaves."""
-    chosen = search.first()
+    given = all(source in KNOWN for source in search.base.problem.noise.sources.values())
+    chosen = search.run() if given else search.first()
     for _ in range(ROUNDS):
         noise = renoised(chosen)
         if _same(noise, chosen.problem.noise):
+            if given:
+                break
             say("the residual is white")
         else:
             say(f"noise as the residual of {chosen.model.title} shows it: {', '.join(map(str, noise.colour))}")

@@ -1,0 +1,151 @@
+"""`make bench`: how long the same fit takes here and elsewhere. Writes bench.json and docs/benchmark.md.
+
+The unit is the simulation equivalent: CPU time of a fit over the CPU time of one compiled RK4 pass over the same data,
+measured in the same process just before and after. Imports, just-in-time compilation and building are not counted, here or
+elsewhere (except jax-sysid, which compiles anew in each fit). Every program starts at the same values; the order changes from
+round to round; medians of five rounds, of fewer for the slow ones (told in the table).
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import ours, peers
+from benchmarks.problems import CASES, Case, actuator
+from benchmarks.report import page
+
+ROUNDS = 5
+SLOW, FEWER = 3.0, 2  # a fit of so many CPU seconds gets fewer rounds
+VERY_SLOW = 20.0  # ... and one of so many a single one
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main() -> None:
+    """Run everything and write the results."""
+    problems = {name: compare(make()) for name, make in CASES.items()}
+    problems["actuator_long"] = long_record()
+    result = {
+        "problems": problems,
+        "first_result_seconds": ours.first_results(),
+        "memory_above_data_mb": ours.memory(),
+        "versions": {
+            name: _version(name) for name in ("casadi", "numpy", "scipy", "numba", "lmfit", "jax", "jax-sysid")
+        },
+    }
+    (ROOT / "bench.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    (ROOT / "docs").mkdir(exist_ok=True)
+    (ROOT / "docs" / "benchmark.md").write_text(page(result), encoding="utf-8")
+    say(page(result))
+
+
+def compare(case: Case) -> dict:
+    """One problem: greybox and every peer that is installed, in interleaved order."""
+    say(f"{case.name}: building")
+    unit = ours.simulation(case)
+    runs = {"greybox": ours.fitter(case)}
+    for name, make in peers.PEERS.items():
+        try:
+            runs[name] = make(case)
+        except ImportError as missing:
+            say(f"{case.name}: {name} left out ({missing}); pip install -e '.[bench]'")
+    spent: dict[str, list[float]] = {name: [] for name in runs}
+    ends: dict[str, np.ndarray] = {}
+    for k in range(ROUNDS):
+        for name in _order(list(runs), k):
+            if len(spent[name]) < _rounds(spent[name]):
+                before = unit()
+                ends[name] = runs[name] and _result(runs[name], spent[name])
+                spent[name][-1] = 2 * spent[name][-1] / (before + unit())
+                say(f"{case.name} round {k + 1}: {name} {spent[name][-1]:.1f} simulations")
+    medians = {name: float(np.median(values)) for name, values in spent.items()}
+    best = ours.cost(
+        case, ours.fitted(case, ours.solve(_rk4(case), ours.FitOptions(at_rest=True, substeps=case.substeps))), "rk4"
+    )
+    costs = {name: ours.cost(case, z, "rk4") / best - 1 for name, z in ends.items() if name != "greybox"}
+    simulations = peers.solve_ivp_seconds(case) / unit()
+    return {
+        "samples": case.experiment.rows,
+        "unit_ms": 1e3 * unit(),
+        "pass_ratio": ours.pass_ratio(case),
+        "simulation_equivalents": medians["greybox"],
+        "whole_call": _median(ours.whole_call(case), unit),
+        "without_compiler": ours.without_compiler(case, unit()),
+        "starts_won": ours.starts_won(case),
+        "against": {name: medians[name] / medians["greybox"] for name in medians if name != "greybox"},
+        "cost_above_best": costs,
+        "rounds": {name: len(values) for name, values in spent.items()},
+        "solve_ivp_simulation": simulations,
+    }
+
+
+def long_record() -> dict:
+    """The actuator with 400,000 samples: greybox alone (the peers take the RK4 route, hundreds of passes)."""
+    case = actuator(400_000)
+    unit = ours.simulation(case)
+    run = ours.fitter(case)
+    run()
+    return {
+        "samples": case.experiment.rows,
+        "unit_ms": 1e3 * unit(),
+        "pass_ratio": ours.pass_ratio(case),
+        "simulation_equivalents": _median(run, unit),
+        "whole_call": _median(ours.whole_call(case), unit),
+        "against": {},
+    }
+
+
+def _median(run, unit, rounds: int = ROUNDS) -> float:
+    """Simulation equivalents of a call."""
+    run()
+    ratios = []
+    for _ in range(rounds):
+        before = unit()
+        spent = ours.cpu(run)
+        ratios.append(2 * spent / (before + unit()))
+    return float(np.median(ratios))
+
+
+def _result(run, spent: list[float]) -> np.ndarray:
+    found: list[np.ndarray] = []
+    spent.append(ours.cpu(lambda: found.append(run())))
+    _seconds[id(spent)] = spent[-1]
+    return found[0]
+
+
+_seconds: dict[int, float] = {}
+
+
+def _rounds(spent: list[float]) -> int:
+    seconds = _seconds.get(id(spent), 0.0)
+    return 1 if seconds > VERY_SLOW else FEWER if seconds > SLOW else ROUNDS
+
+
+def _order(names: list[str], k: int) -> list[str]:
+    """Every program comes after every other one in turn."""
+    return names[k % len(names) :] + names[: k % len(names)]
+
+
+def _rk4(case: Case):
+    return ours.prepare(case.start, case.experiment, case.noise, at_rest=True, method="rk4", substeps=case.substeps)
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def say(text: str) -> None:
+    """To the terminal at once."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

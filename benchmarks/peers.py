@@ -1,0 +1,178 @@
+"""Other ways to fit the same problem: each ``prepare(case)`` gives ``solve() -> fitted values``, imports and compilation done before.
+
+All start at the same values, take the same RK4 step, know the same bounds and see constants divided by their start values.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+
+from benchmarks.problems import Case
+from benchmarks.rates import Mathematics, make_rate, make_rk4
+
+Solve = Callable[[], np.ndarray]
+
+
+class Arrays:
+    """A case as arrays: parameters at the start, which are free and their bounds (over the start), input, output, first state."""
+
+    def __init__(self, case: Case) -> None:
+        model = case.start
+        self.p = np.array(list(model.values.values()))
+        names = list(model.values)
+        self.which = np.array([names.index(n) for n in case.free])
+        self.start = self.p[self.which]
+        bounds = np.array([model.parameter(n).bounds for n in case.free])
+        self.low, self.high = bounds[:, 0] / self.start, bounds[:, 1] / self.start
+        self.u = case.experiment.inputs[model.inputs[0].name].copy()
+        self.y = case.experiment.outputs[model.outputs[0].name].copy()
+        self.noise = case.noise[model.outputs[0].name]
+        self.h = float(case.experiment.intervals[0]) / case.substeps
+        self.substeps = case.substeps
+        self.x0 = np.asarray(model.system.start_function(self.p)[0]).ravel()
+
+    def full(self, z: np.ndarray) -> np.ndarray:
+        """All parameters for free ones at ``z`` times their start."""
+        p = self.p.copy()
+        p[self.which] = z * self.start
+        return p
+
+
+def casadi_single_shooting(case: Case) -> Solve:
+    """The usual way: ``mapaccum`` of the step, ``jacobian`` of the residual, Gauss-Newton Hessian, IPOPT."""
+    a = Arrays(case)
+    advance, n = case.step.advance, len(a.u)
+    x, u, q = ca.SX.sym("x", len(a.x0)), ca.SX.sym("u"), ca.SX.sym("q", len(a.p))
+    following = x
+    for _ in range(a.substeps):
+        following = advance(following, u, u, q, a.h)
+    sample = ca.Function("sample", [x, u, q], [following])
+    z = ca.MX.sym("z", len(a.which))
+    p = ca.MX(ca.DM(a.p))
+    p[a.which.tolist()] = z * a.start
+    states = ca.horzcat(ca.DM(a.x0), sample.mapaccum("all", n - 1)(a.x0, a.u[None, :-1], ca.repmat(p, 1, n - 1)))
+    residual = (states[0, :].T - a.y) / a.noise
+    jacobian = ca.jacobian(residual, z)
+    factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("lam", 0)
+    hessian = ca.Function("hessian", [z, ca.MX(0, 0), factor, multipliers], [factor * ca.triu(jacobian.T @ jacobian)])
+    problem = {"x": z, "f": 0.5 * ca.sumsqr(residual)}
+    quiet = {"print_level": 0, "sb": "yes", "tol": 1e-8}
+    solver = ca.nlpsol("solver", "ipopt", problem, {"hess_lag": hessian, "print_time": False, "ipopt": quiet})
+    return lambda: solver(x0=np.ones(len(a.which)), lbx=a.low, ubx=a.high)["x"].full().ravel() * a.start
+
+
+def _numba_residual(case: Case) -> tuple[Arrays, Callable[[np.ndarray], np.ndarray]]:
+    import math
+
+    import numba
+
+    a = Arrays(case)
+    jit = numba.njit(inline="always")
+    m = Mathematics(math.tanh, math.sqrt, jit(lambda a, b: a if a > b else b), jit(lambda c, a, b: a if c else b))
+    advance = make_rk4(make_rate(case.name, m, jit), len(a.x0), jit)
+
+    @numba.njit
+    def run(x, u, p, h, substeps):
+        y = np.empty(len(u))
+        for k in range(len(u)):
+            y[k] = x[0]
+            for _ in range(substeps):
+                x = advance(x, u[k], p, h)
+        return y
+
+    first = tuple(a.x0)
+    return a, lambda z: (run(first, a.u, a.full(z), a.h, a.substeps) - a.y) / a.noise
+
+
+def scipy_numba(case: Case) -> Solve:
+    """``scipy.optimize.least_squares`` (trust region, finite differences) with a numba RK4."""
+    from scipy.optimize import least_squares
+
+    a, residual = _numba_residual(case)
+    residual(np.ones(len(a.which)))
+    return lambda: least_squares(residual, np.ones(len(a.which)), bounds=(a.low, a.high), x_scale="jac").x * a.start
+
+
+def lmfit_numba(case: Case) -> Solve:
+    """``lmfit`` (MINPACK's leastsq, finite differences, bounds by transformation) with a numba RK4."""
+    import lmfit
+
+    a, residual = _numba_residual(case)
+    residual(np.ones(len(a.which)))
+    start = lmfit.Parameters()
+    for name, low, high in zip(case.free, a.low, a.high, strict=True):
+        start.add(name, value=1.0, min=low, max=high)
+
+    def solve() -> np.ndarray:
+        found = lmfit.minimize(lambda q: residual(np.array([q[n].value for n in case.free])), start, method="leastsq")
+        return np.array([found.params[n].value for n in case.free]) * a.start
+
+    return solve
+
+
+def jax_sysid(case: Case) -> Solve:
+    """``jax-sysid``: automatic differentiation through a scan, L-BFGS-B, double precision; it compiles anew in every fit."""
+    import jax
+    import jax.numpy as jnp
+    from jax_sysid.models import Model
+
+    jax.config.update("jax_enable_x64", True)
+    a = Arrays(case)
+    m = Mathematics(jnp.tanh, jnp.sqrt, jnp.maximum, jnp.where)
+    advance = make_rk4(make_rate(case.name, m), len(a.x0))
+    size = np.where(a.x0 == 0, 1.0, np.abs(a.x0))
+    which, start, fixed = jnp.array(a.which), jnp.array(a.start), jnp.array(a.p)
+
+    @jax.jit
+    def state(x, u, params):
+        p = fixed.at[which].set(params[0] * start)
+        values = tuple(x[k] * size[k] for k in range(len(size)))
+        for _ in range(a.substeps):
+            values = advance(values, u[0], p, a.h)
+        return jnp.stack([v / s for v, s in zip(values, size, strict=True)])
+
+    scale = np.std(a.y)
+
+    @jax.jit
+    def output(x, u, params):
+        return jnp.array([x[0] * size[0] / scale])
+
+    def solve() -> np.ndarray:
+        model = Model(len(a.x0), 1, 1, state_fcn=state, output_fcn=output)
+        model.init(params=[np.ones(len(a.which))], x0=a.x0 / size)
+        model.loss(rho_x0=0.0, rho_th=0.0, train_x0=False)
+        model.optimization(
+            adam_epochs=0, lbfgs_epochs=2000, lbfgs_tol=1e-14, iprint=-1, params_min=[a.low], params_max=[a.high]
+        )
+        model.fit(a.y[:, None] / scale, a.u[:, None])
+        return np.asarray(model.params[0]) * a.start
+
+    return solve
+
+
+def solve_ivp_seconds(case: Case, samples: int = 200) -> float:
+    """CPU seconds of one simulation by ``solve_ivp`` (RK45, rtol 1e-6) over the record, from its first ``samples``."""
+    from scipy.integrate import solve_ivp
+
+    a = Arrays(case)
+    larger, choose = max, lambda c, yes, no: yes if c else no
+    import math
+
+    rate = make_rate(case.name, Mathematics(math.tanh, math.sqrt, larger, choose))
+    x, period, p = a.x0, a.h * a.substeps, a.p.tolist()
+    began = time.process_time()
+    for u in a.u[:samples]:  # the input jumps at every sample, so the solver is started anew there
+        x = solve_ivp(lambda t, x, u=u: rate(x, u, p), (0, period), x, rtol=1e-6, atol=1e-9).y[:, -1]
+    return (time.process_time() - began) * len(a.u) / samples
+
+
+PEERS: dict[str, Callable[[Case], Solve]] = {
+    "casadi_single_shooting": casadi_single_shooting,
+    "scipy_numba": scipy_numba,
+    "lmfit_numba": lmfit_numba,
+    "jax_sysid": jax_sysid,
+}

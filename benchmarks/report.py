@@ -1,0 +1,75 @@
+"""The results of the benchmark as a page."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+
+from greybox.kernel.compile import machine
+
+NAMES = {
+    "casadi_single_shooting": "CasADi single shooting, usual way",
+    "scipy_numba": "scipy least_squares + numba RK4",
+    "lmfit_numba": "lmfit + numba RK4",
+    "jax_sysid": "jax-sysid",
+}
+GOALS = {"casadi_single_shooting": 50, "scipy_numba": 3, "lmfit_numba": 3, "jax_sysid": 30}
+
+
+def page(result: dict) -> str:
+    """Markdown."""
+    problems = result["problems"]
+    lines = [
+        "# How long fits take", "",
+        "Written by `make bench`. The unit is the simulation equivalent: CPU time of the whole fit over that of one compiled RK4",
+        "pass over the same data, measured in the same process just before and after. Imports, compilation and building are not",
+        "counted (jax-sysid compiles in every fit). Start values are about 40 % off. `benchmarks/problems.py` states the",
+        "problems, `benchmarks/peers.py` how the others are used.", "",
+        "| | goal | " + " | ".join(problems) + " |", "|---|---|" + "---|" * len(problems),
+    ]  # fmt: skip
+    rows = [
+        ("samples", "", "samples", "{:,}"),
+        ("one compiled RK4 pass, ms", "", "unit_ms", "{:.2f}"),
+        ("cost, gradient and Gauss-Newton matrix, over one simulation", "1.6 (pneumatic 2.0)", "pass_ratio", "{:.2f}"),
+        ("fit, simulation equivalents", "15 (long record 0.5)", "simulation_equivalents", "{:.1f}"),
+        ("the whole call of `fit`, with intervals and notes", "", "whole_call", "{:.1f}"),
+        ("without a compiler", "450", "without_compiler", "{:.0f}"),
+        ("random starts (factor 3) that reach the optimum, of 20", "20", "starts_won", "{}"),
+        ("one `solve_ivp` simulation (200 samples, scaled up)", "", "solve_ivp_simulation", "{:.0f}"),
+    ]
+    for title, goal, key, form in rows:
+        values = [form.format(p[key]) if p.get(key) is not None else "" for p in problems.values()]
+        lines.append(f"| {title} | {goal} | " + " | ".join(values) + " |")
+    for peer, title in NAMES.items():
+        values = [_against(p, peer) for p in problems.values()]
+        lines.append(f"| times faster than {title} | {GOALS[peer]} | " + " | ".join(values) + " |")
+    first = result["first_result_seconds"]
+    lines += [
+        "",
+        "In brackets: rounds, and by how much the cost that a peer reached lies above the best RK4 optimum (relative). A fit with",
+        "`least_squares` + `solve_ivp` was not run: multiply one simulation by the 30 to 100 that finite differences need.", "",
+        f"First result after the imports (pneumatic): {first['cold']:.2f} s with an empty cache (goal 3), {first['warm']:.2f} s"
+        " after that (goal 0.5).",
+        f"Memory of the linear fit of 400,000 samples above imports and data: {result['memory_above_data_mb']:.0f} MB (goal 20).", "",
+        f"Machine: {_processor()}, {os.cpu_count()} cores, load average {os.getloadavg()[0]:.1f} at the end; {_compiler()};"
+        f" Python {platform.python_version()}, " + ", ".join(f"{k} {v}" for k, v in result["versions"].items()) + ".", "",
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def _against(problem: dict, peer: str) -> str:
+    times = problem["against"].get(peer)
+    if times is None:
+        return ""
+    return f"{times:.1f} ({problem['rounds'][peer]}; {problem['cost_above_best'][peer]:.0e})"
+
+
+def _processor() -> str:
+    lines = [line.partition(":")[2].strip() for line in machine().splitlines() if line.startswith("model name")]
+    return lines[0] if lines else platform.processor() or platform.machine()
+
+
+def _compiler() -> str:
+    found = subprocess.run(["cc", "--version"], capture_output=True, text=True, check=False).stdout
+    return found.splitlines()[0] if found else "no C compiler"
