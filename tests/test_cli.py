@@ -463,3 +463,25 @@ def test_help_and_version_load_nothing_heavy() -> None:
     )
     assert shown.returncode == 0
     assert shown.stdout.startswith("greybox ")
+
+
+def test_a_quiet_record_tells_the_noise(run: Run, data: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    rows = "\n".join(f"{k * 2.5e-4:.6g},0,{2e-7 * rng.normal():.6e},{5e-3 * rng.normal():.6e}" for k in range(800))
+    (tmp_path / "quiet.csv").write_text(f"time [s],u [V],x [m],i [A]\n{rows}\n")
+    done = run(
+        "fit",
+        "micro_actuator",
+        str(data / "train.csv"),
+        "--quiet",
+        str(tmp_path / "quiet.csv"),
+        "--fix",
+        "M",
+        "--fix",
+        "Ra",
+        "--at-rest",
+        "--json",
+    )
+    found = json.loads(done.stdout)
+    assert found["noise_source"].startswith("estimated from quiet record"), done.stderr
+    assert found["noise"]["x"] == pytest.approx(2e-7, rel=0.1)

@@ -33,6 +33,7 @@ def check(
     ],
     hold: o.Hold = o.HoldName.zero,
     at_rest: o.AtRest = False,
+    free_decay: o.FreeDecay = False,
     column: o.Columns,
     method: o.Method = o.MethodName.automatic,
     substeps: o.Substeps = 0,
@@ -52,7 +53,10 @@ def check(
 
     plant = o.changed(resolve(model), effects=effect, fix=fix, start=start, free=free)
     columns = o.pairs("--column", column) or None
-    records = read_experiments(data, plant, columns=columns, hold=hold.value) if data else ()
+    o.check_substeps(plant, method, substeps)
+    records = (
+        read_experiments(data, plant, columns=columns, hold=hold.value, allow_constant_input=free_decay) if data else ()
+    )
     choice = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps)
     only = [name for text in outputs for name in text.replace(",", " ").split()] or None
     found = check_model(plant, records, noise=o.numbers("--noise", noise), outputs=only, options=choice)

@@ -9,6 +9,7 @@ import typer
 
 from greybox.cli import options as o
 from greybox.cli.guard import note
+from greybox.cli.records import tell_notes
 
 
 def discover(
@@ -25,12 +26,7 @@ def discover(
     start: o.Start,
     free: o.Free,
     noise: o.Noise,
-    quiet: Annotated[
-        list[Path],
-        typer.Option(
-            "--quiet", metavar="FILE", default_factory=list, help="A record with the input at rest: it tells the noise."
-        ),
-    ],
+    quiet: o.Quiet,
     hold: o.Hold = o.HoldName.zero,
     at_rest: o.AtRest = False,
     column: o.Columns,
@@ -65,6 +61,7 @@ def discover(
     silent = (
         read_experiments(quiet, plant, columns=columns, hold=hold.value, allow_constant_input=True) if quiet else ()
     )
+    tell_notes(records, judges, silent)
     chosen = [effect(name.strip()) for name in effects.split(",") if name.strip()] or None
     found = find(
         plant, records, validation=judges, noise=said, quiet=silent, effects=chosen,

@@ -29,6 +29,7 @@ def fit(
     free: o.Free,
     effect: o.Effects,
     noise: o.Noise,
+    quiet: o.Quiet,
     validate: Annotated[
         list[Path],
         typer.Option(
@@ -49,7 +50,7 @@ def fit(
         Path | None,
         typer.Option("--output", metavar="DIR", help="Folder for fit.json and figures. [default: results/MODEL-fit]"),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")] = False,
+    silent: Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the fit as JSON instead of text.")] = False,
 ) -> None:
     """Fit the constants of MODEL to records, and judge the fit.
@@ -75,17 +76,20 @@ def fit(
         else ()
         for files in (data, validate)
     )
+    hushed = read_experiments(quiet, plant, columns=columns, allow_constant_input=True) if quiet else ()
     o.check_skip(skip, judges)
-    if not quiet:
+    if not silent:
         tell_notes(records, judges)
     choice = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps)
     with held() as interrupt, meter(plant.title, interrupt) as report:
-        result = fit_model(plant, records, noise=said, validation=judges, skip=skip, options=choice, report=report)
+        result = fit_model(
+            plant, records, noise=said, quiet=hushed, validation=judges, skip=skip, options=choice, report=report
+        )
         saved = result.save(folder / "fit.json")
-    _tell(result, saved, skip, quiet=quiet, json=json)
+    _tell(result, saved, skip, quiet=silent, json=json)
     if interrupt.asked or result.status == "interrupted":
         stop(f"interrupted; the best point so far is in {saved}", INTERRUPTED)
-    _draw(result, saved, skip, quiet=quiet or json)
+    _draw(result, saved, skip, quiet=silent or json)
     if not result.success:
         stop(f"no success: {result.meaning}", UNSUCCESSFUL)
 

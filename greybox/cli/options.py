@@ -84,6 +84,16 @@ Noise = Annotated[
         help="Standard deviation of an output's noise, in the model's unit; estimated if left out.",
     ),
 ]
+Quiet = Annotated[
+    list[Path],
+    typer.Option(
+        "--quiet",
+        metavar="FILE",
+        default_factory=list,
+        show_default=False,
+        help="A record with the input at rest, same columns: it tells the noise. May be repeated.",
+    ),
+]
 Hold = Annotated[
     HoldName,
     typer.Option("--hold", help="The input between samples: zero (held), first (straight lines) or band-limited."),

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.errors import DataError
 from greybox.experiment import Experiment
 from greybox.integrators import Step, discretise
 from greybox.kernel import Kernel, Record, make_kernel
 from greybox.model import Model
 from greybox.noise import Noise, noise_of
 from greybox.transcription import InitialStates, SingleShooting, Variables, record_of
+from greybox.transcription.records import experiments_of
 from greybox.transcription.whitened import WhitenedShooting
 
 
@@ -64,9 +64,7 @@ def prepare(
 
     Raises DataError or ModelError with what is wrong and what to do.
     """
-    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
-    if not group:
-        raise DataError("no experiment to fit; give at least one")
+    group = experiments_of(experiments)
     for e in group:
         model.check_measured(f"experiment {e.name!r}", e.outputs)
     records = tuple(record_of(model, e) for e in group)

@@ -120,6 +120,10 @@ def _level(
 
 def _check_given(model: Model, given: Mapping[str, float]) -> None:
     names = [o.name for o in model.outputs]
+    if not isinstance(given, Mapping):
+        raise ModelError(
+            f"noise: {given!r} belongs to no output; give a standard deviation for each, as in {{{names[0]!r}: 1e-6}}"
+        )
     for name, value in given.items():
         if name not in names:
             raise ModelError(f"noise of {name!r}: the model has no such output; {nearest(name, names)}")
