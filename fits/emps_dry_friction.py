@@ -34,6 +34,7 @@ def verdict(plain: gb.Fit, rubbing: gb.Fit) -> None:
     assert rubbing.misfit["q"].rmse <= 3.2e-3
     assert rubbing.validation["q"].rmse <= 12e-3
     assert abs(rubbing.parameters["M"].value / 95.1 - 1) < 0.1
+    assert any("adds them up" in note for note in rubbing.notes)
     assert 15 < rubbing.parameters["Fc"].value < 25
 
 

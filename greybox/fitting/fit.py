@@ -15,7 +15,7 @@ from greybox.errors import FitError, ModelError, nearest
 from greybox.experiment import Experiment
 from greybox.fitting.alias import moves
 from greybox.fitting.halving import discretisation_shift, polished
-from greybox.fitting.notes import meaning, notes
+from greybox.fitting.notes import elsewhere, meaning, notes
 from greybox.fitting.options import FitOptions, Report
 from greybox.fitting.problem import prepare
 from greybox.fitting.sandwich import colour_of
@@ -81,7 +81,10 @@ def fit(
     result = _result(model, solution, options)
     if validation and result.success:
         judged = validate(result.model, validation, noise=result.noise, skip=skip, options=options)
-        result = replace(result, validation=judged.misfit, validation_traces=judged.traces)
+        result = replace(
+            result, validation=judged.misfit, validation_traces=judged.traces,
+            notes=(*result.notes, *elsewhere(result.misfit, judged.misfit)),
+        )  # fmt: skip
     if raise_on_failure and not result.success:
         raise FitError(f"fit of {model.title}: {result.meaning}")
     return result
