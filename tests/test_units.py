@@ -336,7 +336,8 @@ def test_mistakes_in_a_model(wrong: dict, message: str) -> None:
 
 
 def test_right_models_pass() -> None:
-    rig(zero=lambda x, u, p: 0, start=lambda p: 0.1, stopper=lambda x, u, p: -p.K * ca.fmax(x.x, 0))
+    model = rig(zero=lambda x, u, p: 0, start=lambda p: 0.1, stopper=lambda x, u, p: -p.K * ca.fmax(x.x, 0))
+    assert [b.state for b in model.system.balances] == [s.name for s in model.states]
 
 
 def effect(site: str = "force", unit: str = "{force}", **functions: object) -> Effect:

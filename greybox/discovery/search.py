@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from greybox.discovery import rules
 from greybox.discovery.bench import ITERATIONS, Bench, Start, Trial
@@ -126,9 +126,8 @@ class Search:
     def _extended(self, chosen: Trial) -> Trial | None:
         """The best model with one effect more, from the chosen one and (for a second effect) from the other good first picks."""
         firsts = [chosen]
-        if (
-            len(chosen.effects) == 1
-        ):  # a family is carried on by its plainest member: the others cost more and say the same
+        if len(chosen.effects) == 1:
+            # A family is carried on by its plainest member: the others cost more and say the same.
             ranked = [self._plainest(t) for t in (chosen, *sorted(self.singles, key=lambda t: t.criterion))]
             firsts = list({t.effects: t for t in ranked}.values())[:BEAM]
         found = sorted((t for first in firsts for t in self._seconds(first)), key=lambda t: t.criterion)
@@ -212,7 +211,7 @@ class Search:
         values = {name: value for name, value in extended.model.values.items() if name in self.base.model.values}
         again = self.bench.best(self.base.model, [values], keep=1)
         if again is not None and again.cost < self.base.cost:
-            self.base = replace(again, model=again.model)
+            self.base = again
 
     def _parsimonious(self, best: Trial, among: Sequence[Trial]) -> Trial:
         """The simplest member of a family that does nearly as well as its best."""

@@ -163,22 +163,7 @@ def expand(model: Model) -> System:
         ca.vertcat(*[n[s.name] for s in group]) for n, group in ((x, states), (u, model.inputs), (p, parameters))
     )
 
-    for b in effects:  # parameters where they are used
-        if b.effect.on_parameter:
-            used = b.effect.on_parameter(b.within(x, b.effect.states), u, b.within(p, b.effect.parameters))
-            p = p.replaced({_canonical(name, model.parameters): value for name, value in used.items()})
-    coming: dict[str, tuple[Named, Named]] = {}  # states and inputs as they come to an effect that changes them
-    for b in effects:  # inputs on their way in
-        if b.effect.on_input:
-            coming[b.effect.name] = x, u
-            value = b.effect.on_input(u[b.site], b.within(x, b.effect.states), u, b.within(p, b.effect.parameters))
-            u = u.replaced({b.site: value})
-    for b in effects:  # states as the model sees them
-        if b.effect.on_state:
-            before = coming[b.effect.name] = x, coming.get(b.effect.name, (x, u))[1]
-            used = b.effect.on_state(b.within(x, b.effect.states), before[1], b.within(p, b.effect.parameters))
-            x = x.replaced({_canonical(name, model.states): value for name, value in used.items()})
-
+    x, u, p, coming = _transformed(model, x, u, p)
     balances = {b.name: b for b in model.balances(x, u, p)}
     y = {o.name: _output(o, x, u, p) for o in model.outputs}
     start = _start(model, p, y[model.outputs[0].name], raw_x, raw_u)
@@ -241,6 +226,29 @@ def expand(model: Model) -> System:
         balances=ordered, storages=storages, rhs=rhs, outputs=ca.vertcat(*y.values()), start=start, dry=tuple(dry),
         updates=tuple(updates), delays=tuple(delays), relaxing=relaxing_states(model.name, states, rhs, raw_x),
     )  # fmt: skip
+
+
+def _transformed(
+    model: Model, x: Named, u: Named, p: Named
+) -> tuple[Named, Named, Named, dict[str, tuple[Named, Named]]]:
+    """States, inputs and parameters as the balances see them, and for effects that change them what came to each of these."""
+    effects = model.bound_effects
+    for b in effects:  # parameters where they are used
+        if b.effect.on_parameter:
+            used = b.effect.on_parameter(b.within(x, b.effect.states), u, b.within(p, b.effect.parameters))
+            p = p.replaced({_canonical(name, model.parameters): value for name, value in used.items()})
+    coming: dict[str, tuple[Named, Named]] = {}  # states and inputs as they come to an effect that changes them
+    for b in effects:  # inputs on their way in
+        if b.effect.on_input:
+            coming[b.effect.name] = x, u
+            value = b.effect.on_input(u[b.site], b.within(x, b.effect.states), u, b.within(p, b.effect.parameters))
+            u = u.replaced({b.site: value})
+    for b in effects:  # states as the model sees them
+        if b.effect.on_state:
+            before = coming[b.effect.name] = x, coming.get(b.effect.name, (x, u))[1]
+            used = b.effect.on_state(b.within(x, b.effect.states), before[1], b.within(p, b.effect.parameters))
+            x = x.replaced({_canonical(name, model.states): value for name, value in used.items()})
+    return x, u, p, coming
 
 
 def inner_signals(model: Model) -> tuple[Signal, ...]:
