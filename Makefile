@@ -12,7 +12,7 @@ WORKERS ?= 2
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint docs bench clean
 .NOTPARALLEL: # two installs into one environment would trip over each other
 .DELETE_ON_ERROR:
 
@@ -33,13 +33,16 @@ lint: $(VENV)/.installed-dev ## check style, format and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: $(VENV)/.installed-docs ## build the documentation into site/, warnings are errors
+	$(BIN)/python -m mkdocs build --strict $(ARGS)
+
 bench: export OMP_NUM_THREADS = 1
 bench: export OPENBLAS_NUM_THREADS = 1
 bench: $(VENV)/.installed-bench ## time fits against other programs (bench.json, docs/benchmark.md; some minutes)
 	$(BIN)/python -m benchmarks.bench $(ARGS)
 
 clean: ## remove the environment, builds and caches
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist site .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp comes last: an environment that was left half made is made again.

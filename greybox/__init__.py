@@ -9,11 +9,39 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from greybox.blackbox import Smoothing, monte_carlo_smoothing
     from greybox.discovery import Discovery, discover
     from greybox.effects import CATALOGUE, effect
     from greybox.errors import DataError, FitError, GreyboxError, ModelError, UnitError
     from greybox.experiment import Experiment, read_csv, read_experiments
-    from greybox.fitting import FitOptions, fit, multistart, validate
+    from greybox.export import (
+        Family,
+        Linearisation,
+        OperatingPoint,
+        family,
+        linearise,
+        nonlinear_system,
+        operating_point,
+        to_c,
+        to_control,
+        to_fmu,
+        to_json,
+        to_mat,
+        to_modelica,
+        to_numpy,
+        to_python,
+    )
+    from greybox.fitting import (
+        FitOptions,
+        Predictor,
+        Smoothed,
+        fit,
+        multistart,
+        predict,
+        predictor,
+        smooth,
+        validate,
+    )
     from greybox.model import Balance, DryFriction, Effect, Model
     from greybox.result import Estimate, Fit, Misfit, load_fit
     from greybox.signals import Input, Output, Parameter, State
@@ -21,11 +49,19 @@ if TYPE_CHECKING:
 
 # Where each public name lives. Loaded when first asked for: stating a model should not load a solver.
 _ROOMS = {
+    "blackbox": ("Smoothing", "monte_carlo_smoothing"),
     "discovery": ("Discovery", "discover"),
     "effects": ("CATALOGUE", "effect"),
     "errors": ("DataError", "FitError", "GreyboxError", "ModelError", "UnitError"),
     "experiment": ("Experiment", "read_csv", "read_experiments"),
-    "fitting": ("FitOptions", "fit", "multistart", "validate"),
+    "export": (
+        *("Family", "Linearisation", "OperatingPoint", "family", "linearise", "nonlinear_system", "operating_point"),
+        *("to_c", "to_control", "to_fmu", "to_json", "to_mat", "to_modelica", "to_numpy", "to_python"),
+    ),
+    "fitting": (
+        *("FitOptions", "Predictor", "Smoothed", "fit", "multistart"),
+        *("predict", "predictor", "smooth", "validate"),
+    ),
     "model": ("Balance", "DryFriction", "Effect", "Model"),
     "result": ("Estimate", "Fit", "Misfit", "load_fit"),
     "signals": ("Input", "Output", "Parameter", "State"),
@@ -34,9 +70,58 @@ _ROOMS = {
 _HOME = {name: f"greybox.{room}" for room, names in _ROOMS.items() for name in names}
 
 __all__ = [
-    "CATALOGUE", "Balance", "DataError", "Discovery", "DryFriction", "Effect", "Estimate", "Experiment", "Fit", "FitError",
-    "FitOptions", "GreyboxError", "Input", "Misfit", "Model", "ModelError", "Output", "Parameter", "Simulation",
-    "State", "UnitError", "discover", "effect", "fit", "load_fit", "multistart", "read_csv", "read_experiments", "simulate", "validate",
+    "CATALOGUE",
+    "Balance",
+    "DataError",
+    "Discovery",
+    "DryFriction",
+    "Effect",
+    "Estimate",
+    "Experiment",
+    "Family",
+    "Fit",
+    "FitError",
+    "FitOptions",
+    "GreyboxError",
+    "Input",
+    "Linearisation",
+    "Misfit",
+    "Model",
+    "ModelError",
+    "OperatingPoint",
+    "Output",
+    "Parameter",
+    "Predictor",
+    "Simulation",
+    "Smoothed",
+    "Smoothing",
+    "State",
+    "UnitError",
+    "discover",
+    "effect",
+    "family",
+    "fit",
+    "linearise",
+    "load_fit",
+    "monte_carlo_smoothing",
+    "multistart",
+    "nonlinear_system",
+    "operating_point",
+    "predict",
+    "predictor",
+    "read_csv",
+    "read_experiments",
+    "simulate",
+    "smooth",
+    "to_c",
+    "to_control",
+    "to_fmu",
+    "to_json",
+    "to_mat",
+    "to_modelica",
+    "to_numpy",
+    "to_python",
+    "validate",
 ]  # fmt: skip
 
 

@@ -27,6 +27,11 @@ class State:
 
     ``relaxing``: its own rate is linear in itself, ``dz/dt = alpha - beta z`` (``|z|`` may stand for ``z``), and ``beta`` may be
     large: a bristle, a spool, a winding that warms. The integrators step it by ``exp(-beta h)``, stable for every step.
+
+    ``noise``: process noise, ``dx = rate dt + noise dw`` with a Wiener process ``w``: something random pushes the state. Its intensity
+    in the state's unit over sqrt(s): a number, the name of a parameter (bounded from 0 up; where it is free it is estimated), or a
+    function of the parameters (``lambda p: p.sigma / p.M`` for a random force). A model with some of it is fitted by the error of
+    its predictions from sample to sample; a free run leaves it out.
     """
 
     name: str
@@ -36,6 +41,7 @@ class State:
     role: str = ""
     description: str = ""
     relaxing: bool = False
+    noise: float | str | Callable[[Named], Expression] = 0.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,8 @@ class Output:
 class Parameter:
     """A physical constant: value and bounds in ``unit``, where the number comes from (``source``), fixed or to be fitted.
 
-    A lower bound above zero makes it a positive constant, which is fitted on a logarithmic scale.
+    A lower bound above zero makes it a positive constant, which is fitted on a logarithmic scale. ``prior``: what is known of it
+    without the records, as mean and standard deviation of a normal distribution (``(0.0100, 0.0001)`` for a weighed mass).
     """
 
     name: str
@@ -74,6 +81,7 @@ class Parameter:
     source: str = ""
     role: str = ""
     description: str = ""
+    prior: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         low, high = self.bounds
@@ -91,10 +99,26 @@ class Parameter:
                 f" give a value inside, or widen them with model.bound({self.name}=(low, high))"
             )
 
+        if self.prior is not None:
+            _check_prior(self.name, self.unit, self.prior, self.bounds)
+
     @property
     def positive(self) -> bool:
         """Whether the constant can only be positive (fitted on a logarithmic scale)."""
         return self.bounds[0] > 0
+
+
+def _check_prior(name: str, unit: str, prior: tuple[float, float], bounds: tuple[float, float]) -> None:
+    mean, std = prior
+    if not (math.isfinite(mean) and math.isfinite(std) and std > 0):
+        raise ModelError(
+            f"parameter {name!r}: prior {mean:g} +- {std:g} {unit}: give a finite mean and a standard deviation above zero"
+        )
+    if not bounds[0] <= mean <= bounds[1]:
+        raise ModelError(
+            f"parameter {name!r}: prior mean {mean:g} {unit} lies outside its bounds [{bounds[0]:g}, {bounds[1]:g}] {unit};"
+            f" correct the prior, or widen them with model.bound({name}=(low, high))"
+        )
 
 
 Signal = State | Input | Output | Parameter

@@ -69,7 +69,9 @@ def test_a_fit_prints_saves_and_draws(run: Run, data: Path, tmp_path: Path) -> N
     for text in ("M dv/dt = Kf i", "converged", "Kf ", "[", "V*s/m", "fixed", "best fit", "validation", "written: "):
         assert text in result.stdout
     folder = tmp_path / "results" / "micro_actuator-fit"
-    assert everything(folder) == ["fit-train.png", "fit.json", "validation-test.png"]
+    figures = ["fit-train.png", "fit.json", "residual-i.png", "residual-x.png", "validation-test.png"]
+    assert everything(folder) == figures
+    assert "no trace of the input u" in result.stdout
     saved = json.loads((folder / "fit.json").read_text())
     assert saved["model"] == "micro_actuator"
     assert saved["status"] == "converged"
@@ -107,7 +109,8 @@ def test_the_command_does_what_the_library_does(run: Run, data: Path, tmp_path: 
 def test_quiet_means_silent(run: Run, data: Path, tmp_path: Path) -> None:
     result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, "-q", "--output", "out")
     assert (result.exit_code, result.output) == (0, "")
-    assert everything(tmp_path) == ["out", "out/fit-train.png", "out/fit.json"]
+    files = ["out", "out/fit-train.png", "out/fit.json", "out/residual-i.png", "out/residual-x.png"]
+    assert everything(tmp_path) == files
 
 
 def test_notes_of_the_records_go_to_stderr_once(run: Run, data: Path, tmp_path: Path) -> None:
@@ -148,7 +151,7 @@ def test_an_output_that_only_a_validation_record_has_is_drawn(run: Run, data: Pa
     judge = ["--validate", data / "test.csv"]
     result = run("fit", "micro_actuator", "x.csv", *KNOWN, "--fix", "Kf", *judge, "--output", "out")
     assert result.exit_code == 0, result.output
-    assert everything(tmp_path / "out") == ["fit-x.png", "fit.json", "validation-test.png"]
+    assert everything(tmp_path / "out") == ["fit-x.png", "fit.json", "residual-x.png", "validation-test.png"]
 
 
 def test_a_free_decay_is_fitted_when_it_is_said_to_be_one(run: Run, tmp_path: Path) -> None:
@@ -161,7 +164,7 @@ def test_a_free_decay_is_fitted_when_it_is_said_to_be_one(run: Run, tmp_path: Pa
     assert "(shell: --free-decay)" in refused.stderr
     result = run(*arguments, "--free-decay", "--output", "out")
     assert result.exit_code == 0, result.output
-    assert "note: decay.csv: input 'u' is constant at 0" in result.stderr
+    assert "note: decay.csv: input 'u' is constant at 0" in result.stdout
     found = json.loads((tmp_path / "out" / "fit.json").read_text())["parameters"]["K"]
     assert abs(found["value"] - micro_actuator.values["K"]) < 4 * found["std"]
 

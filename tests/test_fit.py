@@ -1,5 +1,8 @@
 """Constants come back; what cannot be known is said."""
 
+from dataclasses import replace
+
+import cloudpickle
 import numpy as np
 import pytest
 
@@ -216,3 +219,28 @@ def test_bad_arguments_are_refused_in_words():
         fit(micro_actuator, data, noise={"x": 0.0})
     with pytest.raises(DataError, match="no experiment"):
         fit(micro_actuator, [])
+
+
+def test_a_fit_is_read_only_and_can_be_copied():
+    truth = micro_actuator.fix("M", "Ra")
+    data = linear_record(truth, actuator_input(1, 400), 2.5e-4, noise={"x": 2e-7, "i": 5e-3})
+    found = fit(truth, data)
+    for mapping in (found.parameters, found.misfit, found.options, found.solver, found.traces[0].simulated):
+        with pytest.raises(TypeError, match="does not support item assignment"):
+            mapping["K"] = 1.0
+    for array in (found.covariance, found.traces[0].time, found.traces[0].simulated["x"]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+    again = cloudpickle.loads(cloudpickle.dumps(found.traces[0]))
+    assert again.fingerprint == found.traces[0].fingerprint
+    np.testing.assert_array_equal(again.simulated["x"], found.traces[0].simulated["x"])
+    with pytest.raises(TypeError, match="does not support item assignment"):
+        again.simulated["x"] = 0.0
+    assert dict(found.options) | {"at_rest": True} == {**found.options, "at_rest": True}
+
+
+def test_what_is_odd_about_a_record_stands_in_the_fit():
+    truth = micro_actuator.fix("M", "Ra")
+    data = linear_record(truth, actuator_input(1, 400), 2.5e-4, noise={"x": 2e-7, "i": 5e-3})
+    odd = [replace(data, name=name, notes=("columns ignored: 'temp'",)) for name in ("a", "b")]
+    assert fit(truth, odd, options=REST).notes[-1] == "a, b: columns ignored: 'temp'"

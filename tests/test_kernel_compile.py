@@ -76,7 +76,27 @@ def test_library_depends_on_the_machine(monkeypatch, tmp_path):
 
 def test_cache_holds_no_leftovers(tmp_path):
     make_kernel(halving())
-    assert sorted(path.suffix for path in (tmp_path / "cache").iterdir()) == [".json", compiling.SUFFIX]
+    assert sorted(path.suffix for path in (tmp_path / "cache").iterdir()) == [".json", ".sha256", compiling.SUFFIX]
+
+
+@pytest.mark.parametrize("damage", ["cut short", "empty", "one byte", "no digest"])
+def test_a_damaged_library_is_compiled_anew(tmp_path, damage):
+    first = make_kernel(halving())
+    (library,) = (tmp_path / "cache").glob(f"*{compiling.SUFFIX}")
+    good = library.read_bytes()
+    library.unlink()  # this process still has the old file open
+    spoilt = bytearray(good)
+    spoilt[len(good) // 2] ^= 1
+    library.write_bytes(
+        {"cut short": good[: len(good) // 2], "empty": b"", "one byte": spoilt, "no digest": good}[damage]
+    )
+    if damage == "no digest":
+        library.with_suffix(".sha256").unlink()
+    again = make_kernel(halving())
+    assert again.name == "compiled"
+    assert run(again) == run(first) == [1, 0.5, 0.25, 0.125]
+    assert library.read_bytes() == good  # the same source gives the same library
+    assert make_kernel(halving()).name == "compiled"
 
 
 def test_two_processes_at_once(tmp_path):

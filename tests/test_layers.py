@@ -25,13 +25,13 @@ ROWS = [
     {"effects", "integrators", "result", "noise", "parallel"},
     {"kernel"},
     {"transcription"},
-    {"simulation", "twin", "optimiser"},
+    {"simulation", "twin", "optimiser", "filtering"},
     {"fitting"},
     {"identifiability"},
     {"blackbox", "check", "uncertainty"},
-    {"diagnose", "compare", "export"},
+    {"diagnose", "comparison", "export"},
     {"discovery"},
-    {"figures", "report", "project", "demo"},
+    {"figures", "reports", "project", "demo"},
     {"cli"},
     {"__init__", "__main__"},  # the front doors: they may import everything, and nothing imports them
 ]

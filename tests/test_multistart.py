@@ -5,7 +5,8 @@ import pytest
 
 from greybox import GreyboxError, ModelError
 from greybox.fitting import FitOptions, multistart
-from greybox.fitting.multistart import End, groups, random_starts, waterfall
+from greybox.fitting.multistart import groups, random_starts, waterfall
+from greybox.result import End
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from tests.independent import linear_record, multisine

@@ -9,8 +9,10 @@ import typer
 from typer.core import TyperArgument, TyperCommand, TyperOption
 
 from greybox.cli.check import check
+from greybox.cli.compare import compare
 from greybox.cli.demo import demo
 from greybox.cli.discover import discover
+from greybox.cli.export import export
 from greybox.cli.fit import fit
 from greybox.cli.guard import guarded
 from greybox.cli.init import init
@@ -59,12 +61,29 @@ app.command(
 )(guarded(fit))
 app.command(
     cls=Plain,
+    short_help="Judge a physical model beside the usual black boxes.",
+    epilog=example(
+        "greybox compare micro_actuator step.csv --validate chirp.csv --fix M=0.01 --at-rest",
+        "greybox compare silverbox train.csv --validate test.csv --skip 50 --effects cubic_stiffness,cubic_stiffness+input_offset",
+    ),
+)(guarded(compare))
+app.command(
+    cls=Plain,
     short_help="Find which effect a model lacks, and name it.",
     epilog=example(
         "greybox discover micro_actuator train.csv --validate test.csv --fix M=0.01 --at-rest",
         "greybox discover emps train.csv --validate test.csv --effects coulomb_friction,constant_load",
     ),
 )(guarded(discover))
+app.command(
+    cls=Plain,
+    short_help="Hand a fitted model to a controller design, or write it as code.",
+    epilog=example(
+        "greybox export results/micro_actuator-fit/fit.json --to mat --dt 2.5e-4 --delay 1e-4 --samples 100",
+        "greybox export fit.json --to control --at u=1",
+        "greybox export fit.json --to c --output firmware/plant.c",
+    ),
+)(guarded(export))
 app.command(
     cls=Plain,
     short_help="Run a model and write a record.",

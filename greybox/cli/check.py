@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from greybox.cli import constraints as c
 from greybox.cli import options as o
 
 
@@ -21,6 +22,7 @@ def check(
     start: o.Start,
     free: o.Free,
     effect: o.Effects,
+    tie: c.Tie,
     noise: o.Noise,
     outputs: Annotated[
         list[str],
@@ -51,7 +53,7 @@ def check(
     from greybox.fitting import FitOptions
     from greybox.project import resolve
 
-    plant = o.changed(resolve(model), effects=effect, fix=fix, start=start, free=free)
+    plant = c.constrained(o.changed(resolve(model), effects=effect, fix=fix, start=start, free=free), (), tie)
     columns = o.pairs("--column", column) or None
     o.check_substeps(plant, method, substeps)
     records = (

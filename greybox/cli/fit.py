@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from greybox.cli import constraints as c
 from greybox.cli import options as o
+from greybox.cli import predicted as p
+from greybox.cli import searching as s
 from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
 from greybox.cli.interrupt import held
 from greybox.cli.progress import meter
 from greybox.cli.records import by_record, tell_notes
 
 if TYPE_CHECKING:
+    from greybox.diagnose import ResidualTests
     from greybox.result import Fit
 
 
@@ -28,6 +32,12 @@ def fit(
     start: o.Start,
     free: o.Free,
     effect: o.Effects,
+    prior: c.Prior,
+    tie: c.Tie,
+    own: c.Own,
+    schedule: c.Schedule,
+    condition: c.Condition,
+    process_noise: p.ProcessNoise,
     noise: o.Noise,
     quiet: o.Quiet,
     validate: Annotated[
@@ -46,6 +56,12 @@ def fit(
     column: o.Columns,
     method: o.Method = o.MethodName.automatic,
     substeps: o.Substeps = 0,
+    loss: c.Loss = "squares",
+    transcription: s.Transcription = s.TranscriptionName.automatic,
+    arc_length: s.ArcLength = 0.0,
+    starts: s.Starts = 1,
+    seed: s.Seed = None,
+    predict: p.Predict,
     output: Annotated[
         Path | None,
         typer.Option("--output", metavar="DIR", help="Folder for fit.json and figures. [default: results/MODEL-fit]"),
@@ -66,7 +82,9 @@ def fit(
     from greybox.fitting import fit as fit_model
     from greybox.project import resolve
 
-    plant = o.changed(resolve(model), effects=effect, fix=fix, start=start, free=free)
+    plant = p.pushed(o.changed(c.scheduled(resolve(model), schedule), effects=effect), process_noise)
+    plant = o.changed(plant, fix=fix, start=start, free=free)
+    plant = c.constrained(plant, prior, tie)
     o.check_substeps(plant, method, substeps)
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-fit")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
@@ -77,35 +95,63 @@ def fit(
         for files in (data, validate)
     )
     hushed = read_experiments(quiet, plant, columns=columns, allow_constant_input=True) if quiet else ()
+    records, judges = c.under_conditions(condition, records, judges)
     o.check_skip(skip, judges)
-    if not silent:
-        tell_notes(records, judges)
-    choice = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps)
-    with held() as interrupt, meter(plant.title, interrupt) as report:
-        result = fit_model(
-            plant, records, noise=said, quiet=hushed, validation=judges, skip=skip, options=choice, report=report
-        )
+    if not silent:  # those of the fitted records stand in the result, but for JSON
+        tell_notes(*((records, judges) if json else (judges,)))
+    choice = FitOptions(
+        at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, own=c.names(own),
+        transcription=transcription.value, arc_length=arc_length,
+    )  # fmt: skip
+    seed = s.check_seed(starts, seed)
+    given: dict[str, Any] = {"noise": said, "quiet": hushed, "validation": judges, "skip": skip, "options": choice}
+    if starts > 1:
+        many = s.from_many(plant, records, starts, seed, **given)
+        result, interrupted = many.best, many.interrupted
+    else:
+        with held() as interrupt, meter(plant.title, interrupt) as report:
+            result = fit_model(plant, records, report=report, **given)
+        interrupted = interrupt.asked
+    with held():
         saved = result.save(folder / "fit.json")
-    _tell(result, saved, skip, quiet=silent, json=json)
-    if interrupt.asked or result.status == "interrupted":
+    tests = None if interrupted else _tested(result)
+    ahead = [] if interrupted or silent or json else p.predicted(result, judges, predict, skip)
+    _tell(result, tests, ahead, saved, skip, quiet=silent, json=json)
+    if interrupted or result.status == "interrupted":
         stop(f"interrupted; the best point so far is in {saved}", INTERRUPTED)
-    _draw(result, saved, skip, quiet=silent or json)
+    _draw(result, tests, saved, skip, quiet=silent or json)
     if not result.success:
         stop(f"no success: {result.meaning}", UNSUCCESSFUL)
 
 
-def _tell(result: Fit, saved: Path, skip: int, *, quiet: bool, json: bool) -> None:
+def _tell(
+    result: Fit, tests: ResidualTests | None, ahead: list[str], saved: Path, skip: int, *, quiet: bool, json: bool
+) -> None:
     if json:
         typer.echo(saved.read_text(encoding="utf-8"), nl=False)
     elif not quiet:
-        typer.echo("\n".join([result.equations, "", str(result), *by_record(result, skip)]))
+        said = [
+            "",
+            "residual tests (each alone raises a false alarm, p below 0.01, in one fit of a hundred)",
+            str(tests),
+        ]
+        typer.echo("\n".join([result.equations, "", str(result), *ahead, *(said if tests else []), *by_record(result, skip)]))
 
 
-def _draw(result: Fit, saved: Path, skip: int, *, quiet: bool) -> None:
-    from greybox.figures import fit_figure
+def _tested(result: Fit) -> ResidualTests | None:
+    """The tests of the residual; none of a fit that did not succeed, or whose run is not a free one."""
+    from greybox.diagnose import diagnose_residuals
+
+    free = result.solver.get("free_run", True) and result.solver.get("transcription") != "arcs"
+    return diagnose_residuals(result) if result.success and (free or result.process_noise) else None
+
+
+def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool) -> None:
+    from greybox.figures import fit_figure, residual_figure
 
     try:
         figures = fit_figure(result, saved.parent, skip=skip)
+        figures += residual_figure(tests, saved.parent, title=result.model.title) if tests else []
     except KeyboardInterrupt:
         stop(f"interrupted while drawing; the fit is in {saved}", INTERRUPTED)
     if not quiet:

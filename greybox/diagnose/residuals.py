@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,9 +16,15 @@ from greybox.diagnose.statistics import (
     ljung_box,
     normality,
 )
-from greybox.noise import autoregression, segments
+from greybox.errors import FitError
+from greybox.fitting.predictive_again import innovation_rows
+from greybox.fitting.sandwich import Layout
+from greybox.noise import AutoRegression, autoregression, segments
 from greybox.result import Fit
-from greybox.uncertainty.again import problem_of
+from greybox.transcription.robust import RobustShooting
+from greybox.uncertainty.again import problem_of, runs_freely
+
+Rows = Sequence[tuple[np.ndarray, np.ndarray]]
 
 # A test speaks up below this p-value.
 ALARM = 0.01
@@ -40,12 +46,31 @@ class ResidualTest:
     sentence: str
 
 
+@dataclass(frozen=True, eq=False)
+class ResidualSeries:
+    """The residual of one output that the tests looked at, over its noise: for each record ``series`` (N,), NaN in gaps.
+
+    ``raw`` (N,) has the outliers that a robust fit keeps out of ``series``; ``inputs`` by name, for each record (N,); ``time`` (N,) of each
+    record in seconds; ``colour`` the autoregression of ``series``.
+    """
+
+    series: tuple[np.ndarray, ...]
+    raw: tuple[np.ndarray, ...]
+    inputs: Mapping[str, tuple[np.ndarray, ...]]
+    time: tuple[np.ndarray, ...]
+    colour: AutoRegression
+
+
 @dataclass(frozen=True)
 class ResidualTests:
-    """All tests of a fit; ``whitened``: outputs whose residual was whitened with their known noise colour first."""
+    """All tests of a fit; ``whitened``: outputs whose residual was whitened with their known noise colour first.
+
+    ``residuals``: what was tested, by output.
+    """
 
     tests: tuple[ResidualTest, ...]
     whitened: tuple[str, ...] = ()
+    residuals: Mapping[str, ResidualSeries] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def alarms(self) -> tuple[ResidualTest, ...]:
@@ -73,18 +98,20 @@ class ResidualTests:
 
 
 def diagnose_residuals(fit: Fit) -> ResidualTests:
-    """Tests of each output's free-run residual, over all records of ``fit``.
+    """Tests of each output's free-run residual over all records of ``fit``; of its innovations, where the model has process noise.
 
     Whiteness over 5, 10 and 20 lags (Ljung and Box); independence of each input over 20 lags, with the covariance that the
     residual's colour gives and the fitted constants allowed for; normality (Jarque and Bera); equal variance and equal mean over
     blocks. Normality and the block tests look at the residual whitened by an autoregression, because they need independent samples.
-    Each test alone raises a false alarm in one fit of a hundred. A fit that did not succeed is refused with FitError.
+    After a robust fit all tests but normality look at the residual as its loss sees it, without the pull of outliers. Each test
+    alone raises a false alarm in one fit of a hundred. A fit that did not succeed is refused with FitError.
     """
-    problem = problem_of(fit)
-    variables = problem.variables
-    rows = problem.shooting(variables).residuals(np.zeros(variables.size))
+    rows, raw, variables = (
+        _innovations(fit) if fit.process_noise else _free_run(fit) if runs_freely(fit) else _joined(fit)
+    )
     inputs = [[trace.inputs[i.name] for trace in fit.traces] for i in fit.model.inputs]
     tests: list[ResidualTest] = []
+    looked_at: dict[str, ResidualSeries] = {}
     for j, output in enumerate(fit.model.outputs):
         if output.name in fit.misfit:
             residuals = [r[:, j] for r, _ in rows]
@@ -94,10 +121,54 @@ def diagnose_residuals(fit: Fit) -> ResidualTests:
                 variables.size,
             )
             tests += residual_tests(
-                output.name, residuals, dict(zip((i.name for i in fit.model.inputs), inputs, strict=True)), slopes
-            )
+                output.name, residuals, dict(zip((i.name for i in fit.model.inputs), inputs, strict=True)), slopes,
+                [r[:, j] for r, _ in raw],
+            )  # fmt: skip
+            looked_at[output.name] = ResidualSeries(
+                tuple(residuals), tuple(r[:, j] for r, _ in raw),
+                {i.name: tuple(given) for i, given in zip(fit.model.inputs, inputs, strict=True)},
+                tuple(trace.time for trace in fit.traces), autoregression(segments(residuals)),
+            )  # fmt: skip
     whitened = tuple(n for n, k in fit.noise_colour.items() if len(k))
-    return ResidualTests(tuple(tests), whitened)
+    return ResidualTests(tuple(tests), whitened, looked_at)
+
+
+def _free_run(fit: Fit) -> tuple[Rows, Rows, Layout]:
+    """Residual and slopes of each record, the same with the outliers that a robust fit leaves out, and where its slopes belong."""
+    problem = problem_of(fit)
+    variables = problem.variables
+    shooting, zero = problem.shooting(variables), np.zeros(variables.size)
+    rows = shooting.residuals(zero)
+    return rows, shooting.whitened(zero) if isinstance(shooting, RobustShooting) else rows, variables
+
+
+def _joined(fit: Fit) -> tuple[Rows, Rows, Layout]:
+    """The residual of arcs, or of segments that meet, as the fit has it; what the constants could make of it is not known."""
+    if not fit.success:
+        raise FitError(f"fit of {fit.model.title}: {fit.meaning}; tests of its residual need a fit that has succeeded")
+    rows = []
+    for trace in fit.traces:
+        r = np.full((len(trace.time), len(fit.model.outputs)), np.nan)
+        for j, o in enumerate(fit.model.outputs):
+            if o.name in trace.measured:
+                colour = AutoRegression(tuple(fit.noise_colour.get(o.name, ())))
+                r[:, j] = colour.whiten(trace.residual(o.name) / fit.noise[o.name])
+        rows.append((r, np.zeros((*r.shape, 0))))
+    return rows, rows, _Nothing()
+
+
+class _Nothing:
+    """No unknowns."""
+
+    size = 0
+
+    def columns(self, experiment: int) -> np.ndarray:
+        return np.empty(0, int)
+
+
+def _innovations(fit: Fit) -> tuple[Rows, Rows, Layout]:
+    rows, cost = innovation_rows(fit)
+    return rows, rows, cost.unknowns
 
 
 def residual_tests(
@@ -105,10 +176,12 @@ def residual_tests(
     residuals: Sequence[np.ndarray],
     inputs: dict[str, list[np.ndarray]],
     slopes: Sequence[np.ndarray] | None = None,
+    raw: Sequence[np.ndarray] | None = None,
 ) -> list[ResidualTest]:
     """The tests of one output: its residuals (N,) and the ``inputs`` (N,) of each record, NaN in gaps.
 
-    ``slopes`` (N, m) of each record: sensitivities to what was fitted, which the residual cannot contain any more.
+    ``slopes`` (N, m) of each record: sensitivities to what was fitted, which the residual cannot contain any more. ``raw``: the
+    residuals with their outliers, if ``residuals`` are without.
     """
     series = segments(residuals)
     colour = autoregression(series)
@@ -132,7 +205,7 @@ def residual_tests(
                 else f"no trace of the input {name}"
             )
             tests.append(_test(output, f"independence of {name}", figure, p, says))
-    figure, p = normality(np.concatenate(white))
+    figure, p = normality(np.concatenate(white if raw is None else [colour.whiten(r / rms) for r in raw]))
     says = (
         "not normal: look for outliers, quantisation or two regimes"
         if p < ALARM

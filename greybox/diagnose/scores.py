@@ -9,8 +9,8 @@ import numpy as np
 
 from greybox.errors import DataError
 from greybox.experiment import Experiment
-from greybox.fitting import FitOptions, validate
-from greybox.noise import AutoRegression, autoregression, segments
+from greybox.fitting import FitOptions, Predictor, predictor
+from greybox.model import Model
 from greybox.result import Fit, Trace
 
 
@@ -18,14 +18,14 @@ from greybox.result import Fit, Trace
 class Score:
     """Root mean square errors of one output in ``unit``: ``free_run``, and ``prediction`` by the number of samples ahead.
 
-    ``movement`` is the standard deviation of the measurement itself; ``predictor`` the order of the residual's autoregression.
+    ``movement`` is the standard deviation of the measurement itself; ``predictor`` says what corrects the model at each sample.
     """
 
     unit: str
     free_run: float
     prediction: Mapping[int, float]
     movement: float
-    predictor: int
+    predictor: str
 
 
 @dataclass(frozen=True)
@@ -42,57 +42,76 @@ class Scores:
             for name, s in self.outputs.items()
         ]
         widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
+        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]]
         return "\n".join(
-            "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]
+            [*lines, *(f"corrected by: {text}" for text in dict.fromkeys(s.predictor for s in self.outputs.values()))]
         )
 
 
 def scores(
-    fit: Fit,
+    model: Fit | Model | Predictor,
     experiments: Experiment | Sequence[Experiment] = (),
     *,
     steps: Sequence[int] = (1, 10),
     skip: int = 0,
     options: FitOptions | None = None,
 ) -> Scores:
-    """Free-run and ``steps``-ahead errors of ``fit`` on its own records, or on other ``experiments`` (judged as `validate` does).
+    """Free-run and ``steps``-ahead errors of ``model`` on ``experiments``; of a fit on its own records where none are given.
 
-    The prediction is the free run plus an autoregression's forecast of its error from the errors up to ``k`` samples before:
-    ``yhat(t | t-k) = y_free(t) + rhat(t | t-k)``. That is the exact predictor of an output-error model with autoregressive noise, and
-    needs no state estimate; order and coefficients come from the records of the fit, never from those being judged. It is not a
-    Kalman filter: measurements do not correct the states, so a wrong initial state or a drifting state is only met as far as the
-    autoregression carries it. The first ``skip`` rows of ``experiments`` are left out of the errors.
+    ``model``: a fit, a model, a `Predictor`, or anything with ``simulate(experiment)`` and ``predict(experiment, steps)``, such as a
+    black-box model. What corrects a fit from sample to sample comes from its own records and never from those being judged; of a
+    model that was not fitted it comes from ``experiments`` (`greybox.predictor`). The first states of other records than the
+    fit's own are estimated from their first rows. Left out of the errors are the first ``skip`` rows, and of a prediction ``k`` samples
+    ahead the first ``k``, which have no measurement to go by.
 
-    Raises DataError for steps below one.
+    Raises DataError for steps below one, and where there is no record.
     """
     if any(k < 1 for k in steps):
         raise DataError(f"steps ahead: {', '.join(map(str, steps))}; give whole numbers from 1")
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
-    judged: Sequence[Trace] = fit.traces
-    if group:
-        judged = validate(
-            fit.model, group, noise=fit.noise, skip=skip, options=options or FitOptions(**fit.options)
-        ).traces
+    judged = [t.experiment for t in model.traces] if isinstance(model, Fit) and not group else list(group)
+    if not judged:
+        raise DataError("scores: no record to judge by; give experiments, or a fit, which has its own")
+    ready = (
+        predictor(model, () if isinstance(model, Fit) else group, options=options)
+        if isinstance(model, Fit | Model)
+        else model
+    )
+    traces = model.traces if isinstance(model, Fit) and not group else [None] * len(judged)
+    runs = [_runs(ready, e, steps, trace) for e, trace in zip(judged, traces, strict=True)]
+    words = ready.correction.words if isinstance(ready, Predictor) else "its own noise model"
+    units = {o.name: o.unit for o in model.model.outputs} if isinstance(model, Fit) else _units(ready)
     result = {}
-    for output in fit.model.outputs:
-        own = [t.residual(output.name) for t in fit.traces if output.name in t.measured]
-        others = [t for t in judged if output.name in t.measured]
-        if own and others:
-            model = autoregression(segments(own))
-            result[output.name] = _score(others, output.name, output.unit, model, steps, skip if group else 0)
+    for name in dict.fromkeys(n for free, _ in runs for n in free):
+        seen = [
+            (e.outputs[name], *run) for e, run in zip(judged, runs, strict=True) if name in e.outputs and name in run[0]
+        ]
+        measured = np.concatenate([y[skip:] for y, _, _ in seen] or [np.zeros(0)])
+        if np.isfinite(measured).any():
+            result[name] = Score(
+                units.get(name, ""), _rms([(y - free[name])[skip:] for y, free, _ in seen]),
+                {k: _rms([(y - ahead[k][name])[max(skip, k) :] for y, _, ahead in seen]) for k in steps},
+                float(np.nanstd(measured)), words,
+            )  # fmt: skip
     return Scores(result)
 
 
-def _score(
-    runs: Sequence[Trace], output: str, unit: str, model: AutoRegression, steps: Sequence[int], skip: int
-) -> Score:
-    residuals = [t.residual(output) for t in runs]
-    ahead = {}
-    for k in steps:
-        ahead[k] = _rms(np.concatenate([(r - model.predict(r, k))[skip:] for r in residuals]))
-    movement = float(np.nanstd(np.concatenate([t.measured[output][skip:] for t in runs])))
-    return Score(unit, _rms(np.concatenate([r[skip:] for r in residuals])), ahead, movement, model.order)
+def _runs(
+    model: Predictor, experiment: Experiment, steps: Sequence[int], trace: Trace | None
+) -> tuple[Mapping[str, np.ndarray], dict[int, Mapping[str, np.ndarray]]]:
+    """Free run and predictions of one record by output; ``trace``: the free run of a record of the fit, whose first states are known."""
+    if trace is None:
+        return model.simulate(experiment), {k: model.predict(experiment, steps=k) for k in steps}
+    return trace.simulated, {k: model.predict(experiment, steps=k, initial=trace.initial_state) for k in steps}
 
 
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))
+def _units(model: Predictor) -> dict[str, str]:
+    if isinstance(model, Predictor):
+        return {o.name: o.unit for o in model.correction.model.outputs}
+    return dict(getattr(model, "units", {}))
+
+
+def _rms(parts: Sequence[np.ndarray]) -> float:
+    """Root mean square over several records (N,), gaps left out; NaN where nothing is left."""
+    values = np.concatenate(parts)
+    return float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else float("nan")

@@ -25,6 +25,6 @@ def _limit(trial: Trial) -> str:
         return ""
     covariance = np.linalg.pinv(trial.evaluation.hessian / 2, rcond=1e-12, hermitian=True)
     k = variables.names.index(amplitudes[0])
-    std = float(np.sqrt(covariance[k, k]) * variables.slopes(variables.fixed)[k])
+    std = float(np.sqrt(covariance[k, k]) * variables.spans[k])
     unit = trial.model.parameter(amplitudes[0]).unit
     return f"{bound.effect.name} could still hide below {amplitudes[0]} = {POWER * std:.2g} {unit}"

@@ -1,5 +1,7 @@
 """The only room that draws: pictures of fits as PNG files."""
 
+from greybox.figures.comparison import comparison_figure
 from greybox.figures.fit_figure import fit_figure, misfits_of
+from greybox.figures.residual_tests import residual_figure
 
-__all__ = ["fit_figure", "misfits_of"]
+__all__ = ["comparison_figure", "fit_figure", "misfits_of", "residual_figure"]

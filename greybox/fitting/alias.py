@@ -1,11 +1,13 @@
-"""Constants that move between experiments, or between the halves of a record: they imitate something the model lacks."""
+"""Constants that move between experiments, halves of a record or amplitudes: they imitate something the model lacks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtri
 
 from greybox.fitting.sandwich import Colour, colour_of, score_covariance
@@ -13,6 +15,9 @@ from greybox.fitting.solve import Solution
 from greybox.noise import AutoRegression
 from greybox.noise.hierarchy import DIFFERENCES
 from greybox.transcription import Variables
+from greybox.transcription.variables import SHARED
+
+Part = tuple[str, Mapping[int, np.ndarray]]  # what it is called, and which rows (N,) of each record it has
 
 # A move counts from this many standard deviations, and from a false alarm rate of this over all comparisons of a fit.
 LEAST, ALARMS = 3.0, 0.01
@@ -24,6 +29,11 @@ LITTLE = 0.1
 RESIDUALS_PER_UNKNOWN = 10
 # Directions of a part with less than this share of its largest curvature are left alone.
 UNDETERMINED = 1e-10
+
+
+# Small and large motion are told apart in so many windows of a record, over so many correlation times of the residual at least, if
+# the upper quarter of the motion is so many times as large as the lower.
+WINDOWS, CORRELATION_TIMES, DIFFERENT = 50, 5.0, 1.5
 
 
 @dataclass(frozen=True)
@@ -39,52 +49,80 @@ class Move:
 
 
 def moves(solution: Solution, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[Move]:
-    """Constants that move too far between experiments (if several), else between the halves of the record; the farthest first.
+    """Constants that move too far between experiments, halves of the records, or small and large motion; the farthest first.
 
-    Each part has its own constants and initial state, one Gauss-Newton step from the common optimum (a score test of constancy). The
+    Each part has its own constants and initial states, one Gauss-Newton step from the common optimum (a score test of constancy). The
     standard deviation of a move is the one that noise leaves: where the residual clearly exceeds the noise, of the noise alone;
-    else of the residual with its colour.
+    else of the residual with its colour. A constant that each experiment has for itself may move, and is not looked at.
     """
-    problem, variables = solution.problem, solution.variables
-    if not len(variables.which) or not np.isfinite(solution.evaluation.cost):
+    variables = solution.variables
+    inside = np.flatnonzero(~variables.active & (variables.owner == SHARED))
+    if not len(inside) or not np.isfinite(solution.evaluation.cost):
         return []
     colour = _noise(solution, rows)
-    if len(rows) > 1:
-        pieces = [(e, 0, len(r)) for e, (r, _) in enumerate(rows)]
-        names = [
-            f"experiment {problem.experiments[e].name!r}" if problem.experiments else f"experiment {e + 1}"
-            for e, *_ in pieces
-        ]
-    else:
-        half = len(rows[0][0]) // 2
-        pieces, names = [(0, 0, half), (0, half, len(rows[0][0]))], ["the first half of the record", "the second"]
-    inside = np.flatnonzero(~variables.active(variables.fixed))
-    parts = [
-        (name, *part)
-        for name, piece in zip(names, pieces, strict=True)
-        if (part := _part(solution, rows, piece, colour, inside))
+    groups = [
+        [(name, *found) for name, rows_in in parts if (found := _part(variables, rows, rows_in, colour, inside))]
+        for parts in (_experiments(solution, rows), _halves(rows), _amplitudes(solution, colour))
     ]
-    comparisons = max(len(inside) * len(parts) * (len(parts) - 1) // 2, 1)
+    comparisons = max(sum(len(inside) * len(g) * (len(g) - 1) // 2 for g in groups), 1)
     threshold = max(LEAST, float(-ndtri(ALARMS / comparisons / 2)))
     farthest: dict[int, Move] = {}
-    for a, (one, step_a, variance_a) in enumerate(parts):
-        for other, step_b, variance_b in parts[a + 1 :]:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                deviations = np.abs(step_b - step_a) / np.sqrt(variance_a + variance_b)
-            for k in map(int, np.flatnonzero(deviations > threshold)):
-                if k not in farthest or deviations[k] > farthest[k].deviations:
-                    farthest[k] = _move(
-                        variables, inside[k], step_a[k], step_b[k], float(deviations[k]), f"{one} and {other}"
-                    )
+    for (one, step_a, variance_a), (other, step_b, variance_b) in (pair for g in groups for pair in combinations(g, 2)):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            deviations = np.abs(step_b - step_a) / np.sqrt(variance_a + variance_b)
+        for k in map(int, np.flatnonzero(deviations > threshold)):
+            if k not in farthest or deviations[k] > farthest[k].deviations:
+                between = f"{one} and {other}"
+                farthest[k] = _move(variables, inside[k], step_a[k], step_b[k], float(deviations[k]), between)
     return sorted(farthest.values(), key=lambda m: -m.deviations)
+
+
+def _experiments(solution: Solution, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[Part]:
+    """Each experiment by itself, if there are several."""
+    if len(rows) < 2:
+        return []
+    known = solution.problem.experiments
+    names = [f"experiment {known[e].name!r}" if known else f"experiment {e + 1}" for e in range(len(rows))]
+    return [(name, {e: np.ones(len(rows[e][0]), bool)}) for e, name in enumerate(names)]
+
+
+def _halves(rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[Part]:
+    """The first and the second half of every record."""
+    first = {e: np.arange(len(r)) < len(r) // 2 for e, (r, _) in enumerate(rows)}
+    of = "half of the record" if len(rows) == 1 else "halves of the records"
+    return [(f"the first {of}", first), (f"the second {of}", {e: ~mask for e, mask in first.items()})]
+
+
+def _amplitudes(solution: Solution, colour: Colour) -> list[Part]:
+    """The rows with small and with large motion, if the motion changes enough; motion is smoothed over some correlation times."""
+    runs = zip(solution.problem.records, solution.simulate(), strict=True)
+    outputs = [record.samples(y) for record, (y, _) in runs]
+    everything = np.concatenate(outputs)
+    spread = np.nanstd(everything, axis=0)
+    if not np.isfinite(spread).all() or not spread.any():
+        return []
+    moving = spread > 0
+    time = max((t for t, _ in colour.times), default=1.0)
+    size = {}
+    for e, y in enumerate(outputs):
+        away = np.square((y - everything.mean(axis=0))[:, moving] / spread[moving]).mean(axis=1)
+        width = int(min(max(len(y) / WINDOWS, CORRELATION_TIMES * time), len(y)))
+        size[e] = np.sqrt(uniform_filter1d(away, max(width, 1), mode="nearest"))
+    every = np.concatenate(list(size.values()))
+    small, middle, large = np.quantile(every, [0.25, 0.5, 0.75])
+    if large < DIFFERENT * small:
+        return []
+    parts = {e: values <= middle for e, values in size.items()}
+    return [("small motion", parts), ("large motion", {e: ~mask for e, mask in parts.items()})]
 
 
 def _noise(solution: Solution, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> Colour:
     """Colour and variance of what noise alone leaves in the weighted residual."""
-    noise, evaluation = solution.problem.noise, solution.evaluation
-    found = colour_of(rows, solution.variables.size, noise.given)
+    noise, everything = solution.problem.noise, np.concatenate([r for r, _ in rows])
+    found = colour_of(rows, solution.unknowns, noise.given, solution.problem.least)
     names = [o.name for o in solution.problem.model.outputs]
-    ratio = np.sqrt(evaluation.squares / np.maximum(evaluation.counts, 1))
+    counts = np.isfinite(everything).sum(axis=0)
+    ratio = np.sqrt(np.nansum(everything**2, axis=0) / np.maximum(counts, 1))
     found = replace(found, variance=tuple(max(v, LITTLE**2) for v in found.variance))
     for j, name in enumerate(names):
         limit = VISIBLE_BY_DIFFERENCES if noise.sources.get(name) == DIFFERENCES else VISIBLE
@@ -96,47 +134,63 @@ def _noise(solution: Solution, rows: Sequence[tuple[np.ndarray, np.ndarray]]) ->
 
 
 def _part(
-    solution: Solution,
+    variables: Variables,
     rows: Sequence[tuple[np.ndarray, np.ndarray]],
-    piece: tuple[int, int, int],
+    chosen: Mapping[int, np.ndarray],
     colour: Colour,
     inside: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Step of the constants ``inside`` to the part's own optimum and its variance (k,), both in ``z``; None if too short."""
-    e, start, stop = piece
-    variables = solution.variables
-    n = len(variables.which)
-    r, jacobian = rows[e][0][start:stop], rows[e][1][start:stop]
-    lanes = np.concatenate([inside, np.arange(n, jacobian.shape[2])])
-    there = np.isfinite(r)
-    if there.sum() < RESIDUALS_PER_UNKNOWN * len(lanes):
+    """Step of the constants ``inside`` to the part's own optimum and its variance (k,), both in ``z``; None if too short.
+
+    ``chosen``: which rows (N,) of some records are the part.
+    """
+    n, shared = len(variables.which), len(inside)
+    layout = _Part(shared, {e: np.concatenate([np.flatnonzero(~variables.foreign(e) & (variables.owner != SHARED)),
+                                               np.arange(n, rows[e][1].shape[2])]) for e in chosen})  # fmt: skip
+    here = {
+        e: (np.where(mask[:, None], rows[e][0], np.nan), rows[e][1][:, :, layout.lanes(e, inside)])
+        for e, mask in chosen.items()
+    }
+    if sum(int(np.isfinite(r).sum()) for r, _ in here.values()) < RESIDUALS_PER_UNKNOWN * layout.size:
         return None
-    x, y = jacobian[there][:, lanes], r[there]
-    scale = np.linalg.norm(x, axis=0)
+    information, score = np.zeros((layout.size, layout.size)), np.zeros(layout.size)
+    for e, (r, jacobian) in here.items():
+        there, columns = np.isfinite(r), layout.columns(e)
+        slopes = jacobian[there]
+        information[np.ix_(columns, columns)] += slopes.T @ slopes
+        score[columns] += slopes.T @ r[there]
+    scale = np.sqrt(np.diag(information))
     scale[scale == 0] = 1.0
-    values, vectors = np.linalg.eigh((x / scale).T @ (x / scale))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     weak = values <= UNDETERMINED * values.max(initial=0.0)
     inverse = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
-    step = -inverse @ (x.T @ y)
-    meat = score_covariance(_Part(len(lanes)), [(r, jacobian[:, :, lanes])], colour)
+    meat = score_covariance(layout, list(here.values()), colour, list(here))
     variance = np.diag(inverse @ meat @ inverse)
-    open_ = np.any(np.abs(vectors[: len(inside), weak]) > 1e-3, axis=1)
-    return step[: len(inside)], np.where(open_, np.inf, variance[: len(inside)])
+    open_ = np.any(np.abs(vectors[:shared, weak]) > 1e-3, axis=1)
+    return (-inverse @ score)[:shared], np.where(open_, np.inf, variance[:shared])
 
 
 @dataclass(frozen=True)
 class _Part:
-    """The unknowns of one part by itself."""
+    """The unknowns of one part by itself: ``shared`` constants, then the ``others`` of each of its records (lanes of the Jacobian)."""
 
-    size: int
+    shared: int
+    others: Mapping[int, np.ndarray]
+
+    @property
+    def size(self) -> int:
+        return self.shared + sum(map(len, self.others.values()))
 
     def columns(self, experiment: int) -> np.ndarray:
-        return np.arange(self.size)
+        before = sum(len(lanes) for e, lanes in self.others.items() if e < experiment)
+        return np.concatenate([np.arange(self.shared), self.shared + before + np.arange(len(self.others[experiment]))])
+
+    def lanes(self, experiment: int, inside: np.ndarray) -> np.ndarray:
+        return np.concatenate([inside, self.others[experiment]])
 
 
 def _move(variables: Variables, k: int, before: float, after: float, deviations: float, between: str) -> Move:
-    quantity = variables.model.parameter(variables.names[k])
-    value = float(variables.fixed[variables.which[k]])
+    quantity, value = variables.quantities[k], float(variables.base[k])
     if variables.logarithmic[k]:
         one, other = (value * float(np.exp(np.clip(step, -50, 50))) for step in (before, after))
     else:

@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from importlib.metadata import PackageNotFoundError, version
 from typing import Literal
 
-import casadi as ca
 import numpy as np
 
 from greybox.errors import FitError, ModelError, nearest
 from greybox.experiment import Experiment
 from greybox.fitting.alias import moves
+from greybox.fitting.asked import asked
+from greybox.fitting.estimates import (
+    estimates,
+    fitted,
+    model_covariance,
+    own_estimates,
+    prior_checks,
+    tied_estimates,
+)
 from greybox.fitting.halving import discretisation_shift, polished
-from greybox.fitting.notes import elsewhere, meaning, notes
-from greybox.fitting.options import FitOptions, Report
+from greybox.fitting.notes import elsewhere, meaning, notes, of_records
+from greybox.fitting.options import FitOptions, Report, options_given
+from greybox.fitting.predictive import fit_by_prediction
 from greybox.fitting.problem import prepare
+from greybox.fitting.robust import outlying, robustly
 from greybox.fitting.sandwich import colour_of
 from greybox.fitting.solve import Solution, solve
 from greybox.fitting.traces import misfits, named_noise, traces
-from greybox.fitting.uncertainty import estimates, uncertainty
+from greybox.fitting.uncertainty import uncertainty
 from greybox.fitting.validate import validate
+from greybox.fitting.versions import versions
 from greybox.model import Model
 from greybox.model.show import equations
 from greybox.noise import AutoRegression, Noise
@@ -42,6 +51,7 @@ def fit(
     colour: Colouring = "known",
     validation: Experiment | Sequence[Experiment] = (),
     skip: int = 0,
+    own: Sequence[str] = (),
     options: FitOptions | None = None,
     report: Report | None = None,
     raise_on_failure: bool = False,
@@ -59,26 +69,52 @@ def fit(
     such noise. ``colour``: ``known`` does that where the colour is known; ``residual`` takes it from the residual of a first fit
     where it is not (right only if the model lacks nothing); ``white`` never does. Where the residual stays coloured the
     intervals allow for it (`Fit.interval_kind`).
+
+    ``own``: constants of which each experiment has a value of its own (``own=["B"]``): `Fit.own` has them all, ``parameters`` and the
+    fitted model their mean, which is what a validation uses. Priors of constants (`Model.prior`) are weighed as measurements.
+    ``options.loss`` makes the fit robust against outliers; the noise is then estimated so that they do not pass for it.
+    A model with process noise (`State`) is fitted by its likelihood through a Kalman filter instead (`Fit.process_noise`).
     ``validation``: records that are only judged (`validate`), without their first ``skip`` rows. ``report`` is called as the
     fit goes on. ``raise_on_failure`` raises FitError where the fit does not succeed.
 
     Raises DataError and ModelError for records that do not go with the model.
     """
-    options = options or FitOptions()
+    options = options_given(options)
+    options = replace(options, own=(*options.own, *((own,) if isinstance(own, str) else own)))
     if colour not in COLOURINGS:
         raise ModelError(f"unknown colour {colour!r}; {nearest(colour, COLOURINGS)}")
+    if model.noisy_states:
+        if colour == "residual":
+            raise ModelError(
+                "colour 'residual': process noise is what makes the innovations white; leave out the colour, or the process noise"
+            )
+        if options.transcription not in ("automatic", "single") or options.arc_length:
+            raise ModelError(
+                f"transcription {options.transcription!r}: a model with process noise is fitted by its one-step predictions, which have"
+                " none; leave out transcription and arc_length, or the process noise"
+            )
+        result = fit_by_prediction(model, experiments, noise, quiet, options, report)
+        return _judged(result, validation, skip, options, raise_on_failure)
     problem = prepare(
-        model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet
+        model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet,
+        own=options.own, robust=options.robust,
     )  # fmt: skip
     if colour == "white":
         problem = problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in model.outputs)))
     solution = solve(problem, options, report)
     if RESIDUAL in problem.noise.sources.values() and solution.status.success:
         solution = _weighted_by_residual(solution, options, report)
+    solution = robustly(solution, options, report)
     if colour == "residual" and solution.status.success:
-        solution = _coloured_by_residual(solution, options, report)
+        solution = robustly(_coloured_by_residual(solution, options, report), options, report)
     solution = polished(solution)
-    result = _result(model, solution, options)
+    return _judged(_result(model, solution, options), validation, skip, options, raise_on_failure)
+
+
+def _judged(
+    result: Fit, validation: Experiment | Sequence[Experiment], skip: int, options: FitOptions, raise_on_failure: bool
+) -> Fit:
+    """``result`` with its misfit on validation records; FitError for a failure that is to be raised."""
     if validation and result.success:
         judged = validate(result.model, validation, noise=result.noise, skip=skip, options=options)
         result = replace(
@@ -86,7 +122,7 @@ def fit(
             notes=(*result.notes, *elsewhere(result.misfit, judged.misfit)),
         )  # fmt: skip
     if raise_on_failure and not result.success:
-        raise FitError(f"fit of {model.title}: {result.meaning}")
+        raise FitError(f"fit of {result.model.title}: {result.meaning}")
     return result
 
 
@@ -94,7 +130,7 @@ def _weighted_by_residual(solution: Solution, options: FitOptions, report: Repor
     """The fit repeated with the residual's own size as the noise of the outputs whose noise nothing else tells."""
     problem, evaluation = solution.problem, solution.evaluation
     counts = np.maximum(evaluation.counts, 1)
-    size = np.sqrt(evaluation.squares / counts * evaluation.count / max(evaluation.count - solution.variables.size, 1))
+    size = np.sqrt(evaluation.squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
     told = np.array([problem.noise.sources.get(o.name) == RESIDUAL for o in problem.model.outputs])
     std = problem.noise.std * np.where(told & (size > 0), np.maximum(size, LEAST_NOISE), 1.0)
     weighted = replace(problem.with_noise(replace(problem.noise, std=std)), variables=solution.variables)
@@ -104,8 +140,7 @@ def _weighted_by_residual(solution: Solution, options: FitOptions, report: Repor
 def _coloured_by_residual(solution: Solution, options: FitOptions, report: Report | None) -> Solution:
     """The fit repeated with the noise coloured as the residual is, where its colour is not known already."""
     problem, variables = solution.problem, solution.variables
-    rows = problem.shooting(variables).residuals(np.zeros(variables.size))
-    residual = colour_of(rows, variables.size, problem.noise.given)
+    residual = colour_of(solution.residuals(), solution.unknowns, problem.noise.given)
     models = tuple(
         known if known.order else found for known, found in zip(problem.noise.colour, residual.models, strict=True)
     )
@@ -117,27 +152,31 @@ def _coloured_by_residual(solution: Solution, options: FitOptions, report: Repor
 
 def _result(model: Model, solution: Solution, options: FitOptions) -> Fit:
     problem, variables = solution.problem, solution.variables
-    runs = traces(problem, variables)
+    runs, rows = traces(problem, solution.simulate()), solution.residuals()
     misfit = misfits(problem, runs)
-    rows = problem.shooting(variables).residuals(np.zeros(variables.size))
-    found = uncertainty(variables, solution.evaluation, problem.noise.given, rows)
-    constants = estimates(variables, found)
+    found = uncertainty(variables, solution.evaluation, problem.noise.given, rows, solution.unknowns, problem.least)
+    constants, priors, robust = estimates(variables, found), prior_checks(variables, found), outlying(solution)
+    own, tied = own_estimates(variables, found), tied_estimates(variables, found)
     shift = discretisation_shift(solution, np.sqrt(np.diag(found.covariance)))
     remarks = notes(solution, found, constants, misfit, runs, moves(solution, rows), shift)
+    remarks = (*remarks, *asked(problem, constants, tied, own, priors, robust), *of_records(problem.experiments))
     measured = [j for j, o in enumerate(model.outputs) if o.name in misfit]
     widened = np.ones(len(variables.names)) if found.inflation is None else found.inflation
     return Fit(
         model=model.start(**{name: float(variables.fixed[k]) for k, name in enumerate(model.values)}),
         status=solution.status.name.lower(), success=solution.status.success, meaning=meaning(solution, misfit),
-        parameters=constants, misfit=misfit, traces=runs, free=variables.names, covariance=found.covariance,
-        noise=named_noise(problem, misfit), noise_source=problem.noise.source, discretisation=problem.step.label,
+        parameters=constants, misfit=misfit, traces=runs, free=tuple(model.all_parameters[k].name for k in fitted(variables)),
+        covariance=model_covariance(variables, found.covariance),
+        noise=named_noise(problem, misfit), noise_source=problem.noise.source, discretisation=solution.discretisation or problem.step.label,
         integration_error={model.outputs[j].name: float(solution.integration_error[j]) for j in measured},
-        cost=float(solution.evaluation.cost), solver=_statistics(solution), options=asdict(options),
+        cost=float(solution.evaluation.cost), solver=_statistics(solution), options={**asdict(options), "own": list(options.own)},
         equations=equations(model), versions=versions(), notes=remarks,
         noise_sources=dict(problem.noise.sources), interval_kind=found.kind,
         noise_colour={o.name: a.reflection for o, a in zip(model.outputs, problem.noise.colour, strict=True) if o.name in misfit},
         inflation=dict(zip(variables.names, widened.tolist(), strict=True)),
         discretisation_shift=dict(zip(variables.names, shift.tolist(), strict=True)),
+        tied=tied, ties={tie.name: tie.formula for tie in model.ties}, own=own, priors=priors,
+        loss=robust.loss, loss_scale=robust.scale, outliers=robust.outliers,
     )  # fmt: skip
 
 
@@ -145,15 +184,6 @@ def _statistics(solution: Solution) -> dict[str, object]:
     return {
         "optimiser": "IPOPT", "ipopt_status": solution.solver_status, "iterations": solution.iterations,
         "passes": solution.evaluations, "seconds": solution.seconds, "record_shares": list(solution.shares),
-        "strategy": solution.strategy,
+        "strategy": solution.strategy, "transcription": solution.transcription, "free_run": solution.free_run, "method": solution.problem.method,
         "kernel": solution.problem.kernel.name, "substeps": solution.problem.step.substeps,
     }  # fmt: skip
-
-
-def versions() -> dict[str, str]:
-    """Versions of what computed a result."""
-    try:
-        own = version("greybox-sysid")
-    except PackageNotFoundError:
-        own = "not installed"
-    return {"greybox": own, "casadi": ca.__version__, "numpy": np.__version__, "python": platform.python_version()}

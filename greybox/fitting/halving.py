@@ -6,24 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.fitting.solve import Solution
+from greybox.fitting.solution import Solution
 from greybox.transcription import Evaluation, Variables
 
 # Directions with less than this share of the largest curvature do not move.
 UNDETERMINED = 1e-12
 # The search ends where nothing is left to gain statistically; so many steps more give the constants their digits.
-STEPS = 3
+STEPS, ROBUST_STEPS = 3, 30
 # A variable this close to its bound stays there.
 AT_BOUND = 1e-6
 
 
 def polished(solution: Solution) -> Solution:
-    """``solution`` after up to three plain Gauss-Newton steps, each kept only if it lowers the cost."""
+    """``solution`` of free runs after up to three plain Gauss-Newton steps, each kept only if it lowers the cost.
+
+    With a robust loss they are steps of reweighted least squares, each nearer by about the same share: there are more of them.
+    """
     problem, evaluation = solution.problem, solution.evaluation
-    if not solution.status.success or not solution.variables.size:
+    if solution.joined or not solution.status.success or not solution.variables.size:
         return solution
     variables, passes = solution.variables, 0
-    for _ in range(STEPS):
+    for _ in range(STEPS if problem.loss is None else ROBUST_STEPS):
         moved = variables.moved(_inside(variables, gauss_newton_step(variables, evaluation)))
         after = problem.shooting(moved).evaluate(np.zeros(moved.size))
         passes += 1
@@ -41,18 +44,18 @@ def discretisation_shift(solution: Solution, deviations: np.ndarray) -> np.ndarr
     """
     problem, variables = solution.problem, solution.variables
     n = len(variables.which)
-    if problem.step.per_interval or not n:
+    if solution.joined:
+        change = solution.joined.shift
+    elif problem.step.per_interval or not n:
         return np.zeros(n)
-    finer = (
-        problem.with_step(2 * problem.step.substeps, variables.fixed)
-        .shooting(variables)
-        .evaluate(np.zeros(variables.size))
-    )
-    if not (np.isfinite(finer.cost) and np.isfinite(solution.evaluation.cost)):
-        return np.full(n, np.nan)
-    change = gauss_newton_step(variables, finer) - gauss_newton_step(variables, solution.evaluation)
+    else:
+        halved = problem.with_step(2 * problem.step.substeps, variables.fixed)
+        finer = halved.shooting(variables).evaluate(np.zeros(variables.size))
+        if not (np.isfinite(finer.cost) and np.isfinite(solution.evaluation.cost)):
+            return np.full(n, np.nan)
+        change = gauss_newton_step(variables, finer) - gauss_newton_step(variables, solution.evaluation)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.abs(change[:n] * variables.slopes(variables.fixed)) / deviations
+        return np.abs(change[:n] * variables.spans) / deviations
 
 
 def gauss_newton_step(variables: Variables, evaluation: Evaluation) -> np.ndarray:

@@ -10,13 +10,14 @@ import numpy as np
 
 from greybox.errors import GreyboxError, ModelError
 from greybox.experiment import Experiment
-from greybox.fitting.fit import fit
-from greybox.fitting.options import FitOptions
+from greybox.fitting.fit import Colouring, fit
+from greybox.fitting.options import FitOptions, options_given
 from greybox.fitting.problem import Problem, prepare
 from greybox.fitting.solve import solve
 from greybox.model import Model
+from greybox.noise import Noise
 from greybox.parallel import Report, run
-from greybox.result import Fit
+from greybox.result import End, Fit
 from greybox.signals import Parameter
 
 # Ends belong together if their costs differ by at most this share, or their misfits over noise by this much.
@@ -24,22 +25,8 @@ SAME_COST, SAME_MISFIT = 0.01, 1e-3
 
 
 @dataclass(frozen=True)
-class End:
-    """Where one start ended: the values it began with and those it ended with, misfit over noise, how it ended.
-
-    ``values`` is empty and ``noise_ratio`` infinite where it led nowhere; ``status`` is then the reason.
-    """
-
-    start: Mapping[str, float]
-    values: Mapping[str, float]
-    noise_ratio: float
-    status: str
-    seconds: float = 0.0
-
-
-@dataclass(frozen=True)
 class MultiStart:
-    """``best``: the fit from the best end. ``ends``: all of them, best first. ``interrupted``: Ctrl-C came before all were done."""
+    """``best``: the fit from the best end, which carries the others in `Fit.ends`. ``ends``: all of them, best first. ``interrupted``: Ctrl-C came before all were done."""
 
     best: Fit
     ends: tuple[End, ...]
@@ -66,7 +53,9 @@ def multistart(
     starts: int = 20,
     seed: int = 0,
     factor: float = 3.0,
-    noise: Mapping[str, float] | None = None,
+    noise: Mapping[str, float] | Noise | None = None,
+    quiet: Experiment | Sequence[Experiment] = (),
+    colour: Colouring = "known",
     validation: Experiment | Sequence[Experiment] = (),
     skip: int = 0,
     options: FitOptions | None = None,
@@ -81,13 +70,20 @@ def multistart(
 
     Raises GreyboxError if no start led anywhere, ModelError and DataError as `fit` does.
     """
-    options = options or FitOptions()
+    options = options_given(options)
+    if starts < 1:
+        raise ModelError(f"starts {starts}: give at least 1, the model's own")
+    if model.noisy_states:
+        raise ModelError(
+            f"{model.title}: many starts compare free runs, which say nothing about process noise; fit it from one start, or first"
+            " without its process noise"
+        )
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
-    _prepared(model, group, noise, options)  # refuses here what no start can use
+    known = _prepared(model, group, noise, options, quiet).noise  # looked at once; refuses here what no start can use
     own = {q.name: q.value for q in model.free_parameters}
     begins = [own, *random_starts(model, starts - 1, seed, factor)]
     results, interrupted = run(
-        _one, (model, group, noise, options), begins, executor=executor, workers=workers, report=report
+        _one, (model, group, known, options), begins, executor=executor, workers=workers, report=report
     )
     ends = []
     for begin, done in zip(begins, results, strict=True):
@@ -103,8 +99,12 @@ def multistart(
             f"multi-start of {model.title}: none of {len(begins)} starts led anywhere ({reason});"
             " give start values nearer to physical ones"
         )
-    best = fit(model.start(**ends[0].values), group, noise=noise, validation=validation, skip=skip, options=options)
-    return MultiStart(replace(best, notes=(waterfall(ends), *best.notes)), tuple(ends), interrupted)
+    best = fit(
+        model.start(**ends[0].values), group, noise=noise, quiet=quiet, colour=colour, validation=validation, skip=skip,
+        options=options,
+    )  # fmt: skip
+    best = replace(best, notes=(waterfall(ends), *best.notes), ends=tuple(ends))
+    return MultiStart(best, tuple(ends), interrupted)
 
 
 def random_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -> list[dict[str, float]]:
@@ -159,9 +159,13 @@ def _alike(a: float, b: float) -> bool:
 
 
 def _prepared(
-    model: Model, experiments: Sequence[Experiment], noise: Mapping[str, float] | None, options: FitOptions
-) -> Problem:
-    return prepare(model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps)
+    model: Model, experiments: Sequence[Experiment], noise: Mapping[str, float] | Noise | None, options: FitOptions,
+    quiet: Experiment | Sequence[Experiment] = (),
+) -> Problem:  # fmt: skip
+    return prepare(
+        model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet,
+        own=options.own, robust=options.robust,
+    )  # fmt: skip
 
 
 def _one(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, float], float, str]:
@@ -171,6 +175,6 @@ def _one(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, float], f
     e = solution.evaluation
     if not np.isfinite(e.cost):
         return {}, np.inf, solution.status.value
-    values = solution.variables.parameters(np.zeros(solution.variables.size))
-    found = {name: float(values[k]) for name, k in zip(solution.variables.names, solution.variables.which, strict=True)}
+    values = dict(zip(model.values, solution.variables.fixed, strict=True))
+    found = {q.name: float(values[q.name]) for q in model.free_parameters}
     return found, float(np.sqrt(e.cost / max(e.count, 1))), solution.status.value

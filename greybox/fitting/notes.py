@@ -6,13 +6,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from greybox.experiment import Experiment
 from greybox.fitting.alias import VISIBLE, VISIBLE_BY_DIFFERENCES, Move
-from greybox.fitting.solve import Solution
+from greybox.fitting.robust import clear_ratio
+from greybox.fitting.solution import Solution
 from greybox.fitting.triage import triage
 from greybox.fitting.uncertainty import SANDWICH, Uncertainty
 from greybox.noise.hierarchy import DIFFERENCES
 from greybox.optimiser import Status
 from greybox.result import Estimate, Misfit, Trace
+from greybox.transcription import Variables
 
 # Validation over fitted error from which the difference wants an explanation.
 WORSE = 1.5
@@ -21,8 +24,8 @@ WORSE = 1.5
 COLOURED, LITTLE = 0.3, 0.1
 # Constants that move are listed up to this number.
 MOST_MOVES = 3
-# Share of a standard deviation that half the step may move a constant.
-SHIFTED = 0.1
+# Share of a standard deviation that half the step may move a constant; nobody asks for more digits than this share of its value.
+SHIFTED, LAST_DIGIT = 0.1, 1e-6
 
 CAUSES = {
     Status.NO_START: (
@@ -57,8 +60,10 @@ def meaning(solution: Solution, misfit: Mapping[str, Misfit]) -> str:
     if solution.evaluation.failed:
         text += f". {triage(solution.problem, solution.variables, *solution.evaluation.failed)}"
     elif misfit:
-        worst = max(misfit, key=lambda name: misfit[name].noise_ratio)
-        text += f"; misfit {misfit[worst].noise_ratio:.3g} times the noise in {worst}"
+        ratio = clear_ratio(solution, misfit)
+        worst = max(ratio, key=lambda name: ratio[name])
+        bulk = ", outliers aside" if solution.problem.loss else ""
+        text += f"; misfit {ratio[worst]:.3g} times the noise in {worst}{bulk}"
     return text
 
 
@@ -80,9 +85,9 @@ def notes(
         result.append(
             f"stopped by a bound: {', '.join(at_bound)}; widen the bound, or the model needs something else there"
         )
-    wide = [n for n, e in estimates.items() if e.std is not None and not e.at_bound and e.std > 0.5 * abs(e.value)]
+    wide = [n for n, e in estimates.items() if e.std is not None and not e.at_bound and not e.determined]
     if wide:
-        result.append(f"poorly determined (standard deviation over half the value): {', '.join(wide)}")
+        result.append(f"not determined (the 95 % interval reaches further than half the value): {', '.join(wide)}")
     result += _excess(solution, misfit)
     if moves:
         result.append(
@@ -100,9 +105,7 @@ def notes(
         result.append(
             f"integration error above a tenth of the noise in {', '.join(coarse)}: raise the number of substeps"
         )
-    rough = (
-        [] if shift is None else [(n, s) for n, s in zip(solution.variables.names, shift, strict=True) if s > SHIFTED]
-    )
+    rough = [] if shift is None else _moved_by_step(solution.variables, found, shift)
     if rough:
         listed = ", ".join(f"{n} by {s:.2g}" for n, s in rough)
         result.append(
@@ -112,9 +115,18 @@ def notes(
     return tuple(result)
 
 
+def _moved_by_step(variables: Variables, found: Uncertainty, shift: np.ndarray) -> list[tuple[str, float]]:
+    """Constants that half the step moves by too much of their standard deviation, and by how much of it."""
+    deviations = np.sqrt(np.diag(found.covariance))
+    known = np.isfinite(deviations) & np.isfinite(shift)
+    change = np.where(known, shift, 0.0) * np.where(known, deviations, 0.0)
+    moved = known & (shift > SHIFTED) & (change > LAST_DIGIT * np.abs(variables.base))
+    return [(variables.names[k], float(shift[k])) for k in np.flatnonzero(moved)]
+
+
 def _excess(solution: Solution, misfit: Mapping[str, Misfit]) -> list[str]:
     """What a misfit above the noise means, by how the noise is known."""
-    louder = {n: m.noise_ratio for n, m in misfit.items() if m.noise_ratio > VISIBLE}
+    louder = {n: ratio for n, ratio in clear_ratio(solution, misfit).items() if ratio > VISIBLE}
     if not louder:
         return []
     sources = solution.problem.noise.sources
@@ -131,6 +143,15 @@ def _moved(move: Move) -> str:
         f"{move.name} goes from {move.before:.4g} to {move.after:.4g} {move.unit} between {move.between},"
         f" {move.deviations:.2g} standard deviations of the noise"
     )
+
+
+def of_records(experiments: Sequence[Experiment]) -> tuple[str, ...]:
+    """What is to be known about the records themselves; records that share a note share its sentence."""
+    found: dict[str, list[str]] = {}
+    for experiment in experiments:
+        for text in experiment.notes:
+            found.setdefault(text, []).append(experiment.source or experiment.name)
+    return tuple(f"{', '.join(dict.fromkeys(names))}: {text}" for text, names in found.items())
 
 
 def describe(direction: Mapping[str, float]) -> str:

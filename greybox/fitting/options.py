@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
+
+from greybox.errors import ModelError, nearest
+from greybox.transcription.loss import loss_of
+
+TRANSCRIPTIONS = ("automatic", "single", "multiple", "collocation-radau", "collocation-legendre", "arcs")
+HESSIANS = ("gauss-newton", "exact")
 
 
 @dataclass(frozen=True)
@@ -28,6 +36,19 @@ class FitOptions:
     far off does not lock onto a wrong oscillation. ``iterations`` at most in each stage; ``tolerance`` of IPOPT; as a rule the
     search ends earlier, when a further step would change nothing that matters. ``thorough``: where the cost has a kink (dry
     friction) and its gradient misleads, search on without it; that takes many passes.
+
+    ``transcription``: ``single`` shooting runs the model freely from each record's initial state. ``multiple`` shooting runs it in
+    segments that meet at the optimum, for unstable plants. ``collocation-radau`` and ``collocation-legendre`` solve the equations at
+    points of each interval together with the fit: for smooth equations, with the states' bounds as path constraints; their
+    ``hessian`` is ``gauss-newton`` or ``exact``. ``arcs`` of ``arc_length`` seconds have an initial state each and need not meet: short
+    ones show the structure of the fast motion, long ones what drifts. ``automatic`` picks by the model, and by the record's length
+    (arcs where ``arc_length`` is given); the result says what, and why.
+
+    ``loss``: ``squares``, or a robust one that outliers cannot pull: ``huber`` or ``student``, with a threshold of its own if need be
+    (``huber:2`` noise standard deviations, ``student:3`` degrees of freedom), see `greybox.transcription.loss.Loss`. ``own``: constants
+    of which each experiment has a value of its own.
+
+    Raises ModelError for a choice that does not exist, or one that contradicts another.
     """
 
     at_rest: bool = False
@@ -37,3 +58,46 @@ class FitOptions:
     iterations: int = 200
     tolerance: float = 1e-12
     thorough: bool = True
+    transcription: str = "automatic"
+    arc_length: float = 0.0
+    hessian: str = "gauss-newton"
+    loss: str = "squares"
+    own: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "own", (self.own,) if isinstance(self.own, str) else tuple(self.own))
+        loss_of(self.loss)
+        if self.transcription not in TRANSCRIPTIONS:
+            raise ModelError(
+                f"unknown transcription {self.transcription!r}; {nearest(self.transcription, TRANSCRIPTIONS)}"
+            )
+        if self.hessian not in HESSIANS:
+            raise ModelError(f"unknown Hessian {self.hessian!r}; {nearest(self.hessian, HESSIANS)}")
+        if not (math.isfinite(self.arc_length) and self.arc_length >= 0):
+            raise ModelError(f"arc_length {self.arc_length} s: give a positive number of seconds, or 0 for no arcs")
+        if self.arc_length and self.transcription not in ("automatic", "arcs"):
+            raise ModelError(
+                f"arc_length {self.arc_length:g} s: transcription {self.transcription!r} has no arcs; leave out one of the two"
+            )
+        if self.transcription == "arcs" and not self.arc_length:
+            raise ModelError("transcription 'arcs' needs their length: give arc_length, in seconds")
+        if self.hessian == "exact" and not self.transcription.startswith("collocation"):
+            raise ModelError(
+                f"hessian 'exact': transcription {self.transcription!r} has none; take 'collocation-radau' or"
+                " 'collocation-legendre', or 'gauss-newton'"
+            )
+
+    @property
+    def robust(self) -> bool:
+        """Whether the loss is a robust one."""
+        return loss_of(self.loss) is not None
+
+
+def options_given(options: Any) -> FitOptions:
+    """``options``, or the usual ones for None. Raises ModelError for anything that is not `FitOptions`."""
+    if options is None:
+        return FitOptions()
+    if not isinstance(options, FitOptions):
+        shown = ", ".join(f"{k}={v!r}" for k, v in options.items()) if isinstance(options, dict) else "at_rest=True"
+        raise ModelError(f"options: {options!r} is no FitOptions; write options=FitOptions({shown})")
+    return options

@@ -61,8 +61,13 @@ class Colour:
         return max(independent - self.unknowns, 1.0)
 
 
-def colour_of(rows: Sequence[tuple[np.ndarray, np.ndarray]], unknowns: int, noise_given: bool) -> Colour:
-    """Autoregression of each output's weighted residual over all records, and its variance (at least one if the noise is given)."""
+def colour_of(
+    rows: Sequence[tuple[np.ndarray, np.ndarray]], unknowns: int, noise_given: bool, least: np.ndarray | None = None
+) -> Colour:
+    """Autoregression of each output's weighted residual over all records, and its variance.
+
+    If the noise is given that is at least one, or the ``least`` (ny,) that a robust loss leaves of it.
+    """
     outputs = rows[0][0].shape[1]
     total = sum(int(np.isfinite(r).sum()) for r, _ in rows)
     models, variances, counts = [], [], []
@@ -71,7 +76,7 @@ def colour_of(rows: Sequence[tuple[np.ndarray, np.ndarray]], unknowns: int, nois
         count = int(np.isfinite(series).sum())
         square = float(np.nansum(series**2)) / max(count, 1) * total / max(total - unknowns, 1)
         models.append(autoregression(series) if count >= LEAST_SAMPLES else AutoRegression())
-        variances.append(max(square, 1.0) if noise_given else square)
+        variances.append(max(square, 1.0 if least is None else float(least[j])) if noise_given else square)
         counts.append(count)
     return Colour(tuple(models), tuple(variances), tuple(counts), unknowns)
 
@@ -87,10 +92,15 @@ class Layout(Protocol):
         """Which unknowns one experiment concerns."""
 
 
-def score_covariance(variables: Layout, rows: Sequence[tuple[np.ndarray, np.ndarray]], colour: Colour) -> np.ndarray:
-    """Covariance (size, size) of the scores if the residual is the stationary process that ``colour`` says."""
+def score_covariance(
+    variables: Layout, rows: Sequence[tuple[np.ndarray, np.ndarray]], colour: Colour, experiments: Sequence[int] = ()
+) -> np.ndarray:
+    """Covariance (size, size) of the scores if the residual is the stationary process that ``colour`` says.
+
+    ``experiments``: which one each of ``rows`` is, in their order if left out.
+    """
     total = np.zeros((variables.size, variables.size))
-    for e, (r, jacobian) in enumerate(rows):
+    for e, (r, jacobian) in zip(experiments or range(len(rows)), rows, strict=True):
         slopes = np.where(np.isfinite(r)[:, :, None], jacobian, 0.0)
         block = np.ix_(variables.columns(e), variables.columns(e))
         for j, process in enumerate(colour.models):

@@ -1,273 +1,33 @@
-"""From a problem to its optimum: a growing part of the record, then all of it, then a check of the integrator."""
+"""From a problem to its optimum, by the transcription that was asked for or that suits the model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import numpy as np
-
-from greybox.fitting.growth import FOLLOWED, explained, first_share, following, shorter
-from greybox.fitting.options import FitOptions, Progress, Report
+from greybox.fitting.arcs import solve_arcs
+from greybox.fitting.choose import choose
+from greybox.fitting.collocated import solve_collocation
+from greybox.fitting.lifted import solve_multiple
+from greybox.fitting.options import FitOptions, Report
 from greybox.fitting.problem import Problem
-from greybox.integrators import substeps_for
-from greybox.optimiser import Iteration, Outcome, Status, minimise
-from greybox.transcription import Evaluation, Variables
+from greybox.fitting.single import solve_single
+from greybox.fitting.solution import Solution
 
-# While only part of the record is used, positive constants are held by a weak prior: a factor e^2 is one standard deviation.
-PRIOR = 0.25
-# Converged when the next Gauss-Newton step would lower chi-square by less than this (in units of the residual variance): the
-# constants are within 1 % of their standard deviations. Part of the record is only a way to a start: a tenth will do.
-NEGLIGIBLE, NEGLIGIBLE_IN_PART = 1e-4, 1e-2
-# ... or when it would lower the misfit over noise by less than this (data without noise end at rounding errors).
-PERFECT = 1e-7
-# A cost with kinks (dry friction) never meets that rule: enough when so many iterations gained less than this share of it.
-PATIENCE, LITTLE_GAIN = 12, 1e-5
-# A scaled variable this close to its bound, and pushed against it, is held there.
-AT_BOUND = 1e-6
-# The step is halved while that changes an output by more than this share of the noise, or of the misfit.
-OF_NOISE, OF_MISFIT, HALVINGS = 0.1, 0.01, 4
-# That is looked at over the first quarter of every record, or so many rows: three more simulations of all of it cost too much.
-CHECK_ROWS = 2000
-NO_RESULT = (Status.INTERRUPTED, Status.NO_START)
+__all__ = ["Solution", "solve"]
 
-
-@dataclass(frozen=True)
-class Solution:
-    """The optimum: ``variables`` with ``z = 0`` there, the evaluation, how it ended, and the work it took.
-
-    ``shares`` of the record that were fitted one after the other; ``strategy`` says in words what was picked.
-    """
-
-    problem: Problem
-    variables: Variables
-    evaluation: Evaluation
-    status: Status
-    solver_status: str
-    iterations: int
-    evaluations: int
-    seconds: float
-    shares: tuple[float, ...]
-    integration_error: np.ndarray
-    strategy: str = ""
+JOINED = {
+    "multiple": solve_multiple, "collocation-radau": solve_collocation, "collocation-legendre": solve_collocation,
+    "arcs": solve_arcs,
+}  # fmt: skip
 
 
 def solve(problem: Problem, options: FitOptions, report: Report | None = None) -> Solution:
-    """Minimise the noise-weighted free-run error of ``problem``."""
-    run = _Run(problem, options, report)
-    if options.progressive and problem.variables.size:
-        run.grow()
-    run.fit(1.0)
-    error = np.zeros(len(problem.noise.std))
-    for _ in range(HALVINGS):
-        if run.over:
-            break
-        finer, error = _finer(run.problem, run.variables, run.evaluation, options)
-        if finer is None:
-            break
-        run.problem, run.known = finer, None
-        run.fit(1.0)
-    return Solution(
-        run.problem, run.variables, run.evaluation, run.status, run.word, run.iterations, run.passes, run.seconds,
-        tuple(run.shares), error, _strategy(run.shares),
-    )  # fmt: skip
+    """Minimise the noise-weighted simulation error of ``problem``; `Solution.strategy` says how, and why so.
 
-
-class _Run:
-    """A search in progress: where it is, and the work so far.
-
-    ``known`` is the evaluation at ``z = 0`` of ``variables`` over the share that comes next, where a former stage has it already.
+    Raises ModelError for a transcription that the model does not allow.
     """
-
-    def __init__(self, problem: Problem, options: FitOptions, report: Report | None) -> None:
-        self.problem, self.options, self.report = problem, options, report
-        self.variables = problem.variables
-        self.status, self.word = Status.CONVERGED, ""
-        self.iterations = self.passes = 0
-        self.seconds = 0.0
-        self.shares: list[float] = []
-        self.known: Evaluation | None = None
-
-    @property
-    def over(self) -> bool:
-        """Whether there is nothing to go on from."""
-        return self.status in NO_RESULT
-
-    @property
-    def evaluation(self) -> Evaluation:
-        """The present point over the whole record."""
-        if self.known is None:
-            self.known = self.measure(1.0)
-        return self.known
-
-    def measure(self, share: float) -> Evaluation:
-        """The present point over part of the record."""
-        self.passes += 1
-        return self.problem.shooting(self.variables, share).evaluate(np.zeros(self.variables.size))
-
-    def grow(self) -> None:
-        """Fit a growing part of the record, until a part foretells the whole."""
-        share, outcome = self.begin()
-        while outcome is not None and not self.over and share < 1:
-            share, self.known = following(self.problem, share, outcome.value, self.measure)
-            if share < 1:
-                outcome = self.fit(share)
-
-    def begin(self) -> tuple[float, Outcome | None]:
-        """Fit the first part: one so short that it can be followed from these start values, if there is one."""
-        share, start = first_share(self.problem), self.variables
-        tried: list[tuple[float, float, Variables, Outcome]] = []
-        while share < 1:
-            self.variables, self.status = start, Status.CONVERGED
-            outcome = self.fit(share)
-            if outcome is not None:
-                tried.append((explained(self.problem, outcome.value, share), share, self.variables, outcome))
-            less = shorter(self.problem, share)
-            if self.status is Status.INTERRUPTED or less == share or (outcome is not None and tried[-1][0] >= FOLLOWED):
-                break
-            share = less
-        if not tried:
-            return 1.0, None
-        _, share, self.variables, outcome = max(tried, key=lambda one: one[0])
-        self.status = outcome.status
-        return share, outcome
-
-    def fit(self, share: float) -> Outcome | None:
-        """One minimisation over part of the record; None where it cannot begin."""
-        if self.over:
-            self.known = None
-            return None
-        start = self.known or self.measure(share)
-        self.known = None
-        if not np.isfinite(start.cost):
-            self.status = Status.NO_START
-            return None
-        self.shares.append(share)
-        variables, start = _rescaled(self.variables, start)
-        shooting = self.problem.shooting(variables, share)
-        evaluate, prior = shooting.evaluate, _prior(variables, start) if share < 1 else None
-        low, high = variables.bounds()
-        outcome = minimise(
-            evaluate if prior is None else lambda z: prior(z, evaluate(z)), np.zeros(variables.size), low, high,
-            scale=max(start.cost, 1e-300), first=start, tolerance=self.options.tolerance, iterations=self.options.iterations,
-            finished=_finished(low, high, NEGLIGIBLE if share == 1 else NEGLIGIBLE_IN_PART), thorough=self.options.thorough and share == 1,
-            progress=self.progress(share),
-        )  # fmt: skip
-        self.variables, self.status, self.word = variables.moved(outcome.z), outcome.status, outcome.solver_status
-        self.iterations += outcome.iterations
-        self.passes += outcome.evaluations
-        self.seconds += outcome.seconds
-        self.known = outcome.value if share == 1 else None
-        return outcome
-
-    def progress(self, share: float) -> Iteration | None:
-        """What IPOPT calls after each iteration."""
-        if self.report is None:
-            return None
-        report, stage, stages = self.report, len(self.shares), len(self.shares) + (share < 1)
-        count = sum(int(np.isfinite(r.y[: round(share * len(r.u))]).sum()) for r in self.problem.records)
-
-        def progress(iteration: int, cost: float) -> None:
-            report(Progress(stage, stages, iteration, float(np.sqrt(cost / max(count, 1)))))
-
-        return progress
-
-
-def _strategy(shares: list[float]) -> str:
-    """What was picked, in words."""
-    if len(shares) < 2:
-        return "single shooting on the whole record"
-    parts = ", ".join(f"{100 * share:.3g} %" for share in shares)
-    return f"single shooting on a growing record ({parts})"
-
-
-def _rescaled(variables: Variables, start: Evaluation) -> tuple[Variables, Evaluation]:
-    """Variables in which a step of one changes the cost by about itself, and the evaluation along them."""
-    curvature = np.diag(start.hessian) / 2
-    scaled = variables.rescaled(start.cost, curvature)
-    ratio = _spans(scaled) / _spans(variables)
-    return scaled, replace(start, gradient=start.gradient * ratio, hessian=start.hessian * ratio[:, None] * ratio)
-
-
-def _spans(v: Variables) -> np.ndarray:
-    """Physical size of a step of one in each entry of ``z`` (for a logarithmic one, in its logarithm)."""
-    states = np.tile(v.initial.scale[v.states_each], v.experiments)
-    return np.concatenate([np.where(v.logarithmic, 1.0, v.scale), states])
-
-
-def _prior(v: Variables, start: Evaluation) -> Callable[[np.ndarray, Evaluation], Evaluation]:
-    """Adds to a cost a weak prior on positive constants, in units of the residual variance at the start."""
-    held = np.zeros(v.size)
-    held[: len(v.which)] = np.where(v.logarithmic, PRIOR * max(1.0, start.cost / max(start.count, 1)), 0.0)
-
-    def added(z: np.ndarray, e: Evaluation) -> Evaluation:
-        return replace(
-            e, cost=e.cost + held @ z**2, gradient=e.gradient + 2 * held * z, hessian=e.hessian + np.diag(2 * held)
-        )
-
-    return added
-
-
-def _finished(
-    low: np.ndarray, high: np.ndarray, negligible: float
-) -> Callable[[np.ndarray, Evaluation], Status | None]:
-    """Ends a search when a further Gauss-Newton step, off the bounds, would change nothing that matters, or none helps."""
-    costs: list[float] = []
-
-    def finished(z: np.ndarray, e: Evaluation) -> Status | None:
-        inside = ~((z - low <= AT_BOUND) & (e.gradient > 0) | (high - z <= AT_BOUND) & (e.gradient < 0))
-        decrease = _promised(e.gradient[inside], e.hessian[inside][:, inside])
-        if decrease <= negligible * e.cost / max(e.count, 1) + PERFECT**2 * e.count:
-            return Status.CONVERGED
-        costs.append(e.cost)
-        flat = len(costs) > PATIENCE and costs[-1 - PATIENCE] - e.cost <= LITTLE_GAIN * e.cost
-        return Status.ACCEPTABLE if flat else None
-
-    return finished
-
-
-def _promised(gradient: np.ndarray, hessian: np.ndarray) -> float:
-    """By how much a Gauss-Newton step would lower the cost: ``g' H^-1 g / 2`` over the directions that have a curvature."""
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = hessian / scale / scale[:, None]
-    if not np.isfinite(scaled).all():  # sensitivities near overflow: anything may still be gained
-        return np.inf
-    curvature, vectors = np.linalg.eigh(scaled)
-    usable = curvature > 1e-13 * curvature.max(initial=0.0)
-    return 0.5 * float(np.sum((vectors.T @ (gradient / scale))[usable] ** 2 / curvature[usable]))
-
-
-def _finer(
-    problem: Problem, variables: Variables, evaluation: Evaluation, options: FitOptions
-) -> tuple[Problem | None, np.ndarray]:
-    """A problem with a smaller step, if the present one is too coarse at the optimum; and its error over the noise (ny,).
-
-    The error is that over the first quarter of each record.
-    """
-    if problem.step.per_interval:
-        return None, np.zeros(len(problem.noise.std))
-    z = np.zeros(variables.size)
-    beginning = replace(problem, records=tuple(r.first(max(CHECK_ROWS, len(r.u) // 4)) for r in problem.records))
-    runs = beginning.shooting(variables).simulate(z)
-    longest = max(float(r.lengths.max()) for r in problem.records)
-    visited = np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs])
-    needed = substeps_for(problem.model.system, variables.fixed, visited, longest)
-    used = problem.step.substeps
-    finer = _with_substeps(beginning, 2 * used, variables.fixed).shooting(variables).simulate(z)
-    change = np.concatenate([a - b for (a, _), (b, _) in zip(runs, finer, strict=True)])
-    error = np.sqrt(np.mean(change**2, axis=0)) / problem.noise.std
-    ratio = np.sqrt(evaluation.squares / np.maximum(evaluation.counts, 1))
-    if options.substeps:
-        return None, error
-    if not np.isfinite(error).all() or np.any(error > np.maximum(OF_NOISE, OF_MISFIT * ratio)):
-        return _with_substeps(problem, max(2 * used, needed), variables.fixed), error
-    return (_with_substeps(problem, needed, variables.fixed) if needed > used else None), error
-
-
-def _with_substeps(problem: Problem, substeps: int, p: np.ndarray) -> Problem:
-    """The same step, repeated more often: nothing is compiled. A delayed input is cut differently, so its step is made anew."""
-    if problem.step.past is not None:
-        return problem.with_step(substeps, p)
-    step = replace(problem.step, substeps=substeps)
-    return replace(problem, step=step, kernel=problem.kernel.repeated(substeps))
+    choice = choose(problem, options)
+    if choice.transcription in JOINED:
+        return JOINED[choice.transcription](choice, options, report)
+    found = solve_single(choice.problem, options, report)
+    return replace(found, strategy=choice.told(found.strategy))

@@ -8,13 +8,10 @@ import numpy as np
 
 from greybox.fitting.problem import Problem
 from greybox.result import Misfit, Trace
-from greybox.transcription import Variables
 
 
-def traces(problem: Problem, variables: Variables) -> tuple[Trace, ...]:
-    """Each record with the model's free run over it, at ``z = 0`` of ``variables``."""
-    z = np.zeros(variables.size)
-    runs = problem.shooting(variables).simulate(z)
+def traces(problem: Problem, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[Trace, ...]:
+    """Each record with the model's run over it: outputs (N, ny) and states (N, nx) for each."""
     states = problem.model.system.state_names
     result = []
     for experiment, record, (y, x) in zip(problem.experiments, problem.records, runs, strict=True):

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from greybox.fitting.sandwich import colour_of, kernel_score_covariance, score_covariance
-from greybox.result import Estimate
 from greybox.transcription import Evaluation, Variables
 
 # A direction of the scaled constants with less than this share of the largest curvature is not determined.
@@ -25,7 +24,8 @@ class Uncertainty:
 
     ``kind``: ``gauss_newton`` (white residual) or ``sandwich`` (coloured residual); ``inflation`` (nf,): standard deviation over
     the one that a white residual of the same size would give; ``degrees`` of freedom of the variance behind it, infinite where
-    the noise was given and not exceeded.
+    the noise was given and not exceeded. ``information`` and ``scores`` (nf, nf), both in ``z`` and with the initial states estimated
+    as well: curvature of half the data's cost, and the covariance of its slope; NaN for a constant at its bound.
     """
 
     covariance: np.ndarray
@@ -33,71 +33,89 @@ class Uncertainty:
     kind: str = GAUSS_NEWTON
     inflation: np.ndarray | None = None
     degrees: float = np.inf
+    information: np.ndarray | None = None
+    scores: np.ndarray | None = None
 
 
 def uncertainty(
-    variables: Variables, evaluation: Evaluation, noise_given: bool, rows: Rows | None = None
-) -> Uncertainty:
+    variables: Variables, evaluation: Evaluation, noise_given: bool, rows: Rows | None = None, unknowns: int | None = None,
+    least: np.ndarray | None = None,
+) -> Uncertainty:  # fmt: skip
     """Covariance of the constants, initial states projected out; constants at a bound count as fixed there.
 
-    Where the residual is white it is the Gauss-Newton covariance ``s^2 (J'J)^-1``, ``s^2`` being the residual variance over the noise
-    variance, and at least one where the noise was given; with ``rows`` each output has an ``s^2`` of its own. Where it is coloured
-    it is the sandwich ``(J'J)^-1 J' R J (J'J)^-1`` with the covariance ``R`` of the residual (`greybox.fitting.sandwich`). That
-    needs ``rows``, the residuals and Jacobians of each record; without them the residual is taken to be white. Constants along an
-    undetermined direction get an infinite variance.
+    With the Jacobian ``J`` of the residual, its covariance ``R`` and the precision ``P`` of the priors it is the sandwich
+    ``A^-1 (J'R J + P) A^-1`` with ``A = J'J + P``. Where the residual is white, ``R`` is ``s^2``, the residual variance over the noise
+    variance, and at least one where the noise was given: without priors that is ``s^2 (J'J)^-1``, the Gauss-Newton covariance, and
+    with them, at ``s^2 = 1``, the posterior covariance ``A^-1``. With ``rows``, the residuals and Jacobians of each record, each output
+    has an ``s^2`` of its own and the residual may be coloured (`greybox.fitting.sandwich`); without them it is taken to be white.
+    Constants along an undetermined direction get an infinite variance. ``unknowns``: how many numbers were estimated.
+    ``least`` (ny,): see `colour_of`.
     """
     n = len(variables.which)
     covariance = np.full((n, n), np.nan)
     if n == 0 or not np.isfinite(evaluation.cost):
         return Uncertainty(covariance, ())
-    inside = np.flatnonzero(~variables.active(variables.fixed))
-    projector = _projector(evaluation.hessian / 2, n)
-    information = (projector @ evaluation.hessian[:, :n] / 2)[np.ix_(inside, inside)]
+    unknowns = variables.size if unknowns is None else unknowns
+    prior = variables.penalty(np.zeros(variables.size))[2] / 2
+    known = np.diag(np.pad(prior, (0, variables.size - n)))
+    data = evaluation.hessian / 2 - known if rows is None else information_of(variables, rows)
+    inside = np.flatnonzero(~variables.active)
+    block = np.ix_(inside, inside)
+    projector = _projector(data + known, n)
+    information = (projector @ data[:, :n])[block]
     information = (information + information.T) / 2
+    held = np.diag(prior[inside])
+    inverse, weak, scale = inverted(information + held)
+    degrees = float(max(evaluation.count - unknowns + int(variables.held.sum()), 1))
+    variance = float(evaluation.squares.sum()) / degrees
+    if noise_given:
+        degrees = np.inf if variance <= 1 or least is not None else degrees
+        variance = max(variance, 1.0)
+    scores, kind, inflation = variance * information, GAUSS_NEWTON, np.ones(n)
+    if rows is not None:
+        colour = colour_of(rows, unknowns, noise_given, least)
+        scores = (projector @ score_covariance(variables, rows, colour.white) @ projector.T)[block]
+    spread = inverse @ (scores + held) @ inverse
+    if rows is not None and colour.coloured:
+        white = np.diag(spread)
+        scores = (projector @ score_covariance(variables, rows, colour) @ projector.T)[block]
+        other = kernel_score_covariance(variables, rows, colour, projector)[block]
+        spread = larger(*(inverse @ (middle + held) @ inverse for middle in (scores, other)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inflation[inside] = np.sqrt(np.diag(spread) / white)
+        kind, degrees = SANDWICH, colour.degrees
+    spread[np.diag_indices_from(spread)] = np.where(takes_part(weak), np.inf, np.diag(spread))
+    slopes = variables.spans[inside]
+    covariance[block] = spread * np.outer(slopes, slopes)
+    names = [variables.names[k] for k in inside]
+    directions = tuple(direction_of(names, weak[:, k] / scale) for k in range(weak.shape[1]))
+    return Uncertainty(
+        covariance, directions, kind, inflation, degrees, _placed(information, inside, n), _placed(scores, inside, n)
+    )
+
+
+def information_of(variables: Variables, rows: Rows) -> np.ndarray:
+    """``J'J`` (size, size) of the residuals that were measured."""
+    total = np.zeros((variables.size, variables.size))
+    for e, (r, jacobian) in enumerate(rows):
+        slopes, columns = jacobian[np.isfinite(r)], variables.columns(e)
+        total[np.ix_(columns, columns)] += slopes.T @ slopes
+    return total
+
+
+def inverted(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The inverse, zero along directions without information; these directions (n, k), scaled; and the scale (n,) of each entry."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     weak = values <= UNDETERMINED * max(values.max(initial=0.0), 1.0)
     inverse = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
-    degrees = float(max(evaluation.count - variables.size, 1))
-    variance = evaluation.cost / degrees
-    if noise_given:
-        degrees = np.inf if variance <= 1 else degrees
-        variance = max(variance, 1.0)
-    plain, kind, inflation = variance * inverse, GAUSS_NEWTON, np.ones(n)
-    if rows is not None:
-        block, colour = np.ix_(inside, inside), colour_of(rows, variables.size, noise_given)
-
-        def between(scores: np.ndarray) -> np.ndarray:
-            return inverse @ scores[block] @ inverse
-
-        plain = between(projector @ score_covariance(variables, rows, colour.white) @ projector.T)
-        if colour.coloured:
-            robust = between(projector @ score_covariance(variables, rows, colour) @ projector.T)
-            robust = _larger(robust, between(kernel_score_covariance(variables, rows, colour, projector)))
-            with np.errstate(divide="ignore", invalid="ignore"):
-                inflation[inside] = np.sqrt(np.diag(robust) / np.diag(plain))
-            plain, kind, degrees = robust, SANDWICH, colour.degrees
-    plain[np.diag_indices_from(plain)] = np.where(_takes_part(vectors[:, weak]), np.inf, np.diag(plain))
-    slopes = variables.slopes(variables.fixed)[inside]
-    covariance[np.ix_(inside, inside)] = plain * np.outer(slopes, slopes)
-    names = [variables.names[k] for k in inside]
-    directions = tuple(_direction(names, vectors[:, k] / scale) for k in np.flatnonzero(weak))
-    return Uncertainty(covariance, directions, kind, inflation, degrees)
+    return inverse, vectors[:, weak], scale
 
 
-def estimates(variables: Variables, found: Uncertainty) -> dict[str, Estimate]:
-    """Every parameter of the model with its interval; of a positive constant the interval is multiplicative."""
-    p = variables.fixed
-    result = {q.name: Estimate(float(p[k]), q.unit, fixed=True) for k, q in enumerate(variables.model.all_parameters)}
-    active = variables.active(p)
-    for k, name in enumerate(variables.names):
-        q = variables.model.parameter(name)
-        value, variance = float(p[variables.which[k]]), found.covariance[k, k]
-        std = float(np.sqrt(variance)) if np.isfinite(variance) else None
-        reach = quantile(found.degrees) * (std or 0.0)
-        limits = None if std is None else interval(value, reach, q.positive, q.bounds)
-        result[name] = Estimate(value, q.unit, std, limits, False, bool(active[k]))
-    return result
+def _placed(matrix: np.ndarray, inside: np.ndarray, n: int) -> np.ndarray:
+    whole = np.full((n, n), np.nan)
+    whole[np.ix_(inside, inside)] = matrix
+    return whole
 
 
 def quantile(degrees: float) -> float:
@@ -124,7 +142,7 @@ def _projector(information: np.ndarray, n: int) -> np.ndarray:
     return np.hstack([np.eye(n), -b @ np.linalg.pinv(c, rcond=1e-12, hermitian=True)]) if c.size else np.eye(n)
 
 
-def _larger(covariance: np.ndarray, other: np.ndarray) -> np.ndarray:
+def larger(covariance: np.ndarray, other: np.ndarray) -> np.ndarray:
     """``covariance`` with each standard deviation raised to that of the other."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.sqrt(np.diag(other) / np.diag(covariance))
@@ -132,12 +150,13 @@ def _larger(covariance: np.ndarray, other: np.ndarray) -> np.ndarray:
     return covariance * np.outer(factor, factor)
 
 
-def _takes_part(weak: np.ndarray) -> np.ndarray:
+def takes_part(weak: np.ndarray) -> np.ndarray:
     """Which constants a set of undetermined directions touches."""
     return np.any(np.abs(weak) > 1e-3, axis=1)
 
 
-def _direction(names: list[str], vector: np.ndarray) -> dict[str, float]:
+def direction_of(names: list[str], vector: np.ndarray) -> dict[str, float]:
+    """A direction of constants as names with weights, the largest of them one."""
     largest = np.abs(vector).max()
     share = vector / (largest * np.sign(vector[np.argmax(np.abs(vector))]))
     return {name: float(w) for name, w in zip(names, share, strict=True) if abs(w) > 1e-2}

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from greybox.errors import DataError
 from greybox.experiment import Experiment
-from greybox.fitting.options import FitOptions
-from greybox.fitting.problem import Problem, prepare
+from greybox.fitting.choose import choose
+from greybox.fitting.options import FitOptions, options_given
+from greybox.fitting.problem import Problem, initial_states, prepare
+from greybox.fitting.robust import robustly
 from greybox.fitting.solve import solve
 from greybox.fitting.traces import misfits, traces
 from greybox.model import Model
@@ -37,21 +41,35 @@ def validate(
     """Run ``model`` freely over each experiment and measure the error.
 
     The initial state is the declared one (``options.at_rest``), or estimated from the first rows: the ``skip`` rows that are left
-    out of the errors, or the first 50. The constants are not touched.
+    out of the errors, or the first 50. The constants are not touched. An unstable model cannot run freely for long: there the
+    initial state is estimated from the whole record, ``at_rest`` or not, and the run is that of segments that meet. With a robust
+    ``options.loss`` outliers among the first rows do not spoil it.
     """
-    options = options or FitOptions()
+    options = replace(options_given(options), transcription="automatic", arc_length=0.0, hessian="gauss-newton")
     frozen = model.fix(*model.values)
     problem = prepare(
-        frozen, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps
+        frozen, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, robust=options.robust
     )  # fmt: skip
     shortest = min(len(r.u) for r in problem.records)
     if skip < 0 or skip >= shortest:
         raise DataError(f"skip: {skip} rows, but the shortest validation record has {shortest}; leave out fewer rows")
-    variables = problem.variables
-    if not options.at_rest:
-        beginning = _beginning(problem, skip or FIRST_ROWS)
-        variables = solve(beginning, replace(options, progressive=False)).variables
-    found = traces(problem, variables)
+    choice = choose(problem, replace(options, progressive=False))
+    problem = choice.problem
+    if choice.transcription == "multiple":
+        conditions = [e.conditions for e in problem.experiments]
+        initial = initial_states(frozen, problem.records, False, conditions)
+        problem = replace(problem, variables=replace(problem.variables, initial=initial))
+        runs = solve(problem, replace(options, transcription="multiple")).simulate()
+    else:
+        variables = problem.variables
+        if not options.at_rest:
+            beginning, single = (
+                _beginning(problem, skip or FIRST_ROWS),
+                replace(options, transcription="single", progressive=False),
+            )
+            variables = robustly(solve(beginning, single), single, None).variables
+        runs = tuple(problem.shooting(variables).simulate(np.zeros(variables.size)))
+    found = traces(problem, runs)
     return Validation(misfits(problem, found, skip), found)
 
 

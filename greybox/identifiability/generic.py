@@ -10,7 +10,6 @@ from greybox.errors import DataError, ModelError
 from greybox.experiment import Experiment
 from greybox.model import Model
 from greybox.model.rule import check_constants
-from greybox.signals import Named
 from greybox.simulation import initial_state, simulate
 
 LEAST_ROWS, MOST_ROWS = 1000, 12000
@@ -102,16 +101,13 @@ def generic_constants(model: Model, generator: np.random.Generator, spread: floa
     Inside bounds and rules; where these leave no room the spread shrinks, down to the values themselves.
     """
     parameters = model.all_parameters
-    roles = {q.role: q.name for q in model.parameters if q.role}
     for _ in range(TRIES):
         draw = generator.uniform(-1.0, 1.0, len(parameters))
         p = [
             q.value if q.fixed else _drawn(q.value, q.bounds, spread * r) for q, r in zip(parameters, draw, strict=True)
         ]
         try:
-            check_constants(
-                model.title, model.rules, Named("parameter", dict(zip(model.values, p, strict=True)), roles)
-            )
+            check_constants(model.title, model.rules, model.constants_at(p))
         except ModelError:
             spread /= 2
             continue

@@ -143,14 +143,13 @@ def _constants(problem: Problem, information: np.ndarray, samples: float) -> dic
     weak = values <= OPEN * max(values.max(initial=0.0), 1.0)
     variance = ((vectors[:, ~weak] / values[~weak]) * vectors[:, ~weak]).sum(axis=1) / scale**2
     variance = np.where((np.abs(vectors[:, weak]) > 1e-3).any(axis=1), np.inf, variance)
-    slopes, p = variables.slopes(variables.fixed), variables.fixed
     found = {}
     for k, name in enumerate(variables.names):
-        value, unit = float(p[variables.which[k]]), problem.model.parameter(name).unit
+        value, unit = float(variables.base[k]), variables.quantities[k].unit
         if not np.isfinite(variance[k]):
             found[name] = Expected(value, unit, None, False)
             continue
-        std = float(np.sqrt(variance[k]) * abs(slopes[k]))
+        std = float(np.sqrt(variance[k]) * abs(variables.spans[k]))
         share = std / abs(value) if value else 0.0
         found[name] = Expected(value, unit, std, REACH * share <= HALF, bool(share * np.sqrt(samples) > HALF))
     return found

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import casadi as ca
 import numpy as np
-from scipy.linalg import expm
 
 from greybox.errors import ModelError
+from greybox.integrators.call import call
+from greybox.integrators.exponential import exponentials, places_of
 from greybox.integrators.late_hold import LateInput
 from greybox.integrators.past import extra_columns, late_outputs
 from greybox.integrators.step import Past, Step
@@ -40,78 +39,40 @@ def exact_hold(system: System, past: Past | None = None) -> Step:
         begin[past.column] = run[past.column] = 0
         q, outputs = ca.vertcat(q, late.q), late_outputs(system, past)
     following = phi @ x + g1 @ ca.vertcat(begin, 1) + g2 @ run + (late.share if late else 0)
+    places = places_of(nx, nu)
 
     def coefficients(p: np.ndarray, lengths: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        m, dm = (np.asarray(block) for block in matrices(p))
-        size = nx + 2 * (nu + 1)
-        generator = m.reshape(size, size, order="F")
-        slopes = dm.reshape(size, size, -1, order="F")[:, :, which]
-        rows = []
-        for length in lengths:
-            whole = exponential(generator, slopes, length, nx)
-            parts = [whole.flat()]
-            if late is not None:
-                seconds, by_p, rest = late.rest(p, length)
-                after, drive = exponential(generator, slopes, rest, nx), generator[:nx, nx + late.past.column]
-                parts.append(late.coefficients(whole, after, drive, seconds, by_p[which], length))
-            rows.append(tuple(np.concatenate(values) for values in zip(*parts, strict=True)))
-        return np.array([q for q, _ in rows]), np.array([dq for _, dq in rows])
+        generator, along = call(matrices, p)
+        size = len(generator)
+        slopes = along.T.reshape(-1, size, size)[which].transpose(0, 2, 1)
+        whole = exponentials(generator, slopes, lengths, nx)
+        q, dq = whole.flat(places)
+        if late is None:
+            return q, dq
+        gains = [late.gains(whole.of(k), generator, slopes, p, which, length) for k, length in enumerate(lengths)]
+        return np.hstack([q, [g for g, _ in gains]]), np.hstack([dq, [dg for _, dg in gains]])
 
     advance = ca.Function("advance", [x, ua, ub, q, h], [following])
-    return Step("exact hold", advance, outputs, coefficients, per_interval=True, past=past)
+    generator = None if late else _generator(system)
+    return Step("exact hold", advance, outputs, coefficients, per_interval=True, past=past, generator=generator)
+
+
+def _generator(system: System) -> ca.Function:
+    """``p -> vec([A, B, c])`` of ``dx/dt = A x + B u + c``."""
+    xu = ca.vertcat(system.x, system.u)
+    constant = ca.substitute(system.rhs, xu, ca.SX.zeros(xu.numel()))
+    whole = ca.horzcat(ca.jacobian(system.rhs, xu), constant)
+    return ca.Function("generator", [system.p], [ca.densify(ca.vec(whole))])
 
 
 def _matrices(system: System) -> ca.Function:
-    """``p -> (generator, d generator / d p)`` with generator ``[[A, [B c], 0], [0, 0, I], [0, 0, 0]]`` per second, flattened.
+    """``p -> (M, d vec(M) / d p)`` with ``M = [[A, [B c], 0], [0, 0, I], [0, 0, 0]]`` per second.
 
-    The identity block stands for the ramp of the input over one interval: it is not multiplied by the interval length.
+    The identity block stands for the ramp of the input over one interval: it is not multiplied by the interval length, and left
+    out here.
     """
-    nx, nu = system.x.numel(), system.u.numel()
-    a = ca.jacobian(system.rhs, system.x)
-    b = ca.jacobian(system.rhs, system.u)
-    c = ca.substitute(system.rhs, ca.vertcat(system.x, system.u), ca.SX.zeros(nx + nu))
-    size = nx + 2 * (nu + 1)
-    generator = ca.SX.zeros(size, size)
-    generator[:nx, :nx] = a
-    generator[:nx, nx : nx + nu + 1] = ca.horzcat(b, c)
-    flat = ca.vec(generator)
-    return ca.Function("matrices", [system.p], [ca.densify(flat), ca.densify(ca.jacobian(flat, system.p))])
-
-
-class Blocks(NamedTuple):
-    """``Phi`` (nx, nx), ``G1`` (nx, nu + 1), ``G2`` (nx, nu) of one length, and their slopes along n parameters (n, ...)."""
-
-    values: tuple[np.ndarray, ...]
-    slopes: tuple[np.ndarray, ...]
-
-    def flat(self) -> tuple[np.ndarray, np.ndarray]:
-        """Values (nq,) and slopes (nq, n), each block column by column."""
-        n = len(self.slopes[0])
-        values = np.concatenate([block.ravel(order="F") for block in self.values])
-        return values, np.concatenate(
-            [b.transpose(0, 2, 1).reshape(n, b.shape[1] * b.shape[2]) for b in self.slopes], axis=1
-        ).T
-
-
-def exponential(generator: np.ndarray, slopes: np.ndarray, length: float, nx: int) -> Blocks:
-    """Blocks for one interval length, and their derivatives by the exponential of ``[[M, dM], [0, M]]``."""
-    size, n = generator.shape[0], slopes.shape[2]
-    inputs = (size - nx) // 2
-    scaled = generator * length
-    scaled[nx : nx + inputs, nx + inputs :] = np.eye(inputs)
-    if not (np.isfinite(scaled).all() and np.isfinite(slopes).all()):
-        return Blocks(
-            _cut(np.full((size, size), np.nan), nx, inputs), _cut(np.full((n, size, size), np.nan), nx, inputs)
-        )
-    if n == 0:
-        return Blocks(_cut(expm(scaled), nx, inputs), _cut(np.empty((0, size, size)), nx, inputs))
-    pairs = np.zeros((n, 2 * size, 2 * size))
-    pairs[:, :size, :size] = pairs[:, size:, size:] = scaled
-    pairs[:, :size, size:] = np.moveaxis(slopes, 2, 0) * length
-    exponentials = expm(pairs)
-    return Blocks(_cut(exponentials[0, :size, :size], nx, inputs), _cut(exponentials[:, :size, size:], nx, inputs))
-
-
-def _cut(e: np.ndarray, nx: int, inputs: int) -> tuple[np.ndarray, ...]:
-    """``Phi, G1, G2``; the constant's column has no ramp."""
-    return e[..., :nx, :nx], e[..., :nx, nx : nx + inputs], e[..., :nx, nx + inputs : nx + 2 * inputs - 1]
+    nx, size = system.x.numel(), system.x.numel() + 2 * (system.u.numel() + 1)
+    rows = ca.reshape(_generator(system)(system.p), nx, nx + system.u.numel() + 1)
+    m = ca.SX.zeros(size, size)
+    m[:nx, : rows.size2()] = rows
+    return ca.Function("matrices", [system.p], [ca.densify(m), ca.densify(ca.jacobian(ca.vec(m), system.p))])

@@ -7,17 +7,15 @@ enters with ``g(b)`` for the row of ``n`` intervals ago and ``g(h) - g(b)`` for 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
+from greybox.integrators.call import call
+from greybox.integrators.exponential import Blocks, exponentials
 from greybox.integrators.past import seconds_of
 from greybox.integrators.step import Past
 from greybox.model.system import System
-
-if TYPE_CHECKING:
-    from greybox.integrators.exact_hold import Blocks
 
 
 class LateInput:
@@ -31,38 +29,35 @@ class LateInput:
         self.q = ca.vertcat(ca.vec(level), ca.vec(ramp))
         self.share = level @ ua[own] + ramp @ ((ub - ua)[own] * ua[-2])
         seconds = seconds_of(system)(system.p)
-        self.seconds = ca.Function("seconds", [system.p], [seconds, ca.densify(ca.jacobian(seconds, system.p))])
+        densified = ca.densify(ca.jacobian(seconds, system.p))
+        self.seconds = ca.Function("seconds", [system.p], [ca.densify(seconds), densified])
 
-    def rest(self, p: np.ndarray, length: float) -> tuple[float, np.ndarray, float]:
-        """Delay in seconds, its slope (np,), and what is left of an interval of ``length`` after the cut."""
-        seconds, slope = (np.asarray(value).ravel() for value in self.seconds(p))
-        delay, whole = self._split(float(seconds[0]), length)
-        return float(seconds[0]), slope, (1 - (delay - whole)) * length
-
-    def coefficients(
-        self, whole: Blocks, rest: Blocks, drive: np.ndarray, seconds: float, slope: np.ndarray, h: float
+    def gains(
+        self, whole: Blocks, generator: np.ndarray, slopes: np.ndarray, p: np.ndarray, which: np.ndarray, h: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Gains (nq,) and their slopes (nq, n) along parameters, along which the delay has the ``slope`` (n,).
+        """Gains (nq,) and their slopes (nq, n) along the parameters numbered ``which``, for an interval of ``h`` seconds.
 
-        ``whole`` and ``rest`` are the blocks of the interval and of what is left after the cut, ``drive`` (nx,) the column of B.
+        ``whole`` are the blocks of the interval, ``generator`` and ``slopes`` what they are exponentials of.
         """
-        delay, n = self._split(seconds, h)
-        c, b = self.past.column, (1 - (delay - n)) * h
-        db = -slope if 0 <= seconds <= self.past.rows * h else 0 * slope
+        seconds, along = (value.ravel() for value in call(self.seconds, p))
+        delay, n = self._split(float(seconds[0]), h)
+        c, b, nx = self.past.column, (1 - (delay - n)) * h, len(whole.values[0])
+        db = -along[which] if 0 <= seconds[0] <= self.past.rows * h else 0 * along[which]
+        rest = exponentials(generator, slopes, np.array([b]), nx).of(0)
         (g1, g2), (dg1, dg2) = _columns(whole, c)
         (r1, r2), (dr1, dr2) = _columns(rest, c)
         # d g(b) / d b = exp(A b) B; d (b G2(b)) / d b = g(b)
-        rate = rest.values[0] @ drive
+        rate = rest.values[0] @ generator[:nx, nx + c]
         dr2 = b * dr2 + np.outer(db, r1)
         dr1 = dr1 + np.outer(db, rate)
-        gains = np.zeros((2, self.rows, len(g1)))
-        slopes = np.zeros((len(slope), *gains.shape))
+        gains = np.zeros((2, self.rows, nx))
+        changes = np.zeros((len(which), *gains.shape))
         gains[:, n] = r1, b * r2 / h
         gains[:, n + 1] = g1 - r1, g2 + b / h * (g1 - r2) - r1
-        slopes[:, 0, n], slopes[:, 1, n] = dr1, dr2 / h
-        slopes[:, 0, n + 1] = dg1 - dr1
-        slopes[:, 1, n + 1] = dg2 + b / h * dg1 + np.outer(db, g1) / h - dr2 / h - dr1
-        return gains.ravel(), slopes.reshape(len(slope), gains.size).T
+        changes[:, 0, n], changes[:, 1, n] = dr1, dr2 / h
+        changes[:, 0, n + 1] = dg1 - dr1
+        changes[:, 1, n + 1] = dg2 + b / h * dg1 + np.outer(db, g1) / h - dr2 / h - dr1
+        return gains.ravel(), changes.reshape(len(which), gains.size).T
 
     def _split(self, seconds: float, length: float) -> tuple[float, int]:
         """The delay in intervals, and how many whole ones."""

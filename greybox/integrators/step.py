@@ -39,6 +39,9 @@ class Step:
     slope along the parameters numbered ``which``. RK4 takes the parameters themselves (one row serves every length:
     ``per_interval`` is false); the exact hold takes the entries of the discrete matrices of each length.
 
+    ``generator``: None, or for an exact hold the CasADi function ``p -> vec([A, B, c])`` (nx (nx + nu + 1),) per second whose exponential
+    has the coefficients as entries, column by column as `exact_hold` states them; a kernel may then compute them itself.
+
     ``past``: None, or what of the past a delay needs; then ``ua``, ``ub`` and ``u`` are rows of `greybox.integrators.past.with_past`,
     which `Record.seen_by` makes.
     """
@@ -50,6 +53,7 @@ class Step:
     substeps: int = 1
     per_interval: bool = False
     past: Past | None = None
+    generator: ca.Function | None = None
 
     def __post_init__(self) -> None:
         if self.past is not None and not self.per_interval and self.substeps < 2:

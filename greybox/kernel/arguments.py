@@ -88,6 +88,13 @@ def checked(
     )
 
 
+def chained(step: Step, lengths: np.ndarray, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (rows, nq) of ``step`` at the parameters ``p`` (np,) and their slopes (rows, nq, L) along ``dp`` (np, L)."""
+    which = np.flatnonzero(dp.any(axis=1))
+    q, along = step.coefficients(p, lengths, which)
+    return q, along @ dp[which]
+
+
 def _array(name: str, values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
     array = np.ascontiguousarray(np.zeros(shape) if values is None else values, dtype=np.float64)
     if array.shape != shape:

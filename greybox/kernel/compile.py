@@ -64,8 +64,8 @@ def load(source: str) -> ctypes.CDLL:
     key = "\0".join([source, *flags, *compiler.command, compiler.version, machine()])
     name = f"{hashlib.sha256(key.encode()).hexdigest()}{SUFFIX}"
     path = cache_folder() / name
-    if not path.exists():
-        path = _compile(compiler, flags, source, path)
+    if not _whole(path):
+        _compile(compiler, flags, source, path)
     try:
         return ctypes.CDLL(str(path))
     except OSError as error:
@@ -173,43 +173,48 @@ def _version(command: tuple[str, ...]) -> str:
                 f"C compiler {' '.join(command)} does not work: --version ended with code {run.returncode} {_tail(run)}"
             )
         known[stamp] = run.stdout.strip()
-        temporary = _temporary_file(notes, ".json")
-        temporary.write_text(json.dumps(known), encoding="utf-8")
-        _replace(temporary, notes)
+        with tempfile.TemporaryDirectory(dir=notes.parent, prefix="part-", ignore_cleanup_errors=True) as folder:
+            Path(folder, notes.name).write_text(json.dumps(known), encoding="utf-8")
+            _replace(Path(folder, notes.name), notes)
     return known[stamp]
 
 
-def _compile(compiler: Compiler, flags: Sequence[str], source: str, path: Path) -> Path:
-    """Compile into a temporary file beside ``path`` and rename: another process sees all of the library or none of
-    it."""
-    text, library = _temporary_file(path, ".c"), _temporary_file(path, SUFFIX)
+def _whole(path: Path) -> bool:
+    """Whether the library is there as it was written; loading one that a full disk cut short would end the process."""
     try:
+        return _digest_of(path).read_text(encoding="utf-8") == hashlib.sha256(path.read_bytes()).hexdigest()
+    except (OSError, ValueError):
+        return False
+
+
+def _digest_of(path: Path) -> Path:
+    return path.with_suffix(".sha256")
+
+
+def _compile(compiler: Compiler, flags: Sequence[str], source: str, path: Path) -> None:
+    """Compile beside ``path`` and rename: another process sees all of the library or none of it.
+
+    The names of the files are the same every time, and so is the library: two processes at once may both write it.
+    """
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix="part-", ignore_cleanup_errors=True) as folder:
+        text, library, digest = (Path(folder, f"kernel{suffix}") for suffix in (".c", SUFFIX, ".sha256"))
         text.write_text(source, encoding="utf-8")
         run = _run([*compiler.command, *flags, "-o", str(library), str(text), "-lm"])
-        if run.returncode != 0 or not library.stat().st_size:
+        if run.returncode != 0 or not library.exists():
             raise CompilerError(
                 f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {_tail(run)}"
             )
-        return _replace(library, path)
-    finally:
-        text.unlink(missing_ok=True)
-        library.unlink(missing_ok=True)
+        digest.write_text(hashlib.sha256(library.read_bytes()).hexdigest(), encoding="utf-8")
+        _replace(library, path)
+        _replace(digest, _digest_of(path))
 
 
-def _temporary_file(beside: Path, suffix: str) -> Path:
-    handle, name = tempfile.mkstemp(dir=beside.parent, prefix="part-", suffix=suffix)
-    os.close(handle)
-    return Path(name)
-
-
-def _replace(temporary: Path, path: Path) -> Path:
+def _replace(temporary: Path, path: Path) -> None:
     try:
         os.replace(temporary, path)
-    except PermissionError:
+    except PermissionError:  # Windows: another process has just put it there and loaded it
         if not path.exists():
             raise
-        temporary.unlink(missing_ok=True)  # Windows: another process has just put it there and loaded it
-    return path
 
 
 def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:

@@ -8,12 +8,12 @@ import ctypes
 from dataclasses import replace
 from functools import cached_property
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from greybox.integrators.step import Step
-from greybox.kernel.arguments import Arguments, Sizes, checked
+from greybox.kernel.arguments import Arguments, Sizes, chained, checked
 from greybox.kernel.compile import load, vector_width
 from greybox.kernel.emit import Routine
 from greybox.kernel.protocol import Sums, finished
@@ -23,6 +23,13 @@ from greybox.kernel.tape import Tape, read
 
 ADVANCE = ("x", "ua", "ub", "q", "h")
 OUTPUTS = ("x", "u", "p")
+
+
+class Library(NamedTuple):
+    """Functions of a compiled library; ``hold`` where the kernel computes the coefficients itself."""
+
+    sums: Any
+    hold: Any
 
 
 class CompiledKernel:
@@ -40,9 +47,8 @@ class CompiledKernel:
         self.step = step
         self.description = f"compiled C, {step.label}"
         self.sizes = Sizes.of(step)
-        self._sums: dict[tuple[int, int, bool], Any] = {}
-        self._simulate = load(self.source()).simulate
-        self._simulate.restype = None
+        self._libraries: dict[tuple[int, int, bool], Library] = {}
+        self._simulate = _declared(load(self.source()).simulate, None, (ctypes.c_int, ctypes.c_int), 8)
 
     @cached_property
     def _tapes(self) -> tuple[Tape, Tape]:
@@ -65,6 +71,9 @@ class CompiledKernel:
         parts.append(Routine("advance", advance, ADVANCE, (0, 3), blocks).text())
         parts.append(Routine("outputs", outputs, OUTPUTS, (0, 2), blocks).text())
         parts.append(_template("sums.c" if blocks else "simulate.c"))
+        if blocks and self.step.generator is not None:
+            tape = shorten(read(self.step.generator, active=(0,), varying=(0,)))
+            parts += [Routine("generator", tape, ("p",), (0,), blocks).text(), _template("hold.c")]
         return "\n".join(parts)
 
     def repeated(self, substeps: int) -> CompiledKernel:
@@ -73,7 +82,7 @@ class CompiledKernel:
         other.step = replace(self.step, substeps=substeps)
         other.description = f"compiled C, {other.step.label}"
         if self._once or other._once:
-            other._sums = {}  # the number of substeps is a constant there
+            other._libraries = {}  # the number of substeps is a constant there
         return other
 
     @property
@@ -81,11 +90,21 @@ class CompiledKernel:
         """Whether an interval is always one step, as the exact hold takes it."""
         return self.step.per_interval and self.step.substeps == 1
 
+    def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
+        if self.step.generator is None:
+            return chained(self.step, record.lengths, p, dp)
+        directions, rows = dp.shape[1], len(record.lengths)
+        p, dp = (np.ascontiguousarray(a, dtype=np.float64) for a in (p, _lanes(dp)))
+        q, dq = np.empty((rows, self.sizes.nq)), np.empty((rows, self.sizes.nq, _padded(directions)))
+        self._library(directions, record.first_order).hold(rows, *map(_address, (record.lengths, p, dp, q, dq)))
+        return q, np.ascontiguousarray(dq[:, :, :directions])
+
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
         a = checked(self.sizes, record, q, p, x0)
         y, x = np.empty((len(record.y), self.sizes.ny)), np.empty((len(record.y), self.sizes.nx))
-        self._simulate(*self._head(record, len(y)), *map(_pointer, (record.h, a.row, a.q, a.p, a.x0, y, x)))
+        self._simulate(*self._head(record, len(y)), *map(_address, (record.h, a.row, a.q, a.p, a.x0, y, x)))
         return y, x
 
     def sums(
@@ -102,17 +121,16 @@ class CompiledKernel:
     ) -> Sums:
         """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
         a = checked(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
-        n, lanes = len(record.y) if rows is None else min(rows, len(record.y)), _padded(a.directions)
-        squares, counts, gradient, matrix = (
-            np.zeros(self.sizes.ny),
-            np.zeros(self.sizes.ny),
-            np.zeros(lanes),
-            np.zeros((lanes, lanes)),
+        n, lanes, ny, used = (
+            len(record.y) if rows is None else min(rows, len(record.y)),
+            _padded(a.directions),
+            self.sizes.ny,
+            a.directions,
         )
-        failed = self._pass(record, n, a, (squares, counts, gradient, matrix, None, None))
-        upper = np.triu(matrix[: a.directions, : a.directions])
-        whole = upper + np.triu(upper, 1).T
-        return finished(squares, counts, gradient[: a.directions].copy(), whole, None if failed < 0 else failed, n)
+        found = np.zeros(2 * ny + lanes + lanes * lanes)
+        failed = self._pass(record, n, a, (found, None, None))
+        gradient, matrix = found[2 * ny : 2 * ny + used], found[2 * ny + lanes :].reshape(lanes, lanes)[:used, :used]
+        return finished(found[:ny], found[ny : 2 * ny], gradient, matrix, None if failed < 0 else failed, n)
 
     def residuals(
         self,
@@ -129,22 +147,35 @@ class CompiledKernel:
         a = checked(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
         n = len(record.y)
         r, jacobian = np.full((n, self.sizes.ny), np.nan), np.full((n, self.sizes.ny, _padded(a.directions)), np.nan)
-        self._pass(record, n, a, (None, None, None, None, r, jacobian))
+        self._pass(record, n, a, (None, r, jacobian))
         return r, np.ascontiguousarray(jacobian[:, :, : a.directions])
 
     def _pass(self, record: Record, n: int, a: Arguments, results: tuple[np.ndarray | None, ...]) -> int:
         """One pass over the first ``n`` samples; the first sample that failed, or -1."""
-        width = vector_width(a.directions)
-        shape = (width, _padded(a.directions) // width, record.first_order)
-        if shape not in self._sums:
-            function = load(self.source(*shape)).sums
-            function.restype = ctypes.c_long
-            self._sums[shape] = function
         arrays = (record.y, record.h, a.row, a.q, _lanes(a.dq), a.p, _lanes(a.dp), a.x0, _lanes(a.dx0), a.weight)
-        return self._sums[shape](*self._head(record, n), *map(_pointer, (*arrays, *results)))
+        run = self._library(a.directions, record.first_order).sums
+        return run(*self._head(record, n), *map(_address, (*arrays, *results)))
+
+    def _library(self, directions: int, first_order: bool) -> Library:
+        """The functions with tangents, compiled when first asked for."""
+        width = vector_width(directions)
+        shape = (width, _padded(directions) // width, first_order)
+        if shape not in self._libraries:
+            library = load(self.source(*shape))
+            sums = _declared(library.sums, ctypes.c_long, (ctypes.c_int, ctypes.c_int), 14)
+            hold = _declared(library.hold, None, (), 5) if self.step.generator is not None else None
+            self._libraries[shape] = Library(sums, hold)
+        return self._libraries[shape]
 
     def _head(self, record: Record, n: int) -> tuple[Any, ...]:
-        return ctypes.c_long(n), ctypes.c_int(record.first_order), ctypes.c_int(self.step.substeps), _pointer(record.u)
+        return n, record.first_order, self.step.substeps, _address(record.u)
+
+
+def _declared(function: Any, result: Any, numbers: tuple[Any, ...], arrays: int) -> Any:
+    """A function ``(length, numbers ..., arrays ...)`` of a library with its types told."""
+    function.argtypes = (ctypes.c_long, *numbers, *[ctypes.c_void_p] * arrays)
+    function.restype = result
+    return function
 
 
 def _template(name: str) -> str:
@@ -167,7 +198,10 @@ def _lanes(array: np.ndarray) -> np.ndarray:
     return padded
 
 
-def _pointer(array: np.ndarray | None) -> ctypes.c_void_p:
-    return ctypes.c_void_p(
-        None if array is None else array.__array_interface__["data"][0]
-    )  # a third of array.ctypes' time
+def _address(array: np.ndarray | None) -> int | None:
+    """Where the numbers of an array begin; a pass asks for some fifteen, and the short way takes a quarter of the time."""
+    if array is None:
+        return None
+    if array.size and array.flags.carray:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+    return array.__array_interface__["data"][0]  # empty, or not to be written

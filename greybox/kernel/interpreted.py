@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.integrators.step import Step
-from greybox.kernel.arguments import Arguments, Sizes, checked
+from greybox.kernel.arguments import Arguments, Sizes, chained, checked
 from greybox.kernel.protocol import Sums, finished
 from greybox.kernel.record import Record
 from greybox.kernel.shorten import shorten
@@ -52,6 +52,10 @@ class InterpretedKernel:
     def repeated(self, substeps: int) -> InterpretedKernel:
         """The same step with another number of substeps in an interval."""
         return InterpretedKernel(replace(self.step, substeps=substeps), self.reason)
+
+    def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
+        return chained(self.step, record.lengths, p, dp)
 
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -47,6 +48,9 @@ class Kernel(Protocol):
     def repeated(self, substeps: int) -> Kernel:
         """The same step with another number of substeps in an interval; nothing is compiled anew."""
 
+    def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
+
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
 
@@ -87,9 +91,11 @@ def finished(
     samples: int,
 ) -> Sums:
     """The sums, or an infinite cost where anything was not finite."""
-    if failed_at is None and not all(np.isfinite(a).all() for a in (squares, gradient, gauss_newton)):
+    cost = float(squares.sum())
+    # |J'r|^2 is at most J'J r'r, and an entry of J'J at most the product of two on its diagonal.
+    if failed_at is None and not math.isfinite(cost + float(gauss_newton.trace())):
         failed_at = samples
     if failed_at is not None:
         zero = np.zeros_like
         return Sums(np.inf, zero(gradient), zero(gauss_newton), zero(squares), zero(counts), failed_at)
-    return Sums(float(squares.sum()), gradient, gauss_newton, squares, counts)
+    return Sums(cost, gradient, gauss_newton, squares, counts)

@@ -1,6 +1,6 @@
 /* One pass over a record with its tangents: residuals r = (measured - y) * weight, their Jacobian J = dr along W * NB lanes, and the
    sums of a Gauss-Newton step. Memory does not grow with n. Returns the first sample whose state or output is not finite, else -1.
-   squares, counts (NY), gradient J'r (W * NB), gauss_newton J'J (W * NB, W * NB; blocks above and on the diagonal), or NULL;
+   sums: squares and counts (NY each), gradient J'r (W * NB), J'J (W * NB, W * NB), one after the other, or NULL;
    residual (n, NY), jacobian (n, NY, W * NB) are written where something was measured, or NULL.
    FIRST_ORDER and SUBSTEPS are the arguments of that name, or constants where the caller knows them: a linear model's pass then takes
    a third less time. */
@@ -18,8 +18,7 @@ INLINE void add_products(const v *e, double r, v *g, v (*gn)[NB])
 
 EXPORT long sums(long n, int first_order, int substeps, const double *u, const double *measured, const double *h, const int *row,
                  const double *q, const vu *dq, const double *p, const vu *dp, const double *x0, const vu *dx0,
-                 const double *weight, double *squares, double *counts, double *gradient, double *gauss_newton,
-                 double *residual, double *jacobian)
+                 const double *weight, double *sums, double *residual, double *jacobian)
 {
     double x[NX], next[NX], y[NY], ua[AT_LEAST_ONE(NU)], ub[AT_LEAST_ONE(NU)], sq[NY] = {0}, count[NY] = {0};
     v dx[NX * NB], dnext[NX * NB], dy[NY * NB], e[NB], g[NB] = {{0}}, gn[W * NB][NB] = {{{0}}};
@@ -49,7 +48,7 @@ EXPORT long sums(long n, int first_order, int substeps, const double *u, const d
                 e[b] = -weight[i] * dy[i * NB + b];
             sq[i] += r * r;
             count[i] += 1;
-            if (gauss_newton)
+            if (sums)
                 add_products(e, r, g, gn);
             if (residual)
                 residual[k * NY + i] = r;
@@ -76,11 +75,15 @@ EXPORT long sums(long n, int first_order, int substeps, const double *u, const d
             memcpy(dx, dnext, sizeof dx);
         }
     }
-    if (gauss_newton) {
-        memcpy(squares, sq, sizeof sq);
-        memcpy(counts, count, sizeof count);
-        memcpy(gradient, g, sizeof g);
-        memcpy(gauss_newton, gn, sizeof gn);
+    if (sums) {
+        double *matrix = sums + 2 * NY + W * NB;
+        memcpy(sums, sq, sizeof sq);
+        memcpy(sums + NY, count, sizeof count);
+        memcpy(sums + 2 * NY, g, sizeof g);
+        memcpy(matrix, gn, sizeof gn);
+        for (int i = 0; i < W * NB; i++)
+            for (int j = 0; j < i; j++)
+                matrix[i * W * NB + j] = matrix[j * W * NB + i];
     }
     return -1;
 }

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 
 from greybox.model.balance import Balance
+from greybox.model.noise import noise_unit
 from greybox.model.text import expression, number, signed
 from greybox.signals import Parameter
 from greybox.units import tidy
@@ -37,10 +38,14 @@ def equations(model: Model) -> str:
     """
     system = model.system
     heads = [(b.name, _bracketed(b.unit)) for b in system.balances]
+    pushed = {k: _bracketed(noise_unit(s)) for k, s in enumerate(model.all_states) if not system.diffusion[k].is_zero()}
     held = [d for d in system.dry if d.static.element_hash() != d.sliding.element_hash()]
     extra = [*("standstill" for _ in held), *("after a step" for _ in system.updates), "outputs"]
+    extra += [*("process noise" for _ in pushed), *("tied" for _ in model.ties)]
     name_width = max(map(len, [*(name for name, _ in heads), *extra])) + 2
-    unit_width = max(len(unit) for _, unit in heads) + 2
+    units = {q.name: _bracketed(q.unit) for q in model.stated_parameters}
+    given = [units[tie.name] for tie in model.ties]
+    unit_width = max(map(len, [*(unit for _, unit in heads), *pushed.values(), *given])) + 2
     indent = 2 + name_width + unit_width
 
     def line(name: str, unit: str, text: str) -> str:
@@ -56,6 +61,10 @@ def equations(model: Model) -> str:
     for update in system.updates:
         state = model.all_states[update.state]
         lines.append(line("after a step", _bracketed(state.unit), f"{state.name} becomes {expression(update.value)}"))
+    for k, unit in pushed.items():
+        text = f"{expression(system.diffusion[k])} dw pushes {model.all_states[k].name}"
+        lines.append(line("process noise", unit, text))
+    lines += [line("tied", unit, str(tie)) for tie, unit in zip(model.ties, given, strict=True)]
     if model.inputs:
         late = {
             k: " + ".join(expression(d.seconds) for d in system.delays if d.column == k)
@@ -129,6 +138,7 @@ def _row(parameter: Parameter) -> tuple[str, ...]:
         tidy(parameter.unit) or "-",
         "fixed" if parameter.fixed else "free",
         f"[{number(low)}, {number(high)}]" if bounded else "",
+        "" if parameter.prior is None else "prior " + " +- ".join(map(number, parameter.prior)),
         parameter.source,
     )
 
@@ -136,6 +146,6 @@ def _row(parameter: Parameter) -> tuple[str, ...]:
 def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
-        ("    " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))).rstrip()
+        ("    " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True) if width)).rstrip()
         for row in rows
     ]

@@ -76,9 +76,7 @@ def check_stated(model: Model) -> None:
 def unused(model: Model) -> tuple[str, ...]:
     """Names of the constants that no equation of ``model`` uses."""
     system = model.system
-    parts: list[Any] = [system.rhs, system.outputs, system.start, *(d.static for d in system.dry)]
-    parts += [update.value for update in system.updates] + [delay.seconds for delay in system.delays]
-    used = {symbol.name() for symbol in ca.symvar(ca.vertcat(*parts))}
+    used = {symbol.name() for symbol in ca.symvar(ca.vertcat(*system.deterministic, system.diffusion))}
     return tuple(name for name in system.parameter_names if name not in used)
 
 

@@ -8,11 +8,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
+import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.hooks import Delay, Update, delay_of, relaxing_states, updates_of
+from greybox.model.noise import diffusion_of
+from greybox.model.tie import tied
 from greybox.signals import Named, Output, Parameter, Signal, State
 from greybox.units import tidy
 
@@ -65,6 +68,7 @@ class System:
 
     ``balances`` are in the order of the states that have one; a state in ``updates`` has none (its rate is zero). ``relaxing`` are
     the numbers of the states whose rate is linear in themselves. With ``delays`` the symbol ``u`` is the input as it arrives.
+    ``diffusion`` (nx,) is the intensity of each state's process noise, a function of ``p``; no other equation contains it.
     """
 
     x: ca.SX
@@ -80,6 +84,7 @@ class System:
     rhs: ca.SX
     outputs: ca.SX
     start: ca.SX
+    diffusion: ca.SX
     dry: tuple[Dry, ...]
     updates: tuple[Update, ...] = ()
     delays: tuple[Delay, ...] = ()
@@ -92,6 +97,12 @@ class System:
             return self.rhs
         signs = ca.vertcat(*[ca.sign(self.x[d.state]) for d in self.dry])
         return ca.substitute(self.rhs, self.direction, signs)
+
+    @property
+    def deterministic(self) -> list[ca.SX]:
+        """Every expression of the free run: all but the process noise."""
+        parts = [self.rhs, self.outputs, self.start, *(d.static for d in self.dry)]
+        return parts + [update.value for update in self.updates] + [delay.seconds for delay in self.delays]
 
     @cached_property
     def linear(self) -> bool:
@@ -115,6 +126,13 @@ class System:
     def output_function(self) -> ca.Function:
         """``(x, u, p) -> y``."""
         return ca.Function("outputs", [self.x, self.u, self.p], [self.outputs])
+
+    @cached_property
+    def constant_start(self) -> np.ndarray | None:
+        """The state at rest (nx,) where it is the same whatever the parameters are, else None."""
+        if ca.depends_on(self.start, self.p):
+            return None
+        return np.asarray(self.start_function(np.ones(self.p.numel()))[0]).ravel()
 
     @cached_property
     def start_function(self) -> ca.Function:
@@ -157,12 +175,14 @@ def expand(model: Model) -> System:
     """Write out ``model``, effects applied in the order in which they were added."""
     effects = model.bound_effects
     states = (*model.states, *(s for b in effects for s in b.states))
-    parameters = (*model.parameters, *(q for b in effects for q in b.parameters))
-    x, u, p = _symbols("state", states), _symbols("input", model.inputs), _symbols("parameter", parameters)
+    parameters = model.all_parameters
+    x, u, p = _symbols("state", states), _symbols("input", model.inputs), _symbols("parameter", model.stated_parameters)
     raw_x, raw_u, raw_p = (
         ca.vertcat(*[n[s.name] for s in group]) for n, group in ((x, states), (u, model.inputs), (p, parameters))
     )
 
+    p = tied(model.ties, p)
+    diffusion = diffusion_of(model.states, effects, p)
     x, u, p, coming = _transformed(model, x, u, p)
     balances = {b.name: b for b in model.balances(x, u, p)}
     y = {o.name: _output(o, x, u, p) for o in model.outputs}
@@ -223,7 +243,7 @@ def expand(model: Model) -> System:
         x=raw_x, u=raw_u, p=raw_p, direction=direction,
         state_names=tuple(order), input_names=tuple(i.name for i in model.inputs),
         output_names=tuple(y), parameter_names=tuple(q.name for q in parameters),
-        balances=ordered, storages=storages, rhs=rhs, outputs=ca.vertcat(*y.values()), start=start, dry=tuple(dry),
+        balances=ordered, storages=storages, rhs=rhs, outputs=ca.vertcat(*y.values()), start=start, diffusion=diffusion, dry=tuple(dry),
         updates=tuple(updates), delays=tuple(delays), relaxing=relaxing_states(model.name, states, rhs, raw_x),
     )  # fmt: skip
 

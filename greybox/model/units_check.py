@@ -13,6 +13,7 @@ from greybox.errors import ModelError, UnitError, nearest
 from greybox.model.balance import Balance
 from greybox.model.system import System
 from greybox.model.text import MATHEMATICAL, expression
+from greybox.model.tie import tied
 from greybox.model.walk import walk
 from greybox.signals import Input, Named, Output, Parameter, State
 from greybox.units import ONE, Unit, name, parse, tidy
@@ -44,15 +45,17 @@ class _MisfitError(Exception):
 def check_units(model: Model) -> None:
     """Refuse a model whose units disagree: UnitError with every offender, by balance and term, found and expected.
 
-    Checked are each term of each balance, ``storage * state / s``, dry friction, outputs, starts, and what effects put
-    in the place of inputs, outputs and parameters. A literal number has no unit, except 0 and infinity, which fit
+    Checked are each term of each balance, ``storage * state / s``, dry friction, outputs, starts, process noise, and what
+    effects put in the place of inputs, outputs and parameters. A literal number has no unit, except 0 and infinity, which fit
     anything.
     """
     problems = list(_declared(model))
     if not problems:
         units = _units(model)
         # Transforms first, each on its own: a wrong one would hide behind every term that it makes wrong.
-        problems = list(_transforms(model, units)) or list(_equations(model.system, units, model))
+        problems = (
+            list(_ties(model, units)) or list(_transforms(model, units)) or list(_equations(model.system, units, model))
+        )
     if problems:
         raise UnitError(
             f"model {model.title!r}: {'; '.join(problems)}. Correct the equation, or the unit of a parameter in it"
@@ -76,7 +79,7 @@ def _declared(model: Model) -> Iterator[str]:
         "state": model.all_states,
         "input": model.inputs,
         "output": model.outputs,
-        "parameter": model.all_parameters,
+        "parameter": model.stated_parameters,
     }
     for kind, items in groups.items():
         for item in items:
@@ -93,7 +96,7 @@ def _unreadable(subject: str, unit: str) -> Iterator[str]:
 
 
 def _units(model: Model) -> dict[str, str]:
-    items: tuple[Signal, ...] = (*model.all_states, *model.inputs, *model.all_parameters)
+    items: tuple[Signal, ...] = (*model.all_states, *model.inputs, *model.stated_parameters)
     return {item.name: item.unit for item in items}
 
 
@@ -107,7 +110,7 @@ def _transforms(model: Model, units: Mapping[str, str]) -> Iterator[str]:
         known = {**units, MEASURED: outputs.get(b.site, model.outputs[0].unit)}
         effect = f"effect {b.effect.name!r}"
         for given, value in (b.effect.on_parameter(*inside) if b.effect.on_parameter else {}).items():
-            parameter = next((q.name for q in model.all_parameters if given in (q.name, q.role)), None)
+            parameter = next((q.name for q in model.stated_parameters if given in (q.name, q.role)), None)
             if parameter is None:
                 yield f"{effect}: no parameter {given!r} to change; {nearest(given, model.values)}"
             else:
@@ -143,11 +146,19 @@ def _names(model: Model) -> tuple[Named, Named, Named]:
     for kind, items, symbols in groups:
         values = {item.name: symbols[k] for k, item in enumerate(items)}
         named.append(Named(kind, values, {item.role: item.name for item in items if item.role}))
-    return named[0], named[1], named[2]
+    roles = {q.role: q.name for q in model.stated_parameters if q.role}
+    return named[0], named[1], tied(model.ties, named[2].replaced({}, roles))
+
+
+def _ties(model: Model, units: Mapping[str, str]) -> Iterator[str]:
+    """Problems with the formulas of tied constants."""
+    p = _names(model)[2]
+    for tie in model.ties:
+        yield from _expected(f"tie {tie}", p[tie.name], units[tie.name], units=units)
 
 
 def _equations(system: System, units: Mapping[str, str], model: Model) -> Iterator[str]:
-    """Problems in balances, dry friction, outputs and starts."""
+    """Problems in balances, dry friction, outputs, starts and process noise."""
     dry = {(d.balance, d.effect): d for d in system.dry}
     for balance in system.balances:
         place = f"balance {balance.name!r} [{tidy(balance.unit)}]:"
@@ -167,6 +178,9 @@ def _equations(system: System, units: Mapping[str, str], model: Model) -> Iterat
         start = system.start[k]
         if not start.is_constant():  # a number is in the unit of its state
             yield from _expected(f"start of state {state.name!r}", start, state.unit, units=units)
+        noise = system.diffusion[k]
+        if not noise.is_constant():
+            yield from _expected(f"noise of state {state.name!r}", noise, f"({state.unit or '1'})/s^0.5", units=units)
 
 
 def _storage(place: str, balance: Balance, units: Mapping[str, str]) -> Iterator[str]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import lfilter, lfiltic
 
 # Highest order that is tried; a record must have this many samples for each order.
 MOST_ORDERS, SAMPLES_PER_ORDER = 12, 10
@@ -56,6 +55,8 @@ class AutoRegression:
             return rho[:count]
         if not self.order:
             return np.append(rho, np.zeros(count - 1))
+        from scipy.signal import lfilter, lfiltic  # half a second to import, and white noise does not need it
+
         denominator = np.append(1.0, -self.coefficients)
         memory = lfiltic([1.0], denominator, rho[::-1][: self.order])
         return np.append(rho, lfilter([1.0], denominator, np.zeros(count - len(rho)), zi=memory)[0])

@@ -11,7 +11,7 @@ from greybox.errors import DataError, ModelError, nearest
 from greybox.experiment import Experiment
 from greybox.model import Model
 from greybox.noise.autoregression import AutoRegression, autoregression, segments
-from greybox.noise.differences import record_noise
+from greybox.noise.differences import record_noise, spread, still
 from greybox.noise.repeats import period_deviations, repeat_deviations
 
 # Where the noise is not given and the record shows none (a simulation), misfits are judged against this share of the signal.
@@ -62,12 +62,17 @@ def noise_of(
     experiments: Sequence[Experiment],
     given: Mapping[str, float],
     quiet: Experiment | Sequence[Experiment] = (),
+    *,
+    robust: bool = False,
+    alike: bool = True,
 ) -> Noise:
     """Noise of each output of ``model``: as ``given`` (standard deviations), else from ``quiet``, repetition, or differences.
 
     ``quiet``: records with the input at rest; they also tell the colour, of given noise as well. Repetition is looked for in the
-    experiments themselves: a periodic input, or several experiments with the same input. Raises ModelError for noise of an
-    unknown output, DataError for a quiet record whose input moves or that lacks an output it should tell about.
+    experiments themselves: a periodic input, or several experiments with the same input, unless they are not ``alike`` (constants of
+    their own). ``robust`` estimates are not moved by a few outliers. An output that reads the same in every row has no source: nothing
+    tells its noise. Raises ModelError for noise of an unknown output, DataError for a quiet record whose input moves or that lacks
+    an output it should tell about.
     """
     silent = (quiet,) if isinstance(quiet, Experiment) else tuple(quiet)
     _check_given(model, given)
@@ -77,17 +82,20 @@ def noise_of(
     for j, output in enumerate(model.outputs):
         columns = [e.outputs[output.name] for e in experiments if output.name in e.outputs]
         if any(np.isfinite(c).any() for c in columns):
-            level = _level(model, experiments, silent, output.name, given)
+            level = _level(model, experiments, silent, output.name, given, robust, alike)
             std[j], colour[j] = level.std, level.colour
             levels[output.name] = level
+    for name in _silent(levels, experiments):
+        del levels[name]
     sources = {name: level.source for name, level in levels.items()}
     estimated = [name for name, source in sources.items() if source not in (GIVEN, QUIET)]
     return Noise(std, _words(levels), not estimated, sources, tuple(colour))
 
 
 def _level(
-    model: Model, experiments: Sequence[Experiment], silent: Sequence[Experiment], name: str, given: Mapping[str, float]
-) -> _Level:
+    model: Model, experiments: Sequence[Experiment], silent: Sequence[Experiment], name: str, given: Mapping[str, float],
+    robust: bool, alike: bool,
+) -> _Level:  # fmt: skip
     inputs = [i.name for i in model.inputs]
     hushed = [
         e.outputs[name] - np.nanmean(e.outputs[name]) for e in silent if np.isfinite(e.outputs.get(name, np.nan)).any()
@@ -97,25 +105,37 @@ def _level(
         found = segments(hushed)
         if _same_pace(experiments, silent):
             colour = autoregression(found)
-        if name not in given and np.isfinite(found).sum() >= LEAST_SAMPLES:
-            return _Level(_rms(found), QUIET, colour)
+        if name not in given and np.isfinite(found).sum() >= LEAST_SAMPLES and not still(found):
+            return _Level(spread(found, robust=robust), QUIET, colour)
     if name in given:
         return _Level(given[name], GIVEN, colour)
     for source, groups in (
         (PERIODS, [d for e in experiments if (d := period_deviations(e, name, inputs))]),
-        (REPEATS, repeat_deviations(experiments, name, inputs)),
+        (REPEATS, repeat_deviations(experiments, name, inputs) if alike else []),
     ):
-        if groups and _rms(everything := segments([d for group in groups for d in group])) > 0:
+        if groups and spread(everything := segments([d for group in groups for d in group])) > 0:
             # K repeats less their mean hold the information of K - 1
             copies = sum(map(len, groups)) / sum(len(group) - 1 for group in groups)
-            return _Level(_rms(everything), source, autoregression(everything, copies=copies))
+            return _Level(spread(everything, robust=robust), source, autoregression(everything, copies=copies))
     columns = [e.outputs[name] for e in experiments if name in e.outputs]
     values = np.concatenate(columns)
-    spread = float(np.nanstd(values)) or float(np.nanmax(np.abs(values))) or 1.0
-    estimate = record_noise(columns)
+    movement = float(np.nanstd(values)) or float(np.nanmax(np.abs(values))) or 1.0
+    estimate = record_noise(columns, robust=robust)
     if not np.isfinite(estimate):
-        return _Level(spread, RESIDUAL)
-    return _Level(max(estimate, LEAST_NOISE * spread), DIFFERENCES)
+        return _Level(movement, RESIDUAL)
+    return _Level(max(estimate, LEAST_NOISE * movement), DIFFERENCES)
+
+
+def _silent(levels: Mapping[str, _Level], experiments: Sequence[Experiment]) -> list[str]:
+    """Outputs that read the same in every row while another one moves, and whose noise nobody gave: nothing tells it."""
+    columns = {name: [e.outputs[name] for e in experiments if name in e.outputs] for name in levels}
+    resting = [name for name, found in columns.items() if all(map(still, found))]
+    if len(resting) == len(levels):
+        return []
+    known = (GIVEN, QUIET)
+    return [
+        name for name in resting if levels[name].source not in known and sum(map(len, columns[name])) >= LEAST_SAMPLES
+    ]
 
 
 def _check_given(model: Model, given: Mapping[str, float]) -> None:
@@ -155,10 +175,6 @@ def _check_quiet(model: Model, experiments: Sequence[Experiment], silent: Sequen
 def _same_pace(experiments: Sequence[Experiment], silent: Sequence[Experiment]) -> bool:
     paces = [float(np.median(e.intervals)) for e in (*experiments, *silent)]
     return max(paces) - min(paces) <= SAME_PACE * max(paces)
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else 0.0
 
 
 def _words(levels: Mapping[str, _Level]) -> str:

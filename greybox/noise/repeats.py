@@ -55,7 +55,7 @@ def period_deviations(experiment: Experiment, output: str, inputs: Sequence[str]
 
 
 def repeat_deviations(group: Sequence[Experiment], output: str, inputs: Sequence[str]) -> list[list[np.ndarray]]:
-    """Deviations of ``output`` in each set of experiments that had the same inputs at the same times."""
+    """Deviations of ``output`` in each set of experiments that had the same inputs at the same times, and the same conditions."""
     left = [e for e in group if output in e.outputs]
     found = []
     while left:
@@ -97,6 +97,8 @@ def _louder(first: np.ndarray, others: np.ndarray) -> bool:
 
 
 def _same(one: Experiment, other: Experiment, inputs: Sequence[str]) -> bool:
+    if dict(one.conditions) != dict(other.conditions):
+        return False
     if one.rows != other.rows or not inputs or not np.allclose(one.intervals, other.intervals, rtol=1e-6, atol=0.0):
         return False
     pairs = [(one.inputs[n], other.inputs[n]) for n in inputs]

@@ -117,8 +117,7 @@ class _Gradient(_Callback):
 class _Hessian(_Callback):
     def fill(self, search: Search, arg: list, res: list) -> None:
         factor = (0.0 if arg[2] is None else arg[2][0]) / search.scale
-        # Symmetric: the rows of the lower triangle are the columns of the upper one.
-        res[0][:] = factor * search(arg[0]).hessian[np.tril_indices(len(arg[0]))]
+        res[0][:] = factor * search(arg[0]).hessian[self.owner.triangle]
 
 
 class _Watch(_Callback):
@@ -139,6 +138,8 @@ class _Solver:
             ca.Sparsity(0, 0),
         )
         self.search: Any = None
+        # Symmetric: the rows of the lower triangle are the columns of the upper one.
+        self.triangle = np.tril_indices(n)
         cost = _Cost("cost", self, [column], [one])
         gradient = _Gradient("nlp_grad_f", self, [column, empty], [one, column])
         hessian = _Hessian("nlp_hess_l", self, [column, empty, one, none], [ca.Sparsity.upper(n)])

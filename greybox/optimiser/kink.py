@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
 
 from greybox.optimiser.outcome import Status
 from greybox.optimiser.search import Search
@@ -44,6 +43,8 @@ def _ask(search: Search, z: np.ndarray, low: np.ndarray, high: np.ndarray) -> An
 
 def _downhill(search: Search, axes: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Minus the shortest convex combination of the gradients around the best point, along the axes, of length one."""
+    from scipy.optimize import nnls  # slow to import, and a smooth cost does not need it
+
     centre = search.best
     gradients = [axes @ search.best_value.gradient]  # type: ignore[union-attr]
     for step in (*axes, *-axes):

@@ -61,7 +61,7 @@ class Outcome:
     value: Any = None
 
 
-Iteration = Callable[[int, float], None]
+Iteration = Callable[[int, float], object]  # (iteration, cost)
 Finished = Callable[[np.ndarray, Any], Status | None]  # (z, what `evaluate` gave there)
 
 # What IPOPT says at the end.

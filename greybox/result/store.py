@@ -12,7 +12,8 @@ import numpy as np
 
 from greybox.errors import DataError
 from greybox.model import Model
-from greybox.result.values import Estimate, Fit, Misfit, Trace
+from greybox.model.noise import noise_parameter
+from greybox.result.values import End, Estimate, Fit, Misfit, PriorCheck, Trace
 
 FORMAT = 1
 
@@ -73,8 +74,9 @@ def load_fit(path: str | Path, model: Model) -> Fit:
     if data["model"] != model.name or data["effects"] != [e.name for e in model.effects]:
         said = " + ".join([data["model"], *data["effects"]])
         raise DataError(f"{source}: belongs to the model {said}, not to {model.title}; give that model")
-    parameters = {n: Estimate(**{**e, "interval": _pair(e["interval"])}) for n, e in data["parameters"].items()}
+    parameters = _estimates(data["parameters"])
     fixed = [n for n, e in parameters.items() if e.fixed]
+    model = _as_fitted(source, _as_pushed(model, data), data)
     fitted = model.free(*(n for n, e in parameters.items() if not e.fixed)).fix(*fixed)
     fitted = fitted.start(**{n: e.value for n, e in parameters.items()})
     return Fit(
@@ -97,7 +99,57 @@ def _newer(data: Mapping[str, Any]) -> dict[str, Any]:
         "interval_kind": data.get("interval_kind", "gauss_newton"),
         "inflation": _numbers(data.get("inflation", {})),
         "discretisation_shift": _numbers(data.get("discretisation_shift", {})),
+        "tied": _estimates(data.get("tied", {})),
+        "ties": dict(data.get("ties", {})),
+        "own": {name: _estimates(each) for name, each in data.get("own", {}).items()},
+        "priors": {
+            name: PriorCheck(**{**c, "moved": _number(c["moved"])}) for name, c in data.get("priors", {}).items()
+        },
+        "loss": data.get("loss", ""),
+        "loss_scale": _numbers(data.get("loss_scale", {})),
+        "outliers": _numbers(data.get("outliers", {})),
+        "process_noise": _numbers(data.get("process_noise", {})),
+        "prediction": _misfits(data.get("prediction", {})),
+        "log_likelihood": data.get("log_likelihood"),
+        "ends": tuple(
+            End(**{**e, "noise_ratio": math.inf if e["noise_ratio"] is None else e["noise_ratio"]})
+            for e in data.get("ends", ())
+        ),
     }
+
+
+def _as_pushed(model: Model, data: Mapping[str, Any]) -> Model:
+    """``model`` with the process noise of a fit, where it was added to it (`Model.with_process_noise`)."""
+    states = [s for s in data.get("process_noise", {}) if s in model.system.state_names and s not in model.noisy_states]
+    estimated = [
+        s for s in states if noise_parameter(s) in data["parameters"] and noise_parameter(s) not in model.values
+    ]
+    known = {
+        s: data["process_noise"][s] for s in states if s not in estimated and noise_parameter(s) not in model.values
+    }
+    return model.with_process_noise(*estimated, **known) if states else model
+
+
+def _as_fitted(source: Path, model: Model, data: Mapping[str, Any]) -> Model:
+    """``model`` with the ties and priors of a fit; a model with other ties is refused with DataError."""
+    ties = dict(data.get("ties", {}))
+    said = {tie.name: tie.formula for tie in model.ties}
+    if said and said != ties:
+        text = ", ".join(f"{name} = {formula}" for name, formula in ties.items()) or "none"
+        raise DataError(f"{source}: has other ties than the model ({text}); give the model without ties, or with these")
+    model = model if said or not ties else model.start(**_known(model, data)).with_ties(ties)
+    # Of a constant that each experiment has for itself the label is 'B (day 1)'.
+    priors = {label.partition(" (")[0]: (c["mean"], c["std"]) for label, c in data.get("priors", {}).items()}
+    return model.prior(**priors) if priors else model
+
+
+def _known(model: Model, data: Mapping[str, Any]) -> dict[str, float]:
+    """The fitted values of the constants that ``model`` has."""
+    return {n: e["value"] for n, e in data["parameters"].items() if n in model.values}
+
+
+def _estimates(data: Mapping[str, dict]) -> dict[str, Estimate]:
+    return {n: Estimate(**{**e, "interval": _pair(e["interval"])}) for n, e in data.items()}
 
 
 def _number(value: float | None) -> float:

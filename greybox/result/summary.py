@@ -14,13 +14,17 @@ MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
 def summary(fit: Fit) -> str:
     """Status beside misfit over noise, the constants with intervals, the misfit by output, and what to know before trusting them."""
     lines = [f"{fit.model.title}: {fit.meaning}", ""]
-    lines += table(
-        ["constant", "value", "95 % interval", "unit", ""], [_constant(n, e) for n, e in fit.parameters.items()]
-    )
+    lines += table(["constant", "value", "95 % interval", "unit", ""], constant_rows(fit))
+    if fit.priors:
+        lines += ["", *_priors(fit)]
     lines += ["", *_misfits("misfit (free run)", fit.misfit)]
+    if fit.prediction:
+        lines += ["", *_misfits("prediction (1 step ahead)", fit.prediction)]
     if fit.validation:
         lines += ["", *_misfits("on validation records (free run)", fit.validation)]
-    if fit.interval_kind == "sandwich" and fit.inflation:
+    if fit.process_noise and fit.interval_kind != "sandwich":
+        lines += ["", "intervals: information of the likelihood, the innovations are white"]
+    elif fit.interval_kind == "sandwich" and fit.inflation:
         lines += [
             "",
             f"intervals: allow for the residual's colour, widened up to {max(fit.inflation.values(), default=1.0):.3g} times",
@@ -63,14 +67,38 @@ def beside(value: float, std: float) -> Callable[[float], str]:
     return scientific
 
 
-def _constant(name: str, e: Estimate) -> list[str]:
+def constant_rows(fit: Fit) -> list[list[str]]:
+    """Rows of the table of constants: each one, its values in experiments that have their own, then those that are tied."""
+    rows = []
+    for name, e in fit.parameters.items():
+        rows.append(constant_cells(name, e))
+        if name in fit.own:
+            rows[-1][-1] = "mean"
+            rows += [constant_cells(f"{name} ({title})", own) for title, own in fit.own[name].items()]
+    for name, e in fit.tied.items():
+        rows.append(constant_cells(name, e))
+        rows[-1][-1] = f"= {fit.ties[name]}"
+    return rows
+
+
+def _priors(fit: Fit) -> list[str]:
+    rows = []
+    for name, c in fit.priors.items():
+        conflict = "" if c.conflict is None else f"{number(abs(c.conflict), 2)} std"
+        rows.append([name, with_std(c.mean, c.std), f"{number(c.moved, 2)} std", f"{100 * c.learnt:.3g} %", conflict])
+    return table(["prior", "known before", "moved by", "told by the data", "disagreement"], rows)
+
+
+def constant_cells(name: str, e: Estimate) -> list[str]:
+    """Name, value, interval, unit and remark of one constant, as tables show them."""
     if e.fixed:
         return [name, number(e.value, 7), "", tidy(e.unit), "fixed"]
     remark = "at its bound" if e.at_bound else ""
     if e.std is None or e.interval is None:
-        return [name, number(e.value), "", tidy(e.unit), remark or "not determined by these data"]
-    if e.std > 0.5 * abs(e.value) and not remark:
-        remark = "poorly determined"
+        limits = "" if e.interval is None else f"[{number(e.interval[0], 3)}, {number(e.interval[1], 3)}]"
+        return [name, number(e.value), limits, tidy(e.unit), remark or "not determined by these data"]
+    if not remark and not e.determined:
+        remark = "not determined: interval over 50 %"
     low, high = map(beside(e.value, e.std), e.interval)
     return [name, with_std(e.value, e.std), f"[{low}, {high}]", tidy(e.unit), remark]
 

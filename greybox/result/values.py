@@ -12,6 +12,10 @@ import numpy as np
 from greybox.experiment import Experiment
 from greybox.experiment.experiment import Hold
 from greybox.model import Model
+from greybox.result.frozen import ReadOnly
+
+# An interval that reaches further than this share of the value determines nothing.
+WIDE = 0.5
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,30 @@ class Estimate:
     interval: tuple[float, float] | None = None
     fixed: bool = False
     at_bound: bool = False
+
+    @property
+    def determined(self) -> bool:
+        """Whether it is known, or its 95 % interval stays within 50 % of the value."""
+        if self.interval is None:
+            return self.fixed
+        low, high = self.interval
+        return max(high - self.value, self.value - low) <= WIDE * abs(self.value)
+
+
+@dataclass(frozen=True)
+class PriorCheck:
+    """What became of the prior of one constant, ``mean`` and ``std`` in its unit.
+
+    ``moved``: how far the data took the constant from the mean, in standard deviations of the prior. ``learnt``: share of the prior's
+    variance that the data took away, 0 where the prior says all that is known. ``conflict``: by how many standard deviations the
+    prior and the data by themselves disagree (standard normal where both are right); None where the data say nothing.
+    """
+
+    mean: float
+    std: float
+    moved: float
+    learnt: float
+    conflict: float | None
 
 
 @dataclass(frozen=True)
@@ -46,10 +74,10 @@ class Misfit:
 
 
 @dataclass(frozen=True)
-class Trace:
+class Trace(ReadOnly):
     """One record and the model's run over it: ``time`` (N,), measured and simulated outputs by name (N,), its initial state.
 
-    ``inputs`` by name (N,), ``hold`` how they move between samples (``zero`` or ``first``), and ``conditions`` make it a whole
+    ``inputs`` by name (N,), ``hold`` how they move between samples, and ``conditions`` make it a whole
     record again, see `experiment`.
     """
 
@@ -74,8 +102,22 @@ class Trace:
 
 
 @dataclass(frozen=True)
-class Fit:
-    """A fitted model.
+class End(ReadOnly):
+    """Where one of several starts ended: the values it began with and those it ended with, misfit over noise, how it ended.
+
+    ``values`` is empty and ``noise_ratio`` infinite where it led nowhere; ``status`` is then the reason.
+    """
+
+    start: Mapping[str, float]
+    values: Mapping[str, float]
+    noise_ratio: float
+    status: str
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Fit(ReadOnly):
+    """A fitted model, read-only throughout.
 
     ``model`` carries the fitted values; ``parameters`` name -> `Estimate`; ``status`` and ``meaning`` how it ended, in a word and in
     plain words; ``covariance`` (nf, nf) of the free constants in the order of ``free``; ``interval_kind``
@@ -84,7 +126,13 @@ class Fit:
     where each comes from (``noise_source`` in one line), ``noise_colour`` the reflection coefficients of its autoregression (none:
     white, or not known); ``integration_error`` rms change of each output when the step is halved, over the noise;
     ``discretisation_shift`` change of each constant when the step is halved, in its standard deviations; ``validation`` misfit
-    on records not used for the fit; ``notes`` what a reader should know before trusting a number; ``solver`` statistics;
+    on records not used for the fit; ``tied`` the constants that others give (``ties``: by which formula); ``own`` the values of constants
+    that each experiment has for itself, constant -> experiment -> value (in ``parameters`` stands their mean); ``priors`` what became of
+    each prior; ``loss`` the robust loss, "" for least squares, with the ``loss_scale`` of each output over its noise and the share of
+    its samples that count as ``outliers``; ``ends`` where each of several starts ended, best first
+    (`greybox.multistart`); ``notes`` what a reader should know before trusting a number; ``solver`` statistics;
+    for a model with process noise ``process_noise`` the intensity on each state, in its unit over sqrt(s), ``prediction`` the
+    error one step ahead, and ``log_likelihood``; its intervals are from the ``observed_information`` where the innovations are white;
     ``options``, ``equations`` and ``versions`` for repeating it.
     """
 
@@ -114,6 +162,17 @@ class Fit:
     interval_kind: str = "gauss_newton"
     inflation: Mapping[str, float] = field(default_factory=dict)
     discretisation_shift: Mapping[str, float] = field(default_factory=dict)
+    tied: Mapping[str, Estimate] = field(default_factory=dict)
+    ties: Mapping[str, str] = field(default_factory=dict)
+    own: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
+    priors: Mapping[str, PriorCheck] = field(default_factory=dict)
+    loss: str = ""
+    loss_scale: Mapping[str, float] = field(default_factory=dict)
+    outliers: Mapping[str, float] = field(default_factory=dict)
+    ends: Sequence[End] = ()
+    process_noise: Mapping[str, float] = field(default_factory=dict)
+    prediction: Mapping[str, Misfit] = field(default_factory=dict)
+    log_likelihood: float | None = None
 
     def __str__(self) -> str:
         from greybox.result.summary import summary

@@ -69,17 +69,18 @@ def cut(whole: SingleShooting, *, seconds: float | None = None, rows: int | None
 def cut_at(whole: SingleShooting, cuts: Sequence[Sequence[int]]) -> Cut:
     """The same with the cuts of each record given: first rows and, at the end, the number of rows."""
     v = whole.variables
-    pieces, guesses, conditions, begins = [], [], [], []
+    pieces, guesses, conditions, begins, groups = [], [], [], [], []
     for e, (record, places) in enumerate(zip(whole.records, cuts, strict=True)):
         guess = first_guess(v, e, record, places[:-1])
         pieces += [piece(record, a, b) for a, b in pairwise(places)]
         guesses.append(guess)
         conditions += [v.conditions[e]] * len(guess) if v.conditions else []
         begins += [k == 0 for k in range(len(guess))]
+        groups += [v.groups[e]] * len(guess)
     every = np.concatenate(guesses)
     spread = np.ptp(every, axis=0)
     initial = InitialStates(every, np.ones(every.shape[1], bool), np.where(spread > 0, spread, v.initial.scale))
-    variables = replace(v, initial=initial, conditions=tuple(conditions))
+    variables = replace(v, initial=initial, conditions=tuple(conditions), groups=tuple(groups))
     shooting = SingleShooting(variables, whole.step, whole.kernel, pieces, whole.weight)
     return Cut(shooting, tuple(tuple(map(int, places)) for places in cuts), tuple(begins))
 

@@ -17,18 +17,26 @@ import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.kernel import Record
+from greybox.transcription.elimination import slopes_of_states
+from greybox.transcription.shooting import Evaluation, penalised
 from greybox.transcription.variables import Variables
 
 SCHEMES = ("radau", "legendre")
 HESSIANS = ("gauss-newton", "exact")
+# A state lies at its bound within this share of its range.
+AT_BOUND = 1e-6
 
 
 @dataclass(frozen=True)
 class Collocated:
-    """The point that a solver found: ``variables`` with ``z = 0`` there, and the states (N, nx) of each record at its samples."""
+    """The point that a solver found: ``variables`` with ``z = 0`` there, and the states (N, nx) of each record at its samples.
+
+    ``held``: of how many samples a state lies at one of its bounds.
+    """
 
     variables: Variables
     states: tuple[np.ndarray, ...]
+    held: int = 0
 
 
 class Collocation:
@@ -58,16 +66,8 @@ class Collocation:
     def problem(self) -> dict[str, Any]:
         """The program as keyword arguments of `greybox.optimiser.solve_sparse`: ``nlp`` (x, f, g as MX), ``start``, ``low``, ``high``,
         ``hessian``; every constraint is an equation ``g = 0``."""
-        z = ca.MX.sym("z", len(self.variables.which))
-        columns, residuals, constraints = [z], [], []
-        for e, record in enumerate(self.records):
-            first = ca.MX.sym("x", self.nx, self._nodes(record))
-            points = ca.MX.sym("points", self._inner, len(record.h))
-            columns += [ca.vec(first), ca.vec(points)]
-            r, g = self._record(z, first, points, e)
-            residuals.append(r)
-            constraints += g
-        w, r, g = ca.vertcat(*columns), ca.vertcat(*residuals), ca.vertcat(*constraints)
+        w, r, g = self._expressions()
+        r = ca.vertcat(r, self._priors(w[: len(self.variables.which)]))
         start, low, high = self._edges()
         cost, scale = ca.sumsqr(r), self._movement()
         curvature = None
@@ -79,11 +79,42 @@ class Collocation:
         nlp = {"x": w, "f": cost / scale, "g": g}
         return {"nlp": nlp, "start": start, "low": low, "high": high, "hessian": curvature, "scale": scale}
 
+    def linearised(self, w: np.ndarray) -> tuple[Evaluation, tuple[tuple[np.ndarray, np.ndarray], ...]]:
+        """The cost at a point ``w`` that satisfies the equations, and the weighted residuals (N, ny) of each record with their
+        Jacobian (N, ny, L) along `Variables.columns`: every state at its best for the constants, so that the columns of the
+        initial states are zero. Bounds of states do not count in it."""
+        n, ny = len(self.variables.which), len(self.weight)
+        x, r, g = self._expressions()
+        values = ca.Function("linearised", [x], [r, ca.jacobian(r, x), ca.jacobian(g, x)])(w)
+        residual = values[0].full().ravel()
+        along, equations = (m.sparse()[:, :n].tocsc() for m in values[1:])
+        states, constraints = (m.sparse()[:, n:].tocsc() for m in values[1:])
+        slopes = along.toarray() + states @ slopes_of_states(along, states, equations, constraints)
+        rows, at = [], 0
+        squares, counts = np.zeros(ny), np.zeros(ny, int)
+        for record in self.records:
+            there = np.isfinite(record.y)
+            here = slice(at, at + int(there.sum()))
+            of_record = np.full(record.y.shape, np.nan)
+            of_record[there] = residual[here]
+            jacobian = np.full((*record.y.shape, n + len(self.variables.states_each)), np.nan)
+            jacobian[there] = np.pad(slopes[here], ((0, 0), (0, len(self.variables.states_each))))
+            rows.append((of_record, jacobian))
+            squares += np.nansum(of_record**2, axis=0)
+            counts += there.sum(axis=0)
+            at = here.stop
+        size = self.variables.size
+        gradient, hessian = np.zeros(size), np.zeros((size, size))
+        gradient[:n], hessian[:n, :n] = 2 * slopes.T @ residual, 2 * slopes.T @ slopes
+        evaluation = Evaluation(float(residual @ residual), gradient, hessian, squares, counts)
+        return penalised(self.variables, w, evaluation), tuple(rows)
+
     def found(self, w: np.ndarray) -> Collocated:
         """What a point ``w`` of the program means."""
         v, n = self.variables, len(self.variables.which)
-        z, states, at = np.zeros(v.size), [], n
+        z, states, at, held = np.zeros(v.size), [], n, 0
         z[:n] = w[:n]
+        edges = np.array([s.bounds for s in v.model.all_states], float).T
         for e, record in enumerate(self.records):
             nodes, count = self._nodes(record), self._inner * len(record.h)
             first = w[at : at + nodes * self.nx].reshape(nodes, self.nx)
@@ -92,8 +123,22 @@ class Collocation:
             own = v.states_each
             z[v.columns(e)[n:]] = (x[0, own] - v.initial.guess[e, own]) / v.initial.scale[own]
             states.append(x)
+            held += int((np.abs(x[:, None, :] - edges) <= AT_BOUND * self.scale).any(axis=(1, 2)).sum())
             at += first.size + count
-        return Collocated(v.moved(z), tuple(states))
+        return Collocated(v.moved(z), tuple(states), held)
+
+    def _expressions(self) -> tuple[ca.MX, ca.MX, ca.MX]:
+        """All variables, all residuals, all equations."""
+        z = ca.MX.sym("z", len(self.variables.which))
+        columns, residuals, constraints = [z], [], []
+        for e, record in enumerate(self.records):
+            first = ca.MX.sym("x", self.nx, self._nodes(record))
+            points = ca.MX.sym("points", self._inner, len(record.h))
+            columns += [ca.vec(first), ca.vec(points)]
+            r, g = self._record(z, first, points, e)
+            residuals.append(r)
+            constraints += g
+        return ca.vertcat(*columns), ca.vertcat(*residuals), ca.vertcat(*constraints)
 
     def _movement(self) -> float:
         """Chi-square of a model that stands still: the cost over it is of order one, and so are its derivatives."""
@@ -158,11 +203,21 @@ class Collocation:
         """All parameters as expressions of the scaled constants, as `Variables.parameters` computes them."""
         v = self.variables
         p = [ca.MX(value) for value in v.fixed]
-        for k, place in enumerate(v.which):
-            p[place] = v.base[k] * ca.exp(z[k]) if v.logarithmic[k] else v.base[k] + v.scale[k] * z[k]
+        for k in np.flatnonzero(~v.foreign(e)):
+            p[v.which[k]] = self._constant(z, int(k))
         for place, value in (v.conditions[e] if v.conditions else {}).items():
             p[place] = ca.MX(value)
         return ca.vertcat(*p)
+
+    def _constant(self, z: ca.MX, k: int) -> ca.MX:
+        v = self.variables
+        return v.base[k] * ca.exp(z[k]) if v.logarithmic[k] else v.base[k] + v.scale[k] * z[k]
+
+    def _priors(self, z: ca.MX) -> ca.MX:
+        """What is known of the constants without the records, as further residuals."""
+        v = self.variables
+        known = np.flatnonzero(v.held)
+        return ca.vertcat(*[(self._constant(z, int(k)) - v.prior[k, 0]) / v.prior[k, 1] for k in known], ca.MX(0, 1))
 
     def _edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Start and bounds of all variables; states start on straight lines between the samples of ``start``."""

@@ -10,19 +10,27 @@ from greybox.errors import ModelError, nearest
 from greybox.model import Model
 
 
-def conditions_of(model: Model, conditions: Sequence[Mapping[str, float]]) -> tuple[dict[int, float], ...]:
+def conditions_of(
+    model: Model, conditions: Sequence[Mapping[str, float]], own: Sequence[str] = ()
+) -> tuple[dict[int, float], ...]:
     """For each experiment its conditions, as position in ``system.p`` -> value.
 
     A condition is a parameter of the model with a value of its own in that experiment, in the parameter's unit; experiments that
     do not name it keep the model's value. It is known, so it is not fitted. Raises ModelError, with all offenders, for a name
     that the model does not have, a value that its bounds or the model's rules refuse, and a free constant that only some
-    experiments give (for the others it would be fitted, and then it is no condition).
+    experiments give (for the others it would be fitted, and then it is no condition) unless it is ``own`` to each.
     """
     names = list(model.values)
     problems = []
     for e, given in enumerate(conditions):
         subject = f"experiment {e + 1} of {len(conditions)}"
-        unknown = [n for n in given if n not in names]
+        tied = {tie.name: tie for tie in model.ties}
+        problems += [
+            f"{subject}: condition {n!r} is tied in {model.title}, {tied[n]}; first untie({n!r})"
+            for n in given
+            if n in tied
+        ]
+        unknown = [n for n in given if n not in names and n not in tied]
         problems += [
             f"{subject}: condition {n!r} is no parameter of {model.title}; {nearest(n, names)}" for n in unknown
         ]
@@ -32,7 +40,7 @@ def conditions_of(model: Model, conditions: Sequence[Mapping[str, float]]) -> tu
             problems.append(f"{subject}, its conditions: {error}")
     for q in model.free_parameters:
         missing = [str(e + 1) for e, given in enumerate(conditions) if q.name not in given]
-        if 0 < len(missing) < len(conditions):
+        if 0 < len(missing) < len(conditions) and q.name not in own:
             problems.append(
                 f"condition {q.name!r} is free in the model but not given for experiment {', '.join(missing)}; give it for every"
                 f" experiment, or fix it: model.fix({q.name}=...)"
@@ -40,6 +48,25 @@ def conditions_of(model: Model, conditions: Sequence[Mapping[str, float]]) -> tu
     if problems:
         raise ModelError("; ".join(problems))
     return tuple({names.index(n): float(v) for n, v in given.items()} for given in conditions)
+
+
+def check_own(model: Model, own: Sequence[str], experiments: int) -> None:
+    """Refuse constants that cannot be each experiment's own: ModelError with all offenders, why, and what to do."""
+    problems = []
+    for name in own:
+        try:
+            quantity = model.parameter(name)
+        except ModelError as error:
+            problems.append(str(error))
+            continue
+        if quantity.fixed:
+            problems.append(f"{name!r} is fixed at {quantity.value:g} {quantity.unit}; first free({name!r})")
+    twice = sorted({n for n in own if list(own).count(n) > 1})
+    problems += [f"{name!r} is named twice; name it once" for name in twice]
+    if own and experiments < 2:
+        problems.append("there is one experiment; a constant of each experiment's own needs several")
+    if problems:
+        raise ModelError(f"own constants: {'; '.join(problems)}")
 
 
 def under(p: np.ndarray, conditions: Mapping[int, float]) -> np.ndarray:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import bmat, coo_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
 # A step of a node along directions that no sample shows is held back by this share of the mean curvature.
@@ -31,27 +31,39 @@ class Segment:
 
 @dataclass(frozen=True)
 class Reduced:
-    """The quadratic ``cost + 2 g'dz + dz'H dz`` with every node at its best for ``dz``, and the nodes that belong to it."""
+    """The quadratic ``cost + 2 g'dz + dz'H dz`` with every node at its best for ``dz``, and the nodes that belong to it.
+
+    ``prior``: what priors of the constants add to the cost, its slope (n,) and its curvature (n,).
+    """
 
     gradient: np.ndarray
     hessian: np.ndarray
     offset: list[np.ndarray]
     slope: list[np.ndarray]
     segments: list[list[Segment]]
+    prior: tuple[float, np.ndarray | float, np.ndarray | float] = (0.0, 0.0, 0.0)
+
+    def with_penalty(self, cost: float, slope: np.ndarray, curvature: np.ndarray) -> Reduced:
+        """The same with priors of the constants."""
+        return replace(
+            self, gradient=self.gradient + slope / 2, hessian=self.hessian + np.diag(curvature / 2),
+            prior=(cost, slope, curvature),
+        )  # fmt: skip
 
     def step(self, dz: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
         """``dz`` and the steps of the nodes (segments + 1, nx) of each record."""
         return dz, [offset + slope @ dz for offset, slope in zip(self.offset, self.slope, strict=True)]
 
     def cost_after(self, step: tuple[np.ndarray, list[np.ndarray]]) -> float:
-        """Cost of the linearised residuals after a step."""
+        """Cost of the linearised residuals, and of the priors, after a step."""
         dz, nodes = step
+        cost, slope, curvature = self.prior
         rests = (
             s.residual + s.jacobian[:, : len(dz)] @ dz + s.jacobian[:, len(dz) :] @ ds[k]
             for own, ds in zip(self.segments, nodes, strict=True)
             for k, s in enumerate(own)
         )
-        return float(sum(r @ r for r in rests))
+        return float(sum(r @ r for r in rests) + cost + np.sum(slope * dz + 0.5 * curvature * dz**2))
 
 
 def eliminate(records: list[list[Segment]], n: int) -> Reduced:
@@ -119,3 +131,21 @@ def _system(own: Sequence[Segment], n: int, nx: int) -> tuple[coo_matrix, np.nda
             row += len(which)
     places = np.concatenate(rows), np.concatenate(columns)
     return coo_matrix((np.concatenate(entries), places), (size, size)).tocsc(), right
+
+
+def slopes_of_states(
+    along: csc_matrix, states: csc_matrix, equations: csc_matrix, constraints: csc_matrix
+) -> np.ndarray:
+    """How states (ns, n) that satisfy linearised equations follow the constants, at their best for the residuals.
+
+    The least ``|along dz + states dx|^2`` with ``equations dz + constraints dx = 0``: residuals (m, n) and (m, ns), equations (k, n) and
+    (k, ns). Directions that no residual shows are held back a little, as in `eliminate`.
+    """
+    curvature = (states.T @ states).tocsc()
+    diagonal = curvature.diagonal()
+    held = HELD * max(float(diagonal.mean()) if diagonal.any() else 1.0, 1e-300)
+    matrix = bmat(
+        [[curvature + held * diags(np.ones(len(diagonal))), constraints.T], [constraints, None]], format="csc"
+    )
+    right = -np.vstack([(states.T @ along).toarray(), equations.toarray()])
+    return splu(matrix).solve(right)[: len(diagonal)]

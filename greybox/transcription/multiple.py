@@ -17,6 +17,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from itertools import pairwise
 
 import numpy as np
@@ -46,7 +47,18 @@ LOOSER = 1e4
 # A flat search ends: so many iterations that gained less than this share of the cost.
 PATIENCE, LITTLE_GAIN = 8, 1e-5
 
-Report = Callable[[int, float], None]
+Report = Callable[[int, float], object]  # (iteration, cost); an answer that is true ends the search
+
+
+class End(Enum):
+    """How a search over segments ended; the values are what a person reads."""
+
+    CONVERGED = "converged"
+    FLAT = "the cost no longer changes"
+    LIMIT = "stopped at the iteration limit before it converged"
+    STUCK = "no further progress: no step lowers the cost or closes the gaps"
+    NO_START = "the model cannot be simulated from the start values"
+    INTERRUPTED = "interrupted"
 
 
 @dataclass(frozen=True)
@@ -55,20 +67,26 @@ class Lifted:
 
     ``variables`` with ``z = 0`` there; ``evaluation`` with the gradient and Gauss-Newton matrix of the constants, every state
     eliminated (the rows of initial states are zero); ``nodes`` (segments + 1, nx) of each record, its end included; ``runs``
-    outputs (N, ny) and states (N, nx) of each record, segment by segment; ``gap`` the largest jump between segments, as a
-    share of the state's range. ``converged``, or ``reason`` says why not.
+    outputs (N, ny) and states (N, nx) of each record, segment by segment, and ``rows`` its weighted residuals (N, ny) with their
+    Jacobian (N, ny, L) along `Variables.columns`, states eliminated; ``gap`` the largest jump between segments, as a share of the
+    state's range. ``end`` says how the search ended.
     """
 
     variables: Variables
     evaluation: Evaluation
     nodes: tuple[np.ndarray, ...]
     runs: tuple[tuple[np.ndarray, np.ndarray], ...]
+    rows: tuple[tuple[np.ndarray, np.ndarray], ...]
     gap: float
-    converged: bool
-    reason: str
+    end: End
     iterations: int
     evaluations: int
     seconds: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the point can be used as an optimum."""
+        return self.end in (End.CONVERGED, End.FLAT)
 
 
 def rows_of_segment(growth: float, record: Record) -> int:
@@ -112,7 +130,7 @@ class MultipleShooting:
         """Minimise the cost with the segments joined, from ``z = 0`` and the present nodes.
 
         ``relax``: first fit the segments as arcs that need not meet (not where nodes were given). ``report`` is called with the
-        number of each iteration and its cost.
+        number of each iteration and its cost, and ends the search by an answer that is true.
         """
         began = time.perf_counter()
         state = _Search(np.zeros(self.variables.size), self.nodes)
@@ -120,25 +138,30 @@ class MultipleShooting:
             state.z[: self._arcs.size] = relaxed(self._arcs)
             state.nodes = nodes_of(self.single, self.cuts, self._arcs)
         now = self._linearised(state)
-        reason, costs, done = "the model cannot be simulated from the start values", [], 0
-        reached = False
-        while now is not None and done < iterations:
-            if report:
-                report(done, now.cost)
-            reached = self._converged(now)
+        end, costs, done = End.NO_START, [], 0
+        while now is not None:
             costs.append(now.cost)
-            if reached or (now.gap < CONTINUOUS and _flat(costs)):
-                reached, reason = True, "" if reached else "the cost no longer changes"
+            if report and report(done, now.cost):
+                end = End.INTERRUPTED
                 break
-            reason = "stopped at the iteration limit before it converged"
+            if self._converged(now) or (now.gap < CONTINUOUS and _flat(costs)):
+                end = End.CONVERGED if self._converged(now) else End.FLAT
+                break
+            if done == iterations:
+                end = End.LIMIT
+                break
             following = self._following(state, now)
             if following is None:  # at rounding errors, or truly stuck
-                reached = self._converged(now, LOOSER)
-                reason = "no further progress: no step lowers the cost or closes the gaps"
+                end = End.FLAT if self._converged(now, LOOSER) else End.STUCK
                 break
             state, now = following
             done += 1
-        return self._result(state, now, reached, reason, done, time.perf_counter() - began)
+        return self._result(state, now, end, done, time.perf_counter() - began)
+
+    def newton(self) -> np.ndarray:
+        """The next Gauss-Newton step of the constants (nf,) in ``z`` from the present nodes; NaN where a segment overflows."""
+        now = self._linearised(_Search(np.zeros(self.variables.size), self.nodes))
+        return np.full(len(self.variables.which), np.nan) if now is None else self._bounded(now, 0.0)[0]
 
     def _converged(self, now: _Linear, looser: float = 1.0) -> bool:
         """Whether a further step would neither lower the cost nor close a gap."""
@@ -181,32 +204,42 @@ class MultipleShooting:
                 return None
             segments.append(own)
         reduced = eliminate(segments, len(self.variables.which))
+        if self.variables.held.any():
+            reduced = reduced.with_penalty(*self.variables.penalty(state.z))
         gaps = np.concatenate([np.abs(s.defect) for own in segments for s in own])
         return _Linear(
-            state.z, float(squares.sum()), squares, counts, reduced, float(gaps.max(initial=0.0)), float(gaps.sum())
+            state.z,
+            float(squares.sum()) + reduced.prior[0],
+            squares,
+            counts,
+            reduced,
+            float(gaps.max(initial=0.0)),
+            float(gaps.sum()),
         )
 
-    def _record(self, state: _Search, e: int, squares: np.ndarray, counts: np.ndarray) -> list[Segment] | None:
-        v, n, nx = self.variables, len(self.variables.which), self.nx
-        p = v.parameters(state.z, e)
-        q, dq, dp, x0, dx0 = self.single.at(state.z, p, e)
+    def _runs(self, state: _Search, e: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Residuals and Jacobian, along the constants and its own first state, of each segment of record ``e``; states beside outputs."""
+        n, nx = len(self.variables.which), self.nx
+        p = self.variables.parameters(state.z, e)
+        q, dq, dp, _, _ = self.single.at(state.z, p, e)
         lanes = np.zeros((nx, n + nx))
         lanes[:, n:] = np.diag(self.scale)
         dq = np.concatenate([dq[:, :, :n], np.zeros((*dq.shape[:2], nx))], axis=2)
         dp = np.concatenate([dp[:, :n], np.zeros((len(dp), nx))], axis=1)
         weight = np.concatenate([self.weight, np.ones(nx)])
-        nodes, found = state.nodes[e], []
-        for k, part in enumerate(self.parts[e]):
-            r, j = self.kernel.residuals(part, q, dq, p, dp, nodes[k], lanes, weight)
+        return [
+            self.kernel.residuals(part, q, dq, p, dp, node, lanes, weight)
+            for part, node in zip(self.parts[e], state.nodes[e], strict=False)
+        ]
+
+    def _record(self, state: _Search, e: int, squares: np.ndarray, counts: np.ndarray) -> list[Segment] | None:
+        v, n, nodes = self.variables, len(self.variables.which), state.nodes[e]
+        found = []
+        for k, ((r, j), part) in enumerate(zip(self._runs(state, e), self.parts[e], strict=True)):
             end, ends = -r[-1, self.ny :], -j[-1, self.ny :]
             r, j = r[:, : self.ny], j[:, : self.ny]
             there = np.isfinite(part.y[:, : self.ny])
-            if not (
-                np.isfinite(end).all()
-                and np.isfinite(ends).all()
-                and np.isfinite(r[there]).all()
-                and np.isfinite(j[there]).all()
-            ):
+            if not all(np.isfinite(values).all() for values in (end, ends, r[there], j[there])):
                 return None
             squares += np.square(np.where(there, r, 0.0)).sum(axis=0)
             counts += there.sum(axis=0)
@@ -214,36 +247,36 @@ class MultipleShooting:
             found.append(Segment(r[there], j[there], ends / self.scale[:, None], defect, None))
         first = np.flatnonzero(~v.initial.free)
         if len(first):  # states that begin as declared
+            *_, x0, dx0 = self.single.at(state.z, v.parameters(state.z, e), e)
             tie = first, ((x0 - nodes[0]) / self.scale)[first], (dx0[:, :n] / self.scale[:, None])[first]
             found[0] = replace(found[0], tie=tie)
         return found
 
-    def _result(
-        self, state: _Search, now: _Linear | None, converged: bool, reason: str, done: int, seconds: float
-    ) -> Lifted:
+    def _rows(self, state: _Search, e: int, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (N, ny) of record ``e`` and their Jacobian (N, ny, L), ``slope`` (segments + 1, nx, nf) being that of the nodes."""
+        n, found = len(self.variables.which), []
+        for k, ((r, j), (a, b)) in enumerate(zip(self._runs(state, e), pairwise(self.cuts[e]), strict=True)):
+            r, j = r[: b - a, : self.ny], j[: b - a, : self.ny]
+            found.append((r, j[:, :, :n] + j[:, :, n:] @ slope[k]))
+        r, j = (np.concatenate(each) for each in zip(*found, strict=True))
+        own = len(self.variables.states_each)
+        return r, np.concatenate([j, np.zeros((*j.shape[:2], own))], axis=2)
+
+    def _result(self, state: _Search, now: _Linear | None, end: End, done: int, seconds: float) -> Lifted:
         v, n = self.variables, len(self.variables.which)
         z, own = state.z.copy(), v.states_each
         for e in range(v.experiments):
             z[v.columns(e)[n:]] = (state.nodes[e][0][own] - v.initial.guess[e, own]) / v.initial.scale[own]
         gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
+        work, nodes = (done, self.evaluations, seconds), tuple(state.nodes)
         if now is None:
-            evaluation = Evaluation(np.inf, gradient, hessian, np.zeros(self.ny), np.zeros(self.ny, int), (0, 0))
-            return Lifted(v, evaluation, tuple(state.nodes), (), np.inf, False, reason, done, self.evaluations, seconds)
+            nothing = Evaluation(np.inf, gradient, hessian, np.zeros(self.ny), np.zeros(self.ny, int), (0, 0))
+            return Lifted(v, nothing, nodes, (), (), np.inf, end, *work)
         gradient[:n], hessian[:n, :n] = 2 * now.reduced.gradient, 2 * now.reduced.hessian
         evaluation = Evaluation(now.cost, gradient, hessian, now.squares, now.counts)
         runs = tuple(run_pieces(self.single, z, e, self.cuts[e], state.nodes[e]) for e in range(v.experiments))
-        return Lifted(
-            v.moved(z),
-            evaluation,
-            tuple(state.nodes),
-            runs,
-            now.gap,
-            converged,
-            reason,
-            done,
-            self.evaluations,
-            seconds,
-        )
+        rows = tuple(self._rows(state, e, now.reduced.slope[e]) for e in range(v.experiments))
+        return Lifted(v.moved(z), evaluation, nodes, runs, rows, now.gap, end, *work)
 
 
 @dataclass

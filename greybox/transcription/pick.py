@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
+from scipy.linalg import expm
 
+from greybox.integrators.implicit import MOST_STATES
+from greybox.integrators.relaxing import fastest_without
 from greybox.kernel import Record
 from greybox.model.system import System
 
-TRANSCRIPTIONS = ("single", "multiple", "collocation")
-# Eigenvalues are looked at in so many places along the record.
-PLACES = 9
+# The equations are linearised in so many places along the record; where one of them is unstable, in so many.
+PLACES, MANY_PLACES = 9, 1000
 # A free run loses the constants where errors grow by more than this factor, ...
 GROWN = 20.0
 # ... and drifts far where an integrator (which forgets less than this share over the record) runs for so many of the plant's
@@ -21,75 +25,117 @@ FORGETS, LONG = 0.03, 50.0
 SUBSTEPS, EXPLICIT, MOST_SAMPLES = 32, 0.5, 10_000
 
 
-def pick(system: System, p: np.ndarray, record: Record, *, integrating: str = "multiple") -> tuple[str, str]:
+class Pick(NamedTuple):
+    """The transcription (``single``, ``multiple`` or ``collocation``), the reason in words, and whether it needs implicit steps."""
+
+    transcription: str
+    reason: str
+    implicit: bool = False
+
+
+def pick(system: System, p: np.ndarray, record: Record, *, integrating: str = "multiple") -> Pick:
     """The transcription for ``system`` at the parameters ``p`` (np,) over ``record``, and the reason in words.
 
     ``multiple`` shooting where errors grow along the record (an unstable or chaotic plant) or an integrator makes them drift
-    over a long one; ``collocation`` where the fastest mode asks for more explicit steps than are sensible (stiff, nonlinear,
-    smooth, and not too long); else ``single`` shooting on a growing record. Judged by the eigenvalues of the equations
-    linearised in several places of the record (measured states as measured, hidden ones as declared). ``integrating`` says what
-    an integrator asks for: on smooth plants with little noise a free run over a growing part of the record gets there as
-    surely and several times faster, ``integrating="single"``.
+    over a long one. Where the fastest mode asks for more explicit steps than are sensible (stiff, nonlinear) ``single`` shooting
+    with implicit steps, or ``collocation`` if there are too many states for those (smooth, and not too long). Else ``single``
+    shooting on a growing record. Judged by the equations linearised in several places of the record (measured states as measured,
+    hidden ones as declared). ``integrating`` says what an integrator asks for: on smooth plants with little noise a free run over
+    a growing part of the record gets there as surely and several times faster, ``integrating="single"``.
     """
-    eigenvalues = _eigenvalues(system, p, record)
+    slopes = _slopes(system, p, record, PLACES)
     duration = float(record.h.sum())
-    growth = _growth(eigenvalues)
+    growth = _growth(system, p, record, slopes)
     if growth * duration > math.log(GROWN):
-        return "multiple", (
+        return Pick(
+            "multiple",
             f"unstable: errors grow at {growth:.3g} 1/s, by e^{growth * duration:.3g} over the record of {duration:.4g} s;"
-            " a free run cannot be followed that far"
+            " a free run cannot be followed that far",
         )
-    stiff = _stiff(system, eigenvalues, record)
+    stiff = _stiff(system, slopes, record)
     if stiff:
         return stiff
-    parts = np.concatenate(eigenvalues)
+    parts = np.linalg.eigvals(slopes).ravel()
     decays = -parts.real[-parts.real * duration > FORGETS]
-    keeps = np.abs(parts) * duration <= FORGETS
     slowest = 1 / decays.min() if len(decays) else 0.0
-    if keeps.any() and duration > LONG * slowest:
-        rest = f", and {duration:.4g} s are {duration / slowest:.0f} times its slowest other mode" if slowest else ""
-        return integrating, f"integrating: what is wrong adds up along the record and is never forgotten{rest}"
-    return "single", "stable and not stiff: a free run over a growing part of the record needs the fewest unknowns"
+    if not (np.abs(parts) * duration <= FORGETS).any():
+        return Pick("single", "the model is stable and not stiff")
+    times = (
+        f"{duration:.4g} s are {duration / slowest:.2g} times its slowest other mode"
+        if slowest
+        else f"for {duration:.4g} s"
+    )
+    if duration <= LONG * slowest:
+        return Pick("single", f"integrating, but not for long ({times}): a free run stays near the data")
+    how = "a growing part of the record keeps the free run near the data"
+    far = "what is wrong adds up along the record and is never forgotten"
+    return Pick(integrating, f"integrating ({times}): {how if integrating == 'single' else far}")
 
 
 def growth_of(system: System, p: np.ndarray, record: Record) -> float:
     """Mean rate (1/s) at which small errors grow along ``record``; negative where they decay. See `rows_of_segment`."""
-    return _growth(_eigenvalues(system, p, record))
+    return _growth(system, p, record, _slopes(system, p, record, PLACES))
 
 
-def _growth(eigenvalues: list[np.ndarray]) -> float:
-    return float(np.mean([e.real.max(initial=-np.inf) for e in eigenvalues])) if eigenvalues else 0.0
+def _growth(system: System, p: np.ndarray, record: Record, slopes: np.ndarray) -> float:
+    """The largest real part of an eigenvalue; where that changes along the record, the growth that is left of it over the record."""
+    if not len(slopes):
+        return 0.0
+    rates = np.linalg.eigvals(slopes).real.max(axis=1)
+    duration = float(record.h.sum())
+    if system.linear or rates.max() * duration <= math.log(GROWN):
+        return float(rates.mean())
+    return _growth_along(_slopes(system, p, record, MANY_PLACES), duration)
 
 
-def _stiff(system: System, eigenvalues: list[np.ndarray], record: Record) -> tuple[str, str] | None:
-    """Collocation, or single shooting with an implicit step, where a fast mode rules the explicit one out."""
-    fastest = max((float((-e.real).max(initial=0.0)) for e in eigenvalues), default=0.0)
+def _growth_along(slopes: np.ndarray, duration: float) -> float:
+    """Largest Lyapunov exponent (1/s) over the second half of the record, from the product of the transitions.
+
+    The first half turns the errors into the direction that grows most. What grows like a power of time (a chain of integrators)
+    gains a factor of two or four in the second half, which is not instability.
+    """
+    errors, logarithm = np.eye(slopes.shape[1]), 0.0
+    for k, transition in enumerate(expm(slopes * (duration / len(slopes)))):
+        errors = transition @ errors
+        size = float(np.linalg.norm(errors))
+        if not 0 < size < math.inf:
+            return math.inf if size else -math.inf
+        errors /= size
+        logarithm += math.log(size) if k >= len(slopes) // 2 else 0.0
+    return logarithm / (duration * (len(slopes) - len(slopes) // 2) / len(slopes))
+
+
+def _stiff(system: System, slopes: np.ndarray, record: Record) -> Pick | None:
+    """Implicit steps or collocation, where a fast mode rules the explicit step out."""
+    fastest = max((fastest_without(slope, system.relaxing) for slope in slopes), default=0.0)
     period = float(np.median(record.h)) if len(record.h) else 0.0
     needed = fastest * period / EXPLICIT
     if system.linear or needed <= SUBSTEPS:
         return None
-    why = f"stiff: the fastest mode decays within {1 / fastest:.2g} s, {needed:.0f} explicit steps a sample"
+    why = f"stiff: the fastest mode moves within {1 / fastest:.2g} s, {needed:.0f} explicit steps a sample"
+    if system.x.numel() <= MOST_STATES:
+        return Pick("single", f"{why}; implicit ones take it in a few", True)
     if system.dry or system.updates or system.delays:
-        return "single", f"{why}; its equations stick, switch or are delayed, so it is shot with an implicit step"
+        return Pick("single", f"{why}; its equations stick, switch or are delayed, so they are taken all the same")
     samples = len(record.samples(record.u))
     if samples > MOST_SAMPLES:
-        return "single", f"{why}; {samples} samples are too many for collocation, so it is shot with an implicit step"
-    return "collocation", f"{why}; Radau points take it in one"
+        return Pick("single", f"{why}; {samples} samples are too many for collocation, so they are taken all the same")
+    return Pick("collocation", f"{why}; Radau points take it in one")
 
 
-def _eigenvalues(system: System, p: np.ndarray, record: Record) -> list[np.ndarray]:
-    """Eigenvalues (nx,) in several places of the record, those that can be computed."""
+def _slopes(system: System, p: np.ndarray, record: Record, places: int) -> np.ndarray:
+    """Jacobians (k, nx, nx) of the equations in several places of the record, those that can be computed."""
     start = np.asarray(system.start_function(p)[0]).ravel()
     names = {system.outputs[j].name(): j for j in range(system.outputs.numel()) if system.outputs[j].is_symbolic()}
-    found = []
-    for row in np.unique(np.linspace(0, len(record.u) - 1, PLACES).astype(int)):
-        x = start.copy()
-        for k, name in enumerate(system.state_names):
-            if name in names:
-                values = record.y[row:, names[name]]
-                known = values[np.isfinite(values)]
-                x[k] = known[0] if len(known) else x[k]
-        matrix = system.jacobian(x, record.u[row, : system.u.numel()], p).full()
-        if np.isfinite(matrix).all():
-            found.append(np.linalg.eigvals(matrix))
-    return found
+    rows = np.unique(np.linspace(0, len(record.u) - 1, places).astype(int))
+    x = np.tile(start, (len(rows), 1))
+    for k, name in enumerate(system.state_names):
+        if name in names:
+            values = record.y[:, names[name]]
+            known = np.flatnonzero(np.isfinite(values))
+            if len(known):
+                x[:, k] = values[known[np.minimum(np.searchsorted(known, rows), len(known) - 1)]]
+    u = record.u[rows, : system.u.numel()]
+    found = system.jacobian.map(len(rows))(x.T, u.T, ca.repmat(ca.DM(p), 1, len(rows))).full()
+    slopes = found.reshape(len(start), len(rows), len(start)).swapaxes(0, 1)
+    return slopes[np.isfinite(slopes).all(axis=(1, 2))]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.transcription.arcs import shown_states
-from greybox.transcription.shooting import Evaluation, SingleShooting
+from greybox.transcription.shooting import Evaluation, SingleShooting, penalised
 from greybox.transcription.variables import Variables
 
 # The initial state of a record is found when a further step would lower chi-square by less than this, in units of the residual
@@ -104,7 +104,7 @@ class ProjectedShooting:
             counts += part.counts
             slopes[e] = part.slope
         self._at, self._slope = z.copy(), slopes
-        return Evaluation(float(squares.sum()), gradient, hessian, squares, counts)
+        return penalised(self.variables, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts))
 
     def _settle(self, z: np.ndarray, e: int, own: np.ndarray) -> _Part | None:
         """The best initial state of one record at ``z``, by damped Gauss-Newton steps; None where nothing can be simulated."""

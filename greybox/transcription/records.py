@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import firwin, resample_poly
 
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
@@ -91,6 +90,8 @@ def interpolated(u: np.ndarray, finer: int) -> np.ndarray:
     """
     if len(u) < 2 or u.shape[1] == 0:
         return np.zeros((finer * (len(u) - 1) + 1, u.shape[1])) + u[:1]
+    from scipy.signal import firwin, resample_poly  # half a second to import, and few records are band-limited
+
     margin = min(HALF_LENGTH, len(u) - 1)
     ends = np.pad(u, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
     half = HALF_LENGTH * finer

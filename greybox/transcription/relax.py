@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from greybox.transcription.guess import nodes_of, run_pieces, settled
 from greybox.transcription.projected import ProjectedShooting
@@ -73,6 +72,8 @@ def bounded_step(
     n = len(variables.which)
     if n == 0:
         return np.zeros(0)
+    from scipy.optimize import lsq_linear  # slow to import, and single shooting does not need it
+
     low, high = (edge[:n] - z[:n] for edge in variables.bounds())
     reach = np.where(variables.logarithmic, LONGEST, np.inf)
     low, high = np.minimum(np.maximum(low, -reach), 0.0), np.maximum(np.minimum(high, reach), 0.0)

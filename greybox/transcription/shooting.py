@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from greybox.integrators import Step
 from greybox.kernel import Kernel, Record
+from greybox.transcription.lanes import Lanes
 from greybox.transcription.variables import Variables
 
 
@@ -16,8 +18,9 @@ from greybox.transcription.variables import Variables
 class Evaluation:
     """Cost ``sum of squared weighted residuals`` at one point, its gradient (n,) and Gauss-Newton matrix (n, n), ``2 J'J``.
 
-    ``count`` residuals went into it; ``squares`` and ``counts`` (ny,) are the same by output. Where the simulation overflowed the
-    cost is infinite and ``failed`` says in which experiment and at which sample.
+    ``count`` residuals went into it; ``squares`` and ``counts`` (ny,) are the same by output. Priors of constants count in the cost and
+    its derivatives, not in ``squares``. Where the simulation overflowed the cost is infinite and ``failed`` says in which experiment
+    and at which sample.
     """
 
     cost: float
@@ -54,7 +57,7 @@ class SingleShooting:
         self.records = tuple(_seen(r, step) for r in records)
         self.weight = weight
         self.rows = [max(2, round(share * len(r.u))) for r in records]
-        self._last: tuple[tuple[bytes, bytes], tuple[np.ndarray, np.ndarray]] | None = None
+        self._last: tuple[tuple[bytes, bytes, bytes], tuple[np.ndarray, np.ndarray]] | None = None
 
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Cost and derivatives at ``z``."""
@@ -62,24 +65,29 @@ class SingleShooting:
         ny = len(self.weight)
         gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
         squares, counts = np.zeros(ny), np.zeros(ny, int)
-        for e, record in enumerate(self.records):
-            columns, p = v.columns(e), v.parameters(z, e)
-            q, dq, dp, x0, dx0 = self.at(z, p, e)
+        free = v.constants(z)
+        for e, (record, lanes) in enumerate(zip(self.records, self._lanes, strict=True)):
+            p, dp, x0, dx0 = lanes.at(z, free)
+            q, dq = self._coefficients(record, p, dp)
             sums = self.kernel.sums(record, q, dq, p, dp, x0, dx0, self.weight, self.rows[e])
             if not np.isfinite(sums.cost):
                 return Evaluation(np.inf, gradient, hessian, squares, counts, (e, sums.failed_at or 0))
-            gradient[columns] += 2 * sums.gradient
-            hessian[np.ix_(columns, columns)] += 2 * sums.gauss_newton
+            gradient[lanes.columns] += 2 * sums.gradient
+            hessian[lanes.square] += 2 * sums.gauss_newton
             squares += sums.squares
             counts += sums.counts.astype(int)
-        return Evaluation(float(squares.sum()), gradient, hessian, squares, counts)
+        return penalised(v, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts))
 
     def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each record the weighted residuals (N, ny), measured minus model, and their Jacobian (N, ny, L) along `columns`."""
+        """For each record the weighted residuals (N, ny), measured minus model, and their Jacobian (N, ny, L) along `columns`.
+
+        N samples: rows between them, of a band-limited input, have none.
+        """
         found = []
         for e, record in enumerate(self.records):
             q, dq, p, dp, x0, dx0 = self._arguments(z, self.variables.parameters(z, e), e)
-            found.append(self.kernel.residuals(record, q, dq, p, dp, x0, dx0, self.weight))
+            r, jacobian = self.kernel.residuals(record, q, dq, p, dp, x0, dx0, self.weight)
+            found.append((record.samples(r), record.samples(jacobian)))
         return found
 
     def simulate(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -97,25 +105,37 @@ class SingleShooting:
         """What the kernel needs for experiment ``e``: coefficients and slopes, parameter slopes, initial state and slopes."""
         v = self.variables
         x0, dx0 = v.beginning(z, p, e)
-        lanes, n = dx0.shape[1], len(v.which)
-        slopes = v.slopes(p)
-        q, dq_free = self._coefficients(p, self.records[e].lengths)
-        dq = np.zeros((*dq_free.shape[:2], lanes))
-        dq[:, :, :n] = dq_free * slopes
-        dp = np.zeros((len(p), lanes))
-        dp[v.which, np.arange(n)] = slopes
+        dp = np.zeros((len(p), dx0.shape[1]))
+        dp[v.which, np.arange(len(v.which))] = v.slopes(p, e)
+        q, dq = self._coefficients(self.records[e], p, dp)
         return q, dq, dp, x0, dx0
 
     def _arguments(self, z: np.ndarray, p: np.ndarray, e: int) -> tuple:
         q, dq, dp, x0, dx0 = self.at(z, p, e)
         return q, dq, p, dp, x0, dx0
 
-    def _coefficients(self, p: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    @cached_property
+    def _lanes(self) -> list[Lanes]:
+        return [Lanes(self.variables, e) for e in range(len(self.records))]
+
+    def _coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The step's coefficients; records with the same intervals (the arcs of one record) share one matrix exponential."""
-        key = p.tobytes(), lengths.tobytes()
+        key = p.tobytes(), dp.tobytes(), record.lengths.tobytes()
         if self._last is None or self._last[0] != key:
-            self._last = key, self.step.coefficients(p, lengths, self.variables.which)
+            self._last = key, self.kernel.coefficients(record, p, dp)
         return self._last[1]
+
+
+def penalised(variables: Variables, z: np.ndarray, evaluation: Evaluation) -> Evaluation:
+    """``evaluation``, whose first entries are the constants, with what their priors add (`Variables.penalty`)."""
+    if not variables.held.any() or not np.isfinite(evaluation.cost):
+        return evaluation
+    n = len(variables.which)
+    cost, slope, curvature = variables.penalty(z)
+    gradient, hessian = evaluation.gradient.copy(), evaluation.hessian.copy()
+    gradient[:n] += slope
+    hessian[np.arange(n), np.arange(n)] += curvature
+    return replace(evaluation, cost=evaluation.cost + cost, gradient=gradient, hessian=hessian)
 
 
 def _seen(record: Record, step: Step) -> Record:

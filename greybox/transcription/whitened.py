@@ -9,8 +9,10 @@ import numpy as np
 from greybox.integrators import Step
 from greybox.kernel import Kernel, Record
 from greybox.noise import AutoRegression
-from greybox.transcription.shooting import Evaluation, SingleShooting
+from greybox.transcription.shooting import Evaluation, SingleShooting, penalised
 from greybox.transcription.variables import Variables
+
+Terms = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class WhitenedShooting(SingleShooting):
@@ -34,33 +36,42 @@ class WhitenedShooting(SingleShooting):
         gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
         squares, counts = np.zeros(ny), np.zeros(ny, int)
         with np.errstate(all="ignore"):  # what is not finite is found and reported
-            for e, (r, jacobian) in enumerate(self.residuals(z)):
-                there = np.isfinite(self.records[e].y[: self.rows[e]])
-                r, jacobian = r[: self.rows[e]], jacobian[: self.rows[e]]
+            for e, (r, jacobian) in enumerate(self.whitened(z)):
+                there = np.isfinite(self.records[e].samples(self.records[e].y[: self.rows[e]]))
+                r, jacobian = r[: len(there)], jacobian[: len(there)]
                 lost = there & ~(np.isfinite(r) & np.isfinite(jacobian).all(axis=2))
                 if lost.any():
-                    failed = (e, int(np.flatnonzero(lost.any(axis=1))[0]))
-                    return Evaluation(
-                        np.inf, np.zeros(v.size), np.zeros((v.size, v.size)), np.zeros(ny), np.zeros(ny, int), failed
-                    )
-                columns = v.columns(e)
-                rows = jacobian[there]
-                gradient[columns] += 2 * rows.T @ r[there]
-                hessian[np.ix_(columns, columns)] += 2 * rows.T @ rows
-                squares += np.square(np.where(there, r, 0.0)).sum(axis=0)
+                    return _impossible(v.size, ny, (e, int(np.flatnonzero(lost.any(axis=1))[0])))
+                cost, psi, weight = self.terms(np.where(there, r, 0.0))
+                columns, rows = v.columns(e), jacobian[there]
+                gradient[columns] += 2 * rows.T @ psi[there]
+                hessian[np.ix_(columns, columns)] += 2 * rows.T @ (weight[there][:, None] * rows)
+                squares += np.where(there, cost, 0.0).sum(axis=0)
                 counts += there.sum(axis=0)
-        cost = float(squares.sum())
-        if not np.isfinite(cost):
-            return Evaluation(
-                np.inf, np.zeros(v.size), np.zeros((v.size, v.size)), np.zeros(ny), np.zeros(ny, int), (0, 0)
-            )
-        return Evaluation(cost, gradient, hessian, squares, counts)
+        if not np.isfinite(squares.sum()):
+            return _impossible(v.size, ny, (0, 0))
+        return penalised(v, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts))
+
+    def terms(self, r: np.ndarray) -> Terms:
+        """Cost, half its slope and weight of each residual (N, ny)."""
+        return r**2, r, np.ones_like(r)
 
     def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each record the whitened residuals (N, ny) and their Jacobian (N, ny, L) along `columns`."""
+        return self.whitened(z)
+
+    def whitened(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each record the free-run residuals (N, ny) and their Jacobian (N, ny, L) in units of their innovations."""
+        if not any(colour.order for colour in self.colour):
+            return super().residuals(z)
         result = []
         for r, jacobian in super().residuals(z):
             both = np.concatenate([r[:, :, None], jacobian], axis=2)
             white = np.stack([colour.whiten(both[:, j]) for j, colour in enumerate(self.colour)], axis=1)
             result.append((white[:, :, 0], white[:, :, 1:]))
         return result
+
+
+def _impossible(size: int, outputs: int, failed: tuple[int, int]) -> Evaluation:
+    """The evaluation of a point that cannot be simulated."""
+    return Evaluation(np.inf, np.zeros(size), np.zeros((size, size)), np.zeros(outputs), np.zeros(outputs, int), failed)

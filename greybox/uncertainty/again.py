@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,32 +14,61 @@ from greybox.model import Model
 from greybox.noise import AutoRegression, Noise
 from greybox.noise.hierarchy import GIVEN, QUIET
 from greybox.result import Fit
+from greybox.transcription.loss import Loss, loss_of
 
 
 def options_of(fit: Fit) -> FitOptions:
     """The options of ``fit`` for a search that begins next to its optimum, with the step it ended with."""
     options = FitOptions(**fit.options)
-    return replace(options, progressive=False, substeps=int(fit.solver.get("substeps", options.substeps)))
+    return replace(
+        options, progressive=False, method=str(fit.solver.get("method", options.method)),
+        substeps=int(fit.solver.get("substeps", options.substeps)), transcription="single", arc_length=0.0, hessian="gauss-newton",
+    )  # fmt: skip
 
 
-def problem_of(fit: Fit, model: Model | None = None) -> Problem:
-    """The problem of ``fit`` with its records, its noise and its initial states, at its optimum; with another ``model`` if given.
+def runs_freely(fit: Fit) -> bool:
+    """Whether the run of ``fit`` is a free one from each record's initial state, and not arcs or the segments of an unstable plant."""
+    return fit.solver.get("transcription", "single") != "arcs" and bool(fit.solver.get("free_run", True))
 
-    Raises FitError for a fit that did not succeed, or that was saved without its inputs.
+
+def problem_of(fit: Fit, model: Model | None = None, held: Mapping[int, Mapping[str, float]] | None = None) -> Problem:
+    """The problem of ``fit`` with its records, its noise, its loss and its initial states, at its optimum.
+
+    With another ``model`` if given, and with constants ``held`` at a value in some experiments (by their number).
+
+    Raises FitError for a fit that did not succeed, that was saved without its inputs, or whose run is not a free one (arcs, or
+    the segments of an unstable plant).
     """
     if not fit.success:
         raise FitError(f"fit of {fit.model.title}: {fit.meaning}; intervals need a fit that has succeeded")
     if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
         raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
+    if not runs_freely(fit):
+        raise FitError(
+            f"fit of {fit.model.title}: its run is not a free one ({fit.solver['transcription']}), and what is asked for needs that; read the"
+            " intervals of the fit itself, or fit by single shooting where the plant is stable"
+        )
     options = options_of(fit)
+    records = [t.experiment for t in fit.traces]
+    for e, values in (held or {}).items():
+        records[e] = replace(records[e], conditions={**records[e].conditions, **values})
     problem = prepare(
-        model or fit.model, [t.experiment for t in fit.traces], noise_of_fit(fit), at_rest=options.at_rest, method=options.method,
-        substeps=options.substeps,
+        model or fit.model, records, noise_of_fit(fit), at_rest=options.at_rest, method=options.method,
+        substeps=options.substeps, own=options.own,
     )  # fmt: skip
-    variables = problem.variables
+    each = {f"{name} ({title})": e.value for name, found in fit.own.items() for title, e in found.items()}
+    variables = problem.variables.at(each)
+    problem = replace(problem, loss=loss_of_fit(fit))
     start = np.array([[t.initial_state[name] for name in problem.model.system.state_names] for t in fit.traces])
     initial = replace(variables.initial, guess=start)
     return replace(problem, variables=replace(variables, initial=initial))
+
+
+def loss_of_fit(fit: Fit) -> Loss | None:
+    """The robust loss of ``fit`` with its scales; None for least squares."""
+    loss = loss_of(FitOptions(**fit.options).loss)
+    scale = np.array([fit.loss_scale.get(o.name, 1.0) for o in fit.model.outputs])
+    return None if loss is None else replace(loss, scale=scale)
 
 
 def noise_of_fit(fit: Fit) -> Noise:

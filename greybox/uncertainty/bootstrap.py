@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.errors import FitError
 from greybox.fitting.sandwich import colour_of
+from greybox.fitting.uncertainty import information_of
 from greybox.result import Fit
+from greybox.transcription import Variables
 from greybox.uncertainty.again import problem_of
 
 # A block covers this many correlation times of the residual, and at least the cube root of the record (Kunsch 1989).
@@ -37,7 +38,8 @@ def bootstrap(
 
     Blocks of ``block`` rows of the residual, all outputs together, are drawn with replacement from the same record and put in place
     of the residual; ``J+ r*`` moves the constants and the initial states. One step is the whole refit where the model is nearly
-    linear over the interval, which a `profile` can tell. ``block`` defaults to five correlation times of the residual. The
+    linear over the interval, which a `profile` can tell. Priors are drawn anew in each replicate. Of a constant that experiments have
+    for themselves each value counts, as ``B (day 1)``. ``block`` defaults to five correlation times of the residual. The
     interval is the basic one (reflected percentiles), on the logarithm of positive constants, within their bounds. As every block
     bootstrap it falls short by some percent where the record is only tens of blocks long.
 
@@ -59,15 +61,17 @@ def bootstrap(
         )
     count = sum(int(np.isfinite(r).sum()) for r, _ in rows)
     gradient = np.zeros((replicates, v.size))
-    hessian = shooting.evaluate(z).hessian / 2
+    prior = np.pad(v.penalty(z)[2] / 2, (0, v.size - len(v.which)))
+    information = information_of(v, rows) + np.diag(prior)
     for e, (r, jacobian) in enumerate(rows):
         gradient[:, v.columns(e)] += _scores(r, jacobian, replicates, block, generator)
     gradient *= np.sqrt(count / max(count - v.size, 1))
+    gradient += np.sqrt(prior) * generator.normal(size=gradient.shape)
     inside = np.ones(v.size, bool)
-    inside[: len(v.which)] = ~v.active(v.fixed)
+    inside[: len(v.which)] = ~v.active
     steps = np.zeros((replicates, v.size))
-    steps[:, inside] = -gradient[:, inside] @ _inverse(hessian[np.ix_(inside, inside)])
-    return _summary(fit, v.names, steps[:, : len(v.which)], v.logarithmic, v.scale, block)
+    steps[:, inside] = -gradient[:, inside] @ _inverse(information[np.ix_(inside, inside)])
+    return _summary(v, steps[:, : len(v.which)], block)
 
 
 def _scores(
@@ -110,19 +114,17 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     )
 
 
-def _summary(
-    fit: Fit, names: Sequence[str], steps: np.ndarray, logarithmic: np.ndarray, scale: np.ndarray, block: int
-) -> Bootstrap:
+def _summary(v: Variables, steps: np.ndarray, block: int) -> Bootstrap:
     samples, std, interval = np.empty_like(steps), {}, {}
-    for k, name in enumerate(names):
-        value, (low, high) = fit.parameters[name].value, fit.model.parameter(name).bounds
+    for k, name in enumerate(v.names):
 
-        def place(step: np.ndarray, k: int = k, value: float = value) -> np.ndarray:
-            return value * np.exp(np.clip(step, -300, 300)) if logarithmic[k] else value + scale[k] * step
+        def place(step: np.ndarray, k: int = k) -> np.ndarray:
+            there = v.base[k] * np.exp(np.clip(step, -300, 300)) if v.logarithmic[k] else v.base[k] + v.scale[k] * step
+            return np.clip(there, v.low[k], v.high[k])
 
-        samples[:, k] = np.clip(place(steps[:, k]), low, high)
+        samples[:, k] = place(steps[:, k])
         std[name] = float(samples[:, k].std(ddof=1))
         upper, lower = np.quantile(steps[:, k], [0.025, 0.975])
-        ends = np.clip(place(np.array([-lower, -upper])), low, high)
+        ends = place(np.array([-lower, -upper]))
         interval[name] = (float(ends[0]), float(ends[1]))
-    return Bootstrap(tuple(names), samples, std, interval, block)
+    return Bootstrap(v.names, samples, std, interval, block)

@@ -12,6 +12,7 @@ from greybox.fitting.solve import Solution, solve
 from greybox.fitting.uncertainty import quantile, uncertainty
 from greybox.result import Fit
 from greybox.transcription import Variables
+from greybox.transcription.variables import SHARED
 from greybox.uncertainty.again import options_of, problem_of
 
 # First step in standard deviations, growth of the following ones, at most so many to a side.
@@ -51,26 +52,32 @@ def profile(fit: Fit, name: str) -> Profile:
     """Profile likelihood interval of the free constant ``name``, by refits of everything else from the neighbouring point.
 
     ``2 log(L max / L(value)) = (cost(value) - cost min) / s^2`` stays below the 95 % point of chi-square with one degree of freedom
-    (of F, where ``s^2`` was estimated). Where the residual is coloured the rise is divided by the squared factor by which
-    that widens the standard deviation (Chandler and Bate, Biometrika 94, 2007), so that curvature and sandwich agree at the optimum.
-    Some 10 to 20 refits.
+    (of F, where ``s^2`` was estimated). ``s^2`` is the one with which curvature and variance agree at the optimum: the variance of the
+    residual where that is white, and as much more as the stated variance is larger where it is coloured, the loss is robust, or
+    the constant has a prior (Chandler and Bate, Biometrika 94, 2007). Of a constant that experiments have for themselves each value
+    has a profile of its own, ``profile(fit, "B (day 1)")``. Some 10 to 20 refits.
 
     Raises ModelError for a constant that was not fitted, FitError for a fit that did not succeed.
     """
-    if name not in fit.free:
-        raise ModelError(f"profile of {name!r}: not a fitted constant; {nearest(name, fit.free)}")
     problem = problem_of(fit)
     v = problem.variables
+    if name not in v.names:
+        raise ModelError(f"profile of {name!r}: not a fitted constant; {nearest(name, v.names)}")
     shooting = problem.shooting(v)
     z = np.zeros(v.size)
     evaluation = shooting.evaluate(z)
-    found = uncertainty(v, evaluation, problem.noise.given, shooting.residuals(z))
+    found = uncertainty(v, evaluation, problem.noise.given, shooting.residuals(z), least=problem.least)
+    k = v.names.index(name)
+    quantity, best, variance = v.quantities[k], float(v.base[k]), found.covariance[k, k]
+    std = float(np.sqrt(variance)) if np.isfinite(variance) else None
     scale = evaluation.cost / max(evaluation.count - v.size, 1)
     scale = max(scale, 1.0) if problem.noise.given else scale
-    widened = 1.0 if found.inflation is None else float(found.inflation[v.names.index(name)])
-    search = _Search(fit, name, evaluation.cost, scale * widened**2)
-    quantity = fit.model.parameter(name)
-    best, std = fit.parameters[name].value, fit.parameters[name].std
+    if std is not None and found.information is not None:
+        inside = np.flatnonzero(~v.active)
+        whole = found.information[np.ix_(inside, inside)] + np.diag(v.penalty(z)[2][inside] / 2)
+        place = int(np.searchsorted(inside, k))
+        scale = float(variance / v.spans[k] ** 2 / np.linalg.pinv(whole, hermitian=True)[place, place])
+    search = _Search(fit, v, k, evaluation.cost, scale)
     threshold = quantile(found.degrees) ** 2
     low, points_low = _side(search, best, std, quantity.positive, quantity.bounds[0], -1, threshold)
     high, points_high = _side(search, best, std, quantity.positive, quantity.bounds[1], +1, threshold)
@@ -82,20 +89,24 @@ def profile(fit: Fit, name: str) -> Profile:
 class _Search:
     """Refits with one constant held, each begun at the last."""
 
-    def __init__(self, fit: Fit, name: str, least: float, scale: float) -> None:
-        self.fit, self.name, self.least, self.scale = fit, name, least, scale
+    def __init__(self, fit: Fit, variables: Variables, k: int, least: float, scale: float) -> None:
+        self.fit, self.name, self.least, self.scale = fit, variables.quantities[k].name, least, scale
+        self.owner, (self.mean, self.std) = int(variables.owner[k]), variables.prior[k]
         self.options = options_of(fit)
 
     def rise(self, value: float, near: Variables | None) -> tuple[float, Variables]:
         """Rise of the minimal cost with the constant at ``value``; infinite where there is no fit."""
-        model = self.fit.model.fix(**{self.name: value})
-        problem = problem_of(self.fit, model)
+        if self.owner == SHARED:
+            problem = problem_of(self.fit, self.fit.model.fix(**{self.name: value}))
+        else:
+            problem = problem_of(self.fit, held={self.owner: {self.name: value}})
         if near is not None:
             fixed = near.fixed.copy()
-            fixed[list(model.values).index(self.name)] = value
-            problem = replace(problem, variables=replace(near, model=model, fixed=fixed))
+            fixed[list(problem.model.values).index(self.name)] = value
+            conditions = problem.variables.conditions
+            problem = replace(problem, variables=replace(near, model=problem.model, fixed=fixed, conditions=conditions))
         solution: Solution = solve(problem, self.options)
-        cost = solution.evaluation.cost
+        cost = solution.evaluation.cost + ((value - self.mean) / self.std) ** 2
         return (max(cost - self.least, 0.0) / self.scale if np.isfinite(cost) else np.inf), solution.variables
 
 

@@ -1,0 +1,98 @@
+"""Output error and Box-Jenkins: the noise does not pass through the plant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.blackbox.excitation import excitation_notes
+from greybox.blackbox.polynomial import PolynomialModel
+from greybox.blackbox.regression import orders
+from greybox.blackbox.search import Beginning, check_history, searched
+from greybox.blackbox.series import Channels, channels
+from greybox.blackbox.starts import box_jenkins_starts, output_error_starts
+from greybox.blackbox.structure import Structure, whole
+from greybox.errors import DataError
+from greybox.experiment import Experiment
+
+
+def output_error(
+    experiments: Experiment | Sequence[Experiment],
+    *,
+    nb: int | Sequence[int],
+    nf: int | Sequence[int],
+    nk: int | Sequence[int] = 1,
+    output: str | None = None,
+    inputs: Sequence[str] | str | None = None,
+    history: Beginning = "estimated",
+    offset: bool = False,
+    units: Mapping[str, str] | None = None,
+) -> PolynomialModel:
+    """Fit ``y(k) = sum_i B_i(q) / F_i(q) u_i(k) + e(k)`` by minimising the mean square of the free-run error ``e``.
+
+    ``nf`` poles of each input's ``F`` (one number for all, or one for each), held inside the unit circle. The rest as in `armax`.
+    The standard deviations hold for a white error only. A gap in the output costs nothing but its rows.
+
+    Raises DataError as `arx` does.
+    """
+    check_history(history)
+    data = channels(experiments, output, inputs)
+    structure = without_equation_error("output error", data, nb, nf, nk, offset=offset)
+    model = searched(structure, data, output_error_starts(structure, data, history == "zero"), history, units)
+    return _with_excitation(structure, data, model)
+
+
+def box_jenkins(
+    experiments: Experiment | Sequence[Experiment],
+    *,
+    nb: int | Sequence[int],
+    nf: int | Sequence[int],
+    nc: int,
+    nd: int,
+    nk: int | Sequence[int] = 1,
+    output: str | None = None,
+    inputs: Sequence[str] | str | None = None,
+    history: Beginning = "estimated",
+    offset: bool = False,
+    units: Mapping[str, str] | None = None,
+) -> PolynomialModel:
+    """Fit ``y(k) = sum_i B_i(q) / F_i(q) u_i(k) + C(q) / D(q) e(k)`` by minimising the mean square of the one-step error ``e``.
+
+    The noise has poles (``nd``) and zeros (``nc``) of its own, both held inside the unit circle. The rest as in `output_error`, of
+    which this is the extension for coloured noise (Box, Jenkins 1970; Ljung, System identification, 2nd ed., equation 4.31).
+
+    Raises DataError as `arx` does.
+    """
+    check_history(history)
+    data = channels(experiments, output, inputs)
+    kind = "box-jenkins"
+    noise = {"nc": whole("nc", nc, kind), "nd": whole("nd", nd, kind)}
+    structure = without_equation_error(kind, data, nb, nf, nk, offset=offset, **noise)
+    model = searched(structure, data, box_jenkins_starts(structure, data, history == "zero"), history, units)
+    return _with_excitation(structure, data, model)
+
+
+def without_equation_error(
+    kind: str,
+    data: Channels,
+    nb: int | Sequence[int],
+    nf: int | Sequence[int],
+    nk: int | Sequence[int],
+    *,
+    nc: int = 0,
+    nd: int = 0,
+    offset: bool = False,
+) -> Structure:
+    """Structure with ``A = 1``, its orders spread over the inputs. Raises DataError for orders that cannot be."""
+    o = orders(data, nb, nk, 0, kind)
+    poles = (nf,) * len(o.nb) if isinstance(nf, (int, np.integer)) else tuple(nf)
+    if len(poles) != len(o.nb):
+        raise DataError(f"{kind}: nf has {len(poles)} numbers for {len(o.nb)} inputs; give one number, or one for each")
+    return Structure(kind, o, tuple(whole("nf", n, kind) for n in poles), nc=nc, nd=nd, offset=offset)
+
+
+def _with_excitation(structure: Structure, data: Channels, model: PolynomialModel) -> PolynomialModel:
+    needed = [b + f for b, f in zip(structure.orders.nb, structure.nf, strict=True)]
+    return replace(model, notes=(*excitation_notes(data, sum(needed), needed), *model.notes))

@@ -1,0 +1,223 @@
+"""The value of every black-box model here: polynomials in the backward shift ``q^-1``, one output, one or more inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from greybox.blackbox import responses
+from greybox.blackbox.responses import Initial
+from greybox.blackbox.series import Series, series_of
+from greybox.errors import DataError, nearest
+from greybox.experiment import Experiment
+
+ONE = np.ones(1)
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialModel:
+    """A linear difference equation of one output.
+
+    ``A(q) y(k) = sum_i B_i(q) / F_i(q) u_i(k) + constant + C(q) / D(q) e(k)`` with ``A = 1 + a1 q^-1 + ...`` and so on, and
+    ``B = q^-nk (b1 + b2 q^-1 + ...)`` (Ljung, System identification, 2nd ed., equation 4.33).
+
+    ``kind`` is ``arx``, ``armax``, ``output error`` ...; ``sampling_time`` in seconds. ``a``, ``c``, ``d`` (n + 1,) begin with 1;
+    ``b`` holds for each input its coefficients with ``nk`` zeros in front (nk + nb,), ``f`` each (nf + 1,). ``noise_std`` is the
+    standard deviation of ``e`` in the output's unit. ``covariance`` (p, p) belongs to the estimated coefficients in the order of
+    `coefficients`; None where they were not estimated. ``samples`` equations went into the estimate and ``loss`` is the mean square
+    of what it minimised (the one-step error; for ``simulation`` focus the prefiltered one). ``history`` and ``focus`` say how the
+    rows were made, ``units`` name -> unit, ``notes`` what one should know before trusting it.
+    """
+
+    kind: str
+    output: str
+    inputs: tuple[str, ...]
+    sampling_time: float
+    nk: tuple[int, ...]
+    b: tuple[np.ndarray, ...]
+    a: np.ndarray = field(default_factory=lambda: ONE)
+    f: tuple[np.ndarray, ...] = ()
+    c: np.ndarray = field(default_factory=lambda: ONE)
+    d: np.ndarray = field(default_factory=lambda: ONE)
+    constant: float | None = None
+    noise_std: float = 0.0
+    covariance: np.ndarray | None = None
+    samples: int = 0
+    loss: float = np.nan
+    history: str = ""
+    focus: str = "prediction"
+    units: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        def frozen(values: Any) -> np.ndarray:
+            array = np.array(values, dtype=float)
+            array.setflags(write=False)
+            return array
+
+        for name in ("a", "c", "d"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "b", tuple(map(frozen, self.b)))
+        object.__setattr__(self, "f", tuple(map(frozen, self.f or [ONE] * len(self.inputs))))
+
+    @property
+    def label(self) -> str:
+        """Kind and orders: ``arx(2, 2, 1)``; several inputs as ``arx(2, [2 1], [1 1])``."""
+        nb, nf = [len(b) - k for b, k in zip(self.b, self.nk, strict=True)], [len(f) - 1 for f in self.f]
+        orders: dict[str, Any] = {
+            "arx": (len(self.a) - 1, nb, self.nk),
+            "armax": (len(self.a) - 1, nb, len(self.c) - 1, self.nk),
+            "output error": (nb, nf, self.nk),
+            "box-jenkins": (nb, nf, len(self.c) - 1, len(self.d) - 1, self.nk),
+        }
+        said = orders.get(self.kind, (len(self.a) - 1, nb, len(self.c) - 1, len(self.d) - 1, nf, self.nk))
+        further = ["offset"] * (self.constant is not None) + ["simulation focus"] * (
+            self.kind == "arx" and self.focus == "simulation"
+        )
+        return f"{self.kind}({', '.join([*map(_orders, said), *further])})"
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """The estimated numbers by name, in the order of ``covariance``: a1 ..., b1 ..., f1 ..., c1 ..., d1 ..., constant.
+
+        With several inputs ``b`` and ``f`` carry the input: ``b1[u]``.
+        """
+        several = len(self.inputs) > 1
+        marks = [f"[{name}]" if several else "" for name in self.inputs]
+        named = [(f"a{i}", v) for i, v in enumerate(self.a[1:], 1)]
+        for b, nk, mark in zip(self.b, self.nk, marks, strict=True):
+            named += [(f"b{i}{mark}", v) for i, v in enumerate(b[nk:], 1)]
+        for f, mark in zip(self.f, marks, strict=True):
+            named += [(f"f{i}{mark}", v) for i, v in enumerate(f[1:], 1)]
+        named += [(f"c{i}", v) for i, v in enumerate(self.c[1:], 1)] + [
+            (f"d{i}", v) for i, v in enumerate(self.d[1:], 1)
+        ]
+        if self.constant is not None:
+            named.append(("constant", self.constant))
+        return {name: float(value) for name, value in named}
+
+    @property
+    def parameters(self) -> int:
+        """Number of estimated coefficients."""
+        return len(self.coefficients)
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviation of each coefficient; NaN where no covariance is known."""
+        spread = np.full(self.parameters, np.nan) if self.covariance is None else np.sqrt(np.diag(self.covariance))
+        return dict(zip(self.coefficients, map(float, spread), strict=True))
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Roots of ``A`` and of every ``F`` in the z-plane, largest first; a pole at z = 0 (pure delay) is left out."""
+        return _roots(reduce(np.convolve, self.f, self.a))
+
+    def zeros(self, name: str | None = None) -> np.ndarray:
+        """Roots of ``B`` of one input (the only one if not named) in the z-plane, largest first, without those at z = 0."""
+        return _roots(np.trim_zeros(self.b[self._input(name)], "f"))
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole lies inside the unit circle."""
+        return bool(np.all(np.abs(self.poles) < 1))
+
+    @property
+    def feedthrough(self) -> dict[str, float]:
+        """Direct share of each input in the output of the same row, ``B(q)`` at delay zero: 0 where ``nk`` is at least 1."""
+        return {name: float(b[0]) for name, b in zip(self.inputs, self.b, strict=True)}
+
+    def gain(self, name: str | None = None) -> float:
+        """Steady-state gain ``B(1) / (A(1) F(1))`` from one input (the only one if not named); infinite for an integrator."""
+        i = self._input(name)
+        below = float(self.a.sum() * self.f[i].sum())
+        return float(self.b[i].sum()) / below if below else np.inf
+
+    def response(self, frequency: np.ndarray, name: str | None = None) -> np.ndarray:
+        """Frequency response (n,), complex, at ``frequency`` (n,) in Hz from one input (the only one if not named)."""
+        i = self._input(name)
+        shift = np.exp(-2j * np.pi * np.asarray(frequency, float) * self.sampling_time)
+        b, a, f = (np.polyval(p[::-1], shift) for p in (self.b[i], self.a, self.f[i]))
+        return b / (a * f)
+
+    def simulate(
+        self, experiment: Experiment, *, initial: Initial = "estimated", rows: int | None = None
+    ) -> dict[str, np.ndarray]:
+        """Free run over the inputs of ``experiment``: ``{output: (N,)}``; no measured output is used beyond the initial state.
+
+        ``initial``: ``"zero"``, everything was zero before the first row; ``"measured"``, the first rows as measured, as many as
+        the model has states; ``"estimated"``, the state that fits the first ``rows`` rows best (None: all rows).
+
+        Raises DataError for an experiment of another sampling time, without an input, or without the measurements that
+        ``initial`` needs. The run of an unstable model grows, up to infinity.
+        """
+        return {self.output: responses.free_run(self, self._series(experiment, initial), initial, rows)}
+
+    def predict(
+        self, experiment: Experiment, steps: int = 1, *, initial: Initial = "estimated", rows: int | None = None
+    ) -> dict[str, np.ndarray]:
+        """Prediction ``yhat(k | k - steps)`` as ``{output: (N,)}`` from the measured outputs up to ``steps`` rows before.
+
+        A value that was not measured is replaced by its own prediction. ``initial`` as in `simulate`, for the predictor's state;
+        with ``"measured"`` the first rows, which have no history, are NaN. Raises DataError as `simulate` does, and for ``steps``
+        below one.
+        """
+        if steps < 1:
+            raise DataError(f"steps ahead: {steps}; give a whole number from 1")
+        return {self.output: responses.prediction(self, self._series(experiment, "measured"), steps, initial, rows)[0]}
+
+    def errors(self, experiment: Experiment, *, initial: Initial = "estimated") -> np.ndarray:
+        """One-step prediction errors ``e`` (N,), NaN in gaps and where ``initial="measured"`` has no history."""
+        return responses.prediction(self, self._series(experiment, "measured"), 1, initial, None)[1]
+
+    def to_control(self) -> Any:
+        """A discrete `control.TransferFunction` from the inputs to the output, with signal names and the sampling time."""
+        import control
+
+        below = [np.convolve(self.a, f) for f in self.f]
+        size = max(map(len, [*self.b, *below]))  # the same power of z above and below
+        padded = [[[np.pad(p, (0, size - len(p))) for p in group]] for group in (self.b, below)]
+        return control.TransferFunction(
+            *padded,
+            self.sampling_time,
+            inputs=list(self.inputs),
+            outputs=[self.output],
+            name=self.kind.replace(" ", "_"),
+        )
+
+    def __str__(self) -> str:
+        from greybox.blackbox.text import described
+
+        return described(self)
+
+    def _series(self, experiment: Experiment, initial: Initial) -> Series:
+        series = series_of(experiment, self.output, self.inputs, need_output=initial != "zero")
+        if not np.isclose(series.sampling_time, self.sampling_time, rtol=2e-3):
+            raise DataError(
+                f"experiment {experiment.name!r} is sampled every {series.sampling_time:.6g} s, but {self.label} of"
+                f" {self.output!r} was identified at {self.sampling_time:.6g} s and holds for that alone; resample the record"
+            )
+        return series
+
+    def _input(self, name: str | None) -> int:
+        if name is None and len(self.inputs) == 1:
+            return 0
+        if name not in self.inputs:
+            said = "which input?" if name is None else f"no input {name!r};"
+            raise DataError(f"{self.label} of {self.output!r}: {said} {nearest(name or '', self.inputs)}")
+        return self.inputs.index(name)
+
+
+def _orders(value: Any) -> str:
+    if not isinstance(value, (list, tuple)):
+        return str(value)
+    return str(value[0]) if len(value) == 1 else f"[{' '.join(map(str, value))}]"
+
+
+def _roots(polynomial: np.ndarray) -> np.ndarray:
+    """Roots in z of a polynomial in ``q^-1``, largest first, those at the origin left out."""
+    found = np.roots(np.trim_zeros(polynomial, "b"))
+    return found[np.argsort(-np.abs(found), kind="stable")]

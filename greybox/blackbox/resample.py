@@ -1,0 +1,74 @@
+"""Records brought to equal steps, for difference equations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.errors import DataError
+from greybox.experiment import Experiment
+
+ROUNDING = 1e-9  # of a step, by which the last new row may seem to lie behind the record
+
+
+def resample(experiment: Experiment, sampling_time: float) -> Experiment:
+    """``experiment`` at equal steps of ``sampling_time`` seconds from its first row on.
+
+    A held input keeps the value of the row before, other inputs and the outputs run straight between rows; an output is a gap where
+    one of the rows around it is. Straight lines weaken what is faster than a few old steps: choose a step near the record's
+    own. Raises DataError for a step that is not positive or leaves fewer than two rows.
+    """
+    if not (math.isfinite(sampling_time) and sampling_time > 0):
+        raise DataError(f"resample {experiment.name!r}: a step of {sampling_time} s; give a positive number of seconds")
+    rows = int(np.floor(experiment.duration / sampling_time + ROUNDING)) + 1
+    if rows < 2:
+        raise DataError(
+            f"resample {experiment.name!r}: steps of {sampling_time:g} s leave {rows} row of a record of"
+            f" {experiment.duration:g} s; give a shorter step"
+        )
+    old, new = experiment.time, experiment.time[0] + sampling_time * np.arange(rows)
+    before = np.clip(np.searchsorted(old, new + ROUNDING * sampling_time, side="right") - 1, 0, len(old) - 1)
+
+    def straight(values: np.ndarray) -> np.ndarray:
+        return np.interp(new, old, values)
+
+    def held(values: np.ndarray) -> np.ndarray:
+        return values[before]
+
+    across = held if experiment.hold == "zero" else straight
+    return replace(
+        experiment,
+        time=new,
+        inputs={name: across(values) for name, values in experiment.inputs.items()},
+        outputs={name: straight(values) for name, values in experiment.outputs.items()},
+        notes=(*experiment.notes, f"resampled to every {sampling_time:.6g} s from {experiment.rows} rows"),
+    )
+
+
+def thinned(experiment: Experiment, output: str) -> Experiment | None:
+    """``experiment`` at the rows at which ``output`` is measured, where these lie several steps apart; None where they do not.
+
+    For a sensor slower than the rest, whose column is empty in between. Inputs are averaged over the rows of each long step, which is
+    what a held input does in it; other outputs keep what they have at those rows.
+    """
+    if experiment.sampling_time is None or output not in experiment.outputs:
+        return None
+    measured = np.flatnonzero(np.isfinite(experiment.outputs[output]))
+    stride = int(np.gcd.reduce(np.diff(measured))) if len(measured) > 2 else 1
+    if stride < 2:
+        return None
+    rows = np.arange(measured[0], experiment.rows, stride)
+    rows = rows[rows <= measured[-1]]
+
+    def averaged(values: np.ndarray) -> np.ndarray:
+        ends = np.append(rows[1:], min(rows[-1] + stride, experiment.rows))
+        return np.array([values[a:b].mean() for a, b in zip(rows, ends, strict=True)])
+
+    return replace(
+        experiment,
+        time=experiment.time[rows],
+        inputs={name: averaged(values) for name, values in experiment.inputs.items()},
+        outputs={name: values[rows] for name, values in experiment.outputs.items()},
+    )

@@ -1,0 +1,143 @@
+"""Free runs and predictions of a difference equation, and what its unknown past adds to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+from scipy.signal import lfilter
+
+from greybox.blackbox.series import Series, delayed
+from greybox.errors import DataError, nearest
+
+if TYPE_CHECKING:
+    from greybox.blackbox.polynomial import PolynomialModel
+
+Initial = Literal["zero", "measured", "estimated"]
+
+# Beyond this growth of the free response rows say nothing about the initial state: the model is unstable.
+MOST_GROWTH = 1e8
+# The first rows may be extrapolated to the whole record this many times larger.
+MOST_AMPLIFIED = 10.0
+NEGLIGIBLE = 1e-13  # singular values below this share of the largest carry nothing
+
+
+def free_run(model: PolynomialModel, data: Series, initial: Initial, rows: int | None) -> np.ndarray:
+    """Output (N,) of ``A y = sum B / F u + constant`` from the ``initial`` state."""
+    _known(initial)
+    constant = np.full(data.rows, model.constant or 0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        y = lfilter([1.0], model.a, constant)
+        for b, f, u in zip(model.b, model.f, data.u.T, strict=True):
+            y = y + lfilter(b, np.convolve(model.a, f), u)
+        if initial == "zero":
+            return y
+        free = np.hstack(past_terms(model, data.rows, [len(model.a)], model.a))
+        return y + free @ initial_state(free, data.y - y, initial, rows)
+
+
+def prediction(
+    model: PolynomialModel, data: Series, steps: int, initial: Initial, rows: int | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """``yhat(k | k - steps)`` (N,), the measurement less the last ``steps`` innovations' share in it, and the innovations (N,).
+
+    ``e = D / C (A y - sum B / F u - constant)``. Where nothing was measured the innovation is zero and the prediction takes the
+    measurement's place. With ``initial="measured"`` the rows without a history are NaN.
+    """
+    _known(initial)
+    alpha = np.convolve(model.a, model.d)
+    driven = lfilter(model.d, [1.0], np.full(data.rows, model.constant or 0.0))
+    for b, f, u in zip(model.b, model.f, data.u.T, strict=True):
+        driven = driven + lfilter(np.convolve(b, model.d), f, u)
+    past = np.empty((data.rows, 0))
+    if initial != "zero":
+        past = np.hstack(past_terms(model, data.rows, [len(alpha), len(model.c)]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        e, filled = _innovations(alpha, model.c, data.y, np.column_stack([driven, past]))
+        state = initial_state(-e[:, 1:], e[:, 0], initial, rows)
+        innovation, complete = (part[:, 0] + part[:, 1:] @ state for part in (e, filled))
+        share = lfilter(model.c, alpha, np.eye(1, steps)[0])
+        ahead = complete - np.convolve(share, innovation)[: data.rows]
+    innovation = np.where(np.isfinite(data.y), innovation, np.nan)
+    if initial == "measured":
+        without_history = np.flatnonzero(np.isfinite(data.y))[: past.shape[1]]
+        innovation[without_history] = np.nan
+        ahead[: without_history.max(initial=-1) + 1] = np.nan
+    return ahead, innovation
+
+
+def past_terms(
+    model: PolynomialModel, rows: int, reach: Sequence[int], through: Sequence[float] | np.ndarray = (1.0,)
+) -> list[np.ndarray]:
+    """What everything before the first row can add to ``A y``: for each input the responses ``q^-j / F`` (N, m).
+
+    ``reach``: lengths of the polynomials through which past outputs and errors act; the responses are those behind the filter
+    ``1 / through``. Inputs of one ``F`` share theirs, which stand with the first of them.
+    """
+    counts: dict[tuple[float, ...], int] = {}
+    for b, f in zip(model.b, model.f, strict=True):
+        longest = max(len(b) + len(model.d) - 1, *(n + len(f) - 1 for n in reach)) - 1
+        counts[tuple(f)] = max(counts.get(tuple(f), 0), min(longest, rows))
+    blocks = []
+    for f in model.f:
+        response = lfilter([1.0], np.convolve(through, f), np.eye(1, rows)[0])
+        count = counts.pop(tuple(f), 0)
+        blocks.append(np.column_stack([np.empty((rows, 0)), *(delayed(response, j) for j in range(count))]))
+    return blocks
+
+
+def initial_state(free: np.ndarray, target: np.ndarray, initial: Initial, rows: int | None) -> np.ndarray:
+    """Shares (m,) of the free responses (N, m) that meet ``target`` (N,), NaN in gaps, on the first rows.
+
+    ``"measured"`` meets as many rows as there are responses exactly; ``"estimated"`` the first ``rows`` by least squares. What those
+    rows hardly show and the rest of the record would show more than `MOST_AMPLIFIED` times larger is left at zero.
+    """
+    if not free.shape[1]:
+        return np.zeros(0)
+    tame = np.all(np.abs(free) < MOST_GROWTH, axis=1)
+    usable = np.isfinite(target) & tame
+    if initial == "measured":
+        first = usable & (np.cumsum(usable) <= free.shape[1])
+        return np.linalg.lstsq(free[first], target[first], rcond=None)[0]
+    if rows is not None:
+        usable[rows:] = False
+    if not usable.any():
+        return np.zeros(free.shape[1])
+    # Shares z = R x of responses that are orthogonal over the whole record and of unit size there
+    _, size, right = np.linalg.svd(np.linalg.qr(free[tame], mode="r") / np.sqrt(tame.sum()))
+    there = size > NEGLIGIBLE * size[0]
+    back = right[there].T / size[there]
+    u, s, v = np.linalg.svd(free[usable] @ back / np.sqrt(usable.sum()), full_matrices=False)
+    shown = s * MOST_AMPLIFIED > 1
+    z = v[shown].T @ (u[:, shown].T @ target[usable] / s[shown]) / np.sqrt(usable.sum())
+    return back @ z
+
+
+def _innovations(alpha: np.ndarray, c: np.ndarray, y: np.ndarray, driven: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``C e = alpha y - driven`` for every column of ``driven`` (N, m), of which only the first has ``y`` (N,); e and y (N, m).
+
+    In a gap of ``y`` the innovation is zero and ``y`` what follows from that.
+    """
+    measured = np.zeros_like(driven)
+    measured[:, 0] = y
+    gaps = np.isnan(y)
+    if not gaps.any():
+        return lfilter([1.0], c, lfilter(alpha, [1.0], measured, axis=0) - driven, axis=0), measured
+    before = max(len(alpha), len(c)) - 1
+    e, filled = np.zeros((2, before + len(y), driven.shape[1]))
+    for k in range(before, before + len(y)):
+        moving = sum(c[j] * e[k - j] for j in range(1, len(c)))
+        settled = sum(alpha[j] * filled[k - j] for j in range(1, len(alpha)))
+        expected = driven[k - before] + moving - settled
+        if gaps[k - before]:
+            filled[k] = expected
+        else:
+            filled[k] = measured[k - before]
+            e[k] = filled[k] - expected
+    return e[before:], filled[before:]
+
+
+def _known(initial: str) -> None:
+    if initial not in get_args(Initial):
+        raise DataError(f"unknown initial state {initial!r}; {nearest(initial, get_args(Initial))}")

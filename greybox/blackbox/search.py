@@ -1,0 +1,144 @@
+"""A prediction-error model from candidates of a start to the finished value with covariance and notes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from greybox.blackbox.polynomial import PolynomialModel
+from greybox.blackbox.prediction_error import (
+    ENOUGH,
+    ITERATIONS,
+    Errors,
+    Minimum,
+    errors,
+    minimise,
+    stable_part,
+    stretches,
+)
+from greybox.blackbox.regression import COLLINEAR, SHARE, refuse_few_rows
+from greybox.blackbox.rounding import instability_notes
+from greybox.blackbox.series import Channels, Series
+from greybox.blackbox.structure import Structure
+from greybox.errors import DataError, nearest
+
+Beginning = Literal["estimated", "zero"]
+SAME = 1e-3  # relative difference of two candidates' sums of squares that makes them one
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard to search: ``starts`` that are followed, best first, for ``race`` iterations, after which only the best goes on for
+    at most ``iterations`` or until it gains less than ``enough`` of the sum of squares."""
+
+    starts: int = 3
+    race: int = 8
+    iterations: int = ITERATIONS
+    enough: float = ENOUGH
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A structure and the stretches of the records that it is fitted to; ``rest``: all was zero before them."""
+
+    structure: Structure
+    data: Channels
+    parts: tuple[Series, ...]
+    rest: bool
+
+    def evaluate(self, theta: np.ndarray, slopes: bool) -> Errors:
+        """Errors of the stretches at the coefficients ``theta`` (p,)."""
+        return errors(self.structure, theta, self.data, self.parts, rest=self.rest, slopes=slopes)
+
+    def admissible(self, theta: np.ndarray) -> np.ndarray:
+        """The coefficients with stable filters."""
+        return stable_part(self.structure, theta)
+
+
+def searched(
+    structure: Structure,
+    data: Channels,
+    starts: Sequence[np.ndarray],
+    history: Beginning,
+    units: Mapping[str, str] | None = None,
+    effort: Effort | None = None,
+) -> PolynomialModel:
+    """The best minimum from the best ``starts``. Raises DataError where there are too few rows or the columns are collinear."""
+    effort = effort or Effort()
+    problem = Problem(structure, data, stretches(data, structure), history == "zero")
+    label = structure.model(np.zeros(structure.size), data).label
+    count = int(sum(np.isfinite(part.y).sum() for part in problem.parts))
+    starts = [problem.admissible(start) for start in starts]
+    at = [problem.evaluate(start, False) for start in starts] if problem.parts else []
+    refuse_few_rows(data, label, count - max((e.states for e in at), default=0), structure.size, history)
+    best = raced(problem, starts, [e.squares for e in at], effort)
+    return _finished(structure, data, best, count, label, history, units or {})
+
+
+def raced(problem: Problem, starts: Sequence[np.ndarray], squares: Sequence[float], effort: Effort) -> Minimum:
+    """Short searches from the ``starts`` that differ, and a long one from where the best of them ended."""
+    chosen: list[int] = []
+    for k in sorted(range(len(starts)), key=lambda k: squares[k]):
+        if all(abs(squares[k] - squares[c]) > SAME * squares[c] for c in chosen):
+            chosen.append(k)
+    first = effort.race if len(chosen[: effort.starts]) > 1 else effort.iterations
+    races = [
+        minimise(problem.evaluate, problem.admissible, starts[k], iterations=first, enough=effort.enough)
+        for k in chosen[: effort.starts]
+    ]
+    best = min(races, key=lambda m: m.errors.squares)
+    if best.converged or first == effort.iterations:
+        return best
+    return minimise(
+        problem.evaluate, problem.admissible, best.theta, iterations=effort.iterations, enough=effort.enough
+    )
+
+
+def check_history(history: str) -> None:
+    """Refuse, with DataError, a history that is neither estimated nor zero."""
+    if history not in get_args(Beginning):
+        raise DataError(f"unknown history {history!r}; {nearest(history, get_args(Beginning))}")
+
+
+def spread(slopes: np.ndarray, squares: float, freedom: int) -> np.ndarray:
+    """Covariance (p, p) of coefficients with these ``slopes`` (n, p), for a white error."""
+    scale = np.linalg.norm(slopes, axis=0)
+    _, size, right = np.linalg.svd(slopes / scale, full_matrices=False)
+    inverse = right.T / size
+    return squares / freedom * (inverse @ inverse.T) / np.outer(scale, scale)
+
+
+def refuse_collinear(slopes: np.ndarray, names: Sequence[str], label: str) -> None:
+    """DataError that names the coefficients whose ``slopes`` (n, p) are zero or combinations of one another."""
+    scale = np.linalg.norm(slopes, axis=0)
+    still = [n for n, s in zip(names, scale, strict=True) if s == 0]
+    if still:
+        raise DataError(f"{label}: {', '.join(still)} change nothing in these records; take a smaller structure")
+    _, size, right = np.linalg.svd(np.linalg.qr(slopes / scale, mode="r"))
+    if size[-1] <= COLLINEAR * np.sqrt(len(slopes)):
+        shares = np.abs(right[-1]) / np.abs(right[-1]).max()
+        together = [n for n, s in zip(names, shares, strict=True) if s > SHARE]
+        raise DataError(
+            f"{label}: the coefficients {', '.join(together)} act alike in these records and cannot be told apart; a constant"
+            " input (a step after its edge) carries one, and each sine two: take a smaller structure, history='zero' where the"
+            " record begins at rest and with the step's edge, or a record with a livelier input"
+        )
+
+
+def _finished(
+    structure: Structure, data: Channels, best: Minimum, count: int, label: str, history: str, units: Mapping[str, str]
+) -> PolynomialModel:
+    model = structure.model(best.theta, data)
+    found = best.errors
+    refuse_collinear(found.slopes, list(model.coefficients), label)
+    freedom = count - structure.size - found.states
+    notes = () if best.converged else (f"the search stopped after {best.iterations} iterations, before it had settled",)
+    return replace(
+        model, noise_std=float(np.sqrt(found.squares / freedom)), covariance=spread(found.slopes, found.squares, freedom),
+        samples=count, loss=found.squares / count, history=history, units=dict(units),
+        focus="simulation" if not (structure.orders.na or structure.nc or structure.nd) else "prediction",
+        notes=(*notes, *instability_notes(model)),
+    )  # fmt: skip

@@ -1,0 +1,170 @@
+"""`greybox compare`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from greybox.cli import constraints as c
+from greybox.cli import options as o
+from greybox.cli.guard import INTERRUPTED, stop
+from greybox.cli.records import tell_notes
+from greybox.cli.ticker import ticker
+
+if TYPE_CHECKING:
+    from greybox.comparison import Comparison
+    from greybox.comparison.compare import Named
+    from greybox.experiment import Experiment
+    from greybox.fitting.options import Progress
+    from greybox.model import Model
+
+
+def compare(
+    model: o.ModelName,
+    train: Annotated[
+        list[Path],
+        typer.Argument(metavar="TRAIN", help="Records to fit: CSV, TSV, MAT, NPZ or Parquet, headers 'name [unit]'."),
+    ],
+    *,
+    fix: o.Fix,
+    start: o.Start,
+    free: o.Free,
+    effect: o.Effects,
+    effects: Annotated[
+        str,
+        typer.Option(
+            "--effects",
+            metavar="NAME,...",
+            help="Also fit MODEL with each of these effects of the catalogue; A+B is one model with both.",
+        ),
+    ] = "",
+    prior: c.Prior,
+    tie: c.Tie,
+    own: c.Own,
+    schedule: c.Schedule,
+    condition: c.Condition,
+    noise: o.Noise,
+    quiet: o.Quiet,
+    validate: Annotated[
+        list[Path],
+        typer.Option("--validate", metavar="FILE", default_factory=list, help="A record to judge by; may be repeated."),
+    ],
+    skip: Annotated[
+        int,
+        typer.Option("--skip", metavar="N", min=0, help="Rows at the start of --validate records that do not count."),
+    ] = 0,
+    hold: o.Hold = o.HoldName.zero,
+    at_rest: o.AtRest = False,
+    free_decay: o.FreeDecay = False,
+    column: o.Columns,
+    method: o.Method = o.MethodName.automatic,
+    substeps: o.Substeps = 0,
+    loss: c.Loss = "squares",
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", metavar="DIR", help="Folder for compare.json and figures. [default: results/MODEL-compare]"
+        ),
+    ] = None,
+    silent: Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the comparison as JSON instead of text.")] = False,
+) -> None:
+    """Does the physics pay? Fit MODEL and the usual black boxes to the same records, and judge them on others.
+
+    The black boxes are ARX, ARMAX, output error, Box-Jenkins and Hammerstein models, each chosen by a scan of its own over
+    orders, delays and offset, and Monte-Carlo smoothing where a record is a single step. Prints the errors of the free run
+    and one sample ahead, best fit, number of constants, BIC, stability, feed-through and time, and says which is best and
+    by how much. Writes DIR/compare.json and a figure for each judging record.
+
+    Exit code 0: there is a comparison. 2: bad input, nothing was written. 130: Ctrl-C, nothing was written.
+    """
+    from greybox.comparison.compare import compared
+    from greybox.comparison.contestants import black_contestants
+    from greybox.experiment import read_experiments
+    from greybox.fitting import FitOptions
+    from greybox.project import resolve
+
+    plain = o.changed(c.scheduled(resolve(model), schedule), effects=effect, fix=fix, start=start, free=free)
+    plants = [c.constrained(plant, prior, tie) for plant in (plain, *_extended(plain, effects))]
+    o.check_substeps(plants[0], method, substeps)
+    folder = o.writable_folder(output or Path("results") / f"{plain.name}-compare")
+    said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
+    records, judges, hushed = (
+        read_experiments(
+            files, plain, columns=columns, hold=hold.value, allow_constant_input=free_decay or files is quiet
+        )
+        if files
+        else ()
+        for files in (train, validate, quiet)
+    )
+    records, judges = c.under_conditions(condition, records, judges)
+    o.check_skip(skip, judges)
+    if not silent:
+        tell_notes(records, judges)
+    options = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, own=c.names(own))
+    with ticker() as show:
+        grey = [_fitted(p, records, show, noise=said, quiet=hushed, options=options) for p in plants]
+        measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
+        black, notes = black_contestants(
+            records, [q.name for q in measured], [i.name for i in plain.inputs], at_rest=at_rest,
+            units={s.name: s.unit for s in (*plain.inputs, *measured)},
+            report=lambda what, done, of: show(f"{what}: structure {done} of {of}"),
+        )  # fmt: skip
+        show("judging")
+        result = compared([*grey, *black], judges, records, skip=skip, options=options, notes=notes)
+    _tell(result, folder, records, judges, quiet=silent, json=json)
+
+
+def _extended(model: Model, effects: str) -> list[Model]:
+    """``model`` with each of the comma-separated effects; ``A+B`` are two effects of one model."""
+    from greybox.effects import effect
+
+    found = []
+    for text in (part.strip() for part in effects.split(",") if part.strip()):
+        extended = model
+        for name in text.split("+"):
+            extended = extended + effect(name.strip())
+        found.append(extended)
+    return found
+
+
+def _fitted(plant: Model, records: Sequence[Experiment], show: Callable[[str], None], **choices: Any) -> Named:
+    from greybox.comparison.compare import Named
+    from greybox.fitting import fit
+
+    def report(progress: Progress) -> None:
+        show(f"{plant.title}: iteration {progress.iteration}, misfit {progress.noise_ratio:.4g} x noise")
+
+    began = time.perf_counter()
+    result = fit(plant, records, report=report, **choices)
+    return Named(plant.title, result, time.perf_counter() - began)
+
+
+def _tell(
+    result: Comparison,
+    folder: Path,
+    records: Sequence[Experiment],
+    judges: Sequence[Experiment],
+    *,
+    quiet: bool,
+    json: bool,
+) -> None:
+    from greybox.figures import comparison_figure
+    from greybox.fitting.fit import versions
+
+    prints = {e.name: e.fingerprint for e in (*records, *judges)}
+    saved = result.save(folder / "compare.json", {"data": prints, "versions": versions()})
+    if json:
+        typer.echo(saved.read_text(encoding="utf-8"), nl=False)
+    elif not quiet:
+        typer.echo(str(result))
+    try:
+        figures = comparison_figure(result, folder)
+    except KeyboardInterrupt:
+        stop(f"interrupted while drawing; the comparison is in {saved}", INTERRUPTED)
+    if not (quiet or json):
+        typer.echo(f"\nwritten: {saved}, {', '.join(map(str, figures))}")

@@ -1,0 +1,124 @@
+"""Options about what is known of constants besides their values: priors, ties, own values, schedules, conditions; and the loss."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from greybox.cli.options import Names, numbers, pairs
+from greybox.errors import GreyboxError, ModelError
+
+if TYPE_CHECKING:
+    from greybox.experiment import Experiment
+    from greybox.model import Model
+
+PLUS_MINUS = re.compile(r"\+/?-|±")
+
+Prior = Annotated[
+    Names,
+    typer.Option(
+        "--prior",
+        metavar="NAME=MEAN+-STD",
+        default_factory=list,
+        help="What is known of a constant beforehand, as M=0.0100+-0.0001; weighed as a measurement.",
+    ),
+]
+Tie = Annotated[
+    Names,
+    typer.Option(
+        "--tie",
+        metavar="NAME=FORMULA",
+        default_factory=list,
+        help="A constant that others give, as Kv=Kf or K2=3*K1; it holds exactly.",
+    ),
+]
+Own = Annotated[
+    Names,
+    typer.Option(
+        "--own", metavar="NAME", default_factory=list, help="A constant of which each record has a value of its own."
+    ),
+]
+Schedule = Annotated[
+    Names,
+    typer.Option(
+        "--schedule",
+        metavar="NAME=CONDITION[@VALUE]",
+        default_factory=list,
+        help="A constant that follows a condition or an input, as K2=P_S@8e5; it holds at that value.",
+    ),
+]
+Condition = Annotated[
+    Names,
+    typer.Option(
+        "--condition",
+        metavar="NAME=V1,V2,...",
+        default_factory=list,
+        help="A constant that each record brings itself, one value for each in their order (--validate last).",
+    ),
+]
+Loss = Annotated[
+    str,
+    typer.Option(
+        "--loss",
+        metavar="NAME[:K]",
+        help="squares, or a robust one that outliers cannot pull: huber, student. K: noise standard deviations from which it"
+        " bends, or degrees of freedom.",
+    ),
+]
+
+
+def scheduled(model: Model, schedule: Iterable[str]) -> Model:
+    """``model`` with constants that follow a condition. Raises GreyboxError."""
+    for name, text in pairs("--schedule", schedule).items():
+        by, at, value = (part.strip() for part in text.partition("@"))
+        about = numbers("--schedule", [f"{by}={value}"])[by] if at else None
+        model = model.schedule(name, by=by, about=about)
+    return model
+
+
+def constrained(model: Model, prior: Iterable[str], tie: Iterable[str]) -> Model:
+    """``model`` with priors and ties. Raises GreyboxError."""
+    priors = {name: _mean_and_std(name, text) for name, text in pairs("--prior", prior).items()}
+    both = sorted(q.name for q in model.all_parameters if q.fixed and q.name in priors)
+    if both:
+        raise ModelError(
+            f"--prior {', '.join(both)}: fixed in the model or by --fix, so a prior has nothing to say; free it, or leave out one of the two"
+        )
+    return model.prior(**priors).with_ties(pairs("--tie", tie))
+
+
+def under_conditions(
+    condition: Iterable[str], records: Sequence[Experiment], judges: Sequence[Experiment]
+) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
+    """The records and those for validation, each with the conditions it was run under. Raises GreyboxError."""
+    everything = [*records, *judges]
+    for name, text in pairs("--condition", condition).items():
+        values = [numbers("--condition", [f"{name}={one.strip()}"])[name] for one in text.split(",")]
+        if len(values) not in (len(records), len(everything)):
+            raise GreyboxError(
+                f"--condition {name}: {len(values)} values for {len(records)} record{'s' * (len(records) != 1)}"
+                + (f" and {len(judges)} for validation" if judges else "")
+                + "; give one for each, in their order, separated by commas"
+            )
+        for k, value in enumerate(values):
+            everything[k] = replace(everything[k], conditions={**everything[k].conditions, name: value})
+    return tuple(everything[: len(records)]), tuple(everything[len(records) :])
+
+
+def names(texts: Iterable[str]) -> tuple[str, ...]:
+    """``["B,K", "M"]`` as names."""
+    return tuple(name for text in texts for name in text.replace(",", " ").split())
+
+
+def _mean_and_std(name: str, text: str) -> tuple[float, float]:
+    parts = PLUS_MINUS.split(text)
+    if len(parts) != 2:
+        raise GreyboxError(
+            f"--prior {name}={text}: write mean and standard deviation, as in --prior {name}=0.0100+-0.0001"
+        )
+    mean, std = (numbers("--prior", [f"{name}={part.strip()}"])[name] for part in parts)
+    return mean, std

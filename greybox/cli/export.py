@@ -1,0 +1,210 @@
+"""`greybox export`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from greybox.cli import options as o
+from greybox.cli.fitted import fitted
+from greybox.cli.guard import note
+from greybox.errors import GreyboxError
+
+if TYPE_CHECKING:
+    from greybox.export import Family, Linearisation
+    from greybox.result import Fit
+
+
+class Target(StrEnum):
+    """What to write."""
+
+    control = "control"
+    mat = "mat"
+    json = "json"
+    numpy = "numpy"
+    c = "c"
+    fmu = "fmu"
+    modelica = "modelica"
+    python = "python"
+
+
+class Sampling(StrEnum):
+    """How a linear model is sampled."""
+
+    zoh = "zoh"
+    tustin = "tustin"
+
+
+LINEAR = (Target.control, Target.mat, Target.json, Target.numpy)
+STEPPED = (Target.c, Target.fmu)
+SUFFIX = {
+    Target.control: ".py", Target.mat: ".mat", Target.json: ".json", Target.numpy: ".npz", Target.c: ".c", Target.fmu: ".fmu",
+    Target.modelica: ".mo", Target.python: ".py",
+}  # fmt: skip
+
+
+def export(
+    fit: Annotated[Path, typer.Argument(metavar="FIT.json", help="The fit.json that greybox fit has written.")],
+    *,
+    to: Annotated[
+        Target,
+        typer.Option(
+            "--to",
+            help="A linear model (control: Python file, mat: MATLAB, json, numpy), or the nonlinear one (c, fmu, modelica, python).",
+        ),
+    ],
+    at: Annotated[
+        o.Names,
+        typer.Option(
+            "--at",
+            metavar="NAME=VALUE",
+            default_factory=list,
+            help="A state or input of the operating point, in the model's unit; what is left out is solved for.",
+        ),
+    ],
+    dt: Annotated[
+        float | None,
+        typer.Option(
+            "--dt", metavar="SECONDS", help="Sampling time. [default: linear models continuous, else as recorded]"
+        ),
+    ] = None,
+    method: Annotated[
+        Sampling | None,
+        typer.Option("--method", help="Exact for a held input (zoh) or the trapezoidal rule (tustin). [default: zoh]"),
+    ] = None,
+    delay: Annotated[
+        float,
+        typer.Option(
+            "--delay", metavar="SECONDS", help="Time by which every input arrives late, fractions of a sample too."
+        ),
+    ] = 0.0,
+    minimal: Annotated[
+        bool, typer.Option("--minimal", help="Take out states that no input reaches or no output shows.")
+    ] = False,
+    samples: Annotated[
+        int, typer.Option("--samples", metavar="N", min=0, help="Add N models drawn from the constants' covariance.")
+    ] = 0,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of these draws.")] = 0,
+    substeps: o.Substeps = 0,
+    model: Annotated[
+        str | None,
+        typer.Option("--model", metavar="MODEL", help="The fit's model or its file, where its name does not find it."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", metavar="FILE", help="File to write. [default: results/MODEL-export/MODEL.*]"),
+    ] = None,
+) -> None:
+    """Hand a fitted model to a controller design: linear with its uncertainty, or as code.
+
+    Linear models are taken about an operating point (--at; an equilibrium is found) and printed with poles, zeros, gain and
+    bandwidth. C and FMU carry the sampled nonlinear model exactly, with dry friction, delays and play.
+
+    Exit code 0: written. 2: bad input, nothing was written.
+    """
+    from greybox.export.identifiers import identifier
+
+    point = o.numbers("--at", at)
+    given = {
+        "--at": point, "--method": method, "--delay": delay, "--minimal": minimal, "--samples": samples, "--seed": seed,
+    }  # fmt: skip
+    _refuse_idle(to, dt, method, given, substeps)
+    found = fitted(fit, model)
+    name = identifier(found.model.name)
+    suffix = "_ss.py" if to is Target.control else SUFFIX[to]
+    target = _target(output or Path("results") / f"{name}-export" / f"{name}{suffix}", to, fit)
+    if to in LINEAR:
+        lines = _linear(found, to, target, point, dt, method or Sampling.zoh, delay, minimal, samples, seed)
+    else:
+        lines = _code(found, to, target, dt, substeps)
+    typer.echo("\n".join(lines))
+
+
+def _linear(
+    fit: Fit, to: Target, target: Path, at: Mapping[str, float], dt: float | None, method: Sampling, delay: float, minimal: bool,
+    samples: int, seed: int,
+) -> list[str]:  # fmt: skip
+    from dataclasses import replace
+
+    from greybox.export import family, linearise
+    from greybox.export.files import write_control, write_json, write_mat, write_npz
+    from greybox.export.plant import plant_of
+
+    linear: Linearisation = linearise(fit, at, dt=dt, method=method.value, delay=delay)
+    linear = linear.minimal() if minimal else linear
+    drawn: Family | None = (
+        family(fit, at, number=samples, seed=seed, dt=dt, method=method.value, delay=delay) if samples else None
+    )
+    plant = plant_of(fit)
+    for text in (*linear.notes, *(drawn.notes if drawn else ())):
+        note(f"warning: {text}")
+    if to is Target.control:
+        written = write_control(linear, target, plant=plant)
+    else:
+        writer = {Target.mat: write_mat, Target.json: write_json, Target.numpy: write_npz}[to]
+        written = writer(linear, target, plant=plant, family=drawn)
+    shown = [str(replace(linear, notes=())), *(["", str(replace(drawn, notes=()))] if drawn else [])]
+    return [*shown, "", f"written: {written}"]
+
+
+def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -> list[str]:
+    from greybox.export import to_c, to_fmu, to_modelica, to_python
+    from greybox.export.plant import plant_of
+
+    for text in plant_of(fit).notes:
+        note(f"warning: {text}")
+    if to is Target.c:
+        source, header = to_c(fit, target, dt=dt, substeps=substeps)
+        return [f"{fit.model.title} as C, one step of {_step(fit, dt)}", f"written: {header}, {source}"]
+    if to is Target.fmu:
+        return [
+            f"{fit.model.title} as an FMU 2.0 for co-simulation, step {_step(fit, dt)}",
+            f"written: {to_fmu(fit, target, dt=dt, substeps=substeps)}",
+        ]
+    writer = to_modelica if to is Target.modelica else to_python
+    return [
+        f"{fit.model.title} as {'Modelica' if to is Target.modelica else 'a Python model file'}",
+        f"written: {writer(fit, target)}",
+    ]
+
+
+def _step(fit: Fit, dt: float | None) -> str:
+    from greybox.export.plant import plant_of
+
+    return f"{dt if dt is not None else plant_of(fit).sampling_time:g} s"
+
+
+def _refuse_idle(
+    to: Target, dt: float | None, method: Sampling | None, given: Mapping[str, object], substeps: int
+) -> None:
+    """Refuse options that would change nothing."""
+    idle = [name for name, value in given.items() if value] if to not in LINEAR else []
+    idle += ["--dt"] if dt is not None and to not in (*LINEAR, *STEPPED) else []
+    idle += ["--substeps"] if substeps and to not in STEPPED else []
+    if to is Target.control and given["--samples"]:
+        idle += ["--samples"]
+    if idle:
+        raise GreyboxError(
+            f"{', '.join(idle)}: no effect with --to {to.value}; leave {'it' if len(idle) == 1 else 'them'} out"
+        )
+    if method is not None and dt is None:
+        raise GreyboxError(f"--method {method.value} samples the model; give --dt SECONDS too")
+    if given["--seed"] and not given["--samples"]:
+        raise GreyboxError("--seed has no effect without --samples N")
+
+
+def _target(path: Path, to: Target, fit: Path) -> Path:
+    """``path`` with its suffix, unless it cannot be written or is the file that is read."""
+    if path.is_dir():
+        raise GreyboxError(f"--output {path}: it is a folder; give a file that ends in {SUFFIX[to]}")
+    if path.suffix and path.suffix != SUFFIX[to]:
+        raise GreyboxError(f"--output {path}: --to {to.value} writes {SUFFIX[to]}; give a file that ends so")
+    target = path.with_suffix(SUFFIX[to])
+    if target.exists() and target.samefile(fit):
+        raise GreyboxError(f"--output {path}: it is the fit that is read, which would be lost; give another file")
+    o.writable_folder(target.parent)
+    return target

@@ -1,0 +1,55 @@
+"""Black-box models as contestants: their runs over records, each on the time grid it was identified at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from greybox.blackbox import resample, thinned
+from greybox.comparison.values import BlackBoxModel, Run
+from greybox.errors import DataError
+from greybox.experiment import Experiment
+
+FIRST_ROWS = 50  # that tell the initial state of a record that is only judged, if `skip` does not say
+SAME = 2e-3  # relative difference of sampling times that are one
+
+
+def black_runs(
+    model: BlackBoxModel, experiments: Sequence[Experiment], *, training: bool, skip: int, at_rest: bool
+) -> list[Run]:
+    """Free run and one-step prediction of ``model`` over each record that has its output.
+
+    The initial state comes from all rows of a ``training`` record, and from the first ``skip`` (or 50) of another; with ``at_rest``
+    everything was zero before.
+    """
+    found = []
+    for experiment in experiments:
+        if model.output not in experiment.outputs or not np.isfinite(experiment.outputs[model.output]).any():
+            continue
+        seen = on_grid_of(model, experiment)
+        ratio = seen.rows / experiment.rows
+        rows = None if training else max(1, round(ratio * (skip or FIRST_ROWS)))
+        initial = "zero" if at_rest else "estimated"
+        free = model.simulate(seen, initial=initial, rows=rows)[model.output]
+        ahead = model.predict(seen, initial=initial, rows=rows)[model.output]
+        left_out = 0 if training else int(np.searchsorted(seen.time, experiment.time[min(skip, experiment.rows - 1)]))
+        found.append(Run(experiment.name, model.output, seen.time, seen.outputs[model.output], free, ahead, left_out))
+    return found
+
+
+def on_grid_of(model: BlackBoxModel, experiment: Experiment) -> Experiment:
+    """``experiment`` at the sampling time of ``model``: as it is, at its measured rows alone, or resampled."""
+    step = experiment.sampling_time
+    if step is not None and np.isclose(step, model.sampling_time, rtol=SAME):
+        return experiment
+    sparse = thinned(experiment, model.output)
+    slow = sparse.sampling_time if sparse is not None else None
+    if sparse is not None and slow is not None and np.isclose(slow, model.sampling_time, rtol=SAME):
+        return sparse
+    if step is not None:
+        raise DataError(
+            f"experiment {experiment.name!r} is sampled every {step:.6g} s, but {model.label} of {model.output!r} was identified"
+            f" at {model.sampling_time:.6g} s; give greybox.resample(experiment, {model.sampling_time:.6g})"
+        )
+    return resample(experiment, model.sampling_time)

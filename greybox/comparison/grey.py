@@ -1,0 +1,88 @@
+"""Physical models as contestants: their runs over records, stability and feed-through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from greybox.comparison.values import Run
+from greybox.experiment import Experiment
+from greybox.fitting import FitOptions, validate
+from greybox.model import Model
+from greybox.noise import AutoRegression, autoregression, segments
+from greybox.result import Fit, Trace
+from greybox.simulation import initial_state
+
+# Of the fastest eigenvalue, by which a real part may seem to lie above zero.
+ROUNDING = 1e-9
+
+
+def grey_runs(
+    model: Model | Fit, experiments: Sequence[Experiment], *, training: bool, skip: int, options: FitOptions
+) -> list[Run]:
+    """Free run and one-step prediction of a physical model over each record.
+
+    A record that a fit was made of has the initial state of that fit; another one a state estimated from its first ``skip`` (or 50)
+    rows. The one-step prediction adds an autoregression's forecast of the free-run error, which comes from the fit's own residual.
+    """
+    own = {t.fingerprint: t for t in model.traces} if isinstance(model, Fit) else {}
+    plant = model.model if isinstance(model, Fit) else model
+    noise = model.noise if isinstance(model, Fit) else None
+    unknown = [e for e in experiments if not (training and e.fingerprint in own)]
+    judged = iter(validate(plant, unknown, noise=noise, skip=skip, options=options).traces if unknown else ())
+    traces = [own[e.fingerprint] if training and e.fingerprint in own else next(judged) for e in experiments]
+    colour = colours(model) if isinstance(model, Fit) else {}
+    return [
+        _run(trace, experiment.name, output, colour.get(output), 0 if training else skip)
+        for trace, experiment in zip(traces, experiments, strict=True)
+        for output in trace.measured
+    ]
+
+
+def colours(fit: Fit) -> dict[str, AutoRegression]:
+    """The autoregression of each output's residual on the fitted records."""
+    names = dict.fromkeys(name for trace in fit.traces for name in trace.measured)
+    return {n: autoregression(segments([t.residual(n) for t in fit.traces if n in t.measured])) for n in names}
+
+
+def _run(trace: Trace, record: str, output: str, colour: AutoRegression | None, skip: int) -> Run:
+    residual, simulated = trace.residual(output), trace.simulated[output]
+    ahead = simulated + (colour.predict(residual, 1) if colour is not None else 0.0)
+    return Run(record, output, trace.time, trace.measured[output], simulated, ahead, skip)
+
+
+def feedthrough(model: Model) -> dict[str, float]:
+    """``output/input`` -> ``dy/du`` at the declared initial state and input zero, where it is not zero."""
+    system = model.system
+    slopes = ca.Function("direct", [system.x, system.u, system.p], [ca.jacobian(system.outputs, system.u)])
+    p = np.array(list(model.values.values()))
+    found = slopes(initial_state(model), np.zeros(len(model.inputs)), p).full()
+    return {
+        f"{output.name}/{given.name}": float(found[j, i])
+        for j, output in enumerate(model.outputs)
+        for i, given in enumerate(model.inputs)
+        if found[j, i] != 0
+    }
+
+
+def stable(model: Model, runs: Sequence[Run]) -> bool:
+    """Whether a linear model has no eigenvalue in the right half plane; of a nonlinear one, whether all its runs stay finite."""
+    if not model.system.linear:
+        return all(np.isfinite(run.simulated).all() for run in runs)
+    p = np.array(list(model.values.values()))
+    a = model.system.jacobian(initial_state(model), np.zeros(len(model.inputs)), p).full()
+    eigenvalues = np.linalg.eigvals(a)
+    return bool(np.all(eigenvalues.real <= ROUNDING * np.abs(eigenvalues).max(initial=0.0)))
+
+
+def options_of(model: Model | Fit, options: FitOptions | None) -> FitOptions:
+    """The options to judge by: the given ones, else those of the fit."""
+    if options is not None:
+        return options
+    if not isinstance(model, Fit):
+        return FitOptions()
+    known = {name: value for name, value in model.options.items() if name in FitOptions.__dataclass_fields__}
+    return replace(FitOptions(**known), own=())

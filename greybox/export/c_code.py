@@ -1,0 +1,199 @@
+"""One discrete step as C that stands alone: a header to read, a source to compile."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from greybox.export.c_core import comment, core, rows
+from greybox.export.discrete import Interval, interval_of
+from greybox.export.identifiers import identifier, identifiers
+from greybox.export.plant import Plant, plant_of
+from greybox.kernel.emit import number
+from greybox.model import Model
+from greybox.model.show import equations
+from greybox.result import Fit
+from greybox.signals import Input, Output, State
+from greybox.units import tidy
+
+KEYWORDS = [
+    "auto",
+    "break",
+    "case",
+    "char",
+    "const",
+    "continue",
+    "default",
+    "do",
+    "double",
+    "else",
+    "enum",
+    "extern",
+    "float",
+    "for",
+    "goto",
+    "if",
+    "inline",
+    "int",
+    "long",
+    "register",
+    "restrict",
+    "return",
+    "short",
+    "signed",
+    "sizeof",
+    "static",
+    "struct",
+    "switch",
+    "typedef",
+    "union",
+    "unsigned",
+    "void",
+    "volatile",
+    "while",
+]
+
+
+def to_c(plant: Fit | Model, path: str | Path, *, dt: float | None = None, substeps: int = 0) -> tuple[Path, Path]:
+    """Write ``path`` (``plant.c``) and the header beside it: one sampling interval of the model, in C99 without dependencies.
+
+    It is the library's own step (exact hold or Runge-Kutta with its substeps), with every effect in it: friction that sticks, bristles,
+    play, delays. ``dt`` in seconds (None: that of the fitted records); ``substeps`` 0 chooses. The constants are in the source with
+    their units and where they come from; nothing is allocated, there are no globals that change.
+
+    Raises ModelError where no sampling time is known, UnsupportedOperationError for an operation that C does not have.
+    """
+    source = plant_of(plant)
+    interval = interval_of(source, dt, substeps=substeps)
+    target = Path(path).with_suffix(".c")
+    header, text = code(source, interval, target.with_suffix(".h").name)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.with_suffix(".h").write_text(header, encoding="utf-8")
+    target.write_text(text, encoding="utf-8")
+    return target, target.with_suffix(".h")
+
+
+def code(plant: Plant, interval: Interval, header_name: str) -> tuple[str, str]:
+    """The texts of header and source."""
+    return _header(plant, interval), _source(plant, interval, header_name)
+
+
+def _header(plant: Plant, interval: Interval) -> str:
+    model, name = plant.model, identifier(plant.model.name)
+    past = _past_members(interval)
+    lines = [
+        "/*", *(f"   {comment(line)}".rstrip() for line in _about(plant, interval)), "*/", "",
+        f"#ifndef {name.upper()}_H", f"#define {name.upper()}_H", "",
+        f"#define {name.upper()}_SAMPLING_TIME {number(interval.dt)} /* s */", "",
+        *_struct(f"{name}_state", model.all_states, past), *_struct(f"{name}_input", model.inputs),
+        *_struct(f"{name}_output", model.outputs),
+        "/* The state at rest. */", f"void {name}_start(struct {name}_state *state);", "",
+        "/* What the sensors show now. */",
+        f"void {name}_outputs(const struct {name}_state *state, const struct {name}_input *input, struct {name}_output *output);", "",
+        f"/* The state {interval.dt:g} s later, the input held. */",
+        f"void {name}_step(struct {name}_state *state, const struct {name}_input *input);", "", "#endif", "",
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+def _about(plant: Plant, interval: Interval) -> list[str]:
+    model = plant.model
+    title = f"{model.title}: {model.description}" if model.description else model.title
+    table = [
+        (q.name, repr(float(q.value)), tidy(q.unit) or "-", plant.provenance(q.name)) for q in model.all_parameters
+    ]
+    widths = [max(len(row[k]) for row in table) for k in range(3)] if table else [0, 0, 0]
+    constants = ["  " + "  ".join(c.ljust(w) for c, w in zip(row, [*widths, 0], strict=True)).rstrip() for row in table]
+    return [
+        title, "", *equations(model).splitlines(), "",
+        f"One step is {interval.dt:g} s with the input held; integrated by {interval.step.label}.", "",
+        "Constants", *constants, "", *plant.origin(), *(f"Note: {note}" for note in plant.notes),
+    ]  # fmt: skip
+
+
+def _source(plant: Plant, interval: Interval, header_name: str) -> str:
+    model, name = plant.model, identifier(plant.model.name)
+    remarks = [f"{q.name} [{tidy(q.unit) or '-'}] {plant.provenance(q.name)}" for q in model.all_parameters]
+    exact = interval.step.per_interval
+    tables = [
+        "/* The constants. */",
+        "static const double constants[] = {",
+        rows(list(interval.p), remarks) or "    0",
+        "};",
+        "",
+    ]
+    if exact:
+        tables += [
+            "/* Exact discretisation with these constants for one sampling time; changing a constant above does not change these: export the",
+            "   model anew. */",
+            "static const double coefficients[] = {", *_blocks(interval), "};", "",
+        ]  # fmt: skip
+    use = "coefficients" if exact else "constants"
+    states = _members(model.all_states, _past_members(interval))
+    inputs, outputs = _members(model.inputs), _members(model.outputs)
+    nx = len(model.all_states)
+    load = [f"    const double u[] = {{{', '.join(f'input->{m}' for m in inputs) or '0'}}};"]
+    past = ", ".join(f"state->{m}" for m in states[nx:]) or "0"
+    body = [
+        f"void {name}_start(struct {name}_state *state)", "{",
+        "    struct start_once once;", "    double x[NX];", "", "    prepare_start(&once, constants);", "    start(&once, constants, x);",
+        *(f"    state->{m} = x[{k}];" for k, m in enumerate(states[:nx])), *(f"    state->{m} = 0;" for m in states[nx:]), "}", "",
+        f"void {name}_outputs(const struct {name}_state *state, const struct {name}_input *input, struct {name}_output *output)", "{",
+        f"    const double x[] = {{{', '.join(f'state->{m}' for m in states[:nx])}}}, past[] = {{{past}}};", *load, "    double y[NY];", "",
+        *(["    (void)input;"] if not inputs else []),
+        f"    read_outputs(x, past, u, constants, {name.upper()}_SAMPLING_TIME, y);",
+        *(f"    output->{m} = y[{k}];" for k, m in enumerate(outputs)), "}", "",
+        f"void {name}_step(struct {name}_state *state, const struct {name}_input *input)", "{",
+        f"    double x[] = {{{', '.join(f'state->{m}' for m in states[:nx])}}}, past[] = {{{past}}};", *load, "",
+        *(["    (void)input;"] if not inputs else []),
+        f"    interval(x, past, u, {use}, {name.upper()}_SAMPLING_TIME);",
+        *(f"    state->{m} = x[{k}];" for k, m in enumerate(states[:nx])),
+        *(f"    state->{m} = past[{k}];" for k, m in enumerate(states[nx:])), "}", "",
+    ]  # fmt: skip
+    head = [
+        f"/* {comment(model.title)}: see {header_name}. Generated by greybox; edit the model and export it anew. */",
+        "",
+    ]
+    return "\n".join([*head, f'#include "{header_name}"', "", core(interval), *tables, *body])
+
+
+def _struct(name: str, signals: Sequence[State | Input | Output], extra: Sequence[tuple[str, str]] = ()) -> list[str]:
+    remarks = [f"[{tidy(s.unit) or '-'}] {s.description}".rstrip() for s in signals] + [remark for _, remark in extra]
+    members = _members(signals, extra) or ["none"]
+    remarks = remarks or ["nothing"]
+    width = max(map(len, members)) + 1
+    lines = [f"    double {m + ';':{width}} /* {comment(r)} */" for m, r in zip(members, remarks, strict=True)]
+    return [f"struct {name} {{", *lines, "};", ""]
+
+
+def _members(signals: Sequence[State | Input | Output], extra: Sequence[tuple[str, str]] = ()) -> list[str]:
+    return identifiers([*(s.name for s in signals), *(name for name, _ in extra)], KEYWORDS)
+
+
+def _past_members(interval: Interval) -> list[tuple[str, str]]:
+    if not interval.past:
+        return []
+    late = interval.model.inputs[interval.late_input]
+    return [
+        (f"{late.name}_{k + 1}", f"[{tidy(late.unit) or '-'}] {late.name} of {k + 1} steps ago")
+        for k in range(interval.past)
+    ]
+
+
+def _blocks(interval: Interval) -> list[str]:
+    """The coefficients of the exact hold, block by block."""
+    nx, nu = len(interval.x0), len(interval.model.inputs)
+    sizes = {
+        "Phi: x+ = Phi x + ..., column by column": nx * nx,
+        "Gamma of the held inputs and of the constant 1": nx * (nu + 1),
+    }
+    sizes |= {"of inputs that are linear in between (not used here)": nx * nu}
+    q, lines = interval.coefficients(), []
+    for title, size in [
+        *sizes.items(),
+        ("of the delayed input, 0, 1, 2 ... intervals ago", len(q) - sum(sizes.values())),
+    ]:
+        texts, q = [number(float(v)) for v in q[:size]], q[size:]
+        if texts:
+            lines += [f"    /* {title} */", *("    " + ", ".join(texts[k : k + nx]) + "," for k in range(0, size, nx))]
+    return lines

@@ -1,0 +1,176 @@
+"""A linear model with its uncertainty: a family of models drawn from the covariance of the constants, and what they have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment, minimize
+from scipy.stats import chi2
+
+from greybox.errors import ModelError
+from greybox.export.draws import Cloud, cloud_of
+from greybox.export.equations import Equations
+from greybox.export.linear import Linearisation
+from greybox.export.linearise import linear_model
+from greybox.export.plant import Plant, plant_of
+from greybox.result import Fit
+from greybox.result.summary import table
+
+Criterion = Callable[[Linearisation], float]
+STARTS = 5  # of the search for the worst case, from the worst of the draws
+
+
+@dataclass(frozen=True, eq=False)
+class Worst:
+    """The worst case: ``value`` of the criterion, the ``model``, its ``parameters`` by name; ``nominal`` value of the criterion."""
+
+    value: float
+    nominal: float
+    model: Linearisation
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """``nominal`` and the ``members`` drawn about it (with the generator's ``seed``); ``constants`` (N, np) of the members by ``names``.
+
+    ``about``: the operating point found for each member from the same ``at``; ``notes`` say which constants do not vary.
+    """
+
+    nominal: Linearisation
+    members: tuple[Linearisation, ...]
+    constants: np.ndarray
+    names: tuple[str, ...]
+    seed: int
+    notes: tuple[str, ...]
+    _plant: Plant
+    _equations: Equations
+    _cloud: Cloud
+    _how: tuple[Mapping[str, float] | None, float | None, str, float]
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Poles (N, nx) of the members, each beside the pole of the nominal model that it belongs to (nearest in sum)."""
+        home = self.nominal.poles
+        rows = []
+        for member in self.members:
+            own = member.poles
+            _, order = linear_sum_assignment(np.abs(home[:, None] - own[None, :]))
+            rows.append(own[order])
+        return np.array(rows)
+
+    def frequency_response(self, omega: np.ndarray) -> np.ndarray:
+        """Complex responses (N, nw, ny, nu) of the members at the angular frequencies ``omega`` (nw,) in rad/s."""
+        return np.array([member.frequency_response(omega) for member in self.members])
+
+    def bounds(self, omega: np.ndarray, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest gain (nw, ny, nu) at each frequency that the share ``level`` of the members lies between."""
+        size = np.abs(self.frequency_response(omega))
+        rest = (1 - level) / 2
+        low, high = np.quantile(size, [rest, 1 - rest], axis=0)
+        return low, high
+
+    def relative_error(self, omega: np.ndarray) -> np.ndarray:
+        """Largest ``|G - G0| / |G0|`` over the members (nw, ny, nu): the radius of a multiplicative uncertainty that covers them."""
+        home = self.nominal.frequency_response(omega)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            away = np.abs(self.frequency_response(omega) - home) / np.abs(home)
+        return away.max(axis=0)
+
+    def worst(self, criterion: Criterion, level: float = 0.95) -> Worst:
+        """The member of the confidence set of ``level`` for which ``criterion`` (a number, larger is worse) is largest.
+
+        The set is the ellipsoid ``z'z <= chi2(level, n)`` of the constants' covariance (in the logarithm of constants drawn by it), cut
+        off at their bounds. It is searched from the worst of random points on its surface.
+        """
+        cloud, radius = self._cloud, float(np.sqrt(chi2.ppf(level, self._cloud.dimensions)))
+        generator = np.random.default_rng(self.seed)
+
+        def at(z: np.ndarray) -> Linearisation:
+            return self._member(cloud.whole(cloud.moved(z)))
+
+        surface = generator.standard_normal((max(len(self.members), 2 * STARTS), cloud.dimensions))
+        surface *= radius / np.linalg.norm(surface, axis=1, keepdims=True)
+        points = np.vstack([surface, np.zeros(cloud.dimensions)])
+        values = np.array([criterion(at(z)) for z in points])
+        best = points[np.argmax(values)]
+        for start in points[np.argsort(-values)[:STARTS]]:
+            found = minimize(
+                lambda z: -criterion(at(z)), start, method="SLSQP",
+                constraints={"type": "ineq", "fun": lambda z: radius**2 - z @ z, "jac": lambda z: -2 * z},
+            )  # fmt: skip
+            z = found.x * min(1.0, radius / max(float(np.linalg.norm(found.x)), 1e-300))
+            if criterion(at(z)) > criterion(at(best)):
+                best = z
+        model = at(best)
+        return Worst(float(criterion(model)), float(criterion(self.nominal)), model, model.parameters)
+
+    def _member(self, p: np.ndarray) -> Linearisation:
+        return linear_model(self._plant, self._equations, p, *self._how)
+
+    def __str__(self) -> str:
+        """How far the poles and gains spread."""
+        home, spread = self.nominal.poles, self.poles
+        rows = []
+        for k in np.flatnonzero(home.imag >= 0):
+            real, imag = (
+                np.quantile(spread[:, k].real, [0.025, 0.975]),
+                np.quantile(np.abs(spread[:, k].imag), [0.025, 0.975]),
+            )
+            rows.append(
+                [
+                    f"{home[k].real:.6g}{home[k].imag:+.6g}j" if home[k].imag else f"{home[k].real:.6g}",
+                    f"[{real[0]:.6g}, {real[1]:.6g}]",
+                    f"[{imag[0]:.6g}, {imag[1]:.6g}]" if home[k].imag else "",
+                ]
+            )
+        for output in self.nominal.output_names:
+            for name in self.nominal.input_names:
+                gains = [member.channel(output, name).gain for member in self.members]
+                low, high = np.quantile(gains, [0.025, 0.975])
+                rows.append([f"gain {name} -> {output}", f"[{low:.6g}, {high:.6g}]", ""])
+        head = (
+            f"{len(self.members)} models drawn from the covariance of {', '.join(self._cloud.names)} (seed {self.seed})"
+        )
+        lines = [head, *table(["pole", "real part, 95 %", "imaginary part, 95 %"], rows)]
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
+
+def family(
+    fit: Fit,
+    at: Mapping[str, float] | None = None,
+    *,
+    number: int = 100,
+    seed: int = 0,
+    dt: float | None = None,
+    method: str = "zoh",
+    delay: float = 0.0,
+) -> Family:
+    """``number`` linear models drawn from the covariance of a fit's constants, and the nominal one; the same ``seed`` draws the same.
+
+    Constants are drawn from a normal distribution; a positive one that is known to no better than a quarter by its logarithm; draws
+    outside the bounds are drawn anew. The operating point is found for each draw from the same ``at``; the other arguments are those
+    of `linearise`.
+
+    Raises ModelError for a model without a fit, and for fewer than two draws.
+    """
+    if number < 2:
+        raise ModelError(f"a family of {number}: give at least 2 models")
+    plant = plant_of(fit)
+    cloud, equations = cloud_of(plant), Equations(plant.model)
+    generator = np.random.default_rng(seed)
+    constants = np.array([cloud.draw(generator) for _ in range(number)])
+    how = (at, dt, method, delay)
+    nominal = linear_model(plant, equations, plant.p, *how)
+    members = tuple(linear_model(plant, equations, p, *how) for p in constants)
+    odd = [k for k, member in enumerate(members) if member.A.shape != nominal.A.shape]
+    if odd:
+        raise ModelError(
+            f"family of {plant.model.title}: the delay is a fitted constant and changes the number of states from draw to draw; leave"
+            " dt out, or fix the delay"
+        )
+    return Family(
+        nominal, members, constants, tuple(plant.model.values), seed, cloud.notes, plant, equations, cloud, how
+    )

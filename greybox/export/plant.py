@@ -1,0 +1,78 @@
+"""What is exported: a model with its constants, and where these come from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from greybox.errors import ModelError
+from greybox.model import Model
+from greybox.result import Fit
+from greybox.units import tidy
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A model at its present values, and the fit that found them (None for a model as stated)."""
+
+    model: Model
+    fit: Fit | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def p(self) -> np.ndarray:
+        """Values of all constants (np,), in the order of ``model.system.p``."""
+        return np.array(list(self.model.values.values()))
+
+    @property
+    def sampling_time(self) -> float | None:
+        """Sampling time of the fitted records in seconds; None where there is none, or none that is uniform."""
+        if self.fit is None or not self.fit.traces:
+            return None
+        return self.fit.traces[0].experiment.sampling_time
+
+    def provenance(self, name: str) -> str:
+        """Where the value of a constant comes from, in a line."""
+        parameter = self.model.parameter(name)
+        estimate = self.fit.parameters.get(name) if self.fit else None
+        if estimate is None:
+            return parameter.source or "as stated in the model"
+        if estimate.fixed:
+            return f"known: {parameter.source}" if parameter.source else "known"
+        if estimate.std is None or estimate.interval is None:
+            return "fitted, not determined by the records"
+        low, high = estimate.interval
+        return f"fitted, 95 % interval [{low:.6g}, {high:.6g}]{', at its bound' if estimate.at_bound else ''}"
+
+    def origin(self) -> tuple[str, ...]:
+        """Lines that say where the whole comes from: program, model, records, how the fit ended."""
+        lines = [f"greybox {_version()}, model {self.model.title}"]
+        if self.fit is not None:
+            records = ", ".join(f"{t.name} ({t.fingerprint})" for t in self.fit.traces)
+            lines += [f"fitted to {records}", f"fit: {self.fit.meaning}"]
+        return tuple(lines)
+
+
+def plant_of(given: Fit | Model) -> Plant:
+    """The plant behind what was handed over. Raises ModelError for anything that is neither a fit nor a model."""
+    if isinstance(given, Fit):
+        failed = () if given.success else (f"the fit did not succeed ({given.meaning}); do not trust its numbers",)
+        return Plant(given.model, given, failed)
+    if isinstance(given, Model):
+        return Plant(given)
+    raise ModelError(f"{given!r} cannot be exported; give a fit (gb.fit, gb.load_fit, discovery.best) or a model")
+
+
+def listed(names: Sequence[str], values: Sequence[float], units: Sequence[str]) -> str:
+    """``x = 1e-05 m, u = 0.5 V``."""
+    return ", ".join(f"{n} = {v:.6g} {tidy(u)}".rstrip() for n, v, u in zip(names, values, units, strict=True))
+
+
+def _version() -> str:
+    try:
+        return version("greybox-sysid")
+    except PackageNotFoundError:
+        return "(from its source)"

@@ -1,0 +1,124 @@
+"""A Kalman filter made ready for one model: its likelihood with exact slopes, and its run over a record."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.filtering.recursion import filter_step
+from greybox.filtering.rows import rows_of, without_measurements
+from greybox.filtering.symmetric import lower_of_array, symmetric_arrays
+from greybox.integrators import Step
+from greybox.kernel import Kernel, Record, make_kernel
+from greybox.model.system import System
+
+LOG_TWO_PI = float(np.log(2 * np.pi))
+NONE = np.empty(0, int)
+
+
+@dataclass(frozen=True, eq=False)
+class Filtered:
+    """A run of the filter over a record of N rows.
+
+    ``predicted`` (N, nx) with ``covariance`` (N, nx, nx): the states of each row given the measurements before it. ``innovation``
+    (N, ny): measured minus predicted output over the standard deviation of that difference, NaN in gaps. ``log_likelihood`` of
+    all measurements. Not finite from where the run overflows.
+    """
+
+    predicted: np.ndarray
+    covariance: np.ndarray
+    innovation: np.ndarray
+    log_likelihood: float
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Innovations and their slopes along L directions: ``e`` (k,) standardised innovations and ``logarithm`` (k,) of their
+    variances, of the k measurements there are, ``rows`` (k,) and ``outputs`` (k,) which they are; ``de``, ``dlogarithm`` (k, L).
+
+    ``-2 log L = sum e^2 + logarithm + log(2 pi)``.
+    """
+
+    e: np.ndarray
+    logarithm: np.ndarray
+    de: np.ndarray
+    dlogarithm: np.ndarray
+    rows: np.ndarray
+    outputs: np.ndarray
+
+    @property
+    def mean_slopes(self) -> np.ndarray:
+        """Slopes (k, L) of the innovations, not standardised, over their standard deviations."""
+        return self.de + 0.5 * self.e[:, None] * self.dlogarithm
+
+
+@dataclass(frozen=True, eq=False)
+class KalmanFilter:
+    """The filter of ``system`` moved by ``step``; the parameters of its calls are ``[p; noise]``, the model's constants and each output's
+    standard deviation of noise. ``kernel`` runs it.
+    """
+
+    system: System
+    step: Step
+    whole: Step
+    kernel: Kernel
+
+    @classmethod
+    def of(cls, system: System, step: Step) -> KalmanFilter:
+        """The filter, compiled where there is a compiler."""
+        whole = filter_step(system, step)
+        return cls(system, step, whole, make_kernel(whole))
+
+    def repeated(self, substeps: int) -> KalmanFilter:
+        """The same with another number of substeps in an interval; nothing is compiled."""
+        whole, step = (replace(s, substeps=substeps) for s in (self.whole, self.step))
+        return replace(self, step=step, whole=whole, kernel=self.kernel.repeated(substeps))
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Numbers of states and outputs."""
+        return self.system.x.numel(), self.step.outputs.size1_out(0)
+
+    def run(self, record: Record, pn: np.ndarray, x0: np.ndarray, covariance: np.ndarray | None = None) -> Filtered:
+        """The run from first states ``x0`` (nx,) with their ``covariance`` (nx, nx); None: they are known exactly."""
+        nx, ny = self.sizes
+        rows = rows_of(record, self.step)
+        q, _ = self.whole.coefficients(pn, rows.lengths, NONE)
+        y, z = self.kernel.simulate(rows, q, pn, self._start(x0, covariance))
+        present = np.isfinite(record.y)
+        e, logarithm = np.where(present, y[:, :ny], np.nan), y[:, ny:]
+        likelihood = -0.5 * float(np.sum(e[present] ** 2 + logarithm[present] + LOG_TWO_PI))
+        return Filtered(z[:, :nx], symmetric_arrays(z[:, nx:], nx), e, likelihood)
+
+    def free_run(self, record: Record, pn: np.ndarray, x0: np.ndarray) -> np.ndarray:
+        """States (N, nx) without any correction: the free run of the model."""
+        nx, ny = self.sizes
+        rows = without_measurements(rows_of(record, self.step), ny)
+        q, _ = self.whole.coefficients(pn, rows.lengths, NONE)
+        return self.kernel.simulate(rows, q, pn, self._start(x0, None))[1][:, :nx]
+
+    def slopes(self, record: Record, pn: np.ndarray, dpn: np.ndarray, x0: np.ndarray, dx0: np.ndarray) -> Slopes | None:
+        """Innovations and their slopes along the L columns of ``dpn`` (np + ny, L) and ``dx0`` (nx, L); None where the run overflows.
+
+        The first states are known exactly (their uncertainty is that of ``x0`` as an unknown).
+        """
+        nx, ny = self.sizes
+        rows = rows_of(record, self.step)
+        which = np.flatnonzero(dpn.any(axis=1))
+        q, along = self.whole.coefficients(pn, rows.lengths, which)
+        dz0 = np.vstack([dx0, np.zeros((nx * (nx + 1) // 2, dx0.shape[1]))])
+        r, jacobian = self.kernel.residuals(
+            rows, q, along @ dpn[which], pn, dpn, self._start(x0, None), dz0, np.ones(2 * ny)
+        )
+        # The kernel's residuals are zero minus the filter's outputs.
+        there = np.nonzero(np.isfinite(record.y))
+        row, output = there
+        found = -r[row, output], -r[row, output + ny], -jacobian[row, output], -jacobian[row, output + ny]
+        if not all(np.isfinite(a).all() for a in found):
+            return None
+        return Slopes(*found, row, output)
+
+    def _start(self, x0: np.ndarray, covariance: np.ndarray | None) -> np.ndarray:
+        nx = self.sizes[0]
+        return np.concatenate([x0, lower_of_array(np.zeros((nx, nx)) if covariance is None else covariance)])

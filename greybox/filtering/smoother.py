@@ -1,0 +1,62 @@
+"""States given the whole record, what comes after them included: the fixed-interval smoother."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.filtering.filter import KalmanFilter
+from greybox.filtering.passage import Passage
+from greybox.kernel import Record
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedStates:
+    """States of each of N rows: ``filtered`` (N, nx) given the measurements up to it, ``mean`` (N, nx) given all of them, each with its
+    covariance (N, nx, nx); ``innovation`` (N, ny) standardised, NaN in gaps; ``log_likelihood`` of the measurements.
+    """
+
+    filtered: np.ndarray
+    filtered_covariance: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+    innovation: np.ndarray
+    log_likelihood: float
+
+
+def smoothed(
+    kalman: KalmanFilter, record: Record, pn: np.ndarray, x0: np.ndarray, covariance: np.ndarray | None = None
+) -> SmoothedStates:
+    """Rauch, Tung and Striebel's smoother (AIAA Journal 3, 1965), in the form of Bryson and Frazier (1963; de Jong, JASA 84, 1989).
+
+    Backwards along the record ``r = H' S^-1 v + L' F' r`` and ``N = H' S^-1 H + L' F' N F L`` with ``L = I - K H``, then ``x + P r`` and
+    ``P - P N P``. It inverts no covariance of the states, so that states without noise, or known at the first row, are ordinary
+    cases. For a nonlinear model ``F`` and ``H`` are the slopes along the filter's run.
+    """
+    run = kalman.run(record, pn, x0, covariance)
+    passage = Passage(kalman, record, pn)
+    rows = np.arange(len(record.y))
+    filtered, after = passage.correct(run.predicted, run.covariance)
+    _, transitions = passage.move_with_slopes(filtered[:-1], rows[:-1])
+    y, slopes = passage.outputs(run.predicted, rows)
+    present = np.isfinite(record.y)
+    innovation = np.where(present, record.y - y, 0.0)
+    slopes = np.where(present[:, :, None], slopes, 0.0)
+    noise = np.where(present, pn[-y.shape[1] :] ** 2, 1.0)
+    variance = slopes @ run.covariance @ slopes.transpose(0, 2, 1) + noise[:, :, None] * np.eye(y.shape[1])
+    weighted = np.linalg.solve(variance, slopes)
+    push, curvature = np.einsum("tji,tj->ti", weighted, innovation), slopes.transpose(0, 2, 1) @ weighted
+    kept = np.eye(len(x0)) - run.covariance @ curvature  # L, from the state before a measurement to that after it
+    r, information = np.zeros(run.predicted.shape), np.zeros(run.covariance.shape)
+    below, beneath = np.zeros(len(x0)), np.zeros((len(x0), len(x0)))
+    for k in rows[::-1]:
+        if k < rows[-1]:
+            below, beneath = transitions[k].T @ below, transitions[k].T @ beneath @ transitions[k]
+        r[k] = below = push[k] + kept[k].T @ below
+        information[k] = beneath = curvature[k] + kept[k].T @ beneath @ kept[k]
+    mean = run.predicted + np.einsum("tij,tj->ti", run.covariance, r)
+    whole = run.covariance - run.covariance @ information @ run.covariance
+    return SmoothedStates(
+        filtered, after, mean, (whole + whole.transpose(0, 2, 1)) / 2, run.innovation, run.log_likelihood
+    )

@@ -1,0 +1,157 @@
+"""Fitting a model with process noise by the error of its predictions: maximum likelihood through a Kalman filter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from greybox.experiment import Experiment
+from greybox.fitting.estimates import estimates, model_covariance, own_estimates, prior_checks, tied_estimates
+from greybox.fitting.options import FitOptions, Report
+from greybox.fitting.predictive_intensity import Intensity, tested
+from greybox.fitting.predictive_likely import most_likely
+from greybox.fitting.predictive_notes import meaning, notes
+from greybox.fitting.predictive_runs import free_runs, one_step_runs
+from greybox.fitting.predictive_search import Found, scoring_step
+from greybox.fitting.predictive_uncertainty import Spread, spread
+from greybox.fitting.predictive_unknowns import Unknowns
+from greybox.fitting.problem import Problem
+from greybox.fitting.solution import Solution
+from greybox.fitting.traces import misfits, traces
+from greybox.fitting.uncertainty import quantile
+from greybox.fitting.versions import versions
+from greybox.model import Model
+from greybox.model.noise import intensities
+from greybox.model.show import equations
+from greybox.noise import Noise
+from greybox.result import Estimate, Fit
+from greybox.transcription import Variables
+
+INNOVATIONS = "the innovations"
+
+
+def fit_by_prediction(
+    model: Model,
+    experiments: Experiment | Sequence[Experiment],
+    noise: Mapping[str, float] | Noise | None,
+    quiet: Experiment | Sequence[Experiment],
+    options: FitOptions,
+    report: Report | None = None,
+) -> Fit:
+    """The most likely constants, intensities of process noise, measurement noise and first states of ``model``.
+
+    The likelihood is that of the innovations of a Kalman filter, exact for a linear model, extended otherwise (Astrom 1970; Kristensen,
+    Madsen, Jorgensen, Automatica 40, 2004). Noise of the outputs that is given, or known from a quiet record, is taken as it is,
+    other noise is estimated with the rest. The search starts from the free-run fit, or from the start values where those are more
+    likely. An intensity for which zero is as likely becomes zero; with all at zero the fit is the free-run one.
+
+    Raises ModelError for a robust loss or a transcription, which have no meaning here.
+    """
+    likely = most_likely(model, experiments, noise, quiet, options, report)
+    judged = (
+        tested(likely.found, likely.names, likely.zero, likely.sizes, options) if likely.found.status.success else ()
+    )
+    return _result(model, likely.solution, likely.found, judged, options)
+
+
+def _result(model: Model, solution: Solution, found: Found, judged: Sequence[Intensity], options: FitOptions) -> Fit:
+    cost, variables = found.cost, found.cost.unknowns.variables
+    level = cost.unknowns.level
+    problem = solution.problem.with_noise(replace(solution.problem.noise, std=level))
+    runs = traces(problem, free_runs(cost))
+    free_run, one_step = misfits(problem, runs), misfits(problem, traces(problem, one_step_runs(cost)))
+    around = spread(found)
+    fitted = model.start(**{name: float(v) for name, v in zip(model.values, variables.fixed, strict=True)})
+    constants = _with_limits(estimates(variables, around.constants), judged)
+    inflation = np.ones(len(variables.names)) if around.constants.inflation is None else around.constants.inflation
+    shift = _shift(found, around)
+    free, covariance = _laid_out(model, variables, around)
+    sources = _sources(problem, cost.unknowns, around)
+    own, tied = own_estimates(variables, around.constants), tied_estimates(variables, around.constants)
+    return Fit(
+        model=fitted, status=found.status.name.lower(), success=found.status.success, meaning=meaning(found, one_step, free_run),
+        parameters=constants, misfit=free_run, traces=runs, free=free, covariance=covariance,
+        noise={name: float(level[j]) for j, name in enumerate(problem.model.system.output_names) if name in free_run},
+        noise_source="; ".join(f"{name}: {text}" for name, text in sources.items()), discretisation=cost.kalman.whole.label,
+        integration_error={n: float(solution.integration_error[j]) for j, n in enumerate(model.system.output_names) if n in free_run},
+        cost=float(found.evaluation.cost), solver=_statistics(solution, found), options={**asdict(options), "own": list(options.own)},
+        equations=equations(model), versions=versions(),
+        notes=notes(fitted, problem, found, around, constants, judged, shift),
+        noise_sources={name: _source(problem, cost.unknowns, name) for name in sources}, interval_kind=around.constants.kind,
+        noise_colour=dict.fromkeys(free_run, ()), inflation=dict(zip(variables.names, inflation.tolist(), strict=True)),
+        discretisation_shift=shift, tied=tied, ties={tie.name: tie.formula for tie in model.ties}, own=own,
+        priors=prior_checks(variables, around.constants),
+        process_noise={state: value for state, value in intensities(fitted).items() if state in model.noisy_states},
+        prediction=one_step, log_likelihood=found.likelihood if np.isfinite(found.likelihood) else None,
+    )  # fmt: skip
+
+
+def _with_limits(constants: dict[str, Estimate], judged: Sequence[Intensity]) -> dict[str, Estimate]:
+    """Intensities that are zero, or not certainly more, with their limit in place of an interval that cannot reach zero."""
+    found = dict(constants)
+    for i in judged:
+        if i.value == 0:
+            found[i.name] = Estimate(0.0, constants[i.name].unit, None, i.limits, False, True)
+        elif i.limits is not None:
+            found[i.name] = replace(constants[i.name], interval=i.limits)
+    return found
+
+
+def _laid_out(model: Model, variables: Variables, around: Spread) -> tuple[tuple[str, ...], np.ndarray]:
+    """The constants that were free in the order of the model, and their covariance; NaN for an intensity that became zero."""
+    known = [model.all_parameters[k].name for k in dict.fromkeys(variables.which.tolist())]
+    zero = [q.name for q in model.free_parameters if q.name in model.noise_parameters and q.name not in known]
+    free = tuple(q.name for q in model.all_parameters if q.name in (*known, *zero))
+    covariance = np.full((len(free), len(free)), np.nan)
+    places = [free.index(name) for name in known]
+    covariance[np.ix_(places, places)] = model_covariance(variables, around.constants.covariance)
+    return free, covariance
+
+
+def _shift(found: Found, around: Spread) -> dict[str, float]:
+    """Change of each constant when the step is halved, in its standard deviations; 0 for an exact discretisation."""
+    cost = found.cost
+    variables = cost.unknowns.variables
+    n = len(variables.which)
+    if cost.kalman.step.per_interval or not n or not found.status.success:
+        return dict.fromkeys(variables.names, 0.0)
+    finer = replace(cost, kalman=cost.kalman.repeated(2 * cost.kalman.step.substeps))
+    after = finer.evaluate(np.zeros(cost.unknowns.size))
+    if not np.isfinite(after.cost):
+        return dict.fromkeys(variables.names, float("nan"))
+    change = np.subtract(*(scoring_step(e, *cost.unknowns.bounds()) for e in (after, found.evaluation)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.abs(change[:n] * variables.spans) / np.sqrt(np.diag(around.constants.covariance))
+    return dict(zip(variables.names, share.tolist(), strict=True))
+
+
+def _source(problem: Problem, unknowns: Unknowns, output: str) -> str:
+    place = problem.model.system.output_names.index(output)
+    return INNOVATIONS if unknowns.estimated[place] else problem.noise.sources[output]
+
+
+def _sources(problem: Problem, unknowns: Unknowns, around: Spread) -> dict[str, str]:
+    """Where the noise of each measured output comes from, in words."""
+    texts = {}
+    for j, output in enumerate(problem.model.outputs):
+        if unknowns.estimated[j]:
+            value, reach = unknowns.level[j], quantile(np.inf) * around.noise[j]
+            unit = problem.model.outputs[j].unit
+            ends = f" [{value * np.exp(-reach):.3g}, {value * np.exp(reach):.3g}]" if np.isfinite(reach) else ""
+            texts[output.name] = f"{value:.3g}{ends} {unit} from {INNOVATIONS}"
+        elif output.name in problem.noise.sources:
+            texts[output.name] = problem.noise.sources[output.name]
+    return texts
+
+
+def _statistics(solution: Solution, found: Found) -> dict[str, object]:
+    kind = "exact" if solution.problem.model.system.linear and solution.problem.step.per_interval else "extended"
+    return {
+        "optimiser": "IPOPT", "ipopt_status": found.word, "iterations": found.iterations, "passes": found.evaluations,
+        "seconds": found.seconds, "record_shares": [1.0],
+        "strategy": f"prediction error through the {kind} Kalman filter, begun at the free-run fit or the start values",
+        "transcription": "prediction", "free_run": False, "method": solution.problem.method, "kernel": found.cost.kalman.kernel.name,
+        "substeps": solution.problem.step.substeps,
+    }  # fmt: skip

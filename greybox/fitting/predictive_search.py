@@ -1,0 +1,160 @@
+"""The optimum of the likelihood: IPOPT with Fisher's curvature, then a few steps of scoring for the last digits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.fitting.options import FitOptions, Progress, Report
+from greybox.fitting.predictive_cost import PredictionError
+from greybox.optimiser import Status, minimise
+from greybox.transcription import Evaluation, Variables
+
+# Converged when a further step would lower -2 log L by less than this: a thousandth of a standard deviation, squared.
+NEGLIGIBLE = 1e-6
+# ... and by less than this after it, so that the constants have their digits.
+LAST_DIGITS = 1e-12
+# Enough when so many iterations gained less than this (a filter of a model with dry friction is not smooth everywhere).
+PATIENCE, LITTLE_GAIN = 12, 1e-2
+# Steps of scoring at most, each halved so often until it lowers the cost.
+STEPS, HALVINGS = 10, 6
+AT_BOUND, UNDETERMINED = 1e-6, 1e-12
+
+
+@dataclass(frozen=True)
+class Found:
+    """The optimum: ``cost`` with ``z = 0`` there, its evaluation, how the search ended, and the work it took."""
+
+    cost: PredictionError
+    evaluation: Evaluation
+    status: Status
+    word: str
+    iterations: int
+    evaluations: int
+    seconds: float
+
+    @property
+    def likelihood(self) -> float:
+        """Logarithm of the likelihood, priors included."""
+        return -0.5 * self.evaluation.cost
+
+
+def maximise(cost: PredictionError, options: FitOptions, report: Report | None = None) -> Found:
+    """The most likely unknowns, from ``z = 0`` of ``cost`` on."""
+    begin = cost.evaluate(np.zeros(cost.unknowns.size))
+    if not np.isfinite(begin.cost):
+        return Found(cost, begin, Status.NO_START, "", 0, 1, 0.0)
+    if not cost.unknowns.size:
+        return Found(cost, begin, Status.CONVERGED, "", 0, 1, 0.0)
+    cost = cost.at(cost.unknowns.rescaled(max(begin.count, 1), np.diag(begin.hessian) / 2))
+    low, high = cost.unknowns.bounds()
+    gains: list[float] = []
+
+    def finished(z: np.ndarray, e: Evaluation) -> Status | None:
+        step = scoring_step(e, low - z, high - z)
+        if -0.5 * float(e.gradient @ step) <= NEGLIGIBLE:
+            return Status.CONVERGED
+        gains.append(e.cost)
+        return Status.ACCEPTABLE if len(gains) > PATIENCE and gains[-1 - PATIENCE] - e.cost <= LITTLE_GAIN else None
+
+    def progress(iteration: int, _: float) -> None:
+        if report:
+            report(Progress(1, 1, iteration, 1.0))
+
+    outcome = minimise(
+        cost.evaluate, np.zeros(cost.unknowns.size), low, high, scale=float(max(begin.count, 1)), tolerance=options.tolerance,
+        iterations=options.iterations, finished=finished, thorough=False, progress=progress,
+    )  # fmt: skip
+    there = climbed(cost.at(cost.unknowns.moved(outcome.z)), LAST_DIGITS) if outcome.status.success else None
+    return Found(
+        there.cost if there else cost.at(cost.unknowns.moved(outcome.z)),
+        there.evaluation if there else cost.evaluate(outcome.z), outcome.status, outcome.solver_status, outcome.iterations,
+        outcome.evaluations + 1 + (there.evaluations if there else 1), outcome.seconds,
+    )  # fmt: skip
+
+
+def climbed(cost: PredictionError, negligible: float = NEGLIGIBLE) -> Found:
+    """The most likely unknowns near ``z = 0`` of ``cost`` by scoring alone: cheaper than `maximise` where that is close already.
+
+    Ends where a step promises to lower -2 log L by less than ``negligible``, or none does.
+    """
+    evaluation, passes = cost.evaluate(np.zeros(cost.unknowns.size)), 1
+    if not np.isfinite(evaluation.cost):
+        return Found(cost, evaluation, Status.NO_START, "", 0, passes, 0.0)
+    for _ in range(STEPS):
+        low, high = cost.unknowns.bounds()
+        step = scoring_step(evaluation, low, high)
+        if -0.5 * float(evaluation.gradient @ step) <= negligible:
+            break
+        for share in 0.5 ** np.arange(HALVINGS):
+            z = np.clip(share * step, np.minimum(low, 0.0), np.maximum(high, 0.0))
+            there = cost.at(cost.unknowns.moved(z))
+            after = there.evaluate(np.zeros(len(z)))
+            passes += 1
+            if after.cost < evaluation.cost:
+                cost, evaluation = there, after
+                break
+        else:
+            break
+    return Found(cost, evaluation, Status.CONVERGED, "", 0, passes, 0.0)
+
+
+def scoring_step(evaluation: Evaluation, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Minus the inverse of the expected curvature times the gradient (size,); what a bound holds, and undetermined directions, stay.
+
+    ``low`` and ``high`` are the distances to the bounds.
+    """
+    g, h = evaluation.gradient, evaluation.hessian
+    inside = ~((low >= -AT_BOUND) & (g > 0) | (high <= AT_BOUND) & (g < 0))
+    block, slope = h[np.ix_(inside, inside)], g[inside]
+    scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
+    step = np.zeros(len(g))
+    step[inside] = -np.linalg.lstsq(block / np.outer(scale, scale), slope / scale, rcond=UNDETERMINED)[0] / scale
+    return step
+
+
+def holding(cost: PredictionError, values: Mapping[str, float]) -> PredictionError:
+    """The same cost with some constants held at ``values``, in every experiment."""
+    v = cost.unknowns.variables
+    names = [q.name for q in v.model.all_parameters]
+    places = [names.index(name) for name in values]
+    fixed = v.fixed.copy()
+    fixed[places] = list(values.values())
+    return cost.at(replace(cost.unknowns, variables=_kept(replace(v, fixed=fixed), ~np.isin(v.which, places))))
+
+
+def _kept(v: Variables, keep: np.ndarray) -> Variables:
+    """Only some of the free constants; the others are as in ``fixed``."""
+    return replace(
+        v, names=tuple(np.array(v.names, object)[keep]), which=v.which[keep], owner=v.owner[keep], logarithmic=v.logarithmic[keep],
+        base=v.base[keep], scale=v.scale[keep], low=v.low[keep], high=v.high[keep], prior=v.prior[keep],
+    )  # fmt: skip
+
+
+def started(cost: PredictionError, values: Mapping[str, float]) -> PredictionError:
+    """The same cost with ``z = 0`` at other values of some free constants, by their names in the model."""
+    u = cost.unknowns
+    labels = {
+        label: values[q.name]
+        for label, q in zip(u.variables.names, u.variables.quantities, strict=True)
+        if q.name in values
+    }
+    return cost.at(replace(u, variables=u.variables.at(labels)))
+
+
+def levelled(cost: PredictionError) -> PredictionError:
+    """``cost`` with each estimated noise as large as the innovations at ``z = 0`` say, where nothing else can make them so large."""
+    u = cost.unknowns
+    squares = np.nansum(np.concatenate([r**2 for r in cost.innovations()]), axis=0)
+    counts = sum(np.isfinite(r.y).sum(axis=0) for r in cost.records)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.sqrt(squares / counts)
+    ratio = np.where(u.estimated & np.isfinite(ratio) & (ratio > 1), ratio, 1.0)
+    return cost.at(replace(u, level=u.level * ratio))
+
+
+def best_start(costs: Sequence[PredictionError]) -> PredictionError:
+    """The one with the lowest cost at ``z = 0``; the first where none is finite."""
+    return min(costs, key=lambda cost: cost.cost())

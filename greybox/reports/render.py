@@ -1,0 +1,98 @@
+"""A page as one HTML file that opens without a network: style, scripts and figures inside, every text escaped."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from base64 import b64encode
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from latex2mathml.converter import convert
+from markupsafe import Markup
+
+from greybox.errors import DataError
+from greybox.reports.page import Block, Figure, Folded, Page
+
+LARGEST = 6_000_000  # bytes of a page: what an e-mail still carries
+DIGITS = 6  # significant digits of a number in a figure
+
+
+def render(page: Page) -> str:
+    """The page as HTML. Raises DataError where it would be larger than 6 MB."""
+    html = _environment().get_template("page.html").render(
+        page=page, style=_inside("page.css"), script=_inside("page.js"), plotly=_plotly() if _drawn(page) else ""
+    )  # fmt: skip
+    if len(html.encode()) > LARGEST:
+        raise DataError(f"the report {page.title!r} is larger than {LARGEST / 1e6:.0f} MB; give fewer records")
+    return html
+
+
+def write(page: Page, path: str | Path) -> Path:
+    """Write the page to ``path`` (folders are made) and return it."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(render(page), encoding="utf-8")
+    return target
+
+
+def _drawn(page: Page) -> bool:
+    return any(_has_figure(block) for section in page.sections for block in section.blocks)
+
+
+def _has_figure(block: Block) -> bool:
+    return isinstance(block, Figure) or (isinstance(block, Folded) and any(map(_has_figure, block.blocks)))
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("greybox.reports", "template"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters |= {"mathml": mathml, "data": embedded, "kind": lambda block: type(block).__name__.lower()}
+    return environment
+
+
+def mathml(latex: str) -> Markup:
+    """LaTeX as MathML, which browsers typeset and screen readers read."""
+    return Markup(convert(latex, display="block"))
+
+
+def embedded(figure: Figure) -> Markup:
+    """What the page's script needs of a figure, as JSON that cannot end the script element it stands in."""
+    content = {
+        "data": _plain(figure.data), "layout": _plain(figure.layout), "group": figure.group,
+        "choices": _plain(figure.choices), "signal": _plain(figure.signal),
+    }  # fmt: skip
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=True)
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists, numbers in six digits, what is not finite as null (a gap in a curve)."""
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, (float, np.floating)):
+        return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
+    return int(value) if isinstance(value, np.integer) else value
+
+
+def _inside(name: str) -> Markup:
+    """A file of ours that stands in the page as it is."""
+    return Markup(files("greybox.reports").joinpath("template", name).read_text(encoding="utf-8"))
+
+
+@cache
+def _plotly() -> Markup:
+    """Plotly's own script, packed; the page unpacks it. Read as a file: importing plotly takes time, and 5 MB become 2."""
+    script = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
+    return Markup(b64encode(gzip.compress(script, 6, mtime=0)).decode())

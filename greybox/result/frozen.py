@@ -1,0 +1,41 @@
+"""Results that nobody changes by accident: mappings and arrays inside them are read-only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+
+class ReadOnly:
+    """A frozen dataclass whose mappings and arrays are read-only views; it can still be pickled and copied."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):  # type: ignore[arg-type]
+            object.__setattr__(self, f.name, _protected(getattr(self, f.name)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {f.name: _open(getattr(self, f.name)) for f in fields(self) if f.init}  # type: ignore[arg-type]
+        return _rebuilt, (type(self), values)
+
+
+def _rebuilt(kind: type, values: Mapping[str, Any]) -> Any:
+    return kind(**values)
+
+
+def _protected(value: Any) -> Any:
+    if isinstance(value, dict):
+        return MappingProxyType({name: _protected(each) for name, each in value.items()})
+    if isinstance(value, np.ndarray):
+        view = value.view()
+        view.setflags(write=False)
+        return view
+    return value
+
+
+def _open(value: Any) -> Any:
+    """Read-only mappings as dictionaries: they cannot be pickled."""
+    return {name: _open(each) for name, each in value.items()} if isinstance(value, MappingProxyType) else value

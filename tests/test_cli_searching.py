@@ -1,0 +1,91 @@
+"""`greybox fit` with a transcription, arcs and many starts."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from greybox.cli.app import app
+from greybox.simulation import simulate, write_csv
+from models.micro_actuator import micro_actuator
+from tests.independent import multisine
+
+Run = Callable[..., Result]
+KNOWN = ["--fix", "M=0.01", "--fix", "Ra=8", "--noise", "x=2e-7", "--noise", "i=5e-3", "--at-rest"]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    rng = np.random.default_rng(1)
+    inputs = {"time": 2.5e-4 * np.arange(800), "u": multisine(rng, 800, 2.5e-4, 5, 800, 2.0)}
+    record = simulate(micro_actuator, inputs).record({"x": 2e-7, "i": 5e-3}, rng)
+    write_csv(record, micro_actuator, folder / "train.csv")
+    return folder / "train.csv"
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "models"}
+    yield lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
+    for name in [n for n in sys.modules if n.split(".")[0] == "models"]:
+        del sys.modules[name]
+    sys.modules.update(before)
+
+
+def test_many_starts_print_and_save_where_each_ended(run: Run, data: Path, tmp_path: Path) -> None:
+    result = run("fit", "micro_actuator", data, *KNOWN, "--starts", 4, "--seed", 3, "--output", "out")
+    assert result.exit_code == 0, result.output
+    assert re.search(r"note: [1-4] of 4 starts ended at the best optimum \(misfit 1(\.\d+)? x noise\)", result.stdout)
+    saved = json.loads((tmp_path / "out" / "fit.json").read_text())
+    assert len(saved["ends"]) == 4
+    ratios = [end["noise_ratio"] for end in saved["ends"]]
+    assert ratios == sorted(ratios)
+    assert set(saved["ends"][0]["start"]) == set(saved["ends"][0]["values"]) == {"B", "K", "Kf", "Kv", "La"}
+    again = run("fit", "micro_actuator", data, *KNOWN, "--starts", 4, "--seed", 3, "--output", "again")
+    repeated = json.loads((tmp_path / "again" / "fit.json").read_text())
+    assert [end["values"] for end in repeated["ends"]] == [end["values"] for end in saved["ends"]]
+    assert again.exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--transcription", "multiple"], "search: multiple shooting over 40 segments, as asked"),
+        (["--arc-length", "0.05"], r"search: 4 arcs of 0.05 s, each from a state of its own, as asked"),
+        ([], "picked because the model is stable and not stiff"),
+    ],
+)
+def test_the_transcription_is_chosen_and_said(run: Run, data: Path, options: list[str], said: str) -> None:
+    result = run("fit", "micro_actuator", data, *KNOWN, *options, "--output", "out")
+    assert result.exit_code == 0, result.output
+    assert said in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--seed", "3"], "--seed 3 has no effect: there are no random starts; give --starts N too"),
+        (["--transcription", "arcs"], "transcription 'arcs' needs their length"),
+        (["--transcription", "single", "--arc-length", "1"], "transcription 'single' has no arcs"),
+        (["--arc-length", "1e-4"], "give at least 0.00075 s"),
+        (["--transcription", "lifted"], "'lifted' is not one of"),
+        (["--starts", "0"], "greater than or equal to 1"),
+    ],
+)
+def test_bad_choices_end_with_2_and_nothing_is_written(
+    run: Run, data: Path, tmp_path: Path, options: list[str], message: str
+) -> None:
+    result = run("fit", "micro_actuator", data, *KNOWN, *options, "--output", "out")
+    assert result.exit_code == 2
+    assert message in " ".join(result.stderr.replace("│", " ").split())
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,108 @@
+"""`greybox export`: what it prints, writes and refuses."""
+
+import json
+import subprocess
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import greybox as gb
+from greybox.cli.app import app
+from models.micro_actuator import micro_actuator
+
+FORMATS = {"control": "_ss.py", "mat": ".mat", "json": ".json", "numpy": ".npz", "modelica": ".mo", "python": ".py"}
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fit")
+    t = np.arange(600) * 2.5e-4
+    record = gb.simulate(micro_actuator, {"time": t, "u": np.sign(np.sin(300 * t))}).record(
+        {"x": 1e-7, "i": 1e-3}, np.random.default_rng(0)
+    )
+    model = (micro_actuator + gb.effect("coulomb_friction")).fix("M", "Ra", "La", "Kv", "Kf")
+    return gb.fit(model.start(Fc=0.01), record).save(folder / "fit.json")
+
+
+def export(*arguments):
+    return CliRunner().invoke(app, ["export", *map(str, arguments)])
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_each_format_is_written(saved, tmp_path, monkeypatch, to):
+    monkeypatch.chdir(tmp_path)
+    done = export(saved, "--to", to)
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "results" / "micro_actuator-export" / f"micro_actuator{FORMATS[to]}").is_file()
+    assert "written: results" in done.output
+
+
+@pytest.mark.parametrize(("to", "files"), [("c", [".c", ".h"]), ("fmu", [".fmu"])])
+def test_code_is_stepped_as_the_records_were(saved, tmp_path, to, files):
+    done = export(saved, "--to", to, "--output", tmp_path / "plant")
+    assert done.exit_code == 0, done.output
+    assert "0.00025 s" in done.output
+    assert all((tmp_path / f"plant{suffix}").is_file() for suffix in files)
+
+
+def test_poles_zeros_gain_and_bandwidth_are_printed(saved, tmp_path):
+    done = export(saved, "--to", "json", "--at", "u=1", "--dt", "2.5e-4", "--samples", "5", "--output", tmp_path / "p.json")
+    assert done.exit_code == 0, done.output
+    for text in ("poles (z)", "u -> x: gain 2.9", "bandwidth (-3 dB)", "5 models drawn from the covariance", "x = 2.9"):
+        assert text in done.output
+    assert "warning: coulomb_friction cannot be linearised at v = 0" in done.output
+    read = json.loads((tmp_path / "p.json").read_text())
+    assert len(read["family"]["A"]) == 5 and read["u0"] == [1.0]
+
+
+@pytest.mark.parametrize(("arguments", "said"), [
+    (["--to", "c", "--at", "u=1"], "--at: no effect with --to c; leave it out"),
+    (["--to", "python", "--dt", "1e-3"], "--dt: no effect with --to python"),
+    (["--to", "mat", "--at", "uu=1"], "no state or input 'uu'; did you mean 'u'"),
+    (["--to", "mat", "--at", "u=one"], "'one' is not a number"),
+    (["--to", "mat", "--method", "tustin"], "--method tustin samples the model; give --dt SECONDS too"),
+    (["--to", "mat", "--output", "p.py"], "--to mat writes .mat; give a file that ends so"),
+    (["--to", "mat", "--seed", "3"], "--seed has no effect without --samples"),
+    (["--to", "mat", "--dt", "-1"], "sampling time -1.0 s: give a time above 0 s"),
+    (["--to", "mat", "--at", "x=1e-3", "--at", "u=0"], "has no equilibrium with x = 0.001 m, u = 0 V, out of balance: force"),
+])  # fmt: skip
+def test_bad_input_is_one_sentence_and_nothing_is_written(saved, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    done = export(saved, *arguments)
+    assert done.exit_code == 2
+    assert said in done.output and "Traceback" not in done.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_is_no_fit_is_refused(tmp_path):
+    (tmp_path / "list.json").write_text("[1, 2]")
+    (tmp_path / "text.json").write_text("hello")
+    for name, said in (("list.json", "not a fit of this program"), ("text.json", "not JSON"), ("gone.json", "No such file")):
+        done = export(tmp_path / name, "--to", "mat")
+        assert done.exit_code == 2 and said in done.output
+
+
+def test_a_fit_of_an_unknown_model_asks_for_its_file(saved, tmp_path):
+    data = json.loads(saved.read_text())
+    other = tmp_path / "fit.json"
+    other.write_text(json.dumps(data | {"model": "micro_actuatr"}))
+    done = export(other, "--to", "mat")
+    assert done.exit_code == 2
+    assert "did you mean 'micro_actuator'" in done.output and "--model my/rig.py" in done.output
+
+
+def test_a_fit_that_failed_is_warned_about(saved, tmp_path):
+    data = json.loads(saved.read_text())
+    other = tmp_path / "fit.json"
+    other.write_text(json.dumps(data | {"success": False, "meaning": "stopped early"}))
+    done = export(other, "--to", "mat", "--output", tmp_path / "p.mat")
+    assert done.exit_code == 0
+    assert "warning: the fit did not succeed (stopped early); do not trust its numbers" in done.output
+
+
+def test_the_exported_python_model_can_be_fitted_again(saved, tmp_path):
+    assert export(saved, "--to", "python", "--output", tmp_path / "rig.py").exit_code == 0
+    done = subprocess.run(["greybox", "models", str(tmp_path / "rig.py")], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "micro_actuator + coulomb_friction" in done.stdout

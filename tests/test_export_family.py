@@ -1,0 +1,113 @@
+"""Linear models with their uncertainty: draws respect covariance and bounds, bounds hold, the worst case is the worst."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.export.draws import cloud_of
+from greybox.export.plant import plant_of
+from greybox.simulation import multisine
+from greybox.twin import twin
+from models.micro_actuator import micro_actuator
+
+NOISE = {"x": 2e-6, "i": 5e-2}
+
+
+@pytest.fixture(scope="module")
+def fit():
+    t = np.arange(2000) * 2.5e-4
+    u = multisine(t, 5, 800, 2, np.random.default_rng(0))
+    record = twin(micro_actuator, {"u": u}, 2.5e-4, NOISE, seed=1)
+    return gb.fit(micro_actuator.fix("M", "Ra"), record, noise=NOISE)
+
+
+def test_draws_have_the_covariance_of_the_fit(fit):
+    cloud, rng = cloud_of(plant_of(fit)), np.random.default_rng(0)
+    draws = np.array([cloud.draw(rng)[cloud.which] for _ in range(4000)])
+    expected = np.sqrt(np.diag(fit.covariance))
+    np.testing.assert_allclose(draws.std(axis=0), expected, rtol=0.1)
+    found = np.corrcoef(draws.T)
+    np.testing.assert_allclose(found, fit.covariance / np.outer(expected, expected), atol=0.08)
+
+
+def test_draws_respect_the_bounds(fit):
+    low = fit.model.values["B"] * 0.999
+    narrow = replace(fit, model=fit.model.bound(B=(low, 1.0)))
+    values = gb.family(narrow, number=40).constants[:, list(fit.model.values).index("B")]
+    assert values.min() >= low
+    assert values.max() > fit.model.values["B"]
+
+
+def test_the_same_seed_draws_the_same_family(fit):
+    one, two, other = (gb.family(fit, number=3, seed=s) for s in (5, 5, 6))
+    np.testing.assert_array_equal(one.constants, two.constants)
+    assert not np.array_equal(one.constants, other.constants)
+
+
+def test_pole_bounds_are_those_of_linear_propagation(fit):
+    family = gb.family(fit, number=200)
+    slow = family.poles[:, 0]
+    slope = []
+    for name in fit.free:
+        step = 1e-5 * fit.model.values[name]
+        moved = [gb.linearise(fit.model.start(**{name: fit.model.values[name] + s * step})).poles[0] for s in (1, -1)]
+        slope.append((moved[0] - moved[1]) / (2 * step))
+    expected = np.sqrt(np.real(slope) @ fit.covariance @ np.real(slope))
+    assert slow.real.std() == pytest.approx(expected, rel=0.15)
+
+
+def test_frequency_bounds_contain_the_nominal_and_most_members(fit):
+    family, w = gb.family(fit, number=60), np.geomspace(10, 1e4, 25)
+    low, high = family.bounds(w, 0.9)
+    nominal = np.abs(family.nominal.frequency_response(w))
+    assert np.all((low <= nominal) & (nominal <= high))
+    size = np.abs(family.frequency_response(w))
+    inside = ((size >= low) & (size <= high)).mean(axis=0)
+    assert inside.min() >= 0.85
+    radius = family.relative_error(w)
+    home = family.nominal.frequency_response(w)
+    away = np.abs(family.frequency_response(w) / home - 1)
+    np.testing.assert_allclose(radius, away.max(axis=0), rtol=1e-9)
+
+
+def test_the_worst_case_of_a_linear_criterion_is_the_edge_of_the_ellipsoid(fit):
+    family = gb.family(fit, number=20)
+    found = family.worst(lambda model: model.parameters["K"], level=0.95)
+    at = family._cloud.names.index("K")
+    reach = np.linalg.norm(family._cloud.root[at]) * np.sqrt(11.070497693516351)  # chi-square, 5 degrees, 95 %
+    assert found.nominal == fit.model.values["K"]
+    assert found.value == pytest.approx(found.nominal + reach, rel=1e-6)
+    members = max(member.parameters["K"] for member in family.members)
+    assert found.value > members * (1 - 1e-3)
+
+
+def test_a_constant_without_covariance_stays_where_it_is(fit):
+    covariance = fit.covariance.copy()
+    k = fit.free.index("La")
+    covariance[k], covariance[:, k] = np.nan, np.nan
+    family = gb.family(replace(fit, covariance=covariance), number=5)
+    column = list(fit.model.values).index("La")
+    assert np.all(family.constants[:, column] == fit.model.values["La"])
+    assert "La: no covariance (at a bound, or not determined by the records)" in family.notes[0]
+
+
+def test_the_family_prints_its_spread(fit):
+    text = str(gb.family(fit, number=20))
+    assert "20 models drawn from the covariance of B, K, Kf, Kv, La (seed 0)" in text
+    assert "gain u -> x" in text
+
+
+def test_what_cannot_be_drawn_is_refused(fit):
+    with pytest.raises(gb.ModelError, match="is no fit: it has no covariance"):
+        gb.family(micro_actuator)
+    with pytest.raises(gb.ModelError, match="a family of 1: give at least 2"):
+        gb.family(fit, number=1)
+    with pytest.raises(gb.ModelError, match="no fitted constant has a covariance"):
+        gb.family(replace(fit, covariance=np.full_like(fit.covariance, np.nan)))
+
+
+def test_a_failed_fit_is_said(fit):
+    failed = replace(fit, success=False, meaning="stopped after 3 iterations")
+    assert "the fit did not succeed (stopped after 3 iterations)" in gb.linearise(failed).notes[0]
