@@ -47,7 +47,9 @@ def test_code_is_stepped_as_the_records_were(saved, tmp_path, to, files):
 
 
 def test_poles_zeros_gain_and_bandwidth_are_printed(saved, tmp_path):
-    done = export(saved, "--to", "json", "--at", "u=1", "--dt", "2.5e-4", "--samples", "5", "--output", tmp_path / "p.json")
+    done = export(
+        saved, "--to", "json", "--at", "u=1", "--dt", "2.5e-4", "--samples", "5", "--output", tmp_path / "p.json"
+    )
     assert done.exit_code == 0, done.output
     for text in ("poles (z)", "u -> x: gain 2.9", "bandwidth (-3 dB)", "5 models drawn from the covariance", "x = 2.9"):
         assert text in done.output
@@ -78,7 +80,11 @@ def test_bad_input_is_one_sentence_and_nothing_is_written(saved, tmp_path, monke
 def test_a_file_that_is_no_fit_is_refused(tmp_path):
     (tmp_path / "list.json").write_text("[1, 2]")
     (tmp_path / "text.json").write_text("hello")
-    for name, said in (("list.json", "not a fit of this program"), ("text.json", "not JSON"), ("gone.json", "No such file")):
+    for name, said in (
+        ("list.json", "not a fit of this program"),
+        ("text.json", "not JSON"),
+        ("gone.json", "No such file"),
+    ):
         done = export(tmp_path / name, "--to", "mat")
         assert done.exit_code == 2 and said in done.output
 

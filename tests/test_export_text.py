@@ -120,7 +120,9 @@ def test_a_python_file_writes_other_effects_out(tmp_path, base):
 
 def test_a_fitted_constant_says_so_in_the_file(tmp_path):
     t = np.arange(400) * 2.5e-4
-    record = gb.simulate(micro_actuator, {"time": t, "u": np.sign(np.sin(300 * t))}).record({"x": 1e-7, "i": 1e-3}, np.random.default_rng(0))
+    record = gb.simulate(micro_actuator, {"time": t, "u": np.sign(np.sin(300 * t))}).record(
+        {"x": 1e-7, "i": 1e-3}, np.random.default_rng(0)
+    )
     fit = gb.fit(micro_actuator.fix("M", "Ra", "La", "Kv", "Kf"), record)
     text = gb.to_python(fit, tmp_path / "rig.py").read_text()
     assert re.search(r'"K", "N/m", 58\d\d\.\d{8,}', text) and "fitted, 95 % interval [58" in text
@@ -132,9 +134,13 @@ def test_an_expression_keeps_its_meaning_in_python(tmp_path):
 
     def balances(x, u, p):
         a, b = x.a, u.u
-        tricky = -(a - b) - (a + b) / (a * (b - 2 * p.k)) * -(a**2) ** p.k
+        tricky = -(a - b) - (a + b) / (a * (b - 2 * p.k)) * -((a**2) ** p.k)
         chosen = ca.if_else(ca.logic_and(a > b, ca.logic_not(b < -1)), -a / -b, ca.fmin(a, -b) ** 3)
-        return [gb.Balance("rate", "1/s", 1, "a", tricky=tricky * p.r, chosen=-chosen * p.r, decay=-1e-3 * (a - (b - a)) * p.r)]
+        return [
+            gb.Balance(
+                "rate", "1/s", 1, "a", tricky=tricky * p.r, chosen=-chosen * p.r, decay=-1e-3 * (a - (b - a)) * p.r
+            )
+        ]
 
     model = gb.Model(
         "tricky", [gb.State("a", "1", 0.7)], [gb.Input("u", "1")], [gb.Output("a", "1")],
@@ -148,7 +154,7 @@ def test_an_expression_keeps_its_meaning_in_python(tmp_path):
 
 
 def test_modelica_refuses_what_it_cannot_say(tmp_path):
-    with pytest.raises(gb.ModelError, match="backlash .* is set after each step and has no equation"):
+    with pytest.raises(gb.ModelError, match=r"backlash .* is set after each step and has no equation"):
         gb.to_modelica(micro_actuator + gb.effect("backlash"), tmp_path / "p.mo")
     bell = gb.Model(
         "bell", [gb.State("a", "1")], [gb.Input("u", "1")], [gb.Output("a", "1")], [gb.Parameter("r", "1/s", 1.0)],
@@ -187,7 +193,9 @@ def modelica_rates(model, folder, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize("name", ["", "lugre_friction", "cubic_stiffness", "eddy_current", "winding_heating", "second_mode"])
+@pytest.mark.parametrize(
+    "name", ["", "lugre_friction", "cubic_stiffness", "eddy_current", "winding_heating", "second_mode"]
+)
 def test_another_program_reads_the_same_rates_from_modelica(tmp_path, monkeypatch, name):
     model = micro_actuator + gb.effect(name) if name else pneumatic_full
     model = model.start(Fc=0.05, Fs=0.08, s1=2.0) if name == "lugre_friction" else model

@@ -54,7 +54,9 @@ def test_mean_covariance_and_cost_are_those_of_bayesian_regression(louder):
     values, covariance = posterior(design, y, mean, std)
     assert [found.parameters[n].value for n in "abc"] == pytest.approx(values, rel=1e-9)
     scatter = np.sum((y - design @ values) ** 2) / NOISE**2
-    assert found.cost == pytest.approx(scatter + ((values[0] - 1) / 0.05) ** 2 + ((values[2] - 0.5) / 0.1) ** 2, rel=1e-9)
+    assert found.cost == pytest.approx(
+        scatter + ((values[0] - 1) / 0.05) ** 2 + ((values[2] - 0.5) / 0.1) ** 2, rel=1e-9
+    )
     excess = scatter / (40 - 3)
     assert (excess > 1) == (louder > 1)
     if louder < 1:

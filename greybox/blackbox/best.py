@@ -110,13 +110,13 @@ def _choices(kind: Kind, data: Channels, scans: Mapping[Kind, Scan], at_rest: bo
     nk, offsets = before["nk"], sorted({True, before["offset"]})
     poles = range(1, MOST_SEARCHED_POLES + 1)
     if kind == "armax":
-        for n, delay, offset in product(poles, sorted({nk, 1}), offsets):
+        for n, delay, shifted in product(poles, sorted({nk, 1}), offsets):
             for nb, nc in product(sorted({1, n, n + 1}), sorted({1, n})):
-                yield {"na": n, "nb": nb, "nc": nc, "nk": delay, "offset": offset}
+                yield {"na": n, "nb": nb, "nc": nc, "nk": delay, "offset": shifted}
     elif kind == "output error":
-        for n, delay, offset in product(poles, sorted({nk, max(nk - 1, 0), 1}), offsets):
+        for n, delay, shifted in product(poles, sorted({nk, max(nk - 1, 0), 1}), offsets):
             for nb in sorted({1, n, n + 1}):
-                yield {"nb": nb, "nf": n, "nk": delay, "offset": offset}
+                yield {"nb": nb, "nf": n, "nk": delay, "offset": shifted}
     elif "output error" in scans:
         plain = scans["output error"].chosen.choice
         if kind == "box-jenkins":
@@ -140,7 +140,7 @@ def _delay(data: Channels, at_rest: bool) -> int:
             model = fitted(data, "arx", choice, at_rest=at_rest)
         except DataError:
             continue  # such as two columns of a step; the scan itself says so
-        loss = model.loss
+        loss = model.loss  # type: ignore[union-attr]  # an ARX model is a polynomial one
         if loss < best:
             best, found = loss, nk
     return found

@@ -220,7 +220,7 @@ class _Bent:
         found = errors(self.structure, theta[:n], self.data, parts, rest=self.rest, slopes=slopes)
         if not slopes:
             return found
-        held = n + np.cumsum([0, *(len(c.shares) for c in self.curves)])[:-1] + self.held
+        held = (n + np.cumsum([0, *(len(c.shares) for c in self.curves)])[:-1] + self.held).astype(int)
         return replace(found, slopes=np.delete(found.slopes, held, axis=1))
 
     def minimum(self, theta: np.ndarray, iterations: int, enough: float) -> Minimum:

@@ -116,7 +116,7 @@ def _step(here: Errors, damping: float) -> tuple[np.ndarray, float]:
     """The damped Gauss-Newton step (p,) and how much of the sum of squares it should take away."""
     scale = np.linalg.norm(here.slopes, axis=0)
     scale[scale == 0] = 1.0
-    triangle = np.linalg.qr(np.column_stack([here.slopes / scale, here.e]), mode="r")
+    triangle = np.asarray(np.linalg.qr(np.column_stack([here.slopes / scale, here.e]), mode="r"))
     left, size, right = np.linalg.svd(triangle[: len(scale), : len(scale)])
     size = np.where(size > NEGLIGIBLE * size[0], size, 0.0)
     pull = left.T @ triangle[: len(scale), -1]
@@ -153,7 +153,11 @@ def _of_stretch(
         return projected, np.empty((len(projected), 0)), past.states
     share = past.shares(e[there])
     # Each input's drive with what its own past adds to it
-    own = np.split(share, np.cumsum([block.shape[1] for block in blocks])[:-1]) if blocks else [()] * len(through)
+    own = (
+        np.split(share, np.cumsum([block.shape[1] for block in blocks])[:-1])
+        if blocks
+        else [np.empty(0)] * len(through)
+    )
     driven = [
         lfilter(d, [1.0], w) + lfilter(s, f, np.eye(1, data.rows)[0]) if len(s) else lfilter(d, [1.0], w)
         for w, s, f in zip(through, own, model.f, strict=True)

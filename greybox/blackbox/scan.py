@@ -114,7 +114,8 @@ def scan_structures(
     ``judge``: other records, on which the free run is measured, without their first ``skip`` rows and from the initial state
     that those tell (the first 50 if 0); without any the free run over ``experiments`` themselves counts. ``by``: ``"free run"``
     takes, of all stable structures within 0.5 % of the smallest error, the one of smallest BIC (for output errors, whose BIC
-    trusts a white free-run error, the one of fewest coefficients); ``"aic"`` and ``"bic"`` the smallest criterion. ``report(done, of, candidate)`` is called after each.
+    trusts a white free-run error, the one of fewest coefficients); ``"aic"`` and ``"bic"`` the smallest criterion.
+    ``report(done, of, candidate)`` is called after each.
 
     Raises DataError where no structure could be fitted, with the reason of the first.
     """

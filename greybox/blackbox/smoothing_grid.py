@@ -46,7 +46,8 @@ def evaluate(
     time: np.ndarray, y: np.ndarray, intervals: Intervals, draws: Draws, generator: np.random.Generator
 ) -> Combination:
     """The best of all combinations of fresh uniform draws on each axis; ``time`` (N,) in seconds after the step, ``y`` (N,)."""
-    values = {axis: generator.uniform(*getattr(intervals, axis), getattr(draws, axis)) for axis in AXES}
+    ends: dict[str, tuple[float, float]] = {axis: getattr(intervals, axis) for axis in AXES}
+    values = {axis: generator.uniform(low, high, size=getattr(draws, axis)) for axis, (low, high) in ends.items()}
     return best_of_grid(time, y, values)
 
 

@@ -111,7 +111,7 @@ def compare(
         measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
         black, notes = black_contestants(
             records, [q.name for q in measured], [i.name for i in plain.inputs], at_rest=at_rest,
-            units={s.name: s.unit for s in (*plain.inputs, *measured)},
+            units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
             report=lambda what, done, of: show(f"{what}: structure {done} of {of}"),
         )  # fmt: skip
         show("judging")

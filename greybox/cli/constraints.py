@@ -86,7 +86,8 @@ def constrained(model: Model, prior: Iterable[str], tie: Iterable[str]) -> Model
     both = sorted(q.name for q in model.all_parameters if q.fixed and q.name in priors)
     if both:
         raise ModelError(
-            f"--prior {', '.join(both)}: fixed in the model or by --fix, so a prior has nothing to say; free it, or leave out one of the two"
+            f"--prior {', '.join(both)}: fixed in the model or by --fix, so a prior has nothing to say;"
+            " free it, or leave out one of the two"
         )
     return model.prior(**priors).with_ties(pairs("--tie", tie))
 

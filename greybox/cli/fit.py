@@ -135,7 +135,9 @@ def _tell(
             "residual tests (each alone raises a false alarm, p below 0.01, in one fit of a hundred)",
             str(tests),
         ]
-        typer.echo("\n".join([result.equations, "", str(result), *ahead, *(said if tests else []), *by_record(result, skip)]))
+        typer.echo(
+            "\n".join([result.equations, "", str(result), *ahead, *(said if tests else []), *by_record(result, skip)])
+        )
 
 
 def _tested(result: Fit) -> ResidualTests | None:

@@ -89,9 +89,10 @@ def _dense(records: Sequence[Experiment], output: str, notes: list[str]) -> tupl
         return tuple(shown)
     sparse = [thinned(e, output) for e in shown]
     there = [e for e in sparse if e is not None]
-    if len(there) < len(shown) or not np.allclose([e.sampling_time for e in there], there[0].sampling_time, rtol=2e-3):
+    steps = np.array([e.sampling_time or np.nan for e in there])
+    if len(there) < len(shown) or not np.allclose(steps, steps[0], rtol=2e-3):
         return tuple(shown)
-    notes.append(f"{output}: black boxes at the rows where it is measured, every {there[0].sampling_time:.6g} s")
+    notes.append(f"{output}: black boxes at the rows where it is measured, every {steps[0]:.6g} s")
     return tuple(there)
 
 

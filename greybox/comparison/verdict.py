@@ -15,7 +15,7 @@ EQUAL = 0.02  # relative difference of two errors that is none
 
 def verdict(comparison: Comparison) -> tuple[str, ...]:
     """Best model of each output in the free run and one sample ahead, by how much, and what to keep in mind of the winners."""
-    said = []
+    said: list[str] = []
     where = "on the validation records" if comparison.validation else "on the fitted records, which judge too kindly"
     for output, unit in comparison.outputs.items():
         for what, error in (("free run", _rmse), ("one sample ahead", _one_step)):

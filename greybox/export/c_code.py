@@ -124,8 +124,8 @@ def _source(plant: Plant, interval: Interval, header_name: str) -> str:
     ]
     if exact:
         tables += [
-            "/* Exact discretisation with these constants for one sampling time; changing a constant above does not change these: export the",
-            "   model anew. */",
+            "/* Exact discretisation with these constants for one sampling time; changing a constant above does not change these:",
+            "   export the model anew. */",
             "static const double coefficients[] = {", *_blocks(interval), "};", "",
         ]  # fmt: skip
     use = "coefficients" if exact else "constants"

@@ -37,7 +37,7 @@ def write_npz(
     arrays = {key: np.asarray(value) for key, value in contents.items() if not isinstance(value, Mapping)}
     arrays |= _tables(contents)
     arrays |= {f"family_{key}": np.asarray(value) for key, value in _members(family).get("family", {}).items()}
-    np.savez(target, **arrays)
+    np.savez(target, allow_pickle=False, **arrays)
     return target
 
 

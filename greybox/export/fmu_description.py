@@ -93,9 +93,9 @@ def _variables(
             remark = f"{remark} ({plant.provenance(signal.name)})".strip()
         unit = tidy(signal.unit)
         variable = ET.SubElement(
-            group, "ScalarVariable", name=name, valueReference=str(reference), description=remark, **kind
+            group, "ScalarVariable", {"name": name, "valueReference": str(reference), "description": remark, **kind}
         )
-        ET.SubElement(variable, "Real", **real, **({"unit": unit} if unit not in ("", "-", "1") else {}))
+        ET.SubElement(variable, "Real", {**real, **({"unit": unit} if unit not in ("", "-", "1") else {})})
 
 
 def _yes(value: bool) -> str:

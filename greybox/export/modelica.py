@@ -156,9 +156,9 @@ def modelica_text(plant: Plant) -> str:
     """The text of the model."""
     model, s = plant.model, plant.model.system
     if s.updates:
-        names = ", ".join(f"{u.effect} (state {s.state_names[u.state]!r})" for u in s.updates)
+        setting = ", ".join(f"{u.effect} (state {s.state_names[u.state]!r})" for u in s.updates)
         raise ModelError(
-            f"{model.title} cannot be written in Modelica: {names} is set after each step and has no equation; leave the effect out, or"
+            f"{model.title} cannot be written in Modelica: {setting} is set after each step and has no equation; leave the effect out, or"
             " export C or an FMU, which carry it exactly"
         )
     names = _Names.of(model)
@@ -210,7 +210,8 @@ class _Names:
         symbols = dict(
             zip((*s.state_names, *s.input_names, *s.parameter_names), (*states, *late, *parameters), strict=True)
         )
-        shown, outputs = [], []
+        shown: list[bool] = []
+        outputs: list[str] = []
         for k, name in enumerate(s.output_names):
             value = s.outputs[k]
             same = value.is_symbolic() and value.name() in s.state_names and symbols[value.name()] not in outputs

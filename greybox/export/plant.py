@@ -66,7 +66,7 @@ def plant_of(given: Fit | Model) -> Plant:
     raise ModelError(f"{given!r} cannot be exported; give a fit (gb.fit, gb.load_fit, discovery.best) or a model")
 
 
-def listed(names: Sequence[str], values: Sequence[float], units: Sequence[str]) -> str:
+def listed(names: Sequence[str], values: Sequence[float] | np.ndarray, units: Sequence[str]) -> str:
     """``x = 1e-05 m, u = 0.5 V``."""
     return ", ".join(f"{n} = {v:.6g} {tidy(u)}".rstrip() for n, v, u in zip(names, values, units, strict=True))
 

@@ -143,7 +143,7 @@ def _newton(equations: Equations, z: np.ndarray, p: np.ndarray, free: np.ndarray
         low[k], high[k] = state.bounds
     for _ in range(NEWTON):
         residual = equations.rates(z, p, direction)[rows]
-        slopes = equations.slopes(z, p, direction)[np.ix_(rows, np.flatnonzero(free))] * sizes
+        slopes = equations.slopes(z, p, direction)[np.ix_(np.asarray(rows), np.flatnonzero(free))] * sizes
         if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
             break
         steep = np.abs(slopes).sum(axis=1)

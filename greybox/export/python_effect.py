@@ -14,7 +14,7 @@ from greybox.export.python_text import PYTHON, balance, call, items, keywords, l
 from greybox.export.writer import Writer
 from greybox.model import Effect, Model
 from greybox.model.system import Bound
-from greybox.signals import Named, Parameter
+from greybox.signals import Input, Named, Parameter, State
 
 HOOKS = (
     "terms",
@@ -133,7 +133,8 @@ def _result(hook: str, found: Any, writer: Writer) -> str:
 
 def _seen(bound: Bound, model: Model) -> tuple[Named, Named, Named]:
     """States, inputs and constants as the effect's functions see them."""
-    roles = {s.role: s.name for s in (*model.states, *model.inputs, *model.parameters) if s.role}
+    signals: tuple[State | Input | Parameter, ...] = (*model.states, *model.inputs, *model.parameters)
+    roles = {s.role: s.name for s in signals if s.role}
     x = Named("state", {s.name: ca.SX.sym(s.name) for s in model.all_states}, roles)
     u = Named("input", {i.name: ca.SX.sym(i.name) for i in model.inputs}, roles)
     p = Named("parameter", {q.name: ca.SX.sym(q.name) for q in model.stated_parameters}, roles)

@@ -84,8 +84,8 @@ def _frictions(equations: Equations, z: np.ndarray, p: np.ndarray) -> list[str]:
             continue
         held = f" of which {abs(push):.4g} {unit} are in use" if push else ""
         notes.append(
-            f"{names} cannot be linearised at {state} = 0 (it holds up to {static:.4g} {unit}{held}): used instead is the body sliding, with"
-            f" friction left out of the matrices; treat it as a disturbance of up to {static:.4g} {unit}, or compensate it"
+            f"{names} cannot be linearised at {state} = 0 (it holds up to {static:.4g} {unit}{held}): used instead is the body sliding,"
+            f" with friction left out of the matrices; treat it as a disturbance of up to {static:.4g} {unit}, or compensate it"
         )
     return notes
 

@@ -184,6 +184,7 @@ def _statistics(solution: Solution) -> dict[str, object]:
     return {
         "optimiser": "IPOPT", "ipopt_status": solution.solver_status, "iterations": solution.iterations,
         "passes": solution.evaluations, "seconds": solution.seconds, "record_shares": list(solution.shares),
-        "strategy": solution.strategy, "transcription": solution.transcription, "free_run": solution.free_run, "method": solution.problem.method,
+        "strategy": solution.strategy, "transcription": solution.transcription, "free_run": solution.free_run,
+        "method": solution.problem.method,
         "kernel": solution.problem.kernel.name, "substeps": solution.problem.step.substeps,
     }  # fmt: skip

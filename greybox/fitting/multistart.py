@@ -26,7 +26,10 @@ SAME_COST, SAME_MISFIT = 0.01, 1e-3
 
 @dataclass(frozen=True)
 class MultiStart:
-    """``best``: the fit from the best end, which carries the others in `Fit.ends`. ``ends``: all of them, best first. ``interrupted``: Ctrl-C came before all were done."""
+    """``best``: the fit from the best end, which carries the others in `Fit.ends`. ``ends``: all of them, best first.
+
+    ``interrupted``: Ctrl-C came before all were done.
+    """
 
     best: Fit
     ends: tuple[End, ...]

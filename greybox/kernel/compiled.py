@@ -203,5 +203,5 @@ def _address(array: np.ndarray | None) -> int | None:
     if array is None:
         return None
     if array.size and array.flags.carray:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
     return array.__array_interface__["data"][0]  # empty, or not to be written

@@ -40,7 +40,7 @@ def latex(value: ca.SX | float) -> str:
 
 
 def symbol(name: str) -> str:
-    r"""A name as a symbol: ``Kf`` -> ``K_{f}``, ``p1`` -> ``p_{1}``, ``tau_e`` -> ``\tau_{e}``, ``friction.Fc`` -> ``F_{c}`` named below."""
+    r"""A name as a symbol: ``Kf`` -> ``K_{f}``, ``p1`` -> ``p_{1}``, ``tau_e`` -> ``\tau_{e}``, ``friction.Fc`` -> ``F_{c,friction}``."""
     owner, _, own = name.rpartition(".")
     head, _, tail = own.partition("_")
     if not tail and (found := PARTS.match(head)) and head not in GREEK:

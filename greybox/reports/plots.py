@@ -143,7 +143,7 @@ def correlation_figure(name: str, output: str, residuals: Sequence[np.ndarray]) 
     outside = int(np.sum(np.abs(values) > band))
     layout = axes("lag [samples]", "autocorrelation") | {"shapes": [_band(band)], "showlegend": False}
     data = [{"type": "bar", "x": lags, "y": values, "marker": {"color": "--residual"}, "name": "autocorrelation"}]
-    words = f"{outside} of {len(lags)} lags lie outside the 99 % band of white noise (± {band:.2g}); about {len(lags) / 100:.1g} would by chance."
+    words = f"{outside} of {len(lags)} lags lie outside the 99 % band of white noise (± {band:.2g}); some {len(lags) / 100:.1g}."
     return Figure(
         name,
         f"Autocorrelation of the residual of {output}; the band is that of white noise, 99 %.",

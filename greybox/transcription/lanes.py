@@ -28,14 +28,14 @@ class Lanes:
         self.places = self.which, np.arange(len(self.own))
         self.slope = np.zeros((len(self.fixed), len(self.columns)))
         start = v.model.system.constant_start
+        self.start: np.ndarray | None = None
         if start is not None:
             guess, scale = v.initial.guess[experiment, self.states], v.initial.scale[self.states]
-            self.start, self.stretch = start.copy(), scale
-            self.start[self.states] = guess
+            own = start.copy()
+            own[self.states] = guess
+            self.start, self.stretch = own, scale
             self.start_slope = np.zeros((len(start), len(self.columns)))
             self.start_slope[self.states, len(self.own) + np.arange(len(self.states))] = scale
-        else:
-            self.start = None
 
     def at(self, z: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Parameters (np,), their slopes (np, L), first state (nx,), its slopes (nx, L); ``free`` are `Variables.constants` at ``z``."""

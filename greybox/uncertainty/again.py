@@ -45,8 +45,8 @@ def problem_of(fit: Fit, model: Model | None = None, held: Mapping[int, Mapping[
         raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
     if not runs_freely(fit):
         raise FitError(
-            f"fit of {fit.model.title}: its run is not a free one ({fit.solver['transcription']}), and what is asked for needs that; read the"
-            " intervals of the fit itself, or fit by single shooting where the plant is stable"
+            f"fit of {fit.model.title}: its run is not a free one ({fit.solver['transcription']}), and what is asked for needs that; read"
+            " the intervals of the fit itself, or fit by single shooting where the plant is stable"
         )
     options = options_of(fit)
     records = [t.experiment for t in fit.traces]
