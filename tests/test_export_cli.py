@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -109,6 +110,11 @@ def test_a_fit_that_failed_is_warned_about(saved, tmp_path):
 
 def test_the_exported_python_model_can_be_fitted_again(saved, tmp_path):
     assert export(saved, "--to", "python", "--output", tmp_path / "rig.py").exit_code == 0
-    done = subprocess.run(["greybox", "models", str(tmp_path / "rig.py")], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "greybox.cli", "models", str(tmp_path / "rig.py")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert "micro_actuator + coulomb_friction" in done.stdout

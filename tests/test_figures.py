@@ -81,7 +81,8 @@ def trace(name: str, **errors: float) -> Trace:
 def test_each_record_has_its_own_misfit() -> None:
     pooled = {"x": Misfit(3e-7, "m", 99.0, 3.0, 200), "i": Misfit(0.01, "A", 99.0, 2.0, 200)}
     good, bad = trace("good", x=1e-7, i=0.005), trace("bad", x=5e-7, i=0.02)
-    bad.measured["x"][:20] += 1.0
+    spoiled = bad.measured["x"] + (np.arange(len(bad.time)) < 20)
+    bad = replace(bad, measured={**bad.measured, "x": spoiled})
     fit = judged([good, bad], pooled)
     assert misfits_of(fit, good)["x"].noise_ratio == pytest.approx(1)
     assert misfits_of(fit, bad)["x"].noise_ratio > 1e6
