@@ -149,6 +149,7 @@ def write(s: Study, folder: Path) -> None:
     rmse = [MICRO * f.misfit["x"].rmse for f in (s.with_delay, s.without)]
     text = [
         "### The feed-through of 4.03 um/V is a delay (`fits/micromotion_feed_through.py`)",
+        "Equation 17 on the stand-in's steps, generated, not measured, beside the printed one.",
         markdown(["equation 17", "jump at the edge, um", "delay that its phase shows, samples", "J, um^2"], rows),
         f"The printed phase is that of a delay of {s.printed.delay:.2f} samples. With the ratio that goes with it the jump would be"
         f" {s.explained:.2f} um, the delay's parabola; the rest of the {s.printed.jump:.2f} um comes from a ratio drawn below 1. The"

@@ -61,6 +61,7 @@ def s_domain(model: PolynomialModel, input: str | None = None) -> SDomain:
     order = len(below) - 1
     above = model.b[i]
     late = max(int(np.flatnonzero(above)[0]) - 1, 0)
+    late += len(above) - late == order + 2 and above[late] == 0  # a late feed-through
     above = above[late:]
     if order == 0 or len(above) > order + 1:
         raise DataError(

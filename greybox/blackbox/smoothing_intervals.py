@@ -16,6 +16,8 @@ from greybox.errors import DataError, nearest
 
 TAIL = 4  # the last quarter of the record shows the final value
 ABOVE_FLOOR = 4.0  # an envelope counts from this many times what is left of it at the end
+STANDING = 0.5  # share of the largest deviation that an oscillation which does not fade must have
+NO_OSCILLATION = "the response does not oscillate, so equation 17 does not describe it: use output_error"
 SPREAD_DECAY, SPREAD_RATIO = 1.6, 1.25  # factors by which decay and ratio may be off either way
 INNER = 0.8  # share of an interval in which a value is well inside
 LEAST = 1e-9  # of an interval's upper end: frequency, decay and ratio stay above
@@ -85,10 +87,7 @@ def resonance(w: np.ndarray, density: np.ndarray) -> float:
     """The frequency of the highest peak beyond the one at zero, in the units of ``w`` (n,). Raises DataError without one."""
     falling = np.flatnonzero(np.diff(density) > 0)
     if len(falling) == 0 or falling[0] >= len(w) - 2:
-        raise DataError(
-            "the power spectral density has no peak besides the one at 0 rad/s: the response does not oscillate;"
-            " equation 17 does not describe it, use output_error"
-        )
+        raise DataError(f"the power spectral density has no peak besides the one at 0 rad/s; {NO_OSCILLATION}")
     start = int(falling[0])
     return float(w[start + int(np.argmax(density[start:]))])
 
@@ -98,10 +97,15 @@ def from_data(time: np.ndarray, y: np.ndarray, sampling_time: float, points: int
 
     Frequency: the spectrum's peak, one of its ``points`` bins to either side. Amplitude: extremes of the last quarter. Decay and
     ratio: a straight line through the logarithm of the envelope, by factors of 1.6 and 1.25. Phase: ``pi - w t`` of the first
-    passage through that amplitude.
+    passage through that amplitude. Raises DataError for a response that does not oscillate about a final value.
     """
     tail = y[-max(len(y) // TAIL, 2) :]
     level, low, high = float(tail.mean()), float(tail.min()), float(tail.max())
+    if low <= 0 <= high:
+        raise DataError(
+            f"the last quarter of the response runs from {low:.4g} to {high:.4g}: its final value cannot be told from zero, and"
+            " equation 17 swings about one; take a longer record, or use output_error"
+        )
     if not low < high:
         low, high = level - 0.01 * abs(level), level + 0.01 * abs(level)
     w = resonance(*spectrum(y, sampling_time, points))
@@ -109,12 +113,18 @@ def from_data(time: np.ndarray, y: np.ndarray, sampling_time: float, points: int
     decay, size = _envelope(time, y - level, w, sampling_time)
     ratio = size / abs(level)
     first, last = (_passage(time, y, part * level) for part in _levels(level, low, high))
+    if w * first > 2 * np.pi:
+        raise DataError(
+            f"the final value is first passed {first:.4g} s after the step, {w * first / (2 * np.pi):.1f} periods of the spectrum's"
+            f" peak at {w:.4g} rad/s; {NO_OSCILLATION}"
+        )
+    slowest, fastest = max(w - bin_width, bin_width / 2), w + bin_width
     slack = w * sampling_time
     return Intervals(
         amplitude=(low, high),
         ratio=(ratio / SPREAD_RATIO, ratio * SPREAD_RATIO),
-        phase=(np.pi - w * last - slack, np.pi - w * first + slack),
-        frequency=(max(w - bin_width, bin_width / 2), w + bin_width),
+        phase=(np.pi - fastest * last - slack, np.pi - slowest * first + slack),
+        frequency=(slowest, fastest),
         decay=(decay / SPREAD_DECAY, decay * SPREAD_DECAY),
     )
 
@@ -136,8 +146,12 @@ def _envelope(time: np.ndarray, swing: np.ndarray, w: float, sampling_time: floa
     size = 2 * np.abs(turned.reshape(count, period).mean(axis=1))
     middle = time[: count * period].reshape(count, period).mean(axis=1)
     floor = float(np.median(size[-max(count // TAIL, 1) :]))
-    clear = int(np.argmax(np.append(size, 0.0) <= ABOVE_FLOOR * floor))
+    fading = floor < size[0] / ABOVE_FLOOR
+    if not fading and size[0] <= STANDING * np.abs(swing).max():
+        raise DataError(f"what moves at {w:.4g} rad/s is no larger after the step than at the end; {NO_OSCILLATION}")
+    clear = int(np.argmax(np.append(size, 0.0) <= ABOVE_FLOOR * floor)) if fading else count
     used = slice(0, max(clear, 2))
+    size = np.maximum(size, LEAST * size[0])
     slope, start = np.polyfit(middle[used], np.log(size[used]), 1, w=size[used])
     # an oscillation that does not fade within the record: a tenth of its length is the fastest that it could hide
     least = 0.1 / float(time[-1])

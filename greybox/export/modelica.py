@@ -2,116 +2,20 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import casadi as ca
 
 from greybox.errors import ModelError
-from greybox.export.identifiers import identifier, identifiers
+from greybox.export.identifiers import identifier
+from greybox.export.modelica_names import Names, declarations, safe
 from greybox.export.plant import Plant, plant_of
 from greybox.export.writer import ADD, AND, ATOM, OR, Dialect, Writer, Written, function_call
 from greybox.model import Balance, Model
 from greybox.model.system import BOUND_GUARD, Dry
 from greybox.result import Fit
-from greybox.units import tidy
 
-RESERVED = [
-    "algorithm",
-    "and",
-    "annotation",
-    "assert",
-    "block",
-    "break",
-    "class",
-    "connect",
-    "connector",
-    "constant",
-    "constrainedby",
-    "der",
-    "discrete",
-    "each",
-    "else",
-    "elseif",
-    "elsewhen",
-    "encapsulated",
-    "end",
-    "enumeration",
-    "equation",
-    "expandable",
-    "extends",
-    "external",
-    "false",
-    "final",
-    "flow",
-    "for",
-    "function",
-    "if",
-    "import",
-    "impure",
-    "in",
-    "initial",
-    "inner",
-    "input",
-    "loop",
-    "model",
-    "not",
-    "operator",
-    "or",
-    "outer",
-    "output",
-    "package",
-    "parameter",
-    "partial",
-    "protected",
-    "public",
-    "pure",
-    "record",
-    "redeclare",
-    "replaceable",
-    "return",
-    "stream",
-    "then",
-    "true",
-    "type",
-    "when",
-    "while",
-    "within",
-    "time",
-    "pre",
-    "reinit",
-    "delay",
-    "edge",
-    "change",
-    "sample",
-    "noEvent",
-    "smooth",
-    "abs",
-    "sign",
-    "sqrt",
-    "min",
-    "max",
-    "exp",
-    "log",
-    "sin",
-    "cos",
-    "tan",
-    "asin",
-    "acos",
-    "atan",
-    "atan2",
-    "sinh",
-    "cosh",
-    "tanh",
-    "floor",
-    "ceil",
-    "Real",
-    "Integer",
-    "Boolean",
-    "String",
-]
 NAMES = {"fabs": "abs", "fmin": "min", "fmax": "max"}
 LACKS = frozenset(["asinh", "acosh", "atanh", "erf", "==", "!="])
 
@@ -161,7 +65,7 @@ def modelica_text(plant: Plant) -> str:
             f"{model.title} cannot be written in Modelica: {setting} is set after each step and has no equation; leave the effect out, or"
             " export C or an FMU, which carry it exactly"
         )
-    names = _Names.of(model)
+    names = Names.of(model)
     writer = Writer(MODELICA, names.symbols)
     rows = [_guarded(b, model) for b in s.balances]
     outputs = [s.outputs[k] for k in range(len(model.outputs))]
@@ -180,84 +84,14 @@ def modelica_text(plant: Plant) -> str:
     head = identifier(model.title)
     parts = [f"  {part} = {text};" for part, text in writer.shared]
     lines = [
-        *(f"// {line}".rstrip() for line in (*plant.origin(), *plant.notes)), f'model {head} "{_safe(model.description or model.title)}"',
-        *_declarations(plant, names, writer), *(f"  Real {part};" for part, _ in writer.shared),
+        *(f"// {line}".rstrip() for line in (*plant.origin(), *plant.notes)), f'model {head} "{safe(model.description or model.title)}"',
+        *declarations(plant, names, writer), *(f"  Real {part};" for part, _ in writer.shared),
         *_start_of_friction(model, names), "equation", *parts, *equations, f"end {head};", "",
     ]  # fmt: skip
     return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class _Names:
-    """What everything is called: ``shown`` outputs are states as they are and have no name of their own."""
-
-    states: list[str]
-    inputs: list[str]
-    outputs: list[str]
-    parameters: list[str]
-    late: list[str]
-    shown: list[bool]
-    symbols: Mapping[str, str]
-
-    @classmethod
-    def of(cls, model: Model) -> _Names:
-        s = model.system
-        inner = identifiers([*s.state_names, *s.input_names, *s.parameter_names], RESERVED)
-        nx, nu = len(s.state_names), len(s.input_names)
-        states, inputs, parameters = inner[:nx], inner[nx : nx + nu], inner[nx + nu :]
-        delayed = {d.column for d in s.delays}
-        late = [f"{name}_late" if k in delayed else name for k, name in enumerate(inputs)]
-        symbols = dict(
-            zip((*s.state_names, *s.input_names, *s.parameter_names), (*states, *late, *parameters), strict=True)
-        )
-        shown: list[bool] = []
-        outputs: list[str] = []
-        for k, name in enumerate(s.output_names):
-            value = s.outputs[k]
-            same = value.is_symbolic() and value.name() in s.state_names and symbols[value.name()] not in outputs
-            shown.append(same)
-            outputs.append(
-                symbols[value.name()] if same else identifiers([name], [*RESERVED, *inner, *late, *outputs])[0]
-            )
-        return cls(states, inputs, outputs, parameters, late, shown, symbols)
-
-
-def _declarations(plant: Plant, names: _Names, writer: Writer) -> list[str]:
-    model, s = plant.model, plant.model.system
-    lines = []
-    for name, q in zip(names.parameters, model.all_parameters, strict=True):
-        limits = {"min": q.bounds[0], "max": q.bounds[1]}
-        inside = [*_unit(q.unit), *(f"{key} = {value!r}" for key, value in limits.items() if abs(value) < 1e300)]
-        remark = f"{q.description} ({plant.provenance(q.name)})".strip()
-        lines.append(f'  parameter Real {name}{_brackets(inside)} = {float(q.value)!r} "{_safe(remark)}";')
-    lines += [
-        f'  input Real {name}{_brackets(_unit(i.unit))} "{_safe(i.description)}";'
-        for name, i in zip(names.inputs, model.inputs, strict=True)
-    ]
-    lines += [
-        f"  Real {late}{_brackets(_unit(i.unit))};"
-        for late, name, i in zip(names.late, names.inputs, model.inputs, strict=True)
-        if late != name
-    ]
-    for k, (name, x) in enumerate(zip(names.states, model.all_states, strict=True)):
-        seen = "output " if name in [n for n, shown in zip(names.outputs, names.shown, strict=True) if shown] else ""
-        inside = [*_unit(x.unit), f"start = {writer.write(s.start[k])}", "fixed = true"]
-        lines.append(f'  {seen}Real {name}{_brackets(inside)} "{_safe(x.description)}";')
-    for name, o, shown in zip(names.outputs, model.outputs, names.shown, strict=True):
-        if not shown:
-            lines.append(f'  output Real {name}{_brackets(_unit(o.unit))} "{_safe(o.description)}";')
-    for k in sorted({d.state for d in s.dry}):
-        unit = _brackets(_unit(next(b.unit for b in s.balances if b.state == s.state_names[k])))
-        lines += [
-            f'  discrete Integer way_{names.states[k]} "way it slides: -1 or 1; 0: friction holds it";',
-            f'  Real push_{names.states[k]}{unit} "all but dry friction";',
-            f'  Real level_{names.states[k]}{unit} "dry friction while it slides";',
-            f'  Real most_{names.states[k]}{unit} "the most that it holds at standstill";',
-        ]
-    return lines
-
-
-def _balance(b: Balance, model: Model, names: _Names, writer: Writer) -> list[str]:
+def _balance(b: Balance, model: Model, names: Names, writer: Writer) -> list[str]:
     """``M * der(v) = coil + ...``; with dry friction the way it slides decides which force it makes."""
     s = model.system
     state = names.symbols[b.state]
@@ -266,7 +100,7 @@ def _balance(b: Balance, model: Model, names: _Names, writer: Writer) -> list[st
     storage = writer.written(b.storage)
     left = f"der({state})" if storage.text == "1" else f"{_bracketed(storage)} * der({state})"
     total = _sum([writer.written(term) for term in others.values()])
-    label = f'"{_safe(b.name)}: {_safe(", ".join(b.terms))}"'
+    label = f'"{safe(b.name)}: {safe(", ".join(b.terms))}"'
     if not dry:
         return [f"  {left} = {total} {label};"]
     return [
@@ -286,7 +120,7 @@ def _levels(dry: Sequence[Dry], state: str, model: Model, writer: Writer) -> lis
     return [f"  level_{state} = {sliding};", f"  most_{state} = {static};"]
 
 
-def _start_of_friction(model: Model, names: _Names) -> list[str]:
+def _start_of_friction(model: Model, names: Names) -> list[str]:
     bodies = sorted({d.state for d in model.system.dry})
     if not bodies:
         return []
@@ -328,19 +162,3 @@ def _sum(terms: Sequence[Written]) -> str:
 
 def _bracketed(value: Written) -> str:
     return value.text if value.binds == ATOM else f"({value.text})"
-
-
-def _unit(unit: str) -> list[str]:
-    """``unit = "N.s/m"`` as Modelica writes units; nothing for one that it cannot write."""
-    text = tidy(unit).replace("*", ".").replace("^", "").replace("ohm", "Ohm")
-    if text in ("", "-", "1") or re.search(r"\.\d|%|\d\.", text):
-        return []
-    return [f'unit = "{text}"']
-
-
-def _brackets(inside: Sequence[str]) -> str:
-    return f"({', '.join(inside)})" if inside else ""
-
-
-def _safe(text: str) -> str:
-    return text.replace("\\", "\\\\").replace('"', "'")

@@ -18,31 +18,9 @@ CHOICE, OR, AND, COMPARE, ADD, NEGATE, MULTIPLY, POWER, ATOM = range(9)
 SUMS = {ca.OP_ADD: "+", ca.OP_SUB: "-"}
 COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
 LOGIC = {ca.OP_AND: "and", ca.OP_OR: "or", ca.OP_NOT: "not"}
-FUNCTIONS = {
-    getattr(ca, f"OP_{name.upper()}"): name
-    for name in [
-        "sqrt",
-        "exp",
-        "log",
-        "sin",
-        "cos",
-        "tan",
-        "asin",
-        "acos",
-        "atan",
-        "sinh",
-        "cosh",
-        "tanh",
-        "asinh",
-        "acosh",
-        "atanh",
-        "atan2",
-        "sign",
-        "floor",
-        "ceil",
-        "erf",
-    ]
-} | {
+NAMES: tuple[str, ...] = ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh")
+NAMES += ("asinh", "acosh", "atanh", "atan2", "sign", "floor", "ceil", "erf")
+FUNCTIONS = {getattr(ca, f"OP_{name.upper()}"): name for name in NAMES} | {
     ca.OP_FABS: "fabs",
     ca.OP_FMIN: "fmin",
     ca.OP_FMAX: "fmax",
