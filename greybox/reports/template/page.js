@@ -93,18 +93,23 @@
     }
   };
 
-  let linking = false;
+  // Plotly tells of a zoom after the call that made it has returned: a figure that already shows the stretch is left
+  // alone, or two linked figures would send it back and forth for ever.
+  const shows = (plot, range) => {
+    const axis = plot.layout.xaxis;
+    return range ? !axis.autorange && axis.range[0] === range[0] && axis.range[1] === range[1] : axis.autorange === true;
+  };
+
   const zoomed = (figure, change) => {
-    if (linking) return;
     const low = change["xaxis.range[0]"] ?? change["xaxis.range"]?.[0], high = change["xaxis.range[1]"] ?? change["xaxis.range"]?.[1];
     const whole = change["xaxis.autorange"] === true;
     if (low === undefined && !whole) return;
-    linking = true;
-    for (const other of figures)
-      if (figure.group && other !== figure && other.group === figure.group)
-        Plotly.relayout(other.plot, whole ? { "xaxis.autorange": true } : { "xaxis.range": [low, high] });
-    for (const one of figures) if (one === figure || (figure.group && one.group === figure.group)) respectrum(one, whole ? null : [Number(low), Number(high)]);
-    linking = false;
+    const range = whole ? null : [low, high];
+    for (const one of figures) {
+      if (one !== figure && !(figure.group && one.group === figure.group)) continue;
+      if (!shows(one.plot, range)) Plotly.relayout(one.plot, range ? { "xaxis.range": range } : { "xaxis.autorange": true });
+      respectrum(one, range && range.map(Number));
+    }
   };
 
   const respectrum = (figure, range) => {
