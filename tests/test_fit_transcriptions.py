@@ -108,7 +108,6 @@ def test_the_same_fit_by_every_transcription_gives_the_same_constants(case, tran
 
 
 @pytest.mark.parametrize("transcription", ["automatic", *LIFTED])
-@pytest.mark.xfail(strict=True, reason="known defect: the residual tests accept a run that is not free")
 def test_an_unstable_plant_has_traces_and_a_validation_that_follow_the_record(transcription):
     truth = levitation()
     noise = {"x": 2e-3}
@@ -186,15 +185,7 @@ def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
             assert other.parameters[name].std == pytest.approx(std, rel=0.02)
 
 
-COST_DIFFERS = pytest.mark.xfail(
-    strict=True, reason="known defect: the cost by collocation is 1e-5 off that of single shooting"
-)
-
-
-@pytest.mark.parametrize(
-    "transcription",
-    ["multiple", *(pytest.param(name, marks=COST_DIFFERS) for name in LIFTED if name.startswith("collocation"))],
-)
+@pytest.mark.parametrize("transcription", LIFTED)
 def test_intervals_and_own_constants_are_those_of_single_shooting(transcription):
     """Two days with a damping of their own, a prior on the stiffness: every transcription weighs them alike."""
     truth = oscillator("duffing", 0.3, 4.0, 6.0, 2.0)
@@ -282,8 +273,9 @@ def test_short_arcs_show_the_structure_of_the_drive_and_the_whole_record_what_dr
     assert (
         bare[0.1] == pytest.approx(95.1, rel=0.1) and bare[0.0] > 150
     )  # without dry friction the whole record says nothing
-    with pytest.raises(FitError, match="not a free one"):
-        profile(short, "M")
+    for asked in (lambda: profile(short, "M"), lambda: diagnose_residuals(short)):
+        with pytest.raises(FitError, match="not a free one"):
+            asked()
 
 
 def test_arcs_with_coloured_noise_are_searched_with_their_initial_states():

@@ -1,6 +1,7 @@
 """Every transcription leads to the same constants, and each carries where the others fail."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -12,6 +13,7 @@ from greybox.effects import effect
 from greybox.fitting import FitOptions
 from greybox.fitting.problem import prepare
 from greybox.fitting.solve import solve
+from greybox.integrators.implicit import MOST_STATES
 from greybox.model import Balance, Model
 from greybox.optimiser import Status, minimise, solve_sparse
 from greybox.signals import Input, Output, Parameter, State
@@ -248,11 +250,11 @@ def test_a_segment_that_overflows_is_a_result_and_not_an_error():
     assert found.evaluation.cost == np.inf
 
 
-@pytest.mark.xfail(strict=True, reason="known defect: the automatic choice no longer sees that this plant is stiff")
-def test_a_stiff_plant_is_picked_for_collocation_and_fitted_by_radau_points():
-    """A spool that follows within 20 us ahead of a slow state sampled every 50 ms: RK4 would need thousands of steps a sample."""
-    model = Model(
-        "stiff", [State("s", "m"), State("x", "m")], [Input("u", "m")], [Output("x", "m")],
+def stiff(line):
+    """A spool that follows within 20 us ahead of a slow state, and ``line`` lags after that."""
+    lags = [f"l{k}" for k in range(line)]
+    return Model(
+        "stiff", [State("s", "m"), State("x", "m"), *(State(n, "m") for n in lags)], [Input("u", "m")], [Output("x", "m")],
         [
             Parameter("a", "1/s", 2.0, RANGE), Parameter("c", "1/m**2", 0.5, RANGE),
             Parameter("f", "1/s", 5e4, (1, 1e6), fixed=True), Parameter("g", "1/s", 1.0, fixed=True),
@@ -260,8 +262,14 @@ def test_a_stiff_plant_is_picked_for_collocation_and_fitted_by_radau_points():
         lambda x, u, p: [
             Balance("spool", "m/s", 1, "s", command=p.f * u.u, back=-p.f * x.s, hardening=-p.f * p.c * x.s**3),
             Balance("slow", "m/s", 1, "x", inflow=p.g * x.s, decay=-p.a * x.x),
+            *(Balance(n, "m/s", 1, n, inflow=p.a * x[m], decay=-p.a * x[n]) for m, n in pairwise(["x", *lags])),
         ],
     )  # fmt: skip
+
+
+def test_a_stiff_plant_is_picked_for_implicit_steps_or_for_collocation_and_fitted_by_radau_points():
+    """Sampled every 50 ms: RK4 would need thousands of steps a sample. Implicit steps take so many states, Radau points any number."""
+    model = stiff(line=0)
     f, p = model.system.rhs_function, values(model)
     t, u = np.arange(80) * 0.05, 1.5 * np.sin(np.arange(80) * 0.25)
     x, y = np.zeros(2), []
@@ -272,10 +280,22 @@ def test_a_stiff_plant_is_picked_for_collocation_and_fitted_by_radau_points():
         )
         x = run.y[:, -1]
     data = experiment(model, t, u[:, None], np.array(y))
+    for line, expected in {
+        0: ("single", True),
+        MOST_STATES - 2: ("single", True),
+        MOST_STATES - 1: ("collocation", False),
+    }.items():
+        larger = stiff(line)
+        name, reason, implicit = pick(
+            larger.system,
+            p,
+            prepare(larger, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1).records[0],
+        )
+        assert (name, implicit) == expected
+        assert "stiff: the fastest mode moves within 2e-05 s" in reason
+        assert ("implicit ones" if implicit else "Radau points") in reason
     start = model.start(a=3.0, c=0.2)
     prepared = prepare(start, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1)
-    name, reason, _ = pick(model.system, p, prepared.records[0])
-    assert name == "collocation" and "stiff" in reason and "Radau" in reason
     program = Collocation(prepared.variables, prepared.records, np.array([1e4]), [np.column_stack([u, np.array(y)])])
     outcome = solve_sparse(**program.problem())
     assert outcome.status.success

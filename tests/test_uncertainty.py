@@ -84,6 +84,8 @@ def test_lotka_volterra_constants_converge_and_the_step_is_watched():
     assert fine.parameters["beta"].value == pytest.approx(0.69397111, rel=1e-7)
     assert fine.parameters["delta"].value == pytest.approx(0.34092149, rel=1e-7)
     automatic = fit(PREY, data, noise=noise)
+    assert max(automatic.integration_error.values()) < 1e-6
+    assert automatic.cost == pytest.approx(fine.cost, rel=1e-6)
     rough = fit(PREY, data, noise=noise, options=FitOptions(substeps=4))
     for name in ("beta", "delta"):
         assert automatic.parameters[name].value == pytest.approx(fine.parameters[name].value, rel=1e-7)

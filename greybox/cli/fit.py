@@ -143,9 +143,9 @@ def _tell(
 def _tested(result: Fit) -> ResidualTests | None:
     """The tests of the residual; none of a fit that did not succeed, or whose run is not a free one."""
     from greybox.diagnose import diagnose_residuals
+    from greybox.uncertainty.again import runs_freely
 
-    free = result.solver.get("free_run", True) and result.solver.get("transcription") != "arcs"
-    return diagnose_residuals(result) if result.success and (free or result.process_noise) else None
+    return diagnose_residuals(result) if result.success and (runs_freely(result) or result.process_noise) else None
 
 
 def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool) -> None:

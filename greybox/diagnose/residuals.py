@@ -16,13 +16,12 @@ from greybox.diagnose.statistics import (
     ljung_box,
     normality,
 )
-from greybox.errors import FitError
 from greybox.fitting.predictive_again import innovation_rows
 from greybox.fitting.sandwich import Layout
 from greybox.noise import AutoRegression, autoregression, segments
 from greybox.result import Fit
 from greybox.transcription.robust import RobustShooting
-from greybox.uncertainty.again import problem_of, runs_freely
+from greybox.uncertainty.again import problem_of
 
 Rows = Sequence[tuple[np.ndarray, np.ndarray]]
 
@@ -104,11 +103,12 @@ def diagnose_residuals(fit: Fit) -> ResidualTests:
     residual's colour gives and the fitted constants allowed for; normality (Jarque and Bera); equal variance and equal mean over
     blocks. Normality and the block tests look at the residual whitened by an autoregression, because they need independent samples.
     After a robust fit all tests but normality look at the residual as its loss sees it, without the pull of outliers. Each test
-    alone raises a false alarm in one fit of a hundred. A fit that did not succeed is refused with FitError.
+    alone raises a false alarm in one fit of a hundred.
+
+    Raises FitError for a fit that did not succeed, and for one whose run is not a free one (arcs, or the segments of an unstable
+    plant): states that are set anew along the record take up what the model lacks, and the tests would not see it.
     """
-    rows, raw, variables = (
-        _innovations(fit) if fit.process_noise else _free_run(fit) if runs_freely(fit) else _joined(fit)
-    )
+    rows, raw, variables = _innovations(fit) if fit.process_noise else _free_run(fit)
     inputs = [[trace.inputs[i.name] for trace in fit.traces] for i in fit.model.inputs]
     tests: list[ResidualTest] = []
     looked_at: dict[str, ResidualSeries] = {}
@@ -140,30 +140,6 @@ def _free_run(fit: Fit) -> tuple[Rows, Rows, Layout]:
     shooting, zero = problem.shooting(variables), np.zeros(variables.size)
     rows = shooting.residuals(zero)
     return rows, shooting.whitened(zero) if isinstance(shooting, RobustShooting) else rows, variables
-
-
-def _joined(fit: Fit) -> tuple[Rows, Rows, Layout]:
-    """The residual of arcs, or of segments that meet, as the fit has it; what the constants could make of it is not known."""
-    if not fit.success:
-        raise FitError(f"fit of {fit.model.title}: {fit.meaning}; tests of its residual need a fit that has succeeded")
-    rows = []
-    for trace in fit.traces:
-        r = np.full((len(trace.time), len(fit.model.outputs)), np.nan)
-        for j, o in enumerate(fit.model.outputs):
-            if o.name in trace.measured:
-                colour = AutoRegression(tuple(fit.noise_colour.get(o.name, ())))
-                r[:, j] = colour.whiten(trace.residual(o.name) / fit.noise[o.name])
-        rows.append((r, np.zeros((*r.shape, 0))))
-    return rows, rows, _Nothing()
-
-
-class _Nothing:
-    """No unknowns."""
-
-    size = 0
-
-    def columns(self, experiment: int) -> np.ndarray:
-        return np.empty(0, int)
 
 
 def _innovations(fit: Fit) -> tuple[Rows, Rows, Layout]:

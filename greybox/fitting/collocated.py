@@ -61,7 +61,7 @@ def solve_collocation(choice: Choice, options: FitOptions, report: Report | None
             break
         at, elements = finer, 2 * elements
         error, shift = error / GAIN, shift / GAIN
-        if not too_coarse(error, problem, at.evaluation):
+        if not too_coarse(error, problem, at.evaluation, POINTS * elements):
             break
     if not problem.step.per_interval:  # for who runs the model freely from here
         problem = with_substeps(problem, max(problem.step.substeps, POINTS * elements), at.variables.fixed)

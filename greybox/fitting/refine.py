@@ -20,8 +20,9 @@ Run = tuple[np.ndarray, np.ndarray]  # outputs (N, ny) and states (N, nx) of one
 OF_NOISE, OF_MISFIT, HALVINGS = 0.1, 0.01, 4
 # A record without any noise leaves nothing but the integrator's own error: then this share of the output's movement is enough.
 OF_MOVEMENT = 1e-7
-# Records of so few steps altogether cost nothing: there the share of the noise is smaller.
-FEW_STEPS, OF_NOISE_THERE = 2000, 1e-4
+# Records of so few steps altogether cost nothing: there the share of the noise is so small that the cost has its first six digits,
+# which a root-mean-square error of a share s of the residual changes by 2 s at most.
+FEW_STEPS, OF_NOISE_THERE = 2000, 1e-6
 # That is looked at over the first quarter of every record, or so many rows: three more simulations of all of it cost too much.
 CHECK_ROWS = 2000
 
@@ -33,10 +34,13 @@ def over_noise(problem: Problem, runs: Sequence[Run], finer: Sequence[Run]) -> n
         return np.sqrt(np.mean(change**2, axis=0)) / problem.noise.std
 
 
-def too_coarse(error: np.ndarray, problem: Problem, evaluation: Evaluation) -> bool:
-    """Whether an ``error`` over the noise (ny,), left by the integrator, matters beside noise and misfit."""
+def too_coarse(error: np.ndarray, problem: Problem, evaluation: Evaluation, substeps: int = 0) -> bool:
+    """Whether an ``error`` over the noise (ny,), left by the integrator, matters beside noise and misfit.
+
+    ``substeps`` of an interval (0: those of the problem's step) tell how much a smaller step would cost.
+    """
     ratio = np.sqrt(evaluation.squares / np.maximum(evaluation.counts, 1))
-    steps = problem.step.substeps * sum(len(r.h) for r in problem.records)
+    steps = (substeps or problem.step.substeps) * sum(len(r.h) for r in problem.records)
     share = (OF_NOISE_THERE, OF_NOISE_THERE) if steps <= FEW_STEPS else (OF_NOISE, OF_MISFIT)
     allowed = np.maximum(share[0] * np.minimum(ratio, 1.0), share[1] * ratio)
     allowed = np.maximum(allowed, OF_MOVEMENT * _movement(problem) / problem.noise.std)

@@ -36,11 +36,11 @@ def solve_single(problem: Problem, options: FitOptions, report: Report | None = 
         run.grow()
     run.fit(1.0)
     error = np.zeros(len(problem.noise.std))
-    for _ in range(HALVINGS):
+    for halving in range(HALVINGS + 1):
         if run.over:
             break
         better, error = finer(run.problem, run.variables, run.evaluation, options)
-        if better is None:
+        if better is None or halving == HALVINGS:
             break
         run.problem, run.known = better, None
         run.fit(1.0)

@@ -17,6 +17,7 @@ from greybox.reports.plots import (
 )
 from greybox.result import Fit, Misfit, Trace
 from greybox.result.summary import MISFIT_HEADS, constant_cells, misfit_cells
+from greybox.uncertainty.again import runs_freely
 from greybox.units import tidy
 
 # A misfit up to this many times the noise is called good.
@@ -102,9 +103,16 @@ def _residual(fit: Fit) -> Iterator[Block]:
     if not fit.success:
         yield Text(["The fit did not succeed: tests of its residual would say nothing about the model."], "caution")
         return
-    tests = diagnose_residuals(fit)
-    rows = [[f"{t.output}: {t.test}", f"{t.statistic:.4g}", f"{t.p_value:.2g}", t.sentence] for t in tests.tests]
-    yield Table("Tests of the residual; below p = 0.01 one speaks up", ["test", "figure", "p", "what it says"], rows)
+    if runs_freely(fit) or fit.process_noise:
+        tests = diagnose_residuals(fit)
+        rows = [[f"{t.output}: {t.test}", f"{t.statistic:.4g}", f"{t.p_value:.2g}", t.sentence] for t in tests.tests]
+        yield Table(
+            "Tests of the residual; below p = 0.01 one speaks up", ["test", "figure", "p", "what it says"], rows
+        )
+    else:
+        yield Text(
+            ["No tests of the residual: states that are set anew along the record take up what the model lacks."]
+        )
     for output in fit.misfit:
         residuals = [t.residual(output) for t in fit.traces if output in t.measured]
         yield correlation_figure(f"correlation-{output}", output, residuals)
