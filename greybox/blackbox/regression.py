@@ -126,7 +126,8 @@ def least_squares(
         together = [n for n, s in zip(names, shares, strict=True) if s > SHARE]
         raise DataError(
             f"{label}: the columns {', '.join(together)} are collinear, so the record cannot tell their coefficients apart."
-            " A constant input (a step after its edge) carries one coefficient, and each sine two: take a smaller nb or na,"
+            " A constant input (a step after its edge) carries one coefficient, each sine two, and without noise a structure larger"
+            " than the plant is such a combination too: take a smaller nb or na,"
             " history='zero' where the record begins at rest and with the step's edge, or a record with a livelier input"
         )
     theta = right.T @ (left.T @ target / size) / scale
