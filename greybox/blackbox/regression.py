@@ -86,7 +86,7 @@ def usable_rows(series: Series, o: Orders, history: History) -> np.ndarray:
     gaps = np.isnan(series.y)
     known = ~gaps
     for i in range(1, o.na + 1):
-        known &= ~np.concatenate([np.zeros(min(i, len(gaps)), bool), gaps[: len(gaps) - i]])
+        known &= ~delayed(gaps, i)
     if history == "measured":
         known[: o.reach] = False
     return np.flatnonzero(known)
