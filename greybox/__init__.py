@@ -9,7 +9,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from greybox.blackbox import Smoothing, monte_carlo_smoothing
+    from greybox.blackbox import (
+        Candidate,
+        HammersteinModel,
+        PolynomialModel,
+        Scan,
+        Smoothing,
+        armax,
+        arx,
+        best_black_boxes,
+        box_jenkins,
+        digits_needed,
+        hammerstein,
+        monte_carlo_smoothing,
+        output_error,
+        resample,
+        rounded,
+        scan_structures,
+    )
+    from greybox.comparison import Comparison, compare
     from greybox.discovery import Discovery, discover
     from greybox.effects import CATALOGUE, effect
     from greybox.errors import DataError, FitError, GreyboxError, ModelError, UnitError
@@ -49,7 +67,20 @@ if TYPE_CHECKING:
 
 # Where each public name lives. Loaded when first asked for: stating a model should not load a solver.
 _ROOMS = {
-    "blackbox": ("Smoothing", "monte_carlo_smoothing"),
+    "blackbox": (
+        *("Candidate", "HammersteinModel", "PolynomialModel", "Scan", "Smoothing", "armax", "arx", "best_black_boxes"),
+        *(
+            "box_jenkins",
+            "digits_needed",
+            "hammerstein",
+            "monte_carlo_smoothing",
+            "output_error",
+            "resample",
+            "rounded",
+        ),
+        "scan_structures",
+    ),
+    "comparison": ("Comparison", "compare"),
     "discovery": ("Discovery", "discover"),
     "effects": ("CATALOGUE", "effect"),
     "errors": ("DataError", "FitError", "GreyboxError", "ModelError", "UnitError"),
@@ -72,6 +103,8 @@ _HOME = {name: f"greybox.{room}" for room, names in _ROOMS.items() for name in n
 __all__ = [
     "CATALOGUE",
     "Balance",
+    "Candidate",
+    "Comparison",
     "DataError",
     "Discovery",
     "DryFriction",
@@ -83,6 +116,7 @@ __all__ = [
     "FitError",
     "FitOptions",
     "GreyboxError",
+    "HammersteinModel",
     "Input",
     "Linearisation",
     "Misfit",
@@ -91,26 +125,39 @@ __all__ = [
     "OperatingPoint",
     "Output",
     "Parameter",
+    "PolynomialModel",
     "Predictor",
+    "Scan",
     "Simulation",
     "Smoothed",
     "Smoothing",
     "State",
     "UnitError",
+    "armax",
+    "arx",
+    "best_black_boxes",
+    "box_jenkins",
+    "compare",
+    "digits_needed",
     "discover",
     "effect",
     "family",
     "fit",
+    "hammerstein",
     "linearise",
     "load_fit",
     "monte_carlo_smoothing",
     "multistart",
     "nonlinear_system",
     "operating_point",
+    "output_error",
     "predict",
     "predictor",
     "read_csv",
     "read_experiments",
+    "resample",
+    "rounded",
+    "scan_structures",
     "simulate",
     "smooth",
     "to_c",

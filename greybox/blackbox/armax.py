@@ -40,5 +40,5 @@ def armax(
     data = channels(experiments, output, inputs)
     o = orders(data, nb, nk, na, "armax")
     structure = Structure("armax", o, (0,) * len(o.nb), nc=whole("nc", nc, "armax"), offset=offset)
-    model = searched(structure, data, armax_starts(structure, data, history == "zero"), history, units)
+    model = searched(structure, data, armax_starts, history, units)
     return replace(model, notes=(*excitation_notes(data, o.na + sum(o.nb), o.nb), *model.notes))

@@ -15,6 +15,11 @@ from greybox.experiment import Experiment
 
 KINDS: tuple[Kind, ...] = ("arx", "armax", "output error", "box-jenkins", "hammerstein")
 MOST_POLES, MOST_SEARCHED_POLES = 6, 4  # of linear least squares, and where each structure needs a search
+# Kinds whose scan takes delay, offset or poles from that of others
+BEGIN_FROM: Mapping[Kind, tuple[Kind, ...]] = {
+    "armax": ("arx",), "output error": ("arx",), "box-jenkins": ("arx", "output error"),
+    "hammerstein": ("arx", "output error"),
+}  # fmt: skip
 FIRST_DELAYS, MOST_DELAY, ROWS_FOR_EACH_DELAY = (0, 1, 2), 40, 20
 # Rows of all records that a scan looks at; the chosen structure is fitted to all.
 MOST_SCANNED = 20_000
@@ -53,7 +58,7 @@ def best_black_boxes(
     scans: dict[Kind, Scan] = {}
     reason = "no kinds asked for"
     for kind in KINDS:
-        if kind not in kinds and kind not in ("arx", "output error"):  # the others take delay and poles from these two
+        if kind not in kinds and not any(kind in BEGIN_FROM.get(wanted, ()) for wanted in kinds):
             continue
 
         def tell(done: int, of: int, candidate: Candidate, kind: Kind = kind) -> None:

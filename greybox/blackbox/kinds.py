@@ -41,7 +41,7 @@ def fitted(
             passes = 1 if choice.get("focus") == "simulation" else 0
             return solved(data, o, history="zero" if at_rest else "measured", offset=offset, passes=passes)
         structure = Structure(kind, o, (0,) * len(o.nb), nc=whole("nc", choice["nc"], kind), offset=offset)
-        return searched(structure, data, armax_starts(structure, data, at_rest), beginning, effort=effort)
+        return searched(structure, data, armax_starts, beginning, effort=effort)
     nc, nd = (whole(letter, choice.get(letter, 0), kind) for letter in ("nc", "nd"))
     inner = "output error" if kind == "hammerstein" else kind
     structure = without_equation_error(
@@ -50,7 +50,7 @@ def fitted(
     if kind == "hammerstein":
         return bent(structure, data, choice["shape"], choice["freedom"], beginning, effort=effort)
     starts = output_error_starts if kind == "output error" else box_jenkins_starts
-    return searched(structure, data, starts(structure, data, at_rest), beginning, effort=effort)
+    return searched(structure, data, starts, beginning, effort=effort)
 
 
 def linear_part(model: BlackBox) -> PolynomialModel:

@@ -40,7 +40,7 @@ def output_error(
     check_history(history)
     data = channels(experiments, output, inputs)
     structure = without_equation_error("output error", data, nb, nf, nk, offset=offset)
-    model = searched(structure, data, output_error_starts(structure, data, history == "zero"), history, units)
+    model = searched(structure, data, output_error_starts, history, units)
     return _with_excitation(structure, data, model)
 
 
@@ -70,7 +70,7 @@ def box_jenkins(
     kind = "box-jenkins"
     noise = {"nc": whole("nc", nc, kind), "nd": whole("nd", nd, kind)}
     structure = without_equation_error(kind, data, nb, nf, nk, offset=offset, **noise)
-    model = searched(structure, data, box_jenkins_starts(structure, data, history == "zero"), history, units)
+    model = searched(structure, data, box_jenkins_starts, history, units)
     return _with_excitation(structure, data, model)
 
 

@@ -236,18 +236,3 @@ def _slopes(
     for b, f, shapes in zip(model.b, model.f, basis, strict=False):
         columns.append(-lfilter(np.convolve(b, d), np.convolve(c, f), shapes, axis=0))
     return np.column_stack(columns)
-
-
-def _spanned(free: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal basis (n, r) of the columns of ``free`` (n, m), and their shares (m,) that come nearest to ``e`` (n,)."""
-    if not free.shape[1]:
-        return np.empty((len(e), 0)), np.zeros(0)
-    q, triangle = np.linalg.qr(free)
-    left, size, right = np.linalg.svd(triangle)
-    kept = size > NEGLIGIBLE * size[0]
-    basis = q @ left[:, kept]
-    return basis, right[kept].T @ (basis.T @ e / size[kept])
-
-
-def _cut(share: np.ndarray, blocks: Sequence[np.ndarray]) -> list[np.ndarray]:
-    return np.split(share, np.cumsum([b.shape[1] for b in blocks])[:-1]) if blocks else []

@@ -86,7 +86,7 @@ def usable_rows(series: Series, o: Orders, history: History) -> np.ndarray:
     gaps = np.isnan(series.y)
     known = ~gaps
     for i in range(1, o.na + 1):
-        known &= ~np.concatenate([np.zeros(min(i, len(gaps)), bool), gaps[: len(gaps) - i]])
+        known &= ~delayed(gaps, i)
     if history == "measured":
         known[: o.reach] = False
     return np.flatnonzero(known)
@@ -126,7 +126,8 @@ def least_squares(
         together = [n for n, s in zip(names, shares, strict=True) if s > SHARE]
         raise DataError(
             f"{label}: the columns {', '.join(together)} are collinear, so the record cannot tell their coefficients apart."
-            " A constant input (a step after its edge) carries one coefficient, and each sine two: take a smaller nb or na,"
+            " A constant input (a step after its edge) carries one coefficient, each sine two, and without noise a structure larger"
+            " than the plant is such a combination too: take a smaller nb or na,"
             " history='zero' where the record begins at rest and with the step's edge, or a record with a livelier input"
         )
     theta = right.T @ (left.T @ target / size) / scale

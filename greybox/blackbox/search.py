@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -61,17 +61,21 @@ class Problem:
 def searched(
     structure: Structure,
     data: Channels,
-    starts: Sequence[np.ndarray],
+    begin: Callable[[Structure, Channels, bool], Sequence[np.ndarray]],
     history: Beginning,
     units: Mapping[str, str] | None = None,
     effort: Effort | None = None,
 ) -> PolynomialModel:
-    """The best minimum from the best ``starts``. Raises DataError where there are too few rows or the columns are collinear."""
+    """The best minimum from the best of the starts that ``begin`` makes of structure, records and whether all was zero before.
+
+    Raises DataError where there are too few rows or the columns are collinear.
+    """
     effort = effort or Effort()
     problem = Problem(structure, data, stretches(data, structure), history == "zero")
     label = structure.model(np.zeros(structure.size), data).label
     count = int(sum(np.isfinite(part.y).sum() for part in problem.parts))
-    starts = [problem.admissible(start) for start in starts]
+    refuse_few_rows(data, label, count, structure.size, history)
+    starts = [problem.admissible(start) for start in begin(structure, data, problem.rest)]
     at = [problem.evaluate(start, False) for start in starts] if problem.parts else []
     refuse_few_rows(data, label, count - max((e.states for e in at), default=0), structure.size, history)
     best = raced(problem, starts, [e.squares for e in at], effort)

@@ -116,4 +116,4 @@ def channels(
 
 def delayed(values: np.ndarray, by: int) -> np.ndarray:
     """``values`` (N, ...) ``by`` rows later, zero before they begin."""
-    return np.concatenate([np.zeros_like(values[:by]), values[: len(values) - by]]) if by else values
+    return np.concatenate([np.zeros_like(values[:by]), values[: max(len(values) - by, 0)]]) if by else values
