@@ -1,4 +1,4 @@
-"""The demonstration: a rig that is not there is measured, and its constants come back with their intervals."""
+"""The demonstration: a rig that is not there hides an effect from its model; the effect is found, named and closes the gap."""
 
 from __future__ import annotations
 
@@ -9,103 +9,182 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.experiment import read_csv
-from greybox.figures import fit_figure
-from greybox.fitting import fit
+from greybox.blackbox import best_black_boxes
+from greybox.blackbox.kinds import Kind
+from greybox.comparison import Comparison, compare
+from greybox.comparison.compare import Contestant
+from greybox.discovery import Discovery, discover
+from greybox.effects import effect
+from greybox.experiment import Experiment, read_csv
+from greybox.export import Linearisation, linearise
+from greybox.export.files import write_control
+from greybox.figures import fit_figure, gap_figure
+from greybox.fitting import FitOptions, fit
 from greybox.fitting.options import Report
 from greybox.model import Model
 from greybox.project import shipped
 from greybox.result import Fit
+from greybox.result.summary import table
 from greybox.simulation import chirp, multisine, write_csv
 from greybox.twin import twin
 from greybox.units import tidy
 
-MODEL = "micro_actuator"
-SAMPLING_TIME, ROWS, CHECK_ROWS = 2.5e-4, 6000, 3000  # 4 kHz: 1.5 s to fit, 0.75 s to judge
-BAND = (5.0, 800.0)  # Hz: from below the mechanism's resonance at 122 Hz to where the inductance shows
+MODEL, HIDDEN = "micro_actuator", "cubic_stiffness"
+STRENGTH = {"K3": 5e9}  # N/m^3: at full stroke the hinges push back by an eighth more than a straight spring would
+SAMPLING_TIME, ROWS, CHECK_ROWS = 2.5e-4, 1200, 600  # 4 kHz: 0.3 s to learn from, 0.15 s to judge
+BAND = (5.0, 400.0)  # Hz: from below the mechanism's resonance at 122 Hz to where the inductance shows
 VOLTAGE = 2.0  # V, rms of the multisine and amplitude of the sweep
 NOISE = {"x": 0.2e-6, "i": 5e-3}  # m, A
 KNOWN = ("M", "Ra")  # weighed, and measured with a multimeter
 OFF = 0.4  # the search starts this share above or below the truth
 SEED = 20100
+BLACK: tuple[Kind, ...] = ("arx", "output error")
+PLAIN, EXTENDED = "plain model", "with what was found"
+
+Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Demo:
-    """What was done: ``fit``, ``truth`` and ``start`` of each free constant, files written, seconds in all."""
+    """What was done, step by step.
 
-    fit: Fit
+    ``truth`` of the rig's constants, the hidden effect's included; ``start`` of the search. ``plain``: the model's own fit;
+    ``discovery``: what it lacks; ``comparison`` with black boxes on the other record; ``plant``: matrices of the extended model.
+    ``records`` as files; ``files`` that were written beside them -> what they are; ``seconds`` in all.
+    """
+
     truth: Mapping[str, float]
     start: Mapping[str, float]
+    plain: Fit
+    discovery: Discovery
+    comparison: Comparison
+    plant: Linearisation
     records: tuple[Path, ...]
-    result: Path
-    figures: tuple[Path, ...]
+    files: Mapping[Path, str]
     seconds: float
 
     @property
+    def fit(self) -> Fit:
+        """The model with the effect that was found."""
+        return self.discovery.best
+
+    @property
     def deviations(self) -> dict[str, float]:
-        """Error of each constant in its own standard deviations (NaN where the fit gives none)."""
-        found = {name: self.fit.parameters[name] for name in self.truth}
+        """Error of each constant that was found in its own standard deviations (NaN where the fit gives none)."""
+        found = {name: self.fit.parameters[name] for name in self.truth if name in self.fit.parameters}
         return {name: (e.value - self.truth[name]) / (e.std or np.nan) for name, e in found.items()}
 
     def __str__(self) -> str:
-        rows = [["constant", "true", "start", "found", "std", "off by", "unit"]]
-        for name, truth in self.truth.items():
-            e = self.fit.parameters[name]
-            std = "" if e.std is None else f"{e.std:.2g}"
-            rows.append(
-                [
-                    name,
-                    f"{truth:.6g}",
-                    f"{self.start[name]:.4g}",
-                    f"{e.value:.6g}",
-                    std,
-                    f"{abs(self.deviations[name]):.1f} std",
-                    tidy(e.unit),
-                ]
-            )
-        widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-        table = ["  " + "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-        judged = self.fit.validation
-        misfit = [
-            f"  {o}: {m.noise_ratio:.3f} x noise on the fitted record, {judged[o].noise_ratio:.3f} x noise on the other"
-            for o, m in self.fit.misfit.items()
-            if o in judged
+        return "\n".join(
+            [
+                self.constants,
+                "",
+                self.discovery.story,
+                *self._gaps(),
+                "",
+                *self.comparison.verdict[:1],
+                "",
+                str(self.plant),
+            ]
+        )
+
+    def _gaps(self) -> list[str]:
+        return [
+            f"  {o}: misfit on the other record {g.before:.3g} -> {g.after:.3g} {tidy(g.unit)} (noise {g.floor:.3g})"
+            for o, g in self.discovery.gap.items()
         ]
-        return "\n".join([*table, "", "misfit of the free run (1 = only noise is left)", *misfit])
+
+    @property
+    def constants(self) -> str:
+        """Each constant beside the truth: with the model as it was, and with the effect that was found."""
+        rows = []
+        for name, truth in self.truth.items():
+            e = self.fit.parameters.get(name)
+            before = self.plain.parameters.get(name)
+            rows.append([
+                name, f"{truth:.5g}", f"{self.start[name]:.4g}" if name in self.start else "", _value(before), _value(e),
+                f"{abs(self.deviations[name]):.1f} std" if e else "", tidy(e.unit) if e else "",
+            ])  # fmt: skip
+        head = ["constant", "true", "start", PLAIN, EXTENDED, "off by", "unit"]
+        return "\n".join(table(head, rows))
 
 
-def demo(directory: str | Path, *, report: Report | None = None, say: Callable[[str], None] | None = None) -> Demo:
-    """Measure a simulated micro-motion actuator, fit it from a start 40 % off, and judge it on another record.
+def _value(e: object) -> str:
+    value, std = getattr(e, "value", None), getattr(e, "std", None)
+    return "" if value is None else f"{value:.5g}" + (f" +- {std:.1g}" if std else "")
 
-    The records come from `greybox.twin`, an integrator that the fit does not use, with white noise; they are written to
-    ``directory`` as CSV and read back, as a user's would be. ``say`` is told, a line at a time, what happens next.
+
+def demo(directory: str | Path, *, report: Report | None = None, say: Say | None = None) -> Demo:
+    """Measure a simulated micro-motion actuator whose spring hardens, and let the program find that out.
+
+    The records come from `greybox.twin`, an integrator that the fits do not use, with white noise; they are written to
+    ``directory`` as CSV and read back, as a user's would be. The model that is fitted knows nothing of the hardening and
+    starts 40 % off. ``say`` is told, a line at a time, what happens next; ``report`` follows the first fit.
     """
     began, folder = time.perf_counter(), Path(directory)
     tell = say or (lambda _: None)
     model = shipped(MODEL)
-    tell("measuring the rig (a simulation by CVODES, with sensor noise)")
-    records = _measure(model, folder)
+    rig = (model + effect(HIDDEN)).start(**STRENGTH)
+    tell(f"measuring the rig (a simulation by CVODES, with sensor noise); it hides {HIDDEN}, which the model lacks")
+    records = _measure(rig, folder)
     known = model.fix(*KNOWN)
-    truth = {q.name: q.value for q in known.free_parameters}
-    start = {name: value * (1 + OFF * (-1) ** k) for k, (name, value) in enumerate(truth.items())}
+    truth = {q.name: q.value for q in rig.fix(*KNOWN).free_parameters}
+    start = {q.name: q.value * (1 + OFF * (-1) ** k) for k, q in enumerate(known.free_parameters)}
     train, test = (read_csv(path, known) for path in records)
-    tell(f"fitting {', '.join(truth)} from {train.rows} rows; {' and '.join(KNOWN)} are known")
-    result = fit(known.start(**start), train, noise=NOISE, validation=test, report=report)
-    saved = result.save(folder / "fit.json")
-    tell("drawing")
-    figures = fit_figure(result, folder)
-    return Demo(result, truth, start, records, saved, tuple(figures), time.perf_counter() - began)
+    options = FitOptions(at_rest=True)
+    tell(f"1. fit: {', '.join(start)} from {train.rows} rows; {' and '.join(KNOWN)} are known")
+    plain = fit(known.start(**start), train, noise=NOISE, validation=test, options=options, report=report)
+    tell(f"   in x it is off by {plain.misfit['x'].noise_ratio:.0f} times the noise: the model lacks something")
+    tell("2. discover: which effect of the catalogue would close that gap?")
+    found = discover(
+        known.start(**start), train, validation=test, noise=NOISE, options=options, say=lambda s: tell("   " + s)
+    )
+    tell("3. compare with black boxes, which need no physics")
+    compared = _compared(plain, found.best, train, test)
+    tell("4. export the state space, draw")
+    plant = linearise(found.best)
+    files = {
+        plain.save(folder / "plain.json"): "the fit of the model as it was",
+        found.best.save(folder / "fit.json"): "the fit with the effect, for greybox export",
+        found.save(folder / "discovery.json"): "what is missing, and the evidence",
+        compared.save(folder / "compare.json"): "beside the black boxes",
+        write_control(plant, folder / "plant_ss.py"): "the state space for python-control",
+    }
+    files |= dict.fromkeys(_gap(plain, found.best, compared, folder), "the gap before and after")
+    files |= dict.fromkeys(fit_figure(found.best, folder), "measured and simulated")
+    return Demo(truth, start, plain, found, compared, plant, records, files, time.perf_counter() - began)
 
 
-def _measure(model: Model, folder: Path) -> tuple[Path, Path]:
-    """Two records of the rig: one to fit, one to judge."""
+def _compared(plain: Fit, best: Fit, train: Experiment, test: Experiment) -> Comparison:
+    """Both physical models and the best ARX and output-error model of the displacement, on the record that none of them saw."""
+    boxes = best_black_boxes(train, output="x", kinds=BLACK, at_rest=True, units={"x": "m", "u": "V"})
+    models: dict[str, Contestant] = {PLAIN: plain, EXTENDED: best}
+    models |= {kind: [scan.best] for kind, scan in boxes.items()}
+    return compare(models, test, training=train)
+
+
+def _gap(plain: Fit, best: Fit, compared: Comparison, folder: Path) -> list[Path]:
+    """The picture of the gap, on the record that was not used."""
+    noise = NOISE["x"]
+    black = [e.name for e in compared.entries if e.kind == "black"]
+    order = [PLAIN, *black, EXTENDED]
+    added = "".join(f" + {e.name}" for e in best.model.effects)
+    names = {PLAIN: PLAIN, EXTENDED: PLAIN + added if added else EXTENDED, **{n: f"{n} (black box)" for n in black}}
+    ratios = {names[n]: compared[n].validation["x"].rmse / noise for n in order}
+    return gap_figure(
+        plain.validation_traces[0], best.validation_traces[0], output="x", unit="m", noise=noise, ratios=ratios,
+        names=(names[PLAIN], names[EXTENDED]), path=folder / "gap",
+    )  # fmt: skip
+
+
+def _measure(rig: Model, folder: Path) -> tuple[Path, Path]:
+    """Two records of the rig: one to learn from, one to judge by."""
     generator = np.random.default_rng(SEED)
-    (drive,) = (i.name for i in model.inputs)
+    (drive,) = (i.name for i in rig.inputs)
     t = SAMPLING_TIME * np.arange(ROWS)
     inputs = {"multisine": multisine(t, *BAND, VOLTAGE, generator), "sweep": chirp(t[:CHECK_ROWS], *BAND, VOLTAGE)}
     paths = []
     for k, (name, u) in enumerate(inputs.items()):
-        record = twin(model, {drive: u}, SAMPLING_TIME, NOISE, SEED + k, name=name)
-        paths.append(write_csv(record, model, folder / f"{name}.csv"))
+        record = twin(rig, {drive: u}, SAMPLING_TIME, NOISE, SEED + k, name=name)
+        paths.append(write_csv(record, rig, folder / f"{name}.csv"))
     return paths[0], paths[1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,8 +12,8 @@ import typer
 from greybox.cli import constraints as c
 from greybox.cli import options as o
 from greybox.cli.guard import INTERRUPTED, stop
+from greybox.cli.progress import Show, gauge, in_words, share_done
 from greybox.cli.records import tell_notes
-from greybox.cli.ticker import ticker
 
 if TYPE_CHECKING:
     from greybox.comparison import Comparison
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from greybox.experiment import Experiment
     from greybox.fitting.options import Progress
     from greybox.model import Model
+
+# Time that the scan of each kind takes beside the others, as a rule.
+SCAN_TIMES = {"arx": 8, "armax": 40, "output error": 33, "box-jenkins": 6, "hammerstein": 13}
 
 
 def compare(
@@ -106,13 +109,14 @@ def compare(
     if not silent:
         tell_notes(records, judges)
     options = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, own=c.names(own))
-    with ticker() as show:
+    with gauge() as show:
         grey = [_fitted(p, records, show, noise=said, quiet=hushed, options=options) for p in plants]
         measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
+        outputs = [q.name for q in measured]
         black, notes = black_contestants(
-            records, [q.name for q in measured], [i.name for i in plain.inputs], at_rest=at_rest,
+            records, outputs, [i.name for i in plain.inputs], at_rest=at_rest,
             units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
-            report=lambda what, done, of: show(f"{what}: structure {done} of {of}"),
+            report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scanned(what, done / of, outputs)),
         )  # fmt: skip
         show("judging")
         result = compared([*grey, *black], judges, records, skip=skip, options=options, notes=notes)
@@ -132,12 +136,20 @@ def _extended(model: Model, effects: str) -> list[Model]:
     return found
 
 
-def _fitted(plant: Model, records: Sequence[Experiment], show: Callable[[str], None], **choices: Any) -> Named:
+def scanned(what: str, share: float, outputs: Sequence[str]) -> float:
+    """Share of all scans that is done, when ``share`` of ``what`` ("armax of x") is, by the time that each kind takes as a rule."""
+    kind, _, output = what.rpartition(" of ")
+    kinds = list(SCAN_TIMES)
+    before = sum(SCAN_TIMES[k] for k in kinds[: kinds.index(kind)])
+    return (outputs.index(output) + (before + share * SCAN_TIMES[kind]) / sum(SCAN_TIMES.values())) / len(outputs)
+
+
+def _fitted(plant: Model, records: Sequence[Experiment], show: Show, **choices: Any) -> Named:
     from greybox.comparison.compare import Named
     from greybox.fitting import fit
 
     def report(progress: Progress) -> None:
-        show(f"{plant.title}: iteration {progress.iteration}, misfit {progress.noise_ratio:.4g} x noise")
+        show(f"{plant.title}: {in_words(progress)}", share_done(progress))
 
     began = time.perf_counter()
     result = fit(plant, records, report=report, **choices)

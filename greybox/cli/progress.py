@@ -1,46 +1,121 @@
-"""A line that says how far a long fit is; only on a terminal, and only after a second."""
+"""A line that says how far a long command is, with a bar and the time left; only on a terminal, and only after a second."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from greybox.cli.interrupt import Interrupt
 
 if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
     from greybox.fitting.options import Progress, Report
 
 PATIENCE = 1.0  # seconds before the line appears
+# Iterations that a stage of a fit takes as a rule; beyond them a search goes on for a third of what it has taken so far.
+USUAL_ITERATIONS, LINGERS = 15, 3
+
+
+class Show(Protocol):
+    """Shows a text, and how much of the work is done."""
+
+    def __call__(self, text: str, share: float | None = None) -> None:
+        """``share`` from 0 to 1; None where nobody knows, and then no time left is told."""
+
+
+class Gauge:
+    """What the line says, and the time left by what the work done so far took."""
+
+    def __init__(self) -> None:
+        from rich.console import Console
+
+        self.console = Console(stderr=True)
+        self.began = time.monotonic()
+        self.bar: Bar | None = None
+
+    def __call__(self, text: str, share: float | None = None) -> None:
+        """Show ``text``; with the ``share`` of the work that is done also the bar and the time left."""
+        elapsed = time.monotonic() - self.began
+        if not self.console.is_terminal or elapsed < PATIENCE:
+            return
+        if self.bar is None:
+            self.bar = _bar(self.console)
+            self.bar.start()
+        left = time_left(elapsed, share)
+        self.bar.update(
+            self.bar.task_ids[0], description=text, total=None if share is None else 1.0, completed=share or 0.0,
+            left="" if left is None else f"about {spelled(left)} left",
+        )  # fmt: skip
+
+    def stop(self) -> None:
+        """Take the line away."""
+        if self.bar is not None:
+            self.bar.stop()
+
+
+def _bar(console: object) -> Bar:
+    from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=20), TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
+    )  # fmt: skip
+    bar = Bar(*columns, console=console, transient=True)  # type: ignore[arg-type]
+    bar.add_task("", total=None, left="")
+    return bar
+
+
+@contextmanager
+def gauge() -> Iterator[Show]:
+    """A function that shows a text, and a share done, in place of the last one; the line is gone at the end."""
+    line = Gauge()
+    try:
+        yield line
+    finally:
+        line.stop()
 
 
 @contextmanager
 def meter(title: str, interrupt: Interrupt) -> Iterator[Report]:
-    """A function to report progress to, which also hands on a waiting Ctrl-C; the line is gone at the end."""
-    from rich.console import Console
-    from rich.status import Status
+    """A function to report a fit's progress to, which also hands on a waiting Ctrl-C; the line is gone at the end."""
+    with gauge() as show:
 
-    console = Console(stderr=True)
-    status: Status | None = None
-    began = time.monotonic()
+        def report(progress: Progress) -> None:
+            interrupt.pass_on()
+            show(f"{title}: {in_words(progress)}", share_done(progress))
 
-    def report(progress: Progress) -> None:
-        nonlocal status
-        interrupt.pass_on()
-        if not console.is_terminal or time.monotonic() - began < PATIENCE:
-            return
-        text = (
-            f"{title}: stage {progress.stage} of {progress.stages}, iteration {progress.iteration},"
-            f" misfit {progress.noise_ratio:.4g} x noise"
-        )
-        if status is None:
-            status = Status(text, console=console)
-            status.start()
-        status.update(text)
-
-    try:
         yield report
-    finally:
-        if status is not None:
-            status.stop()
+
+
+def in_words(progress: Progress) -> str:
+    """Where a fit is."""
+    return (
+        f"stage {progress.stage} of {progress.stages}, iteration {progress.iteration},"
+        f" misfit {progress.noise_ratio:.4g} x noise"
+    )
+
+
+def share_done(progress: Progress) -> float:
+    """Share of a fit that is done, from what a stage takes as a rule: nobody knows how many iterations a search still needs."""
+    k = max(progress.iteration, 0)
+    ahead = max(USUAL_ITERATIONS - k, k / LINGERS)
+    return (progress.stage - 1 + k / (k + ahead)) / max(progress.stages, progress.stage)
+
+
+def time_left(elapsed: float, share: float | None) -> float | None:
+    """Seconds to go, if the rest goes on as the share that took ``elapsed`` seconds; None where too little is done to say."""
+    if share is None or not 0.02 <= share <= 1:
+        return None
+    return elapsed * (1 - share) / share
+
+
+def spelled(seconds: float) -> str:
+    """``8 s``, ``3 min``, ``1 h 20 min``."""
+    if seconds < 90:
+        return f"{max(1, round(seconds))} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

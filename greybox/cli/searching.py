@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli.progress import PATIENCE
+from greybox.cli.progress import gauge
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
     from greybox.experiment import Experiment
     from greybox.fitting import FitOptions, MultiStart
     from greybox.model import Model
-    from greybox.parallel import Report
 
 
 class TranscriptionName(StrEnum):
@@ -77,27 +74,8 @@ def from_many(
     """A fit from many starts, with a line on a terminal that says how many are done."""
     from greybox.fitting import multistart
 
-    with _tally(model.title) as report:
+    with gauge() as show:
         return multistart(
             model, records, starts=starts, seed=seed, noise=noise, quiet=quiet, validation=validation, skip=skip,
-            options=options, report=report,
+            options=options, report=lambda done, jobs: show(f"{model.title}: {done} of {jobs} starts done", done / jobs),
         )  # fmt: skip
-
-
-@contextmanager
-def _tally(title: str) -> Iterator[Report]:
-    from rich.console import Console
-    from rich.status import Status
-
-    console, began = Console(stderr=True), time.monotonic()
-    status = Status(f"{title}: starting", console=console)
-
-    def report(done: int, jobs: int) -> None:
-        if console.is_terminal and time.monotonic() - began > PATIENCE:
-            status.update(f"{title}: {done} of {jobs} starts done")
-            status.start()
-
-    try:
-        yield report
-    finally:
-        status.stop()

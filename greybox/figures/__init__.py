@@ -2,6 +2,7 @@
 
 from greybox.figures.comparison import comparison_figure
 from greybox.figures.fit_figure import fit_figure, misfits_of
+from greybox.figures.gap import gap_figure
 from greybox.figures.residual_tests import residual_figure
 
-__all__ = ["comparison_figure", "fit_figure", "misfits_of", "residual_figure"]
+__all__ = ["comparison_figure", "fit_figure", "gap_figure", "misfits_of", "residual_figure"]

@@ -1,0 +1,64 @@
+"""How far a command is, and how long it still takes."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from greybox.cli import progress
+from greybox.cli.compare import scanned
+from greybox.cli.progress import Gauge, share_done, spelled, time_left
+from greybox.fitting.options import Progress
+
+
+@pytest.mark.parametrize(("share", "left"), [(0.25, 30.0), (0.5, 10.0), (1.0, 0.0), (None, None), (0.0, None)])
+def test_the_time_left_goes_on_as_what_is_done(share: float | None, left: float | None) -> None:
+    assert time_left(10.0, share) == left
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (89.0, "89 s"), (600.0, "10 min"), (4800.0, "1 h 20 min")])
+def test_times_are_told_as_people_do(seconds: float, text: str) -> None:
+    assert spelled(seconds) == text
+
+
+def test_a_fit_gets_on_and_is_never_done_before_it_ends() -> None:
+    shares = [share_done(Progress(stage, 2, k, 1.0)) for stage in (1, 2) for k in (0, 1, 5, 15, 40)]
+    assert shares[0] == 0 and shares[5] == 0.5
+    assert shares[:5] == sorted(shares[:5]) and shares[5:] == sorted(shares[5:])
+    assert shares[4] < 0.5 and shares[9] < 1
+
+
+def test_a_comparison_weighs_its_scans() -> None:
+    outputs = ["x", "i"]
+    order = [
+        (kind, output) for output in outputs for kind in ("arx", "armax", "output error", "box-jenkins", "hammerstein")
+    ]
+    ends = [scanned(f"{kind} of {output}", 1.0, outputs) for kind, output in order]
+    assert ends == sorted(ends) and ends[4] == pytest.approx(0.5) and ends[-1] == pytest.approx(1.0)
+
+
+def test_the_line_shows_text_and_time_left_and_goes_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds = iter([0.0, 0.5, 4.0, 4.0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(seconds))
+    line = Gauge()
+    screen = io.StringIO()
+    line.console = Console(file=screen, force_terminal=True, width=120, color_system=None)
+    monkeypatch.setattr(progress, "_bar", _still)
+    line("too early", 0.1)
+    assert line.bar is None
+    line("rig: 1 of 4 starts done", 0.25)
+    line.bar.refresh()
+    line.stop()
+    shown = screen.getvalue()
+    assert "too early" not in shown
+    assert "rig: 1 of 4 starts done" in shown and "about 12 s left" in shown
+
+
+def _still(console: Console, own=progress._bar):
+    """The same line, drawn when asked and not by a clock, which the test has stopped."""
+    bar = own(console)
+    bar.live.auto_refresh = False
+    bar.get_time = lambda: 4.0
+    return bar
