@@ -191,8 +191,11 @@ def finished(low: np.ndarray, high: np.ndarray, negligible: float) -> Callable[[
     costs: list[float] = []
 
     def enough(z: np.ndarray, e: Evaluation) -> Status | None:
-        inside = ~((z - low <= AT_BOUND) & (e.gradient > 0) | (high - z <= AT_BOUND) & (e.gradient < 0))
-        decrease = _promised(e.gradient[inside], e.hessian[inside][:, inside])
+        held = (z - low <= AT_BOUND) & (e.gradient > 0) | (high - z <= AT_BOUND) & (e.gradient < 0)
+        gradient, hessian = e.gradient, e.hessian
+        if held.any():
+            gradient, hessian = gradient[~held], hessian[~held][:, ~held]
+        decrease = _promised(gradient, hessian)
         if decrease <= negligible * e.cost / max(e.count, 1) + PERFECT**2 * e.count:
             return Status.CONVERGED
         costs.append(e.cost)
@@ -204,11 +207,12 @@ def finished(low: np.ndarray, high: np.ndarray, negligible: float) -> Callable[[
 
 def _promised(gradient: np.ndarray, hessian: np.ndarray) -> float:
     """By how much a Gauss-Newton step would lower the cost: ``g' H^-1 g / 2`` over the directions that have a curvature."""
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    scale = np.sqrt(np.maximum(hessian.diagonal(), 1e-300))
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = hessian / scale / scale[:, None]
     if not np.isfinite(scaled).all():  # sensitivities near overflow: anything may still be gained
         return np.inf
     curvature, vectors = np.linalg.eigh(scaled)
     usable = curvature > 1e-13 * curvature.max(initial=0.0)
-    return 0.5 * float(np.sum((vectors.T @ (gradient / scale))[usable] ** 2 / curvature[usable]))
+    along = vectors.T @ (gradient / scale)
+    return 0.5 * float(np.sum(along[usable] ** 2 / curvature[usable]))

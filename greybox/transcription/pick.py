@@ -124,8 +124,11 @@ def _stiff(system: System, slopes: np.ndarray, record: Record) -> Pick | None:
 
 
 def _slopes(system: System, p: np.ndarray, record: Record, places: int) -> np.ndarray:
-    """Jacobians (k, nx, nx) of the equations in several places of the record, those that can be computed."""
+    """Jacobians (k, nx, nx) of the equations in several places of the record, those that can be computed; a linear model has one."""
     start = np.asarray(system.start_function(p)[0]).ravel()
+    if system.linear:
+        slope = system.jacobian(start, record.u[0, : system.u.numel()], p).full()
+        return slope[None][: int(np.isfinite(slope).all())]
     names = {system.outputs[j].name(): j for j in range(system.outputs.numel()) if system.outputs[j].is_symbolic()}
     rows = np.unique(np.linspace(0, len(record.u) - 1, places).astype(int))
     x = np.tile(start, (len(rows), 1))

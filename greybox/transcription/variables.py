@@ -148,6 +148,8 @@ class Variables:
         free, p = self.constants(z), self.fixed.copy()
         shared = self.owner == SHARED
         p[self.which[shared]] = free[shared]
+        if shared.all():
+            return under(p, self.conditions[experiment]) if self.conditions and experiment is not None else p
         if experiment is None:
             for place in np.unique(self.which[~shared]):
                 same = (self.which == place) & ~shared
