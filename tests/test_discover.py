@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from fits.rig_twins import simulate
 from greybox import DataError
 from greybox.discovery import discover
 from greybox.experiment import Experiment
 from greybox.fitting import FitOptions
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
-from tests.blind_twin import simulate
 
 ACTUATOR = {"M": 0.010, "B": 0.27, "K": 5900.0, "Kf": 1.39, "Kv": 1.39, "Ra": 8.0, "La": 1e-3}
 CYLINDER = {

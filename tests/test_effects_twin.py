@@ -1,4 +1,4 @@
-"""Every effect at known constants against the independent simulator of `tests.blind_twin`, and against simulated cases."""
+"""Every effect at known constants against the independent simulator of `fits.rig_twins`, and against simulated cases."""
 
 import json
 from dataclasses import replace
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import greybox.effects
+from fits import rig_twins
 from greybox.effects import CATALOGUE, effect
 from greybox.experiment import Experiment, read_csv
 from greybox.integrators import discretise
@@ -14,7 +15,6 @@ from greybox.kernel import make_kernel
 from greybox.transcription import record_of
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
-from tests import blind_twin
 
 MODELS = {m.name: m for m in (micro_actuator, pneumatic_cylinder)}
 PERIOD = {"micro_actuator": 2.5e-4, "pneumatic_cylinder": 0.01}
@@ -133,8 +133,8 @@ def deviation(rig, names, substeps):
     u = held(rig)
     experiment = Experiment("held", np.arange(ROWS) * PERIOD[rig], {"u": u}, {})
     fine = max(FINE.get(name, 20) for name in names)
-    twin = np.array(blind_twin.simulate(rig, model.values, truth, u, PERIOD[rig], fine))
-    plain = np.array(blind_twin.simulate(rig, model.values, {}, u, PERIOD[rig], 20))
+    twin = np.array(rig_twins.simulate(rig, model.values, truth, u, PERIOD[rig], fine))
+    plain = np.array(rig_twins.simulate(rig, model.values, {}, u, PERIOD[rig], 20))
     ours, _, _ = outputs(model, experiment, substeps)
     return np.abs(ours - twin).max(axis=0) / NOISE[rig], np.abs(twin - plain).max(axis=0) / NOISE[rig]
 
