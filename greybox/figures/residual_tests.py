@@ -149,7 +149,7 @@ def correlations(first: Sequence[np.ndarray], second: Sequence[np.ndarray], lags
     sizes = [np.sqrt(np.nanmean(np.concatenate([p[k] for p in pairs]) ** 2)) or 1.0 for k in (0, 1)]
     found = np.zeros(lags + 1)
     for k in range(lags + 1):
-        products = np.concatenate([a[: len(a) - k] * b[k:] for a, b in pairs])
+        products = np.concatenate([a[: max(len(a) - k, 0)] * b[k:] for a, b in pairs])
         there = np.isfinite(products)
         found[k] = products[there].mean() / (sizes[0] * sizes[1]) if there.any() else 0.0
     return found, int(sum(np.isfinite(b).sum() for _, b in pairs))

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greybox.filtering.beginning import Beginning
 from greybox.filtering.recursion import filter_step
 from greybox.filtering.rows import rows_of, without_measurements
 from greybox.filtering.symmetric import lower_of_array, symmetric_arrays
@@ -56,24 +57,27 @@ class Slopes:
 @dataclass(frozen=True, eq=False)
 class KalmanFilter:
     """The filter of ``system`` moved by ``step``; the parameters of its calls are ``[p; noise]``, the model's constants and each output's
-    standard deviation of noise. ``kernel`` runs it.
+    standard deviation of noise. ``kernel`` runs it. ``beginning``: how uncertain first states are of which nothing else is said; None:
+    they are known exactly.
     """
 
     system: System
     step: Step
     whole: Step
     kernel: Kernel
+    beginning: Beginning | None = None
 
     @classmethod
-    def of(cls, system: System, step: Step) -> KalmanFilter:
-        """The filter, compiled where there is a compiler."""
+    def of(cls, system: System, step: Step, *, known_start: bool = True) -> KalmanFilter:
+        """The filter, compiled where there is a compiler; ``known_start``: the first states are known exactly, see `Beginning`."""
         whole = filter_step(system, step)
-        return cls(system, step, whole, make_kernel(whole))
+        return cls(system, step, whole, make_kernel(whole), None if known_start else Beginning.of(system, step))
 
     def repeated(self, substeps: int) -> KalmanFilter:
         """The same with another number of substeps in an interval; nothing is compiled."""
         whole, step = (replace(s, substeps=substeps) for s in (self.whole, self.step))
-        return replace(self, step=step, whole=whole, kernel=self.kernel.repeated(substeps))
+        beginning = None if self.beginning is None else replace(self.beginning, step=step)
+        return replace(self, step=step, whole=whole, kernel=self.kernel.repeated(substeps), beginning=beginning)
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -81,11 +85,11 @@ class KalmanFilter:
         return self.system.x.numel(), self.step.outputs.size1_out(0)
 
     def run(self, record: Record, pn: np.ndarray, x0: np.ndarray, covariance: np.ndarray | None = None) -> Filtered:
-        """The run from first states ``x0`` (nx,) with their ``covariance`` (nx, nx); None: they are known exactly."""
+        """The run from first states ``x0`` (nx,) with their ``covariance`` (nx, nx); None: that of the filter's ``beginning``."""
         nx, ny = self.sizes
         rows = rows_of(record, self.step)
         q, _ = self.whole.coefficients(pn, rows.lengths, NONE)
-        y, z = self.kernel.simulate(rows, q, pn, self._start(x0, covariance))
+        y, z = self.kernel.simulate(rows, q, pn, self._start(rows, q, pn, x0, covariance))
         present = np.isfinite(record.y)
         e, logarithm = np.where(present, y[:, :ny], np.nan), y[:, ny:]
         likelihood = -0.5 * float(np.sum(e[present] ** 2 + logarithm[present] + LOG_TWO_PI))
@@ -96,21 +100,26 @@ class KalmanFilter:
         nx, ny = self.sizes
         rows = without_measurements(rows_of(record, self.step), ny)
         q, _ = self.whole.coefficients(pn, rows.lengths, NONE)
-        return self.kernel.simulate(rows, q, pn, self._start(x0, None))[1][:, :nx]
+        return self.kernel.simulate(rows, q, pn, np.append(x0, np.zeros(nx * (nx + 1) // 2)))[1][:, :nx]
 
     def slopes(self, record: Record, pn: np.ndarray, dpn: np.ndarray, x0: np.ndarray, dx0: np.ndarray) -> Slopes | None:
         """Innovations and their slopes along the L columns of ``dpn`` (np + ny, L) and ``dx0`` (nx, L); None where the run overflows.
 
-        The first states are known exactly (their uncertainty is that of ``x0`` as an unknown).
+        The first states are as uncertain as the filter's ``beginning`` says, besides what there is to ``x0`` as an unknown.
         """
         nx, ny = self.sizes
         rows = rows_of(record, self.step)
         which = np.flatnonzero(dpn.any(axis=1))
         q, along = self.whole.coefficients(pn, rows.lengths, which)
-        dz0 = np.vstack([dx0, np.zeros((nx * (nx + 1) // 2, dx0.shape[1]))])
-        r, jacobian = self.kernel.residuals(
-            rows, q, along @ dpn[which], pn, dpn, self._start(x0, None), dz0, np.ones(2 * ny)
+        dq = along @ dpn[which]
+        begin = self.beginning
+        spread = (
+            np.zeros((nx * (nx + 1) // 2, dx0.shape[1]))
+            if begin is None
+            else begin.slopes(rows, q, dq, pn, dpn, x0, dx0)
         )
+        start, dz0 = self._start(rows, q, pn, x0, None), np.vstack([dx0, spread])
+        r, jacobian = self.kernel.residuals(rows, q, dq, pn, dpn, start, dz0, np.ones(2 * ny))
         # The kernel's residuals are zero minus the filter's outputs.
         there = np.nonzero(np.isfinite(record.y))
         row, output = there
@@ -119,6 +128,12 @@ class KalmanFilter:
             return None
         return Slopes(*found, row, output)
 
-    def _start(self, x0: np.ndarray, covariance: np.ndarray | None) -> np.ndarray:
-        nx = self.sizes[0]
-        return np.concatenate([x0, lower_of_array(np.zeros((nx, nx)) if covariance is None else covariance)])
+    def _start(
+        self, rows: Record, q: np.ndarray, pn: np.ndarray, x0: np.ndarray, covariance: np.ndarray | None
+    ) -> np.ndarray:
+        """``[x0; lower triangle of the covariance]``."""
+        if covariance is not None:
+            return np.append(x0, lower_of_array(covariance))
+        if self.beginning is None:
+            return np.append(x0, np.zeros(len(x0) * (len(x0) + 1) // 2))
+        return np.append(x0, self.beginning.covariance(rows, q, pn, x0))

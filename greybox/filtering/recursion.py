@@ -149,6 +149,12 @@ def _moved(step: Step, x: ca.SX, ua: ca.SX, ub: ca.SX, q: ca.SX, h: ca.SX) -> tu
     return ca.Function("moved", symbols, [whole, ca.jacobian(whole, symbols[0])])(x, ua, ub, q, h)
 
 
+def added_by_substep(step: Step, system: System, u: ca.SX, q: ca.SX, h: ca.SX) -> ca.SX:
+    """What process noise adds to the covariance (nx, nx) in one substep from ``system.x`` under the input ``u``."""
+    _, slope = _moved(step, system.x, u, u, q, h)
+    return _added(slope, ca.diag(system.diffusion**2), h)
+
+
 def _added(slope: ca.SX, intensity: ca.SX, h: ca.SX) -> ca.SX:
     """``Qd`` of a substep from its Jacobian: Simpson's rule for the integral of ``F(s) Q F(s)'``.
 

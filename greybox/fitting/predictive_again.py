@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,10 +12,13 @@ from greybox.fitting.predictive_beginning import Known, likelihood_of
 from greybox.fitting.predictive_cost import PredictionError
 from greybox.noise import AutoRegression, Noise
 from greybox.result import Fit
+from greybox.transcription import Evaluation
 
 
 def likelihood_of_fit(fit: Fit) -> PredictionError:
     """The likelihood of a fit with process noise, its constants and first states free, ``z = 0`` at its optimum.
+
+    An intensity that became zero stays there.
 
     Raises FitError for a fit that did not succeed, or was saved without its inputs.
     """
@@ -29,12 +32,38 @@ def likelihood_of_fit(fit: Fit) -> PredictionError:
     )
     std = np.array([fit.noise.get(o.name, 1.0) for o in fit.model.outputs])
     noise = Noise(std, fit.noise_source, True, fit.noise_sources, tuple(AutoRegression() for _ in std))
-    cost = likelihood_of(Known(fit.model, noise, options), [t.experiment for t in fit.traces], free=True)
+    none = [name for name in fit.model.noise_parameters if fit.model.values[name] == 0]
+    cost = likelihood_of(Known(fit.model.fix(*none), noise, options), [t.experiment for t in fit.traces], free=True)
     v = cost.unknowns.variables
     start = np.array([[t.initial_state[name] for name in fit.model.system.state_names] for t in fit.traces])
     own = {f"{name} ({title})": e.value for name, found in fit.own.items() for title, e in found.items()}
     variables = replace(v.at(own), initial=replace(v.initial, guess=start))
     return cost.at(replace(cost.unknowns, variables=variables))
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    """Innovations (N, ny) of each record, NaN in gaps, and what they tell: the slopes (N, ny, L) of their mean over their standard
+    deviation and of the logarithm of their variance; ``evaluation`` of the likelihood at the optimum.
+    """
+
+    rows: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
+    evaluation: Evaluation
+
+
+def innovations_of(fit: Fit, cost: PredictionError) -> Innovations:
+    """The innovations of ``fit`` at its optimum, ``cost`` being its likelihood. Raises FitError where its filter is not finite."""
+    zero = np.zeros(cost.unknowns.size)
+    rows = []
+    for record, found in zip(cost.records, cost.slopes(zero), strict=True):
+        if found is None:
+            raise FitError(f"fit of {fit.model.title}: its filter is not finite at the fitted constants; fit again")
+        e = np.full(record.y.shape, np.nan)
+        mean, logarithm = (np.full((*record.y.shape, found.de.shape[1]), np.nan) for _ in range(2))
+        e[found.rows, found.outputs] = found.e
+        mean[found.rows, found.outputs], logarithm[found.rows, found.outputs] = found.mean_slopes, found.dlogarithm
+        rows.append((record.samples(e), record.samples(mean), record.samples(logarithm)))
+    return Innovations(tuple(rows), cost.evaluate(zero))
 
 
 def innovation_rows(fit: Fit) -> tuple[list[tuple[np.ndarray, np.ndarray]], PredictionError]:
@@ -45,13 +74,4 @@ def innovation_rows(fit: Fit) -> tuple[list[tuple[np.ndarray, np.ndarray]], Pred
     only scales an innovation does not explain it.
     """
     cost = likelihood_of_fit(fit)
-    result = []
-    for record, found in zip(cost.records, cost.slopes(np.zeros(cost.unknowns.size)), strict=True):
-        if found is None:
-            raise FitError(f"fit of {fit.model.title}: its filter is not finite at the fitted constants; fit again")
-        e = np.full(record.y.shape, np.nan)
-        slopes = np.full((*record.y.shape, found.de.shape[1]), np.nan)
-        e[found.rows, found.outputs] = found.e
-        slopes[found.rows, found.outputs] = found.mean_slopes
-        result.append((record.samples(e), record.samples(slopes)))
-    return result, cost
+    return [(e, mean) for e, mean, _ in innovations_of(fit, cost).rows], cost

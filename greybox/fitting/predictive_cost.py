@@ -18,8 +18,8 @@ from greybox.transcription import Evaluation
 class PredictionError:
     """``-2 log L = sum (v / s)^2 + 2 log s + log(2 pi)`` over all innovations ``v`` with their standard deviations ``s``, and the priors.
 
-    The first states are unknowns, exact ones, so that without process noise it is the free-run cost plus a constant (where the noise
-    of the outputs is known).
+    The first states are unknowns (`greybox.filtering.beginning`), exact ones without process noise, so that it is then the free-run
+    cost plus a constant (where the noise of the outputs is known).
     """
 
     unknowns: Unknowns

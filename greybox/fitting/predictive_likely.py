@@ -98,7 +98,8 @@ def _starts(
         value = model.values[name] or 1e-3 * sizes[name]
         working = working.start(**{name: float(np.clip(value, min(floor, high / 2), high))})
         working = working.bound(**{name: (min(floor, high / 2), high)})
-    kalman = KalmanFilter.of(working.system, problem.step)
+    known = not problem.variables.initial.free.any()
+    kalman = KalmanFilter.of(working.system, problem.step, known_start=known)
     given = [e.conditions for e in problem.experiments]
     conditions = given if any(given) else ()
     costs = []

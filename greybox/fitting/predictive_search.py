@@ -10,7 +10,7 @@ import numpy as np
 from greybox.fitting.options import FitOptions, Progress, Report
 from greybox.fitting.predictive_cost import PredictionError
 from greybox.optimiser import Status, minimise
-from greybox.transcription import Evaluation, Variables
+from greybox.transcription import Evaluation
 
 # Converged when a further step would lower -2 log L by less than this: a thousandth of a standard deviation, squared.
 NEGLIGIBLE = 1e-6
@@ -53,8 +53,7 @@ def maximise(cost: PredictionError, options: FitOptions, report: Report | None =
     gains: list[float] = []
 
     def finished(z: np.ndarray, e: Evaluation) -> Status | None:
-        step = scoring_step(e, low - z, high - z)
-        if -0.5 * float(e.gradient @ step) <= NEGLIGIBLE:
+        if promised(e, scoring_step(e, low - z, high - z)) <= NEGLIGIBLE:
             return Status.CONVERGED
         gains.append(e.cost)
         return Status.ACCEPTABLE if len(gains) > PATIENCE and gains[-1 - PATIENCE] - e.cost <= LITTLE_GAIN else None
@@ -67,26 +66,29 @@ def maximise(cost: PredictionError, options: FitOptions, report: Report | None =
         cost.evaluate, np.zeros(cost.unknowns.size), low, high, scale=float(max(begin.count, 1)), tolerance=options.tolerance,
         iterations=options.iterations, finished=finished, thorough=False, progress=progress,
     )  # fmt: skip
-    there = climbed(cost.at(cost.unknowns.moved(outcome.z)), LAST_DIGITS) if outcome.status.success else None
+    there, status = climbed(cost.at(cost.unknowns.moved(outcome.z)), LAST_DIGITS), outcome.status
+    if there.status.success and not status.success and status is not Status.INTERRUPTED:
+        status = Status.CONVERGED
     return Found(
-        there.cost if there else cost.at(cost.unknowns.moved(outcome.z)),
-        there.evaluation if there else cost.evaluate(outcome.z), outcome.status, outcome.solver_status, outcome.iterations,
-        outcome.evaluations + 1 + (there.evaluations if there else 1), outcome.seconds,
+        there.cost, there.evaluation, status, outcome.solver_status, outcome.iterations,
+        outcome.evaluations + 1 + there.evaluations, outcome.seconds,
     )  # fmt: skip
 
 
 def climbed(cost: PredictionError, negligible: float = NEGLIGIBLE) -> Found:
     """The most likely unknowns near ``z = 0`` of ``cost`` by scoring alone: cheaper than `maximise` where that is close already.
 
-    Ends where a step promises to lower -2 log L by less than ``negligible``, or none does.
+    Ends where a step promises to lower -2 log L by less than ``negligible``, or none lowers it: stuck, if much was promised.
     """
     evaluation, passes = cost.evaluate(np.zeros(cost.unknowns.size)), 1
     if not np.isfinite(evaluation.cost):
         return Found(cost, evaluation, Status.NO_START, "", 0, passes, 0.0)
+    gain = np.inf
     for _ in range(STEPS):
         low, high = cost.unknowns.bounds()
         step = scoring_step(evaluation, low, high)
-        if -0.5 * float(evaluation.gradient @ step) <= negligible:
+        gain = promised(evaluation, step)
+        if gain <= negligible:
             break
         for share in 0.5 ** np.arange(HALVINGS):
             z = np.clip(share * step, np.minimum(low, 0.0), np.maximum(high, 0.0))
@@ -98,21 +100,36 @@ def climbed(cost: PredictionError, negligible: float = NEGLIGIBLE) -> Found:
                 break
         else:
             break
-    return Found(cost, evaluation, Status.CONVERGED, "", 0, passes, 0.0)
+    status = Status.CONVERGED if gain <= max(negligible, NEGLIGIBLE) else Status.STUCK
+    return Found(cost, evaluation, status, "", 0, passes, 0.0)
 
 
 def scoring_step(evaluation: Evaluation, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Minus the inverse of the expected curvature times the gradient (size,); what a bound holds, and undetermined directions, stay.
+    """The step (size,) to the minimum of the quadratic model of the cost within bounds, by an active set.
 
-    ``low`` and ``high`` are the distances to the bounds.
+    ``low`` and ``high`` are the distances to the bounds. Undetermined directions stay. An intensity of process noise near zero has next to
+    no curvature and a large step: what its bound cuts off must count neither as a step nor as a promise.
     """
     g, h = evaluation.gradient, evaluation.hessian
-    inside = ~((low >= -AT_BOUND) & (g > 0) | (high <= AT_BOUND) & (g < 0))
-    block, slope = h[np.ix_(inside, inside)], g[inside]
-    scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
-    step = np.zeros(len(g))
-    step[inside] = -np.linalg.lstsq(block / np.outer(scale, scale), slope / scale, rcond=UNDETERMINED)[0] / scale
+    low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+    step, inside = np.zeros(len(g)), ~((low >= -AT_BOUND) & (g > 0) | (high <= AT_BOUND) & (g < 0))
+    while inside.any():
+        block = h[np.ix_(inside, inside)]
+        slope = g[inside] + h[np.ix_(inside, ~inside)] @ step[~inside]
+        scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
+        free = -np.linalg.lstsq(block / np.outer(scale, scale), slope / scale, rcond=UNDETERMINED)[0] / scale
+        step[inside] = np.clip(free, low[inside], high[inside])
+        beyond = inside.copy()
+        beyond[inside] = step[inside] != free
+        if not beyond.any():
+            break
+        inside &= ~beyond
     return step
+
+
+def promised(evaluation: Evaluation, step: np.ndarray) -> float:
+    """By how much the quadratic model of the cost falls along ``step``."""
+    return -float(evaluation.gradient @ step + 0.5 * step @ evaluation.hessian @ step)
 
 
 def holding(cost: PredictionError, values: Mapping[str, float]) -> PredictionError:
@@ -122,15 +139,7 @@ def holding(cost: PredictionError, values: Mapping[str, float]) -> PredictionErr
     places = [names.index(name) for name in values]
     fixed = v.fixed.copy()
     fixed[places] = list(values.values())
-    return cost.at(replace(cost.unknowns, variables=_kept(replace(v, fixed=fixed), ~np.isin(v.which, places))))
-
-
-def _kept(v: Variables, keep: np.ndarray) -> Variables:
-    """Only some of the free constants; the others are as in ``fixed``."""
-    return replace(
-        v, names=tuple(np.array(v.names, object)[keep]), which=v.which[keep], owner=v.owner[keep], logarithmic=v.logarithmic[keep],
-        base=v.base[keep], scale=v.scale[keep], low=v.low[keep], high=v.high[keep], prior=v.prior[keep],
-    )  # fmt: skip
+    return cost.at(replace(cost.unknowns, variables=replace(v, fixed=fixed).without(np.isin(v.which, places))))
 
 
 def started(cost: PredictionError, values: Mapping[str, float]) -> PredictionError:

@@ -111,13 +111,13 @@ def autoregression(values: np.ndarray, *, most: int = MOST_ORDERS, copies: float
     """The autoregression of a series (N,) of mean zero with NaN in gaps; order up to ``most`` by Schwarz's criterion (BIC).
 
     ``copies``: how many times over the series holds the same information (deviations from the mean of two repeats are each
-    other's mirror image: 2).
+    other's mirror image: 2). Each order is judged by the stretches without a gap that it was found from: with gaps these are few.
     """
     forward = np.asarray(values, float).copy()
     backward = forward.copy()
     count = np.isfinite(forward).sum() / copies
     reflection: list[float] = []
-    best, chosen, variance = 0.0, 0, 1.0
+    best, chosen, criterion = 0.0, 0, 0.0
     for order in range(1, min(most, int(count / SAMPLES_PER_ORDER)) + 1):
         f, b = forward[1:], backward[:-1]
         both = np.isfinite(f) & np.isfinite(b)
@@ -129,8 +129,7 @@ def autoregression(values: np.ndarray, *, most: int = MOST_ORDERS, copies: float
             break
         reflection.append(k)
         forward, backward = f - k * b, b - k * f
-        variance *= 1 - k * k
-        criterion = count * np.log(variance) + order * np.log(count)
+        criterion += both.sum() / copies * np.log(1 - k * k) + np.log(count)
         if criterion < best:
             best, chosen = criterion, order
     return AutoRegression(tuple(reflection[:chosen]))

@@ -236,6 +236,15 @@ class Variables:
         there = replace(self, base=base)
         return replace(there, fixed=there.parameters(np.zeros(self.size)))
 
+    def without(self, held: np.ndarray) -> Variables:
+        """The same variables with some constants (nf,) no longer free: they are as in ``fixed``, or as the conditions have them."""
+        keep = ~held
+        return replace(
+            self, names=tuple(np.array(self.names, object)[keep]), which=self.which[keep], owner=self.owner[keep],
+            logarithmic=self.logarithmic[keep], base=self.base[keep], scale=self.scale[keep], low=self.low[keep], high=self.high[keep],
+            prior=self.prior[keep],
+        )  # fmt: skip
+
     @property
     def active(self) -> np.ndarray:
         """Which free constants lie on a bound at ``z = 0`` (nf,)."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.errors import FitError
-from greybox.fitting.sandwich import colour_of
+from greybox.fitting.predictive_again import innovations_of, likelihood_of_fit
+from greybox.fitting.sandwich import Layout, colour_of
 from greybox.fitting.uncertainty import information_of
 from greybox.result import Fit
 from greybox.transcription import Variables
@@ -43,41 +45,72 @@ def bootstrap(
     interval is the basic one (reflected percentiles), on the logarithm of positive constants, within their bounds. As every block
     bootstrap it falls short by some percent where the record is only tens of blocks long.
 
+    Of a fit with process noise the innovations are drawn anew (Stoffer and Wall, JASA 86, 1991), and one step of scoring moves the
+    constants.
+
     Raises FitError for a fit that did not succeed, or a block that leaves fewer than five to a record.
     """
-    problem = problem_of(fit)
-    v = problem.variables
-    shooting = problem.shooting(v)
-    z = np.zeros(v.size)
-    rows = shooting.residuals(z)
-    shortest = min(len(r) for r, _ in rows)
+    at = _of_predictions(fit) if fit.process_noise else _of_free_runs(fit)
+    v, size = at.variables, at.layout.size
+    shortest = min(len(r) for r, *_ in at.rows)
     if block is None:
-        colour = colour_of(rows, v.size, problem.noise.given)
+        colour = colour_of([(r, slopes) for r, slopes, _ in at.rows], size, at.noise_given)
         time = max((t for t, _ in colour.times), default=1.0)
         block = max(1, min(int(np.ceil(max(CORRELATION_TIMES * time, shortest ** (1 / 3)))), shortest // LEAST_BLOCKS))
     if not 1 <= block <= shortest // LEAST_BLOCKS:
         raise FitError(
             f"bootstrap: blocks of {block} rows from a record of {shortest}; give 1 to {shortest // LEAST_BLOCKS} rows"
         )
-    count = sum(int(np.isfinite(r).sum()) for r, _ in rows)
-    gradient = np.zeros((replicates, v.size))
-    prior = np.pad(v.penalty(z)[2] / 2, (0, v.size - len(v.which)))
-    information = information_of(v, rows) + np.diag(prior)
-    for e, (r, jacobian) in enumerate(rows):
-        gradient[:, v.columns(e)] += _scores(r, jacobian, replicates, block, generator)
-    gradient *= np.sqrt(count / max(count - v.size, 1))
+    count = sum(int(np.isfinite(r).sum()) for r, *_ in at.rows)
+    gradient = np.zeros((replicates, size))
+    prior = np.pad(v.penalty(np.zeros(v.size))[2] / 2, (0, size - len(v.which)))
+    for e, (r, slopes, loudness) in enumerate(at.rows):
+        gradient[:, at.layout.columns(e)] += _scores(r, slopes, loudness, replicates, block, generator)
+    gradient *= np.sqrt(count / max(count - size, 1))
     gradient += np.sqrt(prior) * generator.normal(size=gradient.shape)
-    inside = np.ones(v.size, bool)
+    inside = np.ones(size, bool)
     inside[: len(v.which)] = ~v.active
-    steps = np.zeros((replicates, v.size))
-    steps[:, inside] = -gradient[:, inside] @ _inverse(information[np.ix_(inside, inside)])
+    steps = np.zeros((replicates, size))
+    steps[:, inside] = -gradient[:, inside] @ _inverse(at.information[np.ix_(inside, inside)])
     return _summary(v, steps[:, : len(v.which)], block)
 
 
+@dataclass(frozen=True)
+class _Optimum:
+    """A fit at its optimum: for each record the weighted residual (N, ny), its slopes (N, ny, L) and, of innovations, those of the
+    logarithm of their variance; half the curvature of the cost.
+    """
+
+    variables: Variables
+    layout: Layout
+    rows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
+    information: np.ndarray
+    noise_given: bool
+
+
+def _of_free_runs(fit: Fit) -> _Optimum:
+    problem = problem_of(fit)
+    v = problem.variables
+    zero = np.zeros(v.size)
+    rows = problem.shooting(v).residuals(zero)
+    prior = np.pad(v.penalty(zero)[2] / 2, (0, v.size - len(v.which)))
+    information = information_of(v, rows) + np.diag(prior)
+    return _Optimum(v, v, [(r, slopes, None) for r, slopes in rows], information, problem.noise.given)
+
+
+def _of_predictions(fit: Fit) -> _Optimum:
+    cost = likelihood_of_fit(fit)
+    found = innovations_of(fit, cost)
+    return _Optimum(cost.unknowns.variables, cost.unknowns, found.rows, found.evaluation.hessian / 2, True)
+
+
 def _scores(
-    r: np.ndarray, jacobian: np.ndarray, replicates: int, block: int, generator: np.random.Generator
-) -> np.ndarray:
-    """``J' r*`` (B, L) of residuals made of random blocks of ``r`` (N, ny), each output's mean removed; gaps stay gaps."""
+    r: np.ndarray, jacobian: np.ndarray, loudness: np.ndarray | None, replicates: int, block: int, generator: np.random.Generator
+) -> np.ndarray:  # fmt: skip
+    """``J' r*`` (B, L) of residuals made of random blocks of ``r`` (N, ny), each output's mean removed; gaps stay gaps.
+
+    Of innovations ``J' r* + L'(s^2 - r*^2) / 2``, ``L`` the slopes of the logarithm of their variance and ``s^2`` their mean square.
+    """
     n = len(r)
     there = np.isfinite(r)
     slopes = np.where(there[:, :, None], jacobian, 0.0).reshape(-1, jacobian.shape[2])
@@ -85,12 +118,16 @@ def _scores(
         centred = r - (np.where(there, r, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
     # A gap that falls on a measured row is filled by the block's neighbour: no residual must vanish.
     filled = _filled(centred)
+    squares = 0.5 * ((filled**2).mean(axis=0) - filled**2)
+    louder = None if loudness is None else np.where(there[:, :, None], loudness, 0.0).reshape(-1, jacobian.shape[2])
     places = np.arange(block)
     result = np.empty((replicates, jacobian.shape[2]))
     for b in range(replicates):
         starts = generator.integers(0, n - block + 1, size=-(-n // block))
         chosen = (starts[:, None] + places).ravel()[:n]
         result[b] = filled[chosen].ravel() @ slopes
+        if louder is not None:
+            result[b] += squares[chosen].ravel() @ louder
     return result
 
 

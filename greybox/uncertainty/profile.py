@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from greybox.errors import ModelError, nearest
+from greybox.fitting.predictive_again import likelihood_of_fit
 from greybox.fitting.solve import Solution, solve
 from greybox.fitting.uncertainty import quantile, uncertainty
 from greybox.result import Fit
 from greybox.transcription import Variables
 from greybox.transcription.variables import SHARED
 from greybox.uncertainty.again import options_of, problem_of
+from greybox.uncertainty.predicted import Held
 
 # First step in standard deviations, growth of the following ones, at most so many to a side.
 FIRST, GROWTH, STEPS = 1.0, 1.6, 9
@@ -54,21 +57,23 @@ def profile(fit: Fit, name: str) -> Profile:
     ``2 log(L max / L(value)) = (cost(value) - cost min) / s^2`` stays below the 95 % point of chi-square with one degree of freedom
     (of F, where ``s^2`` was estimated). ``s^2`` is the one with which curvature and variance agree at the optimum: the variance of the
     residual where that is white, and as much more as the stated variance is larger where it is coloured, the loss is robust, or
-    the constant has a prior (Chandler and Bate, Biometrika 94, 2007). Of a constant that experiments have for themselves each value
-    has a profile of its own, ``profile(fit, "B (day 1)")``. Some 10 to 20 refits.
+    the constant has a prior (Chandler and Bate, Biometrika 94, 2007). Of a fit with process noise it is the likelihood of its
+    predictions. Of a constant that experiments have for themselves each value has a profile of its own, ``profile(fit, "B (day 1)")``.
+    Some 10 to 20 refits.
 
     Raises ModelError for a constant that was not fitted, FitError for a fit that did not succeed.
     """
+    if fit.process_noise:
+        return _of_predictions(fit, name)
     problem = problem_of(fit)
     v = problem.variables
-    if name not in v.names:
-        raise ModelError(f"profile of {name!r}: not a fitted constant; {nearest(name, v.names)}")
+    _check(name, v)
     shooting = problem.shooting(v)
     z = np.zeros(v.size)
     evaluation = shooting.evaluate(z)
     found = uncertainty(v, evaluation, problem.noise.given, shooting.residuals(z), least=problem.least)
     k = v.names.index(name)
-    quantity, best, variance = v.quantities[k], float(v.base[k]), found.covariance[k, k]
+    variance = found.covariance[k, k]
     std = float(np.sqrt(variance)) if np.isfinite(variance) else None
     scale = evaluation.cost / max(evaluation.count - v.size, 1)
     scale = max(scale, 1.0) if problem.noise.given else scale
@@ -78,7 +83,41 @@ def profile(fit: Fit, name: str) -> Profile:
         place = int(np.searchsorted(inside, k))
         scale = float(variance / v.spans[k] ** 2 / np.linalg.pinv(whole, hermitian=True)[place, place])
     search = _Search(fit, v, k, evaluation.cost, scale)
-    threshold = quantile(found.degrees) ** 2
+    return _followed(search, v, name, std, quantile(found.degrees) ** 2)
+
+
+def _of_predictions(fit: Fit, name: str) -> Profile:
+    """The profile of a constant of a fit with process noise; ``s`` is what coloured innovations widen its standard deviation by."""
+    if name in fit.model.noise_parameters and fit.model.values[name] == 0:
+        raise ModelError(
+            f"profile of {name!r}: its most likely value is zero, and its interval in the fit is its profile's limit already"
+        )
+    cost = likelihood_of_fit(fit)
+    v = cost.unknowns.variables
+    _check(name, v)
+    k = v.names.index(name)
+    owner = name[len(v.quantities[k].name) + 2 : -1]
+    stated = fit.own[v.quantities[k].name][owner] if owner else fit.parameters[name]
+    widened = fit.inflation.get(name, 1.0)
+    scale = widened**2 if np.isfinite(widened) else 1.0
+    return _followed(Held(cost, k, cost.cost(), scale), v, name, stated.std, quantile(np.inf) ** 2)
+
+
+def _check(name: str, v: Variables) -> None:
+    if name not in v.names:
+        raise ModelError(f"profile of {name!r}: not a fitted constant; {nearest(name, v.names)}")
+
+
+class _Refits(Protocol):
+    """Refits with one constant held."""
+
+    def rise(self, value: float, near: Variables | None) -> tuple[float, Variables]:
+        """Rise of the minimal cost with the constant at ``value``, and where; begun at ``near``."""
+
+
+def _followed(search: _Refits, v: Variables, name: str, std: float | None, threshold: float) -> Profile:
+    k = v.names.index(name)
+    quantity, best = v.quantities[k], float(v.base[k])
     low, points_low = _side(search, best, std, quantity.positive, quantity.bounds[0], -1, threshold)
     high, points_high = _side(search, best, std, quantity.positive, quantity.bounds[1], +1, threshold)
     points = sorted([*points_low, (best, 0.0), *points_high])
@@ -111,7 +150,7 @@ class _Search:
 
 
 def _side(
-    search: _Search, best: float, std: float | None, positive: bool, bound: float, sign: int, threshold: float
+    search: _Refits, best: float, std: float | None, positive: bool, bound: float, sign: int, threshold: float
 ) -> tuple[float, list[tuple[float, float]]]:
     """Where the rise crosses the threshold on one side, and the points visited."""
 
@@ -138,7 +177,7 @@ def _side(
 
 
 def _crossing(
-    search: _Search,
+    search: _Refits,
     place: Callable[[float], float],
     inner: tuple[float, float],
     outer: tuple[float, float],
