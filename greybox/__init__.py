@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         scan_structures,
     )
     from greybox.comparison import Comparison, compare
-    from greybox.discovery import Discovery, discover
+    from greybox.discovery import Attempt, Discovery, Unexplained, discover, drop_effect, try_effect, unexplained
     from greybox.effects import CATALOGUE, effect
     from greybox.errors import DataError, FitError, GreyboxError, ModelError, UnitError
     from greybox.experiment import Experiment, read_csv, read_experiments
@@ -81,7 +81,7 @@ _ROOMS = {
         "scan_structures",
     ),
     "comparison": ("Comparison", "compare"),
-    "discovery": ("Discovery", "discover"),
+    "discovery": ("Attempt", "Discovery", "Unexplained", "discover", "drop_effect", "try_effect", "unexplained"),
     "effects": ("CATALOGUE", "effect"),
     "errors": ("DataError", "FitError", "GreyboxError", "ModelError", "UnitError"),
     "experiment": ("Experiment", "read_csv", "read_experiments"),
@@ -102,6 +102,7 @@ _HOME = {name: f"greybox.{room}" for room, names in _ROOMS.items() for name in n
 
 __all__ = [
     "CATALOGUE",
+    "Attempt",
     "Balance",
     "Candidate",
     "Comparison",
@@ -132,6 +133,7 @@ __all__ = [
     "Smoothed",
     "Smoothing",
     "State",
+    "Unexplained",
     "UnitError",
     "armax",
     "arx",
@@ -140,6 +142,7 @@ __all__ = [
     "compare",
     "digits_needed",
     "discover",
+    "drop_effect",
     "effect",
     "family",
     "fit",
@@ -168,6 +171,8 @@ __all__ = [
     "to_modelica",
     "to_numpy",
     "to_python",
+    "try_effect",
+    "unexplained",
     "validate",
 ]  # fmt: skip
 

@@ -30,11 +30,12 @@ def multisine(seed, rows, period, high, amplitude):
     return amplitude * u / np.abs(u).max() * np.minimum(1.0, t / (20 * period))
 
 
-def records(rig, effects, noise, colour=0.0):
+def records(rig, effects, noise, colour=0.0, rows=0):
     """An estimation and a validation record of the rig with hidden effects, and sensor noise of the given colour."""
-    rows, period, high, amplitude, fine = (
+    usual, period, high, amplitude, fine = (
         (2000, 2.5e-4, 400.0, 4.0, 20) if rig is micro_actuator else (1500, 0.01, 5.0, 4.0, 20)
     )
+    rows = rows or usual
     base = ACTUATOR if rig is micro_actuator else CYLINDER
     result = []
     for seed in (1, 2):

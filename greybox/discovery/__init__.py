@@ -1,7 +1,17 @@
 """Where model and data disagree, which effect is missing, and whether one may say so."""
 
+from greybox.discovery.attempt import Attempt, drop_effect, try_effect
 from greybox.discovery.bench import Bench, Trial
 from greybox.discovery.discover import discover
-from greybox.discovery.result import Discovery
+from greybox.discovery.gap import Gap
+from greybox.discovery.look import Signal, Site, Unexplained, unexplained
+from greybox.discovery.missing import Missing
+from greybox.discovery.region import Region
+from greybox.discovery.result import Discovery, Rank
+from greybox.discovery.stand_in import StandIn
+from greybox.discovery.when import Window
 
-__all__ = ["Bench", "Discovery", "Trial", "discover"]
+__all__ = [
+    "Attempt", "Bench", "Discovery", "Gap", "Missing", "Rank", "Region", "Signal", "Site", "StandIn", "Trial", "Unexplained", "Window",
+    "discover", "drop_effect", "try_effect", "unexplained",
+]  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +13,8 @@ from greybox.fitting import FitOptions
 from greybox.fitting.problem import Problem, prepare
 from greybox.fitting.solve import Solution, solve
 from greybox.model import Model
-from greybox.noise import Noise
+from greybox.noise import AutoRegression, Noise
+from greybox.result import Fit
 from greybox.transcription import Evaluation, Variables
 
 Start = Mapping[str, float]
@@ -61,6 +62,26 @@ class Bench:
     noise: Mapping[str, float] | Noise
     quiet: tuple[Experiment, ...]
     options: FitOptions
+
+    @classmethod
+    def of(cls, fit: Fit) -> Bench:
+        """The records, noise and options of a finished fit; its constants are what the plain model comes with."""
+        outputs = [o.name for o in fit.model.outputs]
+        std = np.array([fit.noise.get(name, np.nan) for name in outputs])
+        colour = tuple(AutoRegression(fit.noise_colour.get(name, ())) for name in outputs)
+        noise = Noise(std, fit.noise_source, False, fit.noise_sources, colour)
+        known = {f.name for f in fields(FitOptions)}
+        options = FitOptions(**{name: value for name, value in fit.options.items() if name in known})
+        return cls(fit.model, tuple(t.experiment for t in fit.traces), noise, (), options)
+
+    def at(self, fit: Fit) -> Trial:
+        """A finished fit as it stands, without another search."""
+        problem = self.problem(fit.model)
+        names = problem.model.system.state_names
+        guess = np.array([[t.initial_state[name] for name in names] for t in fit.traces])
+        variables = replace(problem.variables, initial=replace(problem.variables.initial, guess=guess))
+        evaluation = problem.shooting(variables).evaluate(np.zeros(variables.size))
+        return Trial(fit.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation)
 
     @cached_property
     def base(self) -> Trial:

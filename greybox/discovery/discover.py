@@ -9,26 +9,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.discovery import rules
+from greybox.discovery.attempt import judged, scales_along
 from greybox.discovery.bench import Bench, Trial
 from greybox.discovery.colour import KNOWN, LEFT_OVER, colour_known, remainder, renoised
+from greybox.discovery.gap import Gap, gaps
 from greybox.discovery.hidden import hidden
-from greybox.discovery.result import Discovery, Gap, Rank
+from greybox.discovery.look import looked
+from greybox.discovery.missing import missing_signals
+from greybox.discovery.result import Discovery, Rank
 from greybox.discovery.search import Say, Search
 from greybox.discovery.separate import Separation, separations
-from greybox.discovery.where import likeliest, sites
+from greybox.discovery.stand_in import StandIn, stand_in
 from greybox.discovery.words import story
-from greybox.effects import Scales, applicable, scales_of, tailored
+from greybox.effects import Scales, applicable, tailored
 from greybox.errors import DataError
 from greybox.experiment import Experiment
-from greybox.fitting import FitOptions, fit, validate
+from greybox.fitting import FitOptions
 from greybox.model import Effect, Model
 from greybox.noise import Noise
-from greybox.result import Fit, Misfit
+from greybox.result import Fit
 
 Records = Experiment | Sequence[Experiment]
 
 # Times that the noise is looked at again, and sets of effects that are refitted then.
 ROUNDS, CARRIED = 2, 8
+# A misfit shows elsewhere if it is this many times as far above the noise there.
+ELSEWHERE = 2.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,8 @@ class Evidence:
     base: Fit
     best: Fit
     gap: Mapping[str, Gap]
+    judges: tuple[Experiment, ...]
+    skip: int
 
     @property
     def worst(self) -> Gap:
@@ -70,6 +78,8 @@ class Evidence:
             return False
         noise = self.search.base.problem.noise
         outputs = [o.name for o in self.base.model.outputs]
+        if self.worst.before / self.worst.floor - 1 < ELSEWHERE * (self.search.base.per_sample**0.5 - 1):
+            return False
         return any(
             g.before / g.floor > rules.visible(self.base.validation[name].samples, noise.colour[outputs.index(name)])
             for name, g in self.gap.items()
@@ -102,7 +112,7 @@ def discover(
             "no validation record: a discovery is judged on data that no constant has seen; give at least one"
         )
     bench = Bench(model, _several(estimation), dict(noise or {}), _several(quiet), options)
-    scales = _scales(bench)
+    scales = scales_along(bench.base)
     candidates = [tailored(e, scales) for e in effects] if effects else applicable(model, scales)
     found, notes = _evidence(bench, candidates, scales, judges, 0, say), []
     if found.shows_elsewhere and options.at_rest:
@@ -126,17 +136,8 @@ def _evidence(
     else:
         search, chosen = _with_unknown_noise(search, say)
     rivals = search.rivals(chosen) if chosen.effects else []
-    base, best = (_judged(t, bench, judges, skip) for t in (search.base, chosen))
-    gap = {o: _gap(base.validation[o], best.validation[o]) for o in base.validation}
-    return Evidence(search, chosen, rivals, base, best, gap)
-
-
-def _judged(trial: Trial, bench: Bench, judges: tuple[Experiment, ...], skip: int) -> Fit:
-    """The trial as a fit with intervals, judged on the other records."""
-    quick = replace(bench.options, progressive=False, thorough=False)
-    result = fit(trial.model, bench.experiments, noise=trial.problem.noise, options=quick)
-    judged = validate(result.model, judges, noise=result.noise, skip=skip, options=quick)
-    return replace(result, validation=judged.misfit, validation_traces=judged.traces)
+    base, best = (judged(t, bench, judges, skip) for t in (search.base, chosen))
+    return Evidence(search, chosen, rivals, base, best, gaps(base, best), judges, skip)
 
 
 def _with_unknown_noise(search: Search, say: Say) -> tuple[Search, Trial]:
@@ -177,13 +178,23 @@ def _discovery(found: Evidence, notes: Sequence[str], seconds: float) -> Discove
     verdict, chosen, search = found.verdict, found.chosen, found.search
     trials = sorted(search.tried.values(), key=lambda t: t.criterion)
     ranking = [Rank(t.effects, t.per_sample**0.5, t.criterion - trials[0].criterion) for t in trials]
-    places = likeliest(sites(search.base)) if verdict != "complete" else []
+    look = looked(search.base)
     tests = [s[0] for rival in found.rivals if (s := separations(search.bench, chosen, rival))]
     limits = hidden(search.singles) if verdict == "complete" else []
+    curve = _curve(found) if verdict == "unknown" else None
+    signals = missing_signals(search.bench, chosen) if chosen.effects else ()
     return Discovery(
-        verdict, found.base, found.best, [t.effects for t in found.rivals], found.gap, ranking, places,
-        story(verdict, chosen, found.rivals, found.gap), (*notes, *map(_told, tests), *limits), seconds,
+        verdict, found.base, found.best, [t.effects for t in found.rivals], found.gap, ranking, look,
+        story(verdict, chosen, found.rivals, found.gap, look, curve), (*notes, *map(_told, tests), *limits), seconds, signals, curve,
     )  # fmt: skip
+
+
+def _curve(found: Evidence) -> StandIn | None:
+    """A smooth curve for what the nearest look-alike leaves over, if that explains the larger part, or else for all of it."""
+    search, chosen = found.search, found.chosen
+    helps = found.worst.closed > rules.PARTLY and chosen.effects
+    trial = chosen if helps else search.base
+    return stand_in(search.bench, trial, looked(trial), found.judges, found.base, found.skip)
 
 
 def _told(test: Separation) -> str:
@@ -199,15 +210,3 @@ def _silent(_: str) -> None:
 
 def _several(records: Records) -> tuple[Experiment, ...]:
     return (records,) if isinstance(records, Experiment) else tuple(records)
-
-
-def _scales(bench: Bench) -> Scales:
-    """Peaks and times of the fitted plain model on the first record."""
-    problem, variables = bench.base.problem, bench.base.variables
-    _, states = problem.shooting(variables).simulate(np.zeros(variables.size))[0]
-    record = problem.records[0]
-    return scales_of(bench.base.model, states, record.u, float(np.median(record.h)))
-
-
-def _gap(before: Misfit, after: Misfit) -> Gap:
-    return Gap(before.rmse, after.rmse, before.rmse / before.noise_ratio, before.unit)

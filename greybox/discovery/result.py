@@ -7,22 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from greybox.discovery.gap import Gap
+from greybox.discovery.look import Unexplained
+from greybox.discovery.missing import Missing
+from greybox.discovery.stand_in import StandIn
 from greybox.result import Fit, layout, plain
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Rms free-run misfit of one output on the validation records, before and after, beside the noise floor, in ``unit``."""
-
-    before: float
-    after: float
-    floor: float
-    unit: str
-
-    @property
-    def closed(self) -> float:
-        """Share of the gap to the floor that was closed."""
-        return (self.before - self.after) / max(self.before - self.floor, 1e-12 * self.before)
 
 
 @dataclass(frozen=True)
@@ -41,7 +30,9 @@ class Discovery:
     ``verdict``: ``complete`` (nothing is missing beyond the noise), ``named``, ``ambiguous`` (``alternatives`` explain the records
     as well), or ``unknown`` (something is missing that no effect of the catalogue explains; ``best`` is the nearest look-alike).
     ``base`` and ``best`` are fits of the plain and of the extended model; ``gap`` by output; ``ranking`` of the candidates;
-    ``story`` one paragraph; ``notes`` what to know before believing it.
+    ``look``: where, when and in which region the plain model falls short; ``story`` one paragraph; ``notes`` what to know before
+    believing it; ``missing``: for each effect its signal as the data and as the extended model have it; ``stand_in``: a smooth curve
+    in the place of an unknown effect.
     """
 
     verdict: str
@@ -50,10 +41,22 @@ class Discovery:
     alternatives: Sequence[tuple[str, ...]]
     gap: Mapping[str, Gap]
     ranking: Sequence[Rank]
-    sites: Sequence[str]
+    look: Unexplained
     story: str
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
+    missing: tuple[Missing, ...] = ()
+    stand_in: StandIn | None = None
+
+    @property
+    def sites(self) -> tuple[str, ...]:
+        """Where the plain model falls short: the likeliest site with those that the sensors cannot tell from it."""
+        return self.look.where
+
+    @property
+    def extended(self) -> Fit:
+        """The fit to go on with: that with the named effects; the plain one where it is complete; with the curve where it is unknown."""
+        return self.stand_in.fit if self.verdict == "unknown" and self.stand_in is not None else self.best
 
     @property
     def effects(self) -> list[dict[str, Any]]:
@@ -73,7 +76,8 @@ class Discovery:
     def save(self, path: str | Path) -> Path:
         """Write ``discovery.json``."""
         data = {
-            "verdict": self.verdict, "effects": self.effects, "alternatives": self.alternatives, "sites": self.sites,
+            "verdict": self.verdict, "effects": self.effects, "alternatives": self.alternatives, "sites": self._sites(),
+            "when": self.look.windows, "regions": self.look.regions, "stand_in": self._stand_in(),
             "parameters": self.best.parameters, "gap": self.gap, "ranking": self.ranking, "story": self.story,
             "notes": self.notes, "seconds": self.seconds, "model": self.best.model.name, "equations": self.best.equations,
             "noise": self.best.noise, "noise_source": self.best.noise_source, "versions": self.best.versions,
@@ -83,15 +87,34 @@ class Discovery:
         target.write_text(layout(plain(data)) + "\n", encoding="utf-8")
         return target
 
+    def _sites(self) -> list[dict[str, Any]]:
+        """Ranked sites, each with the number of the set that the sensors cannot separate it from (0: the likeliest)."""
+        sets = {name: k for k, group in enumerate(self.look.sets) for name in group}
+        return [
+            {"name": s.name, "kind": s.kind, "gain": s.gain, "set": sets[str(s)], "size": s.size, "unit": s.unit}
+            for s in self.look.sites
+        ]
+
+    def _stand_in(self) -> dict[str, Any] | None:
+        found = self.stand_in
+        if found is None:
+            return None
+        return {
+            "site": found.site, "variable": found.variable, "variable_unit": found.variable_unit, "unit": found.unit,
+            "closed": found.closed, "gap": found.gap, "values": found.values, "curve": found.curve,
+        }  # fmt: skip
+
     def __str__(self) -> str:
         lines = [self.story, ""]
+        if self.look.missing:
+            lines += [f"  the plain model: {line}" for line in str(self.look).splitlines()]
         for effect in self.effects:
             values = ", ".join(_constant(name, c) for name, c in effect["parameters"].items())
             lines.append(f"  {effect['name']} -> {effect['site']}: {values}")
         for output, gap in self.gap.items():
-            lines.append(
-                f"  {output}: rms misfit on the validation records {gap.before:.4g} -> {gap.after:.4g} {gap.unit} (noise {gap.floor:.4g})"
-            )
+            lines.append(f"  {output}: rms misfit on the validation records {gap}")
+        if self.stand_in is not None:
+            lines.append(f"  stand-in: {self.stand_in}")
         if self.ranking:
             lines += ["", "  candidate                                misfit/noise   behind the best"]
             lines += [f"  {' + '.join(r.effects):40s} {r.misfit:12.4g}   {r.behind:15.4g}" for r in self.ranking[:10]]

@@ -1,0 +1,152 @@
+"""What the catalogue does not explain: a smooth fitted curve in the place of the unknown effect.
+
+``sum c_k B(t - k)``, ``t = (z - lowest) / pitch``, with the cubic B-spline ``B(t) = ((2 - |t|)_+^3 - 4 (1 - |t|)_+^3) / 6`` (C. de Boor
+1978, A practical guide to splines), constant outside the range that was seen. Weak priors on the ordinates keep apart what a
+constant of the model could do as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from greybox.discovery.attempt import judged
+from greybox.discovery.bench import Bench, Trial
+from greybox.discovery.gap import Gap, gaps
+from greybox.discovery.look import Unexplained
+from greybox.discovery.places import INPUT, SENSOR, Place, places
+from greybox.discovery.region import TIME, WORTH, Region
+from greybox.experiment import Experiment
+from greybox.model import Effect
+from greybox.result import Fit
+from greybox.result.frozen import ReadOnly
+from greybox.signals import Expression, Named, Parameter
+
+NAME = "fitted_curve"
+# Intervals of the curve; how far it reaches beyond the stretch that was looked at; prior of an ordinate over the signal's rms.
+INTERVALS, MARGIN, LOOSE = 20, 0.15, 5.0
+ITERATIONS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class StandIn(ReadOnly):
+    """A curve fitted in the place of an unknown effect: at ``site``, a function of ``variable``.
+
+    ``fit`` is the extended model with the curve as an effect; ``gap`` by output on the validation records. ``values`` (M,) of the
+    variable and the ``curve`` (M,) there, in ``variable_unit`` and ``unit``.
+    """
+
+    site: str
+    variable: str
+    variable_unit: str
+    unit: str
+    fit: Fit
+    gap: Mapping[str, Gap]
+    values: np.ndarray
+    curve: np.ndarray
+
+    @property
+    def closed(self) -> float:
+        """Share of the gap that it closes, in the output that the plain model misses most."""
+        return max(self.gap.values(), key=lambda g: g.before / g.floor).closed
+
+    def __str__(self) -> str:
+        return (
+            f"a smooth curve over {self.variable} at the {self.site} closes {100 * self.closed:.3g} % of the gap"
+            " on the validation records"
+        )
+
+
+def stand_in(
+    bench: Bench, trial: Trial, found: Unexplained, judges: Sequence[Experiment], base: Fit, skip: int = 0
+) -> StandIn | None:
+    """The curve for what ``trial`` leaves over; None where that is no function of any one variable, or cannot be simulated.
+
+    ``base``: the plain model judged on the same records, which the gap is counted from.
+    """
+    region = next((r for r in found.regions if r.variable != TIME and r.share > WORTH), None)
+    signal = found.signal
+    if region is None or signal is None:
+        return None
+    measured = [o.name for o in trial.model.outputs]
+    place = next(p for p in places(trial.model, measured) if str(p) == signal.site)
+    effect, start = curve_effect(place, region, signal.variables[region.variable], signal.value, signal.std)
+    model = trial.model + effect
+    names = next(b.own for b in model.bound_effects if b.effect.name == NAME)
+    better = bench.best(
+        model, [{**trial.model.values, **{names[n]: v for n, v in start.items()}}, trial.model.values], 1, ITERATIONS
+    )
+    if better is None:
+        return None
+    fitted = judged(better, bench, judges, skip)
+    seen = signal.variables[region.variable]
+    z = np.linspace(seen.min(), seen.max(), 101)
+    values = {n: better.model.values[there] for n, there in names.items()}
+    return StandIn(
+        signal.site, region.variable, region.unit, place.unit, fitted, gaps(base, fitted), z, curve_at(values, z)
+    )  # fmt: skip
+
+
+def curve_effect(
+    place: Place, region: Region, z: np.ndarray, w: np.ndarray, std: np.ndarray
+) -> tuple[Effect, dict[str, float]]:
+    """A spline over the variable of ``region`` as an effect at ``place``, and its ordinates by regression of ``w`` (K,) on ``z`` (K,)."""
+    low, high = float(z.min()), float(z.max())
+    low, high = low - MARGIN * (high - low), high + MARGIN * (high - low)
+    pitch, size = (high - low) / INTERVALS, float(np.sqrt(np.mean(w**2)))
+    ordinates = [f"c{k}" for k in range(INTERVALS + 3)]
+    parameters = [
+        Parameter("lowest", region.unit, low, fixed=True, source="range of the record", description=f"least {region.variable}"),
+        Parameter("pitch", region.unit, pitch, fixed=True, source="range of the record", description="distance of the knots"),
+        *(
+            Parameter(n, place.unit, 0.0, source="zero, until fitted", prior=(0.0, LOOSE * size), description="ordinate")
+            for n in ordinates
+        ),
+    ]  # fmt: skip
+    variable, is_input = region.variable, place.kind == INPUT
+
+    def curve(x: Named, u: Named, p: Named) -> Expression:
+        seen = x[variable] if variable in x else u[variable]
+        return _spline((seen - p.lowest) / p.pitch, [p[n] for n in ordinates])
+
+    def changed(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+        return value + curve(x, u, p)
+
+    basis = _basis((z - low) / pitch)
+    weight = 1 / np.maximum(std, 1e-3 * size)
+    held = np.eye(len(ordinates)) / (LOOSE * size)
+    c = np.linalg.lstsq(
+        np.vstack([basis * weight[:, None], held]), np.append(w * weight, np.zeros(len(ordinates))), rcond=None
+    )[0]
+    effect = Effect(
+        NAME, place.name, parameters,
+        terms=None if place.kind in (INPUT, SENSOR) else curve,
+        on_input=changed if is_input else None, on_output=changed if place.kind == SENSOR else None,
+        equation=f"cubic spline over {variable}", parity=region.parity, amplitudes=ordinates,
+        source="fitted to what the model leaves over; no law of its own",
+    )  # fmt: skip
+    return effect, dict(zip(ordinates, map(float, c), strict=True))
+
+
+def curve_at(values: Mapping[str, float], z: np.ndarray) -> np.ndarray:
+    """The spline with these constants at ``z`` (M,)."""
+    ordinates = np.array([values[f"c{k}"] for k in range(INTERVALS + 3)])
+    return _basis((z - values["lowest"]) / values["pitch"]) @ ordinates
+
+
+def _basis(t: np.ndarray) -> np.ndarray:
+    """Cubic B-splines (M, INTERVALS + 3) at ``t``, which is clipped to the range [0, INTERVALS]."""
+    away = np.abs(np.clip(t, 0, INTERVALS)[:, None] - np.arange(-1, INTERVALS + 2))
+    return (np.maximum(2 - away, 0) ** 3 - 4 * np.maximum(1 - away, 0) ** 3) / 6
+
+
+def _spline(t: Expression, ordinates: Sequence[Expression]) -> Expression:
+    inside = ca.fmin(ca.fmax(t, 0), INTERVALS)
+    total: Expression = 0
+    for k, c in enumerate(ordinates, start=-1):
+        away = ca.fabs(inside - k)
+        total = total + c * (ca.fmax(2 - away, 0) ** 3 - 4 * ca.fmax(1 - away, 0) ** 3) / 6
+    return total

@@ -1,0 +1,98 @@
+"""The steps of a discovery by hand: look, try an effect, keep or drop it. The rig is simulated without greybox."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.discovery.region import regions
+from greybox.discovery.when import windows
+from greybox.fitting import FitOptions
+from models.micro_actuator import micro_actuator
+from tests.test_discover import off, records
+
+NOISE = (2e-7, 5e-3)
+GIVEN = {"x": 2e-7, "i": 5e-3}
+
+
+def fitted(effects):
+    train, test = records(micro_actuator, effects, NOISE, rows=1200)
+    return gb.fit(off(micro_actuator), train, noise=GIVEN, options=FitOptions(at_rest=True)), test
+
+
+@pytest.fixture(scope="module")
+def friction():
+    return fitted({"coulomb_friction": {"Fc": 0.05}})
+
+
+def test_the_look_says_where_when_and_as_a_function_of_what(friction):
+    fit, _ = friction
+    look = gb.unexplained(fit)
+    assert look.missing
+    assert look.where[0] == "balance force"
+    assert look.regions[0].variable == "v"
+    assert look.regions[0].parity == "odd"
+    assert sum(w.share for w in look.windows) == pytest.approx(1)
+    # the dry friction that was put in has 0.05 N throughout; what a viscous damper could do of it is fitted already
+    assert 0.01 < look.sites[0].size < 0.05
+    assert "balance force" in str(look)
+    # the drive and the voltage balance are one way in: no sensor can ever tell them apart
+    gains = {str(s): s.gain for s in look.sites}
+    assert gains["input u"] == pytest.approx(gains["balance voltage"])
+
+
+def test_an_effect_is_tried_kept_and_missed_when_dropped(friction):
+    fit, test = friction
+    attempt = gb.try_effect(fit, "coulomb_friction", validation=test, nominal=off(micro_actuator))
+    assert attempt.needed
+    assert attempt.larger.parameters["Fc"].value == pytest.approx(0.05, rel=0.02)
+    assert attempt.gap["x"].closed > 0.95
+    assert not gb.unexplained(attempt.larger).missing
+    assert attempt.model is attempt.larger.model
+    again = gb.drop_effect(attempt.larger, "coulomb_friction")
+    assert again.needed
+    assert again.smaller.misfit["x"].rmse == pytest.approx(fit.misfit["x"].rmse, rel=0.05)
+
+
+def test_an_effect_that_is_not_there_is_not_kept():
+    fit, test = fitted({})
+    look = gb.unexplained(fit)
+    assert not look.missing and "nothing is missing" in str(look)
+    attempt = gb.try_effect(fit, "cubic_stiffness", validation=test)
+    assert not attempt.needed
+    assert attempt.model is fit.model or attempt.model.effects == ()
+    assert "leave it out" in str(attempt)
+
+
+@pytest.mark.parametrize(
+    ("curve", "parity", "words"),
+    [
+        (lambda z: np.sign(z), "odd", "step"),
+        (lambda z: 3 * z**2, "even", "square"),
+        (lambda z: 5 * z**3, "odd", "faster"),
+    ],
+)
+def test_a_shape_is_told_by_its_variable(curve, parity, words):
+    rng = np.random.default_rng(1)
+    t = np.arange(3000) * 1e-3
+    z = np.cumsum(rng.normal(size=t.size))
+    z = z - np.linspace(z[0], z[-1], t.size)
+    z = np.sin(37 * t) * (1 + 0.3 * np.sin(5 * t)) + 0.05 * z / np.abs(z).max()
+    w = curve(z) + 0.1 * rng.normal(size=t.size)
+    best = regions(t, w, {"other": (rng.normal(size=t.size), "V"), "z": (z, "m")})[0]
+    assert (best.variable, best.parity) == ("z", parity)
+    assert words in best.shape
+
+
+def test_a_tone_that_the_input_does_not_have_is_told_by_its_frequency():
+    rng = np.random.default_rng(2)
+    t = np.arange(4000) * 2.5e-4
+    w = np.sin(2 * np.pi * 50 * t) + 0.3 * rng.normal(size=t.size)
+    best = regions(t, w, {"x": (rng.normal(size=t.size), "m")})[0]
+    assert best.tone == pytest.approx(50, abs=0.5)
+
+
+def test_windows_share_out_the_misfit():
+    r = np.ones((1000, 1))
+    r[200:300] = 10.0
+    found = windows(["a"], [np.arange(1000) * 0.01], [r])
+    assert sum(w.share for w in found if 1.99 < w.start < 3) == pytest.approx(1, abs=0.01)
