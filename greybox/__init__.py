@@ -61,6 +61,7 @@ if TYPE_CHECKING:
         validate,
     )
     from greybox.model import Balance, DryFriction, Effect, Model
+    from greybox.reports import report
     from greybox.result import Estimate, Fit, Misfit, load_fit
     from greybox.signals import Input, Output, Parameter, State
     from greybox.simulation import Simulation, simulate
@@ -94,6 +95,7 @@ _ROOMS = {
         *("predict", "predictor", "smooth", "validate"),
     ),
     "model": ("Balance", "DryFriction", "Effect", "Model"),
+    "reports": ("report",),
     "result": ("Estimate", "Fit", "Misfit", "load_fit"),
     "signals": ("Input", "Output", "Parameter", "State"),
     "simulation": ("Simulation", "simulate"),
@@ -158,6 +160,7 @@ __all__ = [
     "predictor",
     "read_csv",
     "read_experiments",
+    "report",
     "resample",
     "rounded",
     "scan_structures",

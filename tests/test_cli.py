@@ -69,8 +69,9 @@ def test_a_fit_prints_saves_and_draws(run: Run, data: Path, tmp_path: Path) -> N
     for text in ("M dv/dt = Kf i", "converged", "Kf ", "[", "V*s/m", "fixed", "best fit", "validation", "written: "):
         assert text in result.stdout
     folder = tmp_path / "results" / "micro_actuator-fit"
-    figures = ["fit-train.png", "fit.json", "residual-i.png", "residual-x.png", "validation-test.png"]
-    assert everything(folder) == figures
+    written = ["fit-train.png", "fit.json", "report.html", "residual-i.png", "residual-x.png", "validation-test.png"]
+    assert everything(folder) == written
+    assert result.stdout.splitlines()[-1].startswith(f"report: {Path('results', 'micro_actuator-fit', 'report.html')}")
     assert "no trace of the input u" in result.stdout
     saved = json.loads((folder / "fit.json").read_text())
     assert saved["model"] == "micro_actuator"
@@ -107,7 +108,7 @@ def test_the_command_does_what_the_library_does(run: Run, data: Path, tmp_path: 
 
 
 def test_quiet_means_silent(run: Run, data: Path, tmp_path: Path) -> None:
-    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, "-q", "--output", "out")
+    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, "-q", "--no-report", "--output", "out")
     assert (result.exit_code, result.output) == (0, "")
     files = ["out", "out/fit-train.png", "out/fit.json", "out/residual-i.png", "out/residual-x.png"]
     assert everything(tmp_path) == files
@@ -151,7 +152,9 @@ def test_an_output_that_only_a_validation_record_has_is_drawn(run: Run, data: Pa
     judge = ["--validate", data / "test.csv"]
     result = run("fit", "micro_actuator", "x.csv", *KNOWN, "--fix", "Kf", *judge, "--output", "out")
     assert result.exit_code == 0, result.output
-    assert everything(tmp_path / "out") == ["fit-x.png", "fit.json", "residual-x.png", "validation-test.png"]
+    assert everything(tmp_path / "out") == [
+        "fit-x.png", "fit.json", "report.html", "residual-x.png", "validation-test.png"
+    ]  # fmt: skip
 
 
 def test_a_free_decay_is_fitted_when_it_is_said_to_be_one(run: Run, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.reports import fit_page, write
+from greybox.reports import report_of_fit, write
 from models.micro_actuator import micro_actuator
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
@@ -57,7 +57,9 @@ def good_fit():
 
 @pytest.fixture(scope="module")
 def report(good_fit, tmp_path_factory) -> Path:
-    return write(fit_page(good_fit, command=f"greybox fit {HOSTILE}"), tmp_path_factory.mktemp("report") / "fit.html")
+    return write(
+        report_of_fit(good_fit, command=f"greybox fit {HOSTILE}"), tmp_path_factory.mktemp("report") / "fit.html"
+    )
 
 
 def test_the_page_draws_every_figure_and_stays_small(browser, report):
@@ -88,10 +90,10 @@ def test_dark_and_light_follow_the_reader_and_the_button(browser, report):
 
 def test_zooming_the_residual_zooms_the_run_and_renews_the_spectrum(browser, report):
     with opened(browser, report) as page:
-        before = page.evaluate("document.querySelector('#spectrum-fit-0-x .plot').data[0].x.length")
-        page.evaluate("Plotly.relayout(document.querySelector('#residual-fit-0-x .plot'), {'xaxis.range': [0.3, 0.5]})")
-        page.wait_for_function("document.querySelector('#run-fit-0-x .plot').layout.xaxis.range[1] === 0.5")
-        page.wait_for_function(f"document.querySelector('#spectrum-fit-0-x .plot').data[0].x.length !== {before}")
+        before = page.evaluate("document.querySelector('#spectrum-0 .plot').data[0].x.length")
+        page.evaluate("Plotly.relayout(document.querySelector('#residual-0 .plot'), {'xaxis.range': [0.3, 0.5]})")
+        page.wait_for_function("document.querySelector('#run-0 .plot').layout.xaxis.range[1] === 0.5")
+        page.wait_for_function(f"document.querySelector('#spectrum-0 .plot').data[0].x.length !== {before}")
 
 
 def test_a_phone_shows_the_page_without_scrolling_sideways(browser, report):

@@ -15,6 +15,7 @@ from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
 from greybox.cli.interrupt import held
 from greybox.cli.progress import meter
 from greybox.cli.records import by_record, tell_notes
+from greybox.cli.reporting import NoReport, told, write_report
 
 if TYPE_CHECKING:
     from greybox.diagnose import ResidualTests
@@ -68,11 +69,13 @@ def fit(
     ] = None,
     silent: Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the fit as JSON instead of text.")] = False,
+    no_report: NoReport = False,
 ) -> None:
     """Fit the constants of MODEL to records, and judge the fit.
 
     Prints the equations, the constants with 95 % intervals, the misfit on the fitted and on the validation records, and
-    what to know before trusting them. Writes DIR/fit.json and a figure for each record.
+    what to know before trusting them. Writes DIR/fit.json, a figure for each record (PNG and SVG), and DIR/report.html: a
+    page with everything, to look at in a browser.
 
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.
@@ -119,7 +122,7 @@ def fit(
     _tell(result, tests, ahead, saved, skip, quiet=silent, json=json)
     if interrupted or result.status == "interrupted":
         stop(f"interrupted; the best point so far is in {saved}", INTERRUPTED)
-    _draw(result, tests, saved, skip, quiet=silent or json)
+    _draw(result, tests, saved, skip, quiet=silent or json, page=not no_report)
     if not result.success:
         stop(f"no success: {result.meaning}", UNSUCCESSFUL)
 
@@ -148,13 +151,16 @@ def _tested(result: Fit) -> ResidualTests | None:
     return diagnose_residuals(result) if result.success and (runs_freely(result) or result.process_noise) else None
 
 
-def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool) -> None:
+def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool, page: bool) -> None:
     from greybox.figures import fit_figure, residual_figure
 
     try:
         figures = fit_figure(result, saved.parent, skip=skip)
         figures += residual_figure(tests, saved.parent, title=result.model.title) if tests else []
+        report = write_report(result, saved.parent / "report.html", tests=tests, skip=skip) if page else None
     except KeyboardInterrupt:
         stop(f"interrupted while drawing; the fit is in {saved}", INTERRUPTED)
     if not quiet:
         typer.echo(f"\nwritten: {saved}, {', '.join(map(str, figures))}")
+        if report:
+            typer.echo(told(report))

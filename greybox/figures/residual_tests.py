@@ -14,7 +14,7 @@ from scipy.stats import norm, probplot
 
 from greybox.diagnose import ResidualSeries, ResidualTest, ResidualTests
 from greybox.figures.envelope import envelope
-from greybox.figures.fit_figure import BAND, DPI, RESIDUAL, SIMULATED
+from greybox.figures.of_fit import BAND, DPI, RESIDUAL, SIMULATED
 from greybox.figures.scale import written
 from greybox.noise import AutoRegression
 

@@ -18,6 +18,13 @@ class Text:
 
 
 @dataclass(frozen=True)
+class Heading:
+    """A heading within a section."""
+
+    title: str
+
+
+@dataclass(frozen=True)
 class Listing:
     """Short statements, one below the other."""
 
@@ -52,13 +59,25 @@ class Equations:
 
 
 @dataclass(frozen=True)
+class View:
+    """What a figure shows once its button is pressed: the numbers of its ``traces``, and what that changes in its ``layout``.
+
+    ``signal`` is a residual sampled evenly from ``start`` in steps of ``step`` seconds (``values``; ``figure``: the one that shows
+    its spectrum, ``trace``: as which curve), whose spectrum is taken anew over the stretch that is zoomed into.
+    """
+
+    traces: Sequence[int]
+    layout: Mapping[str, Any] = field(default_factory=dict)
+    signal: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Figure:
     """A figure to look into closely.
 
-    ``data`` and ``layout`` as Plotly takes them (plain lists and dictionaries); ``description`` says in words what is to be
+    ``data`` and ``layout`` as Plotly takes them (plain lists and dictionaries, arrays); ``description`` says in words what is to be
     seen, for those who do not see it; ``height`` in pixels. Figures of one ``group`` zoom together along the horizontal axis.
-    ``choices`` name the traces that a button shows: name -> numbers of the traces. ``signal`` is a residual (time, values, name of
-    the figure that shows its spectrum), whose spectrum is taken anew over the stretch that is zoomed into.
+    ``views`` are what buttons above it show, the first one at the beginning; figures with the same ``switch`` change theirs together.
     """
 
     name: str
@@ -68,8 +87,8 @@ class Figure:
     layout: Mapping[str, Any]
     height: int = 360
     group: str = ""
-    choices: Mapping[str, Sequence[int]] = field(default_factory=dict)
-    signal: Mapping[str, Any] = field(default_factory=dict)
+    views: Mapping[str, View] = field(default_factory=dict)
+    switch: str = ""
 
 
 @dataclass(frozen=True)
@@ -88,7 +107,7 @@ class Folded:
     blocks: Sequence[Block]
 
 
-Block: TypeAlias = "Text | Listing | Table | Equations | Figure | Code | Folded"
+Block: TypeAlias = "Text | Heading | Listing | Table | Equations | Figure | Code | Folded"
 
 
 @dataclass(frozen=True)

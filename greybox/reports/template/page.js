@@ -15,55 +15,72 @@
   const figures = [...document.querySelectorAll("figure.drawn")].map((element) => ({
     element,
     plot: element.querySelector(".plot"),
+    shown: 0,
     ...JSON.parse(element.querySelector('script[type="application/json"]').textContent),
   }));
 
   // A colour in a figure is the name of a variable of the page's style, so that it follows light and dark.
   const painted = (value) => {
     if (typeof value === "string") return value.startsWith("--") ? colour(value) : value;
-    if (Array.isArray(value)) return value.length && typeof value[0] === "number" ? value : value.map(painted);
+    if (Array.isArray(value)) return value.some((v) => typeof v === "string" || (v && typeof v === "object")) ? value.map(painted) : value;
     if (value && typeof value === "object")
       return Object.fromEntries(Object.entries(value).map(([key, inner]) => [key, painted(inner)]));
     return value;
   };
 
-  const styled = (layout) => {
+  const merged = (base, over) => {
+    const result = { ...base };
+    for (const [key, value] of Object.entries(over))
+      result[key] = value && typeof value === "object" && !Array.isArray(value) ? merged(base[key] ?? {}, value) : value;
+    return result;
+  };
+
+  const narrow = () => window.innerWidth < 640;
+  const styled = (figure) => {
+    const view = figure.views[figure.shown];
     const axis = { gridcolor: colour("--line"), zerolinecolor: colour("--line"), linecolor: colour("--line"), automargin: true };
-    const own = painted(layout);
+    const own = painted(view ? merged(figure.layout, view.layout) : figure.layout);
     const axes = Object.fromEntries(
-      Object.keys({ xaxis: 0, yaxis: 0, ...own }).filter((key) => /^[xy]axis/.test(key)).map((key) => [key, { ...axis, ...own[key] }]));
+      Object.keys({ xaxis: 0, yaxis: 0, ...own }).filter((key) => /^[xy]axis/.test(key)).map((key) => {
+        return [key, { ...axis, ...(own[key]?.type === "log" ? { exponentformat: "none" } : {}), ...own[key], uirevision: key[0] === "x" ? "kept" : String(figure.shown) }];
+      }));
     return {
-      margin: { l: 60, r: 16, t: 16, b: 44 }, hovermode: "x unified", showlegend: true,
+      margin: { l: narrow() ? 44 : 60, r: 16, t: 16, b: 44 }, hovermode: "x unified", showlegend: true, uirevision: "kept",
       legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 },
       ...own, ...axes,
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
-      font: { color: colour("--ink"), family: getComputedStyle(document.body).fontFamily, size: 13 },
+      font: { color: colour("--ink"), family: getComputedStyle(document.body).fontFamily, size: narrow() ? 11 : 13 },
       hoverlabel: { bgcolor: colour("--panel"), bordercolor: colour("--line"), font: { color: colour("--ink") } },
+      ...(paper ? { width: PAPER, height: figure.plot.clientHeight } : {}),
     };
   };
 
+  // Pixels that a sheet of paper is wide, while printing.
+  const PAPER = 690;
+  let paper = false;
   const draw = (figure) => {
-    const shown = figure.shown && new Set(figure.choices[figure.shown]);
+    const shown = figure.views.length && new Set(figure.views[figure.shown].traces);
     const data = figure.data.map((trace, k) => ({ ...painted(trace), ...(shown && { visible: shown.has(k) }) }));
-    return Plotly.react(figure.plot, data, styled(figure.layout), { responsive: true, displaylogo: false });
+    return Plotly.react(figure.plot, data, styled(figure), { responsive: !paper, displaylogo: false, displayModeBar: narrow() ? false : "hover" });
   };
 
-  // Amplitude density of a stretch: Hann window, as the page's own spectra.
-  const spectrum = (time, values) => {
+  // Amplitude density of a stretch: Hann window, gaps as the mean, as the page's own spectra.
+  const spectrum = (values, step) => {
+    const rows = values.length, known = values.filter((v) => v !== null);
+    if (rows < 16 || !known.length) return null;
+    const mean = known.reduce((a, b) => a + b, 0) / known.length;
     let n = 1;
-    while (2 * n <= Math.min(values.length, 8192)) n *= 2;
-    if (n < 16) return null;
-    const mean = values.slice(0, n).reduce((a, b) => a + (b ?? 0), 0) / n;
+    while (n < rows) n *= 2;
     const re = new Float64Array(n), im = new Float64Array(n);
     let power = 0;
-    for (let k = 0; k < n; k++) {
-      const w = 0.5 - 0.5 * Math.cos((2 * Math.PI * k) / n);
+    for (let k = 0; k < rows; k++) {
+      const w = 0.5 - 0.5 * Math.cos((2 * Math.PI * k) / rows);
       power += w * w;
       re[k] = w * ((values[k] ?? mean) - mean);
     }
     transform(re, im);
-    const step = (time[n - 1] - time[0]) / (n - 1), f = [], a = [];
-    for (let k = 1; k < n / 2; k++) {
+    const f = [], a = [];
+    for (let k = Math.max(1, Math.round(n / rows)); k <= n / 2; k++) {
       f.push(k / (n * step));
       a.push(Math.sqrt((2 * step * (re[k] * re[k] + im[k] * im[k])) / power));
     }
@@ -93,38 +110,49 @@
     }
   };
 
-  // Plotly tells of a zoom after the call that made it has returned: a figure that already shows the stretch is left
-  // alone, or two linked figures would send it back and forth for ever.
-  const shows = (plot, range) => {
-    const axis = plot.layout.xaxis;
-    return range ? !axis.autorange && axis.range[0] === range[0] && axis.range[1] === range[1] : axis.autorange === true;
-  };
-
+  // What is zoomed along the horizontal axis in one figure of a group is zoomed in all of them.
   const zoomed = (figure, change) => {
+    if (!figure.group) return;
     const low = change["xaxis.range[0]"] ?? change["xaxis.range"]?.[0], high = change["xaxis.range[1]"] ?? change["xaxis.range"]?.[1];
     const whole = change["xaxis.autorange"] === true;
     if (low === undefined && !whole) return;
-    const range = whole ? null : [low, high];
-    for (const one of figures) {
-      if (one !== figure && !(figure.group && one.group === figure.group)) continue;
-      if (!shows(one.plot, range)) Plotly.relayout(one.plot, range ? { "xaxis.range": range } : { "xaxis.autorange": true });
-      respectrum(one, range && range.map(Number));
+    const range = whole ? null : [Number(low), Number(high)];
+    if (String(range) === String(figure.range ?? null)) return; // an echo of a zoom that is known
+    const together = figures.filter((other) => other.group === figure.group);
+    for (const other of together) other.range = range;
+    for (const other of together) {
+      if (other !== figure) Plotly.relayout(other.plot, whole ? { "xaxis.autorange": true } : { "xaxis.range": [...range] });
+      respectrum(other);
     }
   };
 
-  const respectrum = (figure, range) => {
-    const signal = figure.signal;
-    const target = signal.figure && figures.find((f) => f.element.id === signal.figure);
+  // The spectrum of the stretch that is looked at.
+  const respectrum = (figure) => {
+    const signal = figure.views[figure.shown]?.signal;
+    const target = signal?.figure && figures.find((f) => f.element.id === signal.figure);
     if (!target) return;
-    const rows = signal.time.map((t, k) => k).filter((k) => !range || (signal.time[k] >= range[0] && signal.time[k] <= range[1]));
-    const found = spectrum(rows.map((k) => signal.time[k]), rows.map((k) => signal.values[k]));
-    if (found) Plotly.restyle(target.plot, { x: [found.f], y: [found.a] }, [signal.trace ?? 0]);
+    const { start, step, values, trace } = signal;
+    target.whole ??= {};
+    target.whole[trace] ??= { x: target.data[trace].x, y: target.data[trace].y };
+    let shown = target.whole[trace];
+    if (figure.range) {
+      const [first, last] = figure.range.map((t) => Math.min(Math.max(Math.round((t - start) / step), 0), values.length - 1));
+      const found = spectrum(values.slice(first, last + 1), step);
+      if (found) shown = { x: found.f, y: found.a };
+    }
+    target.data[trace] = { ...target.data[trace], ...shown };
+    draw(target);
   };
 
   const choose = (figure, name) => {
-    figure.shown = name;
-    draw(figure);
-    for (const button of figure.element.querySelectorAll(".choices button")) button.setAttribute("aria-pressed", String(button.textContent === name));
+    for (const one of figures.filter((other) => other === figure || (figure.switch && other.switch === figure.switch))) {
+      const k = one.views.findIndex((view) => view.name === name);
+      if (k < 0) continue;
+      one.shown = k;
+      for (const button of one.element.querySelectorAll(".choices button")) button.setAttribute("aria-pressed", String(button.textContent === name));
+      draw(one);
+      if (one.range) respectrum(one);
+    }
   };
 
   const dress = (dark) => {
@@ -140,27 +168,36 @@
   document.getElementById("theme").addEventListener("click", () => dress(root.dataset.theme !== "dark"));
 
   for (const figure of figures) {
-    const names = Object.keys(figure.choices);
-    for (const name of names) {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.textContent = name;
-      button.addEventListener("click", () => choose(figure, name));
-      figure.element.querySelector(".choices").append(button);
-    }
-    if (names.length) choose(figure, names[0]);
+    const choices = figure.element.querySelector(".choices");
+    if (figure.views.length > 1)
+      for (const [k, { name }] of figure.views.entries()) {
+        const button = document.createElement("button");
+        button.type = "button";
+        button.textContent = name;
+        button.setAttribute("aria-pressed", String(k === figure.shown));
+        button.addEventListener("click", () => choose(figure, name));
+        choices.append(button);
+      }
     figure.plot.on("plotly_relayout", (change) => zoomed(figure, change));
   }
+
+  // A figure inside a fold has no size until it is opened.
+  for (const fold of document.querySelectorAll("details"))
+    fold.addEventListener("toggle", () => {
+      if (fold.open) figures.filter((f) => fold.contains(f.element)).forEach((f) => Plotly.Plots.resize(f.plot));
+    });
 
   // On paper everything is light, open and as wide as the page.
   let before = [];
   window.addEventListener("beforeprint", () => {
     before = [root.dataset.theme === "dark", [...document.querySelectorAll("details:not([open]):not(.words)")]];
     before[1].forEach((d) => (d.open = true));
+    paper = true;
     dress(false);
   });
   window.addEventListener("afterprint", () => {
     before[1].forEach((d) => (d.open = false));
+    paper = false;
     dress(before[0]);
   });
   window.greyboxReady = true;

@@ -1,0 +1,224 @@
+"""The page of a fit: what came out, whether to believe it, what it was made from, how to repeat it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from greybox.diagnose import ResidualTests, diagnose_residuals
+from greybox.figures import misfits_of
+from greybox.model import Model
+from greybox.reports.axes import stretches
+from greybox.reports.constant_figures import correlation_figure, half_width, intervals_figure, tied
+from greybox.reports.equations import typeset
+from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text, Tone
+from greybox.reports.record_figures import WHOLE, inputs_figure, record_figures
+from greybox.reports.records import records_section
+from greybox.reports.repeat import repeat_section
+from greybox.reports.residual_figures import memory_figure
+from greybox.reports.words import counted, listed, sentence, typeset_number, unit_text
+from greybox.result import Fit, Misfit, Trace
+from greybox.result.summary import MISFIT_HEADS, constant_rows, misfit_cells
+from greybox.uncertainty.again import runs_freely
+
+# A misfit up to this many times the noise is called good.
+GOOD = 1.2
+# Records whose curves stand open on the page, and those that are drawn at all; all are in the tables.
+OPEN, MOST_DRAWN = 2, 20
+# Rows of all records beyond which the spectra no longer follow the zoom: the page would grow too large.
+ALL_WHOLE = 100_000
+
+
+def report_of_fit(fit: Fit, *, command: str = "", tests: ResidualTests | None = None, skip: int = 0) -> Page:
+    """The page of a fit.
+
+    ``command`` is what was typed, for repeating it; ``tests`` those of the residual, made here if left out; ``skip`` rows at the
+    start of validation records do not count.
+    """
+    sections = [
+        Section("constants", "Constants", list(_constants(fit))),
+        Section("misfit", "Measured and simulated", list(_misfit(fit, skip))),
+        Section("residual", "What the residual says", list(_residual(fit, tests))),
+        Section("model", "The model", [typeset(fit.model)]),
+        records_section([*fit.traces], [*fit.validation_traces], fit),
+        repeat_section(fit, command),
+    ]
+    return Page(f"Fit of {fit.model.title}", _question(fit), verdict(fit), sections, "fit")
+
+
+def _question(fit: Fit) -> str:
+    rows = sum(len(t.time) for t in fit.traces)
+    known = [n for n, e in fit.parameters.items() if e.fixed]
+    told = f"; {listed(known)} {'is' if len(known) == 1 else 'are'} given" if known else ""
+    return (
+        f"Which values of {listed(fit.free) or 'its constants'} make the model follow {counted(len(fit.traces), 'record')}"
+        f" ({counted(rows, 'row')}){told}?"
+    )
+
+
+def units_of(model: Model) -> dict[str, str]:
+    """Unit of each output and input."""
+    return {o.name: o.unit for o in model.outputs} | {i.name: i.unit for i in model.inputs}
+
+
+def verdict(fit: Fit) -> Text:
+    """In plain words whether the fit succeeded and what to know before trusting it."""
+    if not fit.success:
+        said = [
+            f"This fit did not succeed: {fit.meaning}.",
+            "The numbers below are where the search stopped. They are shown to find the reason, not to be used.",
+        ]
+        return Text([*said, *map(sentence, fit.notes[:3])], "bad")
+    worst = max((m.noise_ratio for m in fit.misfit.values() if math.isfinite(m.noise_ratio)), default=math.nan)
+    loose = [n for n in fit.free if n in fit.parameters and not fit.parameters[n].determined]
+    fine = worst <= GOOD and not loose
+    tone: Tone = "good" if fine else "caution"
+    said = [_followed(fit, worst), _determined(fit, loose), *_judged(fit)]
+    return Text([*filter(None, said), *(sentence(n) for n in fit.notes[:3])], tone)
+
+
+def _followed(fit: Fit, worst: float) -> str:
+    sizes = listed([f"{m.noise_ratio:.3g} times the noise in {name}" for name, m in fit.misfit.items()])
+    if not math.isfinite(worst):
+        return "The model follows the fitted records; the noise is not known, so nothing tells whether well enough."
+    if worst <= GOOD:
+        return f"The model explains the fitted records: what it leaves over is {sizes}."
+    return (
+        f"The model does not explain the fitted records: what it leaves over is {sizes}. Either it lacks something, which"
+        " greybox discover looks for, or the noise is larger than was assumed."
+    )
+
+
+def _determined(fit: Fit, loose: list[str]) -> str:
+    if not fit.free:
+        return "No constant was fitted."
+    if loose:
+        return f"The records do not determine {listed(loose)}: the 95 % interval reaches further than half the value."
+    sides = [half for name in fit.free if (half := half_width(fit.parameters[name])) is not None]
+    known = f" to ± {typeset_number(f'{max(sides):.2g}')} % or better" if sides else ""
+    if len(fit.free) == 1:
+        return f"{fit.free[0]} is determined{known}."
+    return f"All {len(fit.free)} fitted constants are determined{known}, with 95 % confidence."
+
+
+def _judged(fit: Fit) -> Iterator[str]:
+    if fit.validation:
+        sizes = listed([f"{m.noise_ratio:.3g} times the noise in {n}" for n, m in fit.validation.items()])
+        yield f"On {counted(len(fit.validation_traces), 'record')} that the fit has not seen it leaves over {sizes}."
+    else:
+        yield "It was not judged on other records; a second record would tell whether the constants hold there."
+
+
+def _constants(fit: Fit) -> Iterator[Block]:
+    rows = [
+        [name, typeset_number(value), typeset_number(limits), unit_text(unit) if unit else "", remark]
+        for name, value, limits, unit, remark in constant_rows(fit)
+    ]
+    yield Table(
+        "Constants with their standard deviations and 95 % intervals",
+        ["constant", "value", "95 % interval", "unit", "remark"],
+        rows,
+        _interval_words(fit),
+    )
+    known = intervals_figure(fit)
+    if known is not None:
+        yield known
+    together = correlation_figure(fit)
+    if together is not None:
+        pairs = tied(fit)
+        if pairs:
+            yield Listing([sentence(p) for p in pairs])
+        yield Folded("Which constants the data move together", [together])
+
+
+def _interval_words(fit: Fit) -> str:
+    if not fit.free:
+        return ""
+    if fit.interval_kind == "sandwich" and fit.inflation:
+        return (
+            "The residual is not white: the intervals allow for its colour, which widened them up to "
+            f"{max(fit.inflation.values()):.3g} times."
+        )
+    if fit.process_noise:
+        return "The intervals are from the information of the likelihood; the innovations are white."
+    return "The residual is white: the intervals are from the Gauss-Newton covariance."
+
+
+def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
+    yield _misfit_table("Free run on the fitted records", fit.misfit)
+    if fit.prediction:
+        yield _misfit_table("Prediction one sample ahead", fit.prediction)
+    if fit.validation:
+        yield _misfit_table("Free run on records that the fit has not seen", fit.validation)
+    runs = [("fitted record", t, 0) for t in fit.traces] + [
+        ("validation record", t, skip) for t in fit.validation_traces
+    ]
+    if len(runs) > 2:
+        yield _by_record(fit, runs)
+    units = units_of(fit.model)
+    drawn = runs[:MOST_DRAWN]
+    most = stretches(sum(3 * len(t.measured) + len(t.inputs) for _, t, _ in drawn))
+    whole = sum(len(t.measured) * min(len(t.time), WHOLE) for _, t, _ in drawn) <= ALL_WHOLE
+    for k, (kind, trace, _) in enumerate(drawn):
+        blocks: list[Block] = [*record_figures(trace, units, fit.noise, f"{k}", most, whole=whole)]
+        drive = inputs_figure(trace, units, f"{k}", most)
+        blocks += [drive] if drive is not None else []
+        opened = k == 0 or (kind == "validation record" and runs[k - 1][0] == "fitted record")
+        if opened:
+            yield Heading(f"{kind.capitalize()} {trace.name}")
+        yield from blocks if opened else [Folded(f"{kind} {trace.name}", blocks)]
+    if len(runs) > MOST_DRAWN:
+        yield Text([f"{len(runs) - MOST_DRAWN} more records are in the tables, but not drawn."])
+
+
+def _by_record(fit: Fit, runs: list[tuple[str, Trace, int]]) -> Table:
+    rows = [
+        [trace.name, kind, output, *map(typeset_number, misfit_cells(m))]
+        for kind, trace, left_out in runs
+        for output, m in misfits_of(fit, trace, left_out).items()
+    ]
+    return Table("Record by record", ["record", "use", "output", *MISFIT_HEADS], rows)
+
+
+def _misfit_table(title: str, misfit: Mapping[str, Misfit]) -> Table:
+    rows = [[name, *map(typeset_number, misfit_cells(m))] for name, m in misfit.items()]
+    return Table(title, ["output", *MISFIT_HEADS], rows)
+
+
+def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
+    if fit.notes:
+        yield Listing([sentence(n) for n in fit.notes])
+    if not fit.success:
+        yield Text(["The fit did not succeed: tests of its residual would say nothing about the model."], "caution")
+        return
+    if not (runs_freely(fit) or fit.process_noise):
+        yield Text(
+            ["No tests of the residual: states that are set anew along the record take up what the model lacks."],
+            "caution",
+        )
+        return
+    tests = tests or diagnose_residuals(fit)
+    loud, count = len(tests.alarms), len(tests.tests)
+    if loud:
+        yield Text(
+            [f"{loud} of {count} tests {'speaks' if loud == 1 else 'speak'} up: what is left is not only noise."],
+            "caution",
+        )
+    else:
+        yield Text([f"None of {count} tests speaks up: what is left looks like noise."], "good")
+    rows = [
+        [
+            f"{t.output}: {t.test}", t.sentence, typeset_number(f"{t.p_value:.2g}"), typeset_number(f"{t.statistic:.4g}"),
+            "speaks up" if t.alarm else "",
+        ]
+        for t in tests.tests
+    ]  # fmt: skip
+    yield Table(
+        "Tests of the residual",
+        ["test", "what it says", "p", "figure", ""],
+        rows,
+        "Each test alone speaks up (p below 0.01) in one good fit of a hundred.",
+    )
+    for output in fit.misfit:
+        residuals = [t.residual(output) for t in fit.traces if output in t.measured]
+        yield memory_figure(f"memory-{output}", output, residuals)

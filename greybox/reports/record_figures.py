@@ -1,0 +1,133 @@
+"""One record as figures that belong together: the run, the residual and its spectrum, which follow one another's zoom."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from greybox.figures.envelope import envelope
+from greybox.figures.scale import label, scaled
+from greybox.reports.axes import axes, band, density, even_step, extent, line, rms, thinned
+from greybox.reports.page import Figure, View
+from greybox.result import Trace
+
+# Values of a residual that travel whole with the page, for the spectrum of a stretch.
+WHOLE = 25_000
+
+
+def record_figures(
+    trace: Trace, units: Mapping[str, str], noise: Mapping[str, float], name: str, most: int, *, whole: bool = True
+) -> list[Figure]:
+    """Run, residual and spectrum of one record; a button for each output. ``noise``: standard deviation by output, where known.
+
+    ``name`` makes the figures' addresses; ``most`` stretches for each curve; ``whole``: the residual travels with the page, and
+    its spectrum is taken anew where one zooms in.
+    """
+    outputs = list(trace.measured)
+    return [
+        _run(trace, outputs, units, name, most),
+        _residual(trace, outputs, units, noise, name, most, whole),
+        _spectrum(trace, outputs, units, noise, name, most),
+    ]
+
+
+def inputs_figure(trace: Trace, units: Mapping[str, str], name: str, most: int) -> Figure | None:
+    """What drove the record, a button for each input; None where nothing did."""
+    if not trace.inputs:
+        return None
+    data, views, words = [], {}, []
+    for k, (own, values) in enumerate(trace.inputs.items()):
+        factor, text = scaled(units[own], values)
+        data.append(line(*envelope(trace.time, factor * values, most), own, "--fourth", width=1.2))
+        views[own] = View([k], {"yaxis": {"title": {"text": label(own, text)}}})
+        words.append(f"{own} runs from {extent(factor * values)} {text}")
+    return Figure(
+        f"inputs-{name}", f"What drove record {trace.name}.", "; ".join(words) + ".", data, axes("time [s]", ""), height=230,
+        group=name, views=views,
+    )  # fmt: skip
+
+
+def _run(trace: Trace, outputs: list[str], units: Mapping[str, str], name: str, most: int) -> Figure:
+    data, views, words = [], {}, []
+    for k, output in enumerate(outputs):
+        measured, simulated = trace.measured[output], trace.simulated[output]
+        factor, text = scaled(units[output], measured, simulated)
+        data.append(line(*envelope(trace.time, factor * measured, most), "measured", "--measured", width=2.4))
+        data.append(line(*envelope(trace.time, factor * simulated, most), "model, free run", "--model", width=1.2))
+        views[output] = View([2 * k, 2 * k + 1], {"yaxis": {"title": {"text": label(output, text)}}})
+        gaps = int(np.isnan(measured).sum())
+        words.append(
+            f"{output} over {trace.time[-1] - trace.time[0]:.4g} s: measured from {extent(factor * measured)} {text}, simulated from "
+            f"{extent(factor * simulated)} {text}"
+            + (f"; {gaps} of {len(measured)} values are missing, the measured curve has gaps there" if gaps else "")
+        )
+    return Figure(
+        f"run-{name}", f"Record {trace.name}: measured, and the model's free run from the first row.", ". ".join(words) + ".", data,
+        axes("time [s]", ""), group=name, views=views, switch=name,
+    )  # fmt: skip
+
+
+def _residual(
+    trace: Trace, outputs: list[str], units: Mapping[str, str], noise: Mapping[str, float], name: str, most: int, whole: bool
+) -> Figure:  # fmt: skip
+    step = even_step(trace.time)
+    data, views, words = [], {}, []
+    for k, output in enumerate(outputs):
+        residual, std = trace.residual(output), _known(noise.get(output))
+        factor, text = scaled(units[output], residual, np.array([2 * std]))
+        data.append(line(*envelope(trace.time, factor * residual, most), "residual", "--residual", width=1.0))
+        layout: dict[str, Any] = {"yaxis": {"title": {"text": label(f"residual of {output}", text)}}, "shapes": []}
+        said = f"residual of {output}: rms {factor * rms(residual):.3g} {text}"
+        if std > 0:
+            layout["shapes"] = [band(factor * 2 * std)]
+            inside = np.mean(np.abs(residual[np.isfinite(residual)]) <= 2 * std) if np.isfinite(residual).any() else 0
+            said += (
+                f", {100 * inside:.0f} % within two standard deviations of the noise (± {factor * 2 * std:.3g} {text})"
+            )
+        signal: dict[str, Any] = {}
+        if whole and step is not None and len(residual) <= WHOLE:
+            start = float(trace.time[0])
+            signal = {
+                "start": start,
+                "step": step,
+                "values": factor * residual,
+                "figure": f"spectrum-{name}",
+                "trace": 2 * k,
+            }
+        views[output] = View([k], layout, signal)
+        words.append(said)
+    known = "; the grey band is two standard deviations of the noise" if any(_known(n) for n in noise.values()) else ""
+    return Figure(
+        f"residual-{name}", f"Measured minus simulated, record {trace.name}{known}.", ". ".join(words) + ".", data,
+        axes("time [s]", ""), height=270, group=name, views=views, switch=name,
+    )  # fmt: skip
+
+
+def _spectrum(
+    trace: Trace, outputs: list[str], units: Mapping[str, str], noise: Mapping[str, float], name: str, most: int
+) -> Figure:
+    step = even_step(trace.time) or float(np.median(np.diff(trace.time)))
+    data, views, words = [], {}, []
+    for k, output in enumerate(outputs):
+        residual, std = trace.residual(output), _known(noise.get(output))
+        factor, text = scaled(units[output], residual, np.array([2 * std]))
+        f, amplitude = thinned(*density(factor * residual, step), most)
+        floor = np.array([factor * std * np.sqrt(2 * step)] * 2) if std > 0 else np.array([])
+        data.append(line(f, amplitude, "residual", "--residual", width=1.0))
+        data.append(line(f[[0, -1]] if len(f) and len(floor) else f[:0], floor, "noise", "--model", dash="dash"))
+        views[output] = View(
+            [2 * k, 2 * k + 1] if std > 0 else [2 * k], {"yaxis": {"title": {"text": label(output, f"{text}/√Hz")}}}
+        )
+        if len(f):
+            words.append(f"the residual of {output} is strongest at {f[int(np.argmax(amplitude))]:.4g} Hz")
+    return Figure(
+        f"spectrum-{name}", "Spectrum of this residual, and where white noise of the known size would lie. Zoom into the residual"
+        " in time: the spectrum becomes that of the stretch.", ("; ".join(words) or "no residual") + ".", data,
+        axes("frequency [Hz]", "", logarithmic="xy"), height=280, views=views, switch=name,
+    )  # fmt: skip
+
+
+def _known(std: float | None) -> float:
+    return std if std is not None and np.isfinite(std) else 0.0

@@ -1,0 +1,52 @@
+"""The data of a page: which records, what they hold, and their fingerprints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from greybox.reports.axes import extent
+from greybox.reports.page import Section, Table
+from greybox.reports.words import listed, sentence, unit_text
+from greybox.result import Fit, Trace
+
+HEAD = ["record", "use", "rows", "duration", "sampling time", "missing values", "fingerprint"]
+
+
+def records_section(fitted: Sequence[Trace], judging: Sequence[Trace], fit: Fit) -> Section:
+    """Names, lengths, gaps and fingerprints of the records, and what their columns hold."""
+    rows = [*(_record(t, "fitted") for t in fitted), *(_record(t, "judged by") for t in judging)]
+    noise = sentence(f"noise: {fit.noise_source}")
+    return Section("data", "The data", [Table("Records", HEAD, rows, noise), _signals([*fitted, *judging], fit)])
+
+
+def _record(trace: Trace, use: str) -> list[str]:
+    missing = {name: int(np.isnan(v).sum()) for name, v in trace.measured.items()}
+    gaps = listed([f"{count} of {name}" for name, count in missing.items() if count])
+    return [
+        trace.name, use, str(len(trace.time)), f"{trace.time[-1] - trace.time[0]:.6g} s", pace(trace.time), gaps or "none",
+        trace.fingerprint[:12],
+    ]  # fmt: skip
+
+
+def pace(time: np.ndarray) -> str:
+    """The sampling time, or its range where it varies."""
+    steps = np.diff(time)
+    if not len(steps):
+        return ""
+    even = float(np.ptp(steps)) < 1e-6 * float(steps.mean())
+    return f"{float(steps.mean()):.6g} s" if even else f"{float(steps.min()):.4g} to {float(steps.max()):.4g} s"
+
+
+def _signals(traces: Sequence[Trace], fit: Fit) -> Table:
+    rows = []
+    for use, signals in (("input", fit.model.inputs), ("measured", fit.model.outputs)):
+        for signal in signals:
+            groups = [t.inputs if use == "input" else t.measured for t in traces]
+            values = [np.asarray(g[signal.name]) for g in groups if signal.name in g]
+            std = fit.noise.get(signal.name) if use == "measured" else None
+            known = f"{std:.3g}" if std is not None and np.isfinite(std) else ""
+            reach = extent(np.concatenate(values)) if values else "not recorded"
+            rows.append([signal.name, use, unit_text(signal.unit), reach, known])
+    return Table("Signals over all records", ["signal", "use", "unit", "from … to", "noise (std)"], rows)

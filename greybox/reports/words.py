@@ -1,0 +1,44 @@
+"""How a page writes numbers, units and counts: with the signs that a terminal may lack."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from greybox.figures.scale import written
+from greybox.result.summary import number
+
+__all__ = ["counted", "listed", "number", "sentence", "typeset_number", "unit_text"]
+
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+EXPONENT = re.compile(r"(?<=\d)e([+-])0*(\d+)")
+
+
+def typeset_number(text: str) -> str:
+    """A cell of numbers as print has it: ``5.01e-04 +- 3e-06`` is 5.01·10⁻⁴ ± 3·10⁻⁶."""
+    return EXPONENT.sub(_power, text.replace("+-", "±").replace(" x noise", " × noise"))
+
+
+def _power(found: re.Match[str]) -> str:
+    return "·10" + (found.group(1).replace("+", "") + found.group(2)).translate(RAISED)
+
+
+def unit_text(unit: str) -> str:
+    """A unit as print has it: N s/m, Ω."""
+    return written(unit).replace("ohm", "Ω")
+
+
+def counted(number_of: int, what: str) -> str:
+    """``1 record``, ``2 records``."""
+    return f"{number_of} {what}" if number_of == 1 else f"{number_of} {what}s"
+
+
+def listed(names: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
+
+
+def sentence(text: str) -> str:
+    """With a capital at its beginning and a full stop at its end."""
+    text = text.strip()
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?", ":")) or not text else ".")
