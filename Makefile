@@ -33,6 +33,7 @@ lint: $(VENV)/.installed-dev ## check style, format and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: export NO_MKDOCS_2_WARNING = 1 # an advertisement
 docs: $(VENV)/.installed-docs ## build the documentation into site/, warnings are errors
 	$(BIN)/python -m mkdocs build --strict $(ARGS)
 

@@ -1,28 +1,114 @@
-"""What MkDocs does with a page before it is built: formulas between dollar signs become MathML, which browsers typeset offline."""
+"""What MkDocs does with a page before it is built.
+
+Formulas between dollar signs become MathML, which browsers typeset offline. Lines such as ``<!-- public names -->`` become what the
+program itself says: every public name with its docstring, the help of every command, the catalogue of effects. Pages that
+studies write into this folder join the navigation by themselves.
+"""
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
 
+FOLDER = Path(__file__).parent
 DISPLAYED = re.compile(r"^\$\$(.+?)\$\$", re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"(?<![\\$`\w])\$(?!\s)([^$\n`]+?)(?<!\s)\$(?![\w$])")
 CODE = re.compile(r"(^```.*?^```|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
+STUDIES = "Studies"
+
+
+def on_config(config: Any) -> Any:
+    """Every page that is not in the navigation yet goes to its end, where the studies are."""
+    known = set(_pages(config.nav))
+    found = sorted(path.name for path in FOLDER.glob("*.md") if path.name not in known)
+    for entry in config.nav:
+        if STUDIES in entry:
+            entry[STUDIES].extend(found)
+    return config
+
+
+def _pages(nav: Any) -> Iterator[str]:
+    if isinstance(nav, str):
+        yield nav
+    else:
+        for entry in nav.values() if isinstance(nav, dict) else nav:
+            yield from _pages(entry)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """The page's text with its formulas typeset; code is left as it is."""
+    """The page's text, with what the program says put in and its formulas typeset; code is left as it is."""
+    for words, write in GENERATED.items():
+        mark = f"<!-- {words} -->"
+        if mark in markdown:
+            markdown = markdown.replace(mark, write())
     pieces = CODE.split(markdown)
     return "".join(piece if k % 2 else _typeset(piece) for k, piece in enumerate(pieces))
 
 
 def _typeset(text: str) -> str:
-    text = DISPLAYED.sub(lambda found: _line(convert(found.group(1).strip(), display="block")), text)
-    return INLINE.sub(lambda found: _line(convert(found.group(1))), text)
+    text = DISPLAYED.sub(lambda found: f'<div class="math">{_line(convert(found[1].strip(), display="block"))}</div>', text)
+    # In a span, because Markdown takes a line that begins with another tag for a block.
+    return INLINE.sub(lambda found: f"<span>{_line(convert(found[1]))}</span>", text)
 
 
 def _line(mathml: str) -> str:
     """In one line, so that Markdown takes it for one piece."""
     return " ".join(mathml.split())
+
+
+def public_names() -> str:
+    """Every public name by the room it lives in, for mkdocstrings."""
+    import greybox
+
+    lines: list[str] = []
+    for room, names in greybox._ROOMS.items():
+        doc = inspect.getdoc(importlib.import_module(f"greybox.{room}")) or ""
+        lines += [f"## {room}", "", doc.split("\n\n")[0], ""]
+        for name in names:
+            lines += [f"::: {_where(getattr(greybox, name), f'greybox.{room}.{name}')}", ""]
+    return "\n".join(lines)
+
+
+def _where(value: Any, otherwise: str) -> str:
+    """The full name of a function or class; of anything else the one it is imported by."""
+    named = inspect.isfunction(value) or inspect.isclass(value)
+    return f"{value.__module__}.{value.__qualname__}" if named else otherwise
+
+
+def commands() -> str:
+    """What each command says when asked for help."""
+    from typer.testing import CliRunner
+
+    from greybox.cli.app import app
+
+    runner = CliRunner()
+
+    def told(*words: str) -> str:
+        return runner.invoke(app, [*words, "--help"], prog_name="greybox", color=False).output.strip()
+
+    names = sorted(c.name or c.callback.__name__ for c in app.registered_commands if c.callback)
+    sections = [f"```text\n{told()}\n```"]
+    sections += [f"## greybox {name}\n\n```text\n{told(name)}\n```" for name in names]
+    return "\n\n".join(sections)
+
+
+def catalogue() -> str:
+    """The effects of the catalogue: name, place, equation, and what tells each apart from its look-alikes."""
+    from greybox import CATALOGUE
+
+    sections = []
+    for e in CATALOGUE:
+        constants = ", ".join(f"`{q.name}`: {q.description}" for q in e.parameters)
+        lines = [f"## {e.name}", f"At `{e.site}`." + (f" `{e.equation}`" if e.equation else ""), constants]
+        lines += [e.tells_apart, f"*Source: {e.source}*" if e.source else ""]
+        sections.append("\n\n".join(line for line in lines if line))
+    return "\n\n".join(sections)
+
+
+GENERATED: dict[str, Callable[[], str]] = {"public names": public_names, "commands": commands, "catalogue": catalogue}
