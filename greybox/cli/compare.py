@@ -93,9 +93,15 @@ def compare(
     o.check_substeps(plants[0], method, substeps)
     folder = o.writable_folder(output or Path("results") / f"{plain.name}-compare")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
+    stated = c.from_files(condition)
     records, judges, hushed = (
         read_experiments(
-            files, plain, columns=columns, hold=hold.value, allow_constant_input=free_decay or files is quiet
+            files,
+            plain,
+            columns=columns,
+            hold=hold.value,
+            conditions=None if files is quiet else stated,
+            allow_constant_input=free_decay or files is quiet,
         )
         if files
         else ()
@@ -110,10 +116,13 @@ def compare(
         grey = [_fitted(p, records, show, noise=said, quiet=hushed, options=options) for p in plants]
         measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
         black, notes = black_contestants(
-            records, [q.name for q in measured], [i.name for i in plain.inputs], at_rest=at_rest,
+            records,
+            [q.name for q in measured],
+            [i.name for i in plain.inputs],
+            at_rest=at_rest,
             units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
             report=lambda what, done, of: show(f"{what}: structure {done} of {of}"),
-        )  # fmt: skip
+        )
         show("judging")
         result = compared([*grey, *black], judges, records, skip=skip, options=options, notes=notes)
     _tell(result, folder, records, judges, quiet=silent, json=json)
