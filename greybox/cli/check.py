@@ -23,6 +23,7 @@ def check(
     free: o.Free,
     effect: o.Effects,
     tie: c.Tie,
+    condition: c.Condition,
     noise: o.Noise,
     outputs: Annotated[
         list[str],
@@ -56,9 +57,15 @@ def check(
     plant = c.constrained(o.changed(resolve(model), effects=effect, fix=fix, start=start, free=free), (), tie)
     columns = o.pairs("--column", column) or None
     o.check_substeps(plant, method, substeps)
+    stated = c.from_files(condition)
     records = (
-        read_experiments(data, plant, columns=columns, hold=hold.value, allow_constant_input=free_decay) if data else ()
+        read_experiments(
+            data, plant, columns=columns, hold=hold.value, conditions=stated, allow_constant_input=free_decay
+        )
+        if data
+        else ()
     )
+    records, _ = c.under_conditions(condition, records, ())
     choice = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps)
     only = [name for text in outputs for name in text.replace(",", " ").split()] or None
     found = check_model(plant, records, noise=o.numbers("--noise", noise), outputs=only, options=choice)

@@ -96,9 +96,15 @@ def compare(
     o.check_substeps(plants[0], method, substeps)
     folder = o.writable_folder(output or Path("results") / f"{plain.name}-compare")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
+    stated = c.from_files(condition)
     records, judges, hushed = (
         read_experiments(
-            files, plain, columns=columns, hold=hold.value, allow_constant_input=free_decay or files is quiet
+            files,
+            plain,
+            columns=columns,
+            hold=hold.value,
+            conditions=None if files is quiet else stated,
+            allow_constant_input=free_decay or files is quiet,
         )
         if files
         else ()

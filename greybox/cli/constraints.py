@@ -55,9 +55,10 @@ Condition = Annotated[
     Names,
     typer.Option(
         "--condition",
-        metavar="NAME=V1,V2,...",
+        metavar="NAME[=V1,V2,...]",
         default_factory=list,
-        help="A constant that each record brings itself, one value for each in their order (--validate last).",
+        help="A constant that each record brings itself, one value for each in their order (--validate last); NAME alone"
+        " takes it from each file: a column of that name, or a comment line such as '# P_S = 801 kPa'.",
     ),
 ]
 Loss = Annotated[
@@ -92,12 +93,21 @@ def constrained(model: Model, prior: Iterable[str], tie: Iterable[str]) -> Model
     return model.prior(**priors).with_ties(pairs("--tie", tie))
 
 
+def from_files(condition: Sequence[str]) -> dict[str, None]:
+    """The conditions that each file states itself, for `greybox.experiment.read_experiments`. Raises GreyboxError."""
+    bare = [text.strip() for text in condition if "=" not in text]
+    both = sorted(set(bare) & {text.partition("=")[0].strip() for text in condition if "=" in text})
+    if both:
+        raise GreyboxError(f"--condition {both[0]}: given with values and from the files; keep one")
+    return dict.fromkeys(bare)
+
+
 def under_conditions(
-    condition: Iterable[str], records: Sequence[Experiment], judges: Sequence[Experiment]
+    condition: Sequence[str], records: Sequence[Experiment], judges: Sequence[Experiment]
 ) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
-    """The records and those for validation, each with the conditions it was run under. Raises GreyboxError."""
+    """The records and those for validation, each with the conditions that have values on the command line. Raises GreyboxError."""
     everything = [*records, *judges]
-    for name, text in pairs("--condition", condition).items():
+    for name, text in pairs("--condition", (one for one in condition if "=" in one)).items():
         values = [numbers("--condition", [f"{name}={one.strip()}"])[name] for one in text.split(",")]
         if len(values) not in (len(records), len(everything)):
             raise GreyboxError(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from greybox.cli import constraints as c
 from greybox.cli import options as o
 from greybox.cli.guard import note
 from greybox.cli.records import tell_notes
@@ -25,6 +26,7 @@ def discover(
     fix: o.Fix,
     start: o.Start,
     free: o.Free,
+    condition: c.Condition,
     noise: o.Noise,
     quiet: o.Quiet,
     hold: o.Hold = o.HoldName.zero,
@@ -56,8 +58,13 @@ def discover(
     plant = o.changed(resolve(model), fix=fix, start=start, free=free)
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-discover")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
-    records = read_experiments(estimation, plant, columns=columns, hold=hold.value)
-    judges = read_experiments(validate, plant, columns=columns, hold=hold.value) if validate else ()
+    records, judges = (
+        read_experiments(files, plant, columns=columns, hold=hold.value, conditions=c.from_files(condition))
+        if files
+        else ()
+        for files in (estimation, validate)
+    )
+    records, judges = c.under_conditions(condition, records, judges)
     silent = (
         read_experiments(quiet, plant, columns=columns, hold=hold.value, allow_constant_input=True) if quiet else ()
     )

@@ -91,8 +91,11 @@ def fit(
     o.check_substeps(plant, method, substeps)
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-fit")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
+    stated = c.from_files(condition)
     records, judges = (
-        read_experiments(files, plant, columns=columns, hold=hold.value, allow_constant_input=free_decay)
+        read_experiments(
+            files, plant, columns=columns, hold=hold.value, conditions=stated, allow_constant_input=free_decay
+        )
         if files
         else ()
         for files in (data, validate)

@@ -27,6 +27,11 @@ class ArrayTable:
         return tuple(self.arrays)
 
     @property
+    def comments(self) -> tuple[str, ...]:
+        """None: such files have no lines."""
+        return ()
+
+    @property
     def places(self) -> Places:
         """Rows are called by their number."""
         return Places()

@@ -30,7 +30,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Signal:
-    """A signal wanted from a file: ``kind`` is time, input or output; ``unit`` is the model's."""
+    """A signal wanted from a file: ``kind`` is time, input, output or condition; ``unit`` is the model's."""
 
     kind: str
     name: str
@@ -70,15 +70,18 @@ def parse_header(header: str, position: int) -> Column:
     return Column(text, text, "", position)
 
 
-def match(headers: Sequence[str], model: Model, mapping: Mapping[str, str] | None) -> Match:
+def match(
+    headers: Sequence[str], model: Model, mapping: Mapping[str, str] | None, conditions: Sequence[Signal] = ()
+) -> Match:
     """Find time and the model's inputs and outputs among ``headers``; ``mapping`` (signal -> header) goes first.
 
-    An output may be missing as long as another is there.
+    An output may be missing as long as another is there, and so may ``conditions``.
     """
     columns = [parse_header(h, k) for k, h in enumerate(headers)]
     signals = [Signal(TIME, TIME, "s")]
     signals += [Signal("input", i.name, i.unit) for i in model.inputs]
     signals += [Signal("output", o.name, o.unit) for o in model.outputs]
+    signals += conditions
     known = [s.name for s in signals]
     problems = [
         f"columns names {n!r}, which model {model.name!r} does not have; {nearest(n, known)}"
@@ -160,7 +163,8 @@ def _fits(column: Column, signal: Signal) -> bool:
 
 def _without_column(missing: Sequence[Signal], model: Model, spare: Sequence[Column]) -> list[str]:
     """Problems with the signals that no column is for; an output may be missing, but not all of them."""
-    found = [f"no column for {s.label}; {_nearest_headers(s, spare)}" for s in missing if s.kind != "output"]
+    needed = [s for s in missing if s.kind in (TIME, "input")]
+    found = [f"no column for {s.label}; {_nearest_headers(s, spare)}" for s in needed]
     outputs = [s for s in missing if s.kind == "output"]
     if len(outputs) == len(model.outputs):
         labels = ", ".join(s.label for s in outputs)

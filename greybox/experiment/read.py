@@ -13,6 +13,7 @@ from greybox.errors import DataError
 from greybox.experiment.binary import read_mat, read_npz, read_parquet
 from greybox.experiment.checks import enumerated, invariants, measured, refuse
 from greybox.experiment.columns import TIME, Match, converted, match
+from greybox.experiment.conditions import CONDITION, stated, wanted
 from greybox.experiment.experiment import Experiment, Hold
 from greybox.experiment.table import Table
 from greybox.experiment.text import read_text
@@ -22,6 +23,7 @@ READERS: Mapping[str, Callable[[Path], Table]] = {
     ".csv": read_text, ".tsv": read_text, ".txt": read_text, ".dat": read_text,
     ".mat": read_mat, ".npz": read_npz, ".parquet": read_parquet,
 }  # fmt: skip
+Arrays = dict[str, np.ndarray]
 IGNORED_SHOWN = 8  # headers named in the note on columns that nobody asked for
 
 
@@ -32,7 +34,7 @@ def read_csv(
     columns: Mapping[str, str] | None = None,
     hold: Hold = "zero",
     name: str | None = None,
-    conditions: Mapping[str, float] | None = None,
+    conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
 ) -> Experiment:
     """Read a record for ``model`` from a CSV, TSV, TXT, MAT (up to version 7), NPZ or Parquet file.
@@ -45,18 +47,22 @@ def read_csv(
 
     ``columns``: signal -> header, where the file's headers are others: ``{"x": "Laser ch1 [um]", "time": "Zeit
     [ms]"}``. ``hold``: how the input moves between samples, see `Experiment`. ``name``: None takes the file's name
-    without suffix. ``conditions``: constants of this experiment. ``allow_constant_input``: accept inputs that are zero
-    throughout (free decay).
+    without suffix. ``conditions``: constants of this experiment; None as the value takes it from the file, which has a column of
+    that name (its mean is taken) or a comment line such as ``# P_S = 801 kPa``. ``allow_constant_input``: accept inputs that are
+    zero throughout (free decay).
 
     Raises DataError with every problem of the file in one message, rows called by their line number in the file.
     """
     file = _existing(path)
     table = _opened(file)
-    found = match(table.headers, model, columns)
+    given = {name: value for name, value in (conditions or {}).items() if value is not None}
+    sought = wanted(model, [name for name in conditions or {} if name not in given])
+    found = match(table.headers, model, columns, sought)
     refuse(file.name, found.problems)
     arrays, problems = _arrays(table, found)
     refuse(file.name, problems)
-    time, inputs, outputs = arrays
+    time, inputs, outputs, steady = arrays
+    read, said = stated(sought, steady, table.comments, problems)
     # A file of too few rows is called so, and not by what else follows from it.
     if len(time) > 1:
         problems += invariants(time, inputs, outputs, table.places)
@@ -68,8 +74,8 @@ def read_csv(
         name=name or file.stem,
         hold=hold,
         source=file.name,
-        conditions=conditions,
-        notes=_notes(found),
+        conditions=given | read,
+        notes=(*_notes(found), *said),
         allow_constant_input=allow_constant_input,
     )
 
@@ -80,6 +86,7 @@ def read_experiments(
     *,
     columns: Mapping[str, str] | None = None,
     hold: Hold = "zero",
+    conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
 ) -> tuple[Experiment, ...]:
     """Read several records for one model, as `read_csv` does each; files of the same name get their folder's name in
@@ -97,7 +104,15 @@ def read_experiments(
         name = file.stem if stems.count(file.stem) == 1 else f"{file.parent.name}/{file.stem}"
         try:
             experiments.append(
-                read_csv(file, model, columns=columns, hold=hold, name=name, allow_constant_input=allow_constant_input)
+                read_csv(
+                    file,
+                    model,
+                    columns=columns,
+                    hold=hold,
+                    name=name,
+                    conditions=conditions,
+                    allow_constant_input=allow_constant_input,
+                )
             )
         except DataError as error:
             problems.append(str(error))
@@ -138,15 +153,13 @@ def _opened(file: Path) -> Table:
         raise DataError(f"{file}: cannot be read ({error})") from error
 
 
-def _arrays(
-    table: Table, found: Match
-) -> tuple[tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]], list[str]]:
-    """Time, inputs and outputs in the model's units, and the problems met on the way."""
+def _arrays(table: Table, found: Match) -> tuple[tuple[np.ndarray, Arrays, Arrays, Arrays], list[str]]:
+    """Time, inputs, outputs and conditions in the model's units, and the problems met on the way."""
     raw, problems = table.values([c.position for c in found.columns.values()])
-    groups: dict[str, dict[str, np.ndarray]] = {TIME: {}, "input": {}, "output": {}}
+    groups: dict[str, Arrays] = {TIME: {}, "input": {}, "output": {}, CONDITION: {}}
     for signal, column in found.columns.items():
         groups[signal.kind][signal.name] = converted(raw[column.position], signal, column, problems)
-    return (groups[TIME][TIME], groups["input"], groups["output"]), problems
+    return (groups[TIME][TIME], groups["input"], groups["output"], groups[CONDITION]), problems
 
 
 def _notes(found: Match) -> tuple[str, ...]:

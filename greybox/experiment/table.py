@@ -16,11 +16,15 @@ _THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d+)?")
 
 
 class Table(Protocol):
-    """What every reader hands over: the ``headers`` in the order of the file, and how its rows are called."""
+    """What every reader hands over: the ``headers`` in the order of the file, its ``comments``, and how its rows are called."""
 
     @property
     def headers(self) -> tuple[str, ...]:
         """One header for each column."""
+
+    @property
+    def comments(self) -> tuple[str, ...]:
+        """Lines about the table that are not part of it."""
 
     @property
     def places(self) -> Places:

@@ -32,13 +32,17 @@ Reading = tuple[dict[int, np.ndarray], dict[int, int], dict[int, dict[int, str]]
 
 @dataclass(frozen=True)
 class TextTable:
-    """Lines of a text file that hold numbers, under their ``headers``; ``header_line`` is counted from 1."""
+    """Lines of a text file that hold numbers, under their ``headers``; ``header_line`` is counted from 1.
+
+    ``comments``: the lines that begin with ``#``.
+    """
 
     headers: tuple[str, ...]
     lines: tuple[str, ...]
     places: Places
     separator: str
     header_line: int
+    comments: tuple[str, ...] = ()
 
     def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
         """Columns (N,) as float64 with NaN for gaps, and the problems met."""
@@ -105,7 +109,8 @@ def read_text(path: Path) -> TextTable:
     if misplaced:
         raise DataError(f"{path.name}: {misplaced}")
     places = Places("line", np.array(body, dtype=np.int64) + 1)
-    return TextTable(tuple(headers), tuple(lines[k] for k in body), places, separator, header + 1)
+    comments = tuple(line for line in lines if line.lstrip().startswith("#"))
+    return TextTable(tuple(headers), tuple(lines[k] for k in body), places, separator, header + 1, comments)
 
 
 def fields(line: str, separator: str) -> list[str]:

@@ -1,0 +1,117 @@
+"""Operating conditions from the shell: values on the command line, a column of the file, or a comment line in it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from greybox import DataError, read_csv
+from greybox.cli.app import app
+from greybox.simulation import write_csv
+from models.pneumatic_cylinder import pneumatic_cylinder
+from tests.independent import linear_record
+
+Run = Callable[..., Result]
+SUPPLIES = (7e5, 8e5)
+NOISE = ["--noise", "s=1e-5", "--at-rest"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """``low.csv`` and ``high.csv`` state no supply pressure; ``column.csv`` and ``comment.csv`` are the same records and do."""
+    made = tmp_path_factory.mktemp("records")
+    t = np.arange(300) * 0.01
+    u = 1.25 * np.cos(0.4 * np.pi * t) + 2.0 * np.cos(1.6 * np.pi * t)
+    for name, supply in zip(("low", "high"), SUPPLIES, strict=True):
+        model = pneumatic_cylinder.start(P_S=supply)
+        record = linear_record(model, u, 0.01, [0.0, 0.0, supply / 2, supply / 2])
+        write_csv(record.with_outputs({"s": record.outputs["s"]}), model, made / f"{name}.csv")
+    header, *rows = (made / "low.csv").read_text().splitlines()
+    shown = 700 + 0.5 * np.random.default_rng(0).uniform(-1, 1, len(rows))
+    shown += 700 - shown.mean()
+    lines = [f"{header},P_S [kPa]", *(f"{row},{p:.9f}" for row, p in zip(rows, shown, strict=True))]
+    (made / "column.csv").write_text("\n".join(lines))
+    (made / "comment.csv").write_text("# bench 2\n# P_S = 800 kPa\n" + (made / "high.csv").read_text())
+    (made / "moving.csv").write_text(
+        "\n".join([f"{header},P_S [kPa]", *(f"{row},{600 + k}" for k, row in enumerate(rows))])
+    )
+    return made
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "models"}
+    yield lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
+    for name in [n for n in sys.modules if n.split(".")[0] == "models"]:
+        del sys.modules[name]
+    sys.modules.update(before)
+
+
+@pytest.mark.parametrize(
+    ("files", "option"), [(("low", "high"), "P_S=7e5,8e5"), (("column", "comment"), "P_S")], ids=["values", "files"]
+)
+def test_records_at_two_supply_pressures_are_fitted_with_their_conditions(run: Run, folder, tmp_path, files, option):
+    result = run("fit", "pneumatic_cylinder", *(folder / f"{n}.csv" for n in files), *NOISE, "--condition", option)
+    assert result.exit_code == 0, result.output
+    saved = json.loads((tmp_path / "results" / "pneumatic_cylinder-fit" / "fit.json").read_text())
+    assert [t["conditions"]["P_S"] for t in saved["traces"]] == pytest.approx(SUPPLIES, rel=1e-9)
+    for name in ("K2", "f_v"):
+        assert saved["parameters"][name]["value"] == pytest.approx(pneumatic_cylinder.values[name], rel=1e-6)
+    if option == "P_S":
+        assert "condition P_S: 700000 Pa, mean of its column" in result.stdout
+        assert "condition P_S: 800000 Pa, from a comment of the file" in result.stdout
+
+
+def test_without_its_condition_a_record_is_not_explained(run: Run, folder, tmp_path):
+    run("fit", "pneumatic_cylinder", folder / "low.csv", folder / "high.csv", *NOISE)
+    saved = json.loads((tmp_path / "results" / "pneumatic_cylinder-fit" / "fit.json").read_text())
+    assert saved["misfit"]["s"]["noise_ratio"] > 10
+
+
+@pytest.mark.parametrize("command", ["check", "discover"])
+def test_other_commands_know_conditions_too(run: Run, folder, command):
+    result = run(command, "pneumatic_cylinder", folder / "low.csv", *NOISE, "--condition", "P_S=7e5,8e5,9e5")
+    assert result.exit_code == 2 and "--condition P_S: 3 values for 1 record; give one for each" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["low", "P_S=7e5,8e5"], "--condition P_S: 2 values for 1 record; give one for each, in their order"),
+        (["low", "P_S=-7e5"], "parameter 'P_S': -700000 Pa lies outside its bounds"),
+        (["low", "P_s=7e5"], "condition 'P_s' is no parameter of pneumatic_cylinder; did you mean"),
+        (["low", "P_s"], "has no parameter 'P_s'; did you mean"),
+        (["low", "P_S"], "low.csv: condition 'P_S' [Pa] has neither a column nor a comment line"),
+        (["moving", "P_S"], "its column runs from 600000 to 899000 Pa, so it is no condition of the whole record"),
+    ],
+)
+def test_conditions_that_cannot_be_are_refused_and_nothing_is_written(run: Run, folder, tmp_path, options, words):
+    name, condition = options
+    result = run("fit", "pneumatic_cylinder", folder / f"{name}.csv", *NOISE, "--condition", condition)
+    assert result.exit_code == 2
+    assert words in " ".join(result.stderr.split())
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_comment_states_a_condition_in_its_own_unit_once(folder, tmp_path):
+    table = (folder / "low.csv").read_text()
+    for line in ("# P_S = 8.5 bar", "#P_S [bar]: 8.5", "# P_S = 850000"):
+        (tmp_path / "run.csv").write_text(f"{line}\n{table}")
+        record = read_csv(tmp_path / "run.csv", pneumatic_cylinder, conditions={"P_S": None, "M_piston": 1.5})
+        assert dict(record.conditions) == {"P_S": pytest.approx(8.5e5), "M_piston": 1.5}
+    for text, words in {
+        "# P_S = 8 bar\n# P_S = 9 bar": "has several comment lines",
+        "# P_S = 8 V": "comment line '# P_S = 8 V' is not understood",
+        "# P_S = high": "comment line '# P_S = high' is not understood",
+    }.items():
+        (tmp_path / "run.csv").write_text(f"{text}\n{table}")
+        with pytest.raises(DataError, match=words):
+            read_csv(tmp_path / "run.csv", pneumatic_cylinder, conditions={"P_S": None})
