@@ -37,19 +37,35 @@ def balances(x, u, p):
 cascaded_tanks = Model(
     "cascaded_tanks",
     states=[
-        State("x1", "V", 15.0, (0.0, math.inf), description="level of the upper tank, unit chosen by k2"),
-        State("x2", "V", 5.0, (0.0, math.inf), description="level of the lower tank"),
+        State(
+            "x1",
+            "V",
+            15.0,
+            (0.0, math.inf),
+            role="upper_head",
+            description="level of the upper tank, unit chosen by k2",
+        ),
+        State("x2", "V", 5.0, (0.0, math.inf), role="lower_head", description="level of the lower tank"),
     ],
     inputs=[Input("u", "V", role="drive", description="pump voltage")],
     outputs=[Output("y", "V", lambda x, u, p: x.x2, description="level of the lower tank")],
     parameters=[
-        Parameter("k1", "V**0.5/s", 0.06, (1e-3, 5.0), source=ROUGH, description="outflow of the upper tank"),
+        Parameter(
+            "k1",
+            "V**0.5/s",
+            0.06,
+            (1e-3, 5.0),
+            source=ROUGH,
+            role="upper_outlet",
+            description="outflow of the upper tank",
+        ),
         Parameter(
             "k2",
             "V**0.5/s",
             0.05,
             (1e-3, 5.0),
             fixed=True,
+            role="lower_inlet",
             source="chosen: fixes the free scale of the upper level, any positive number fits equally well",
             description="inflow of the lower tank; fixed, because it only sets the unit of x1",
         ),
@@ -60,7 +76,8 @@ cascaded_tanks = Model(
     description="pump, upper tank, lower tank with its level measured",
     source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark",
     candidates=(
+        *("upper_overflow", "lower_overflow", "reading_curve", "sensor_saturation"),
         *("input_offset", "input_saturation", "input_dead_zone", "transport_delay"),
-        *("sensor_drift", "sensor_lag"),
+        *("sensor_drift", "sensor_lag", "backlash", "linear_input"),
     ),
 )

@@ -64,7 +64,14 @@ emps = Model(
     source="Janot, Gautier, Brunot 2019, Data set and reference models of EMPS",
     candidates=(
         *("coulomb_friction", "stribeck_friction", "lugre_friction", "quadratic_damping", "second_mode"),
-        *("constant_load", "input_offset", "input_saturation", "input_dead_zone", "transport_delay"),
-        *("backlash", "sensor_lag"),
+        *(
+            "directional_damping",
+            "constant_load",
+            "input_offset",
+            "input_saturation",
+            "input_dead_zone",
+            "transport_delay",
+        ),
+        *("backlash", "sensor_lag", "linear_input"),
     ),
 )

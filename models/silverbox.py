@@ -51,6 +51,8 @@ silverbox = Model(
     source="Wigren, Schoukens 2013, Three free data sets for development and benchmarking",
     candidates=(
         *("cubic_stiffness", "quadratic_stiffness", "viscoelastic_creep", "quadratic_damping", "constant_load"),
+        *("displacement_damping", "cubic_damping"),
         *("input_offset", "input_saturation", "transport_delay", "sensor_drift", "sensor_lag"),
+        *("linear_input", "band_limited_input"),
     ),
 )

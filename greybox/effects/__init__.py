@@ -8,17 +8,22 @@ until a fit, or ``model.start(Fc=1.5)``, says otherwise. The exception is ``chok
 
 from __future__ import annotations
 
+from greybox.effects.between_samples import BETWEEN_SAMPLES
+from greybox.effects.damping import DAMPING
 from greybox.effects.elasticity import ELASTICITY
 from greybox.effects.electrical import ELECTRICAL
 from greybox.effects.flow import FLOW
 from greybox.effects.friction import FRICTION
+from greybox.effects.level import LEVEL
 from greybox.effects.load import LOAD
 from greybox.effects.scales import Scales, scales_of, tailored
 from greybox.effects.signal_path import SIGNAL_PATH
 from greybox.errors import ModelError, UnitError, nearest
 from greybox.model import Effect, Model
 
-CATALOGUE: tuple[Effect, ...] = (*FRICTION, *ELASTICITY, *ELECTRICAL, *FLOW, *LOAD, *SIGNAL_PATH)
+CATALOGUE: tuple[Effect, ...] = (
+    *FRICTION, *DAMPING, *ELASTICITY, *ELECTRICAL, *FLOW, *LEVEL, *LOAD, *SIGNAL_PATH, *BETWEEN_SAMPLES,
+)  # fmt: skip
 
 __all__ = ["CATALOGUE", "Scales", "applicable", "effect", "scales_of", "tailored"]
 

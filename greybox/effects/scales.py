@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -26,7 +26,8 @@ class Scales:
     main output moves from its first value), ``balances``: the largest term of each balance, ``force`` that of the balance
     `force`, ``storage`` what that balance stores (the mass); 0 where the model has no such thing, 1 where it has and nothing
     moves. In seconds: ``period`` between samples, ``duration``, and the time constants ``1 / |lambda|``
-    of the model, ``fastest`` and ``slowest`` (integrators left out, at most the duration).
+    of the model, ``fastest`` and ``slowest`` (integrators left out, at most the duration). ``reading``: the main output itself;
+    ``peaks``: every state that has a role, by role.
     """
 
     displacement: float
@@ -41,6 +42,8 @@ class Scales:
     duration: float
     fastest: float
     slowest: float
+    reading: float = 1.0
+    peaks: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def share(self) -> float:
@@ -79,7 +82,7 @@ def scales_of(model: Model, x: np.ndarray, u: np.ndarray, period: float) -> Scal
         displacement=peak("displacement"), velocity=peak("velocity"), current=peak("current"),
         input=_peak(u[:, 0]) if u.shape[1] else 0.0, sensor=_peak(shown - shown[0]), force=balances.get("force", 0.0),
         storage=float(storage(x[0], u[0], p)), balances=balances, period=period, duration=duration,
-        fastest=fastest, slowest=slowest,
+        fastest=fastest, slowest=slowest, reading=_peak(shown), peaks={role: peak(role) for role in roles},
     )  # fmt: skip
 
 

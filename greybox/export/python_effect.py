@@ -110,7 +110,7 @@ def written(bound: Bound, model: Model) -> str:
         head = "lambda value, x, u, p: " if hook in TRANSFORMS else "lambda x, u, p: "
         found = function(value, x, u, p) if hook in TRANSFORMS else function(x, u, p)
         arguments.append(f"{hook}={head}{_result(hook, found, writer)}")
-    plain = ("equation", "parity", "tells_apart", "source")
+    plain = ("hold", "equation", "parity", "tells_apart", "source")
     arguments += [
         f"{f.name}={literal(getattr(effect, f.name))}"
         for f in fields(effect)

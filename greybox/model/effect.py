@@ -44,6 +44,8 @@ class Effect:
     ``on_state``    ``{state: expression}`` used in its place by the model and by the other effects
     ``on_term``     ``{balance: {term: expression}}`` in the place of terms of that name
     ``on_storage``  ``{balance: factor}`` on what the balance stores
+    ``hold``        what the inputs do between samples, in the place of what the experiment says: ``zero``, ``first`` or
+                    ``band-limited`` (see `greybox.Experiment`)
 
     An effect sees what it changes as it comes to it: in ``balances`` and ``update`` the input and the state are those
     before its own ``on_input`` and ``on_state``, and ``x.sensor`` is the output at its site (for any other site the main
@@ -81,6 +83,7 @@ class Effect:
     on_state: Callable[[Named, Named, Named], Mapping[str, Expression]] | None = None
     on_term: Callable[[Named, Named, Named], Mapping[str, Mapping[str, Expression]]] | None = None
     on_storage: Callable[[Named, Named, Named], Mapping[str, Expression]] | None = None
+    hold: str = ""
     equation: str = ""
     parents: Sequence[str] = ()
     parity: str = ""

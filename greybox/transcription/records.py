@@ -40,9 +40,10 @@ def experiments_of(given: Experiment | Iterable[Experiment]) -> tuple[Experiment
 def record_of(model: Model, experiment: Experiment) -> Record:
     """``experiment`` as `Record`; an output that was not measured is a column of NaN.
 
-    A band-limited input becomes a finer one that is linear between rows, `FINER` of them in each interval (`Record.every`), with
-    NaN in the outputs of the rows put between. Raises DataError where an input of the model is missing, where outputs were measured
-    but none of the model's, and for a band-limited input that was not sampled uniformly.
+    An effect of the model may say what the input does between samples; else the experiment does. A band-limited input becomes a
+    finer one that is linear between rows, `FINER` of them in each interval (`Record.every`), with NaN in the outputs of the rows put
+    between. Raises DataError where an input of the model is missing, where outputs were measured but none of the model's, and for a
+    band-limited input that was not sampled uniformly.
     """
     missing = [i.name for i in model.inputs if i.name not in experiment.inputs]
     if missing:
@@ -60,10 +61,11 @@ def record_of(model: Model, experiment: Experiment) -> Record:
     u = np.column_stack([experiment.inputs[i.name] for i in model.inputs]) if model.inputs else np.zeros((rows, 0))
     absent = np.full(rows, np.nan)
     y = np.column_stack([experiment.outputs.get(o.name, absent) for o in model.outputs])
-    if experiment.hold == "band-limited":
+    hold = next((e.hold for e in reversed(model.effects) if e.hold), experiment.hold)
+    if hold == "band-limited":
         return _finer(experiment, u, y)
     lengths, row = _distinct(experiment.intervals)
-    return Record(u, y, lengths[row], row, lengths, experiment.hold == "first")
+    return Record(u, y, lengths[row], row, lengths, hold == "first")
 
 
 def _finer(experiment: Experiment, u: np.ndarray, y: np.ndarray) -> Record:

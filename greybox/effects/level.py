@@ -1,0 +1,144 @@
+"""Level: tanks that run over, and gauges whose reading is not proportional to what they measure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import casadi as ca
+
+from greybox.effects.scales import Scales
+from greybox.effects.words import amplitude, shape
+from greybox.model import Effect
+from greybox.signals import Expression, Named
+
+# Edges tried, as shares of the highest level; rates of overflow per sampling period, to start from and at most.
+EDGES, RATE, FASTEST = (0.95, 0.8, 0.65, 0.5, 0.35, 0.25), 0.1, 4.0
+# Large enough to be out of reach of any reading.
+NO_END = 1e6
+
+
+def _over(level: Expression, edge: Expression, rate: Expression) -> Expression:
+    """What runs over an edge: proportional to the height above it."""
+    return rate * ca.fmax(level - edge, 0)
+
+
+def _upper(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+    spilt = _over(x.upper_head, p.edge, p.ko)
+    # The outlet tells how the same water raises the two levels: it lowers one by upper_outlet, raises the other by lower_inlet.
+    return {"upper_level": -spilt, "lower_level": p.share * spilt * p.lower_inlet / p.upper_outlet}
+
+
+def _lower(x: Named, u: Named, p: Named) -> Expression:
+    return -_over(x.lower_head, p.edge, p.ko)
+
+
+def _upper_grid(s: Scales) -> Mapping[str, list[float]]:
+    return {"edge": [share * s.peaks["upper_head"] for share in EDGES], "share": [0.2, 0.6]}
+
+
+def _lower_grid(s: Scales) -> Mapping[str, list[float]]:
+    return {"edge": [share * s.peaks["lower_head"] for share in EDGES]}
+
+
+def _rate(s: Scales) -> Mapping[str, float]:
+    return {"ko": RATE / s.period}
+
+
+def _limits(s: Scales) -> Mapping[str, tuple[float, float]]:
+    # Faster than the samples follow, an edge is an edge: the rate shows no more, and explicit steps would have to shrink.
+    return {"ko": (0.0, FASTEST / s.period)}
+
+
+def _curved(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+    share = value / p.full
+    return value + (1 - share) * (p.y0 - p.bow * value)
+
+
+def _ended(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+    return ca.fmin(value, p.y_max)
+
+
+upper_overflow = Effect(
+    "upper_overflow",
+    site="upper_level",
+    parameters=[
+        amplitude("ko", "1/s", "rate at which what stands above the edge runs over", low=0.0),
+        shape("edge", "{upper_head}", 10.0, (1e-6, 1e6), "level of the edge"),
+        shape("share", "1", 0.5, (0.0, 1.0), "share of the spilt water that falls into the lower tank"),
+    ],
+    terms=_upper,
+    equation="-ko max(x1 - edge, 0) on the upper tank, plus share k2/k1 of it on the lower",
+    parity="even",
+    tells_apart=(
+        "Hold the pump at full voltage: an overflowing tank stops rising at its edge, a pump that saturates lets it settle where"
+        " the outflow equals the inflow; after the pump has stopped the first is as if less water had come in."
+    ),
+    source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark: part of the overflow reaches the lower tank",
+    amplitudes=("ko",),
+    probe=_rate,
+    grid=_upper_grid,
+    limits=_limits,
+)
+
+lower_overflow = Effect(
+    "lower_overflow",
+    site="lower_level",
+    parameters=[
+        amplitude("ko", "1/s", "rate at which what stands above the edge runs over", low=0.0),
+        shape("edge", "{lower_head}", 10.0, (1e-6, 1e6), "level of the edge"),
+    ],
+    terms=_lower,
+    equation="-ko max(x2 - edge, 0)",
+    parity="even",
+    tells_apart=(
+        "Watch the tank, or the time at which the reading leaves its top: a tank that runs over falls at once when the inflow"
+        " stops, a sensor at its end shows the same value until the level has come down to it."
+    ),
+    source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark",
+    amplitudes=("ko",),
+    probe=_rate,
+    grid=_lower_grid,
+    limits=_limits,
+)
+
+reading_curve = Effect(
+    "reading_curve",
+    site="sensor",
+    parameters=[
+        amplitude("y0", "{sensor}", "reading of an empty tank, either sign"),
+        amplitude(
+            "bow", "1", "how much lower than a straight line the reading runs in between, as a share; either sign"
+        ),
+        # Both figures describe the way from nothing to this reading; any other would do as well.
+        replace(
+            shape("full", "{sensor}", 10.0, (1e-9, NO_END), "reading at which level and reading agree"), fixed=True
+        ),
+    ],
+    on_output=_curved,
+    equation="y + (1 - y/full) (y0 - bow y)",
+    parity="even",
+    tells_apart="Read known levels at standstill: a curved reading shows there, another law of outflow does not.",
+    source="calibration curve of second order of a sensor that is not proportional",
+    amplitudes=("y0", "bow"),
+    probe=lambda s: {"y0": 0.02 * s.reading, "bow": 0.1},
+    grid=lambda s: {"full": [s.reading]},
+)
+
+sensor_saturation = Effect(
+    "sensor_saturation",
+    site="sensor",
+    parameters=[shape("y_max", "{sensor}", NO_END, (1e-9, NO_END), "largest reading", "large: absent until fitted")],
+    on_output=_ended,
+    equation="min(y, y_max)",
+    parity="even",
+    tells_apart=(
+        "Look at the reading at its top: a sensor at its end shows one value exactly, without noise, whatever the plant does."
+    ),
+    source="end of the range of a converter",
+    amplitudes=("y_max",),
+    neutral={"y_max": NO_END},
+    grid=lambda s: {"y_max": [share * s.reading for share in (1.0, 0.95, 0.85)]},
+)
+
+LEVEL: tuple[Effect, ...] = (upper_overflow, lower_overflow, reading_curve, sensor_saturation)
