@@ -52,7 +52,9 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def _typeset(text: str) -> str:
-    text = DISPLAYED.sub(lambda found: f'<div class="math">{_line(convert(found[1].strip(), display="block"))}</div>', text)
+    text = DISPLAYED.sub(
+        lambda found: f'<div class="math">{_line(convert(found[1].strip(), display="block"))}</div>', text
+    )
     # In a span, because Markdown takes a line that begins with another tag for a block.
     return INLINE.sub(lambda found: f"<span>{_line(convert(found[1]))}</span>", text)
 
