@@ -1,7 +1,8 @@
 """Pages whose commands and code are run: blocks of a Markdown page, what they print, and what the page says that they print.
 
 A page is run from top to bottom in one folder. ``sh`` blocks hold commands, ``python`` blocks code (with a title the content of a
-file), and a ``text`` block what the block before it prints: its lines, in their order, others may stand between them. What stands below a line
+file), and a ``text`` block what the block before it prints: its lines, in their order, others may stand between them.
+What stands below a line
 ``<!-- slow -->`` is left out of a quick run, up to the next block that is not an output.
 """
 
