@@ -9,8 +9,8 @@ at ambient temperature::
                                          phi(r) = sqrt(1 - ((r - b) / (1 - b))^2)    r > b    subsonic
 
 The root has an infinite slope where both pressures are equal. Below `phi = 0.1`, that is within 0.4 % of equal
-pressures, `phi^2 / 0.1` takes its place: the flow is laminar there. It turns round where the downstream pressure is the
-higher one.
+pressures, `phi^2 / 0.1` takes its place: the flow is laminar there. Where the downstream pressure is the higher one, as
+in a chamber that a load pushes beyond the supply, the two change places.
 
 Source: Linear ARX modelling of pneumatic actuator system (book chapter 10), equations 10.1 and 10.2; ISO 6358-1.
 """
@@ -152,6 +152,8 @@ def iso6358_valve(
 
 def flow(conductance: Expression, upstream: Expression, downstream: Expression, p: Named) -> Expression:
     """Mass flow [kg/s] from `upstream` to `downstream`, negative where the latter is higher (eq. 10.1, `T_u = T_a`)."""
-    beyond = ca.fmax(downstream / upstream - p.b, 0) / (1 - p.b)
-    square = 1 - beyond**2  # phi^2 as long as the gas flows downstream
-    return conductance * p.rho_a * upstream * square / ca.sqrt(ca.fmax(ca.fabs(square), LAMINAR))
+    high = ca.fmax(upstream, downstream)
+    # 1 - (r - b) / (1 - b) between -1 and 1, with the sign of the flow; phi^2 is this times (2 - its size)
+    fall = ca.fmin(ca.fmax((upstream - downstream) / ((1 - p.b) * high), -1), 1)
+    square = fall * (2 - ca.fabs(fall))
+    return conductance * p.rho_a * high * square / ca.sqrt(ca.fmax(ca.fabs(square), LAMINAR))

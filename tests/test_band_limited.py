@@ -33,6 +33,29 @@ def test_a_band_limited_input_drives_an_oscillator_as_theory_says(share):
     assert share < 0.05 or np.abs(held - expected)[middle].max() / np.abs(expected).max() > 10 * error
 
 
+@pytest.mark.parametrize(("hold", "order"), [("zero", 1), ("first", 2)])
+def test_a_smooth_input_that_is_held_or_straight_converges_with_its_order(hold, order):
+    errors = np.array([tone_error(hold, rate) for rate in (50.0, 100.0, 200.0)])
+    assert np.abs(np.log2(errors[:-1] / errors[1:]) - order).max() < 0.1, errors
+
+
+def test_a_band_limited_input_needs_no_small_sampling_time():
+    """No order in the sampling time: from three samples a period on what is left is the ripple of the interpolating filter."""
+    assert max(tone_error("band-limited", rate) for rate in (25.0, 50.0, 200.0)) < 2e-5
+    assert tone_error("first", 25.0) > 0.2
+
+
+def tone_error(hold, rate, frequency=8.0):
+    """Largest error of a linear oscillator's answer to a tone that is sampled at ``rate``, over the answer, once it has settled."""
+    model, w, t = oscillator(B=20.0), 2 * np.pi * frequency, np.arange(int(15 * rate)) / rate
+    data = record_of(model, Experiment("tone", t, {"u": np.cos(w * t + 0.3)}, {"x": np.zeros(len(t))}, hold=hold))
+    step = discretise(model.system, values(model), np.zeros((1, 2)), data.lengths)
+    y, _ = path(step, data, values(model), np.zeros(2))
+    expected = np.real(np.exp(1j * (w * t + 0.3)) / (50.0 - 2.0 * w**2 + 20.0j * w))
+    settled = slice(len(t) // 3, -len(t) // 10)
+    return np.abs(data.samples(y)[:, 0] - expected)[settled].max() / np.abs(expected).max()
+
+
 def test_rows_between_samples_carry_no_measurement():
     model = oscillator()
     y = np.arange(20.0)

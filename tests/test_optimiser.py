@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from greybox.optimiser import Status, dense, minimise
+from greybox.optimiser import Status, dense, minimise, search
 
 
 class Bowl:
@@ -96,6 +96,18 @@ def test_a_kink_is_found_and_certified_with_few_evaluations():
     assert found.evaluations < 200
     quick = minimise(Kinked, np.array([2.0, -1.0]), *free(2), thorough=False)
     assert quick.status is Status.STUCK and quick.evaluations < found.evaluations
+
+
+@pytest.mark.parametrize("finished", [None, lambda z, value: Status.CONVERGED if value.cost < 1e-9 else None])
+def test_a_search_that_strays_goes_on_by_damped_steps(monkeypatch, finished):
+    """Lost at once, as behind a barrier that leads away from the optimum: no kink is called out where the gradient is right."""
+    monkeypatch.setattr(search, "SHORTENINGS", 0)
+    found = minimise(Curved, np.array([-1.2, 1.0]), *free(2), finished=finished)
+    assert found.status is Status.CONVERGED
+    assert found.z == pytest.approx([1, 1], abs=1e-3 if finished else 1e-9)
+    assert found.evaluations < 60
+    held = minimise(Bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]))
+    assert held.z == pytest.approx([1, 3], abs=1e-9)
 
 
 def test_what_the_function_raises_arrives_and_the_solver_survives():

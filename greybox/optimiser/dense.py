@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.optimiser.descend import descend
 from greybox.optimiser.kink import search_around
 from greybox.optimiser.outcome import IPOPT_STATUS, Finished, Iteration, Outcome, Quadratic, Status
 from greybox.optimiser.search import Search, interruptible
@@ -32,9 +33,10 @@ def minimise(
 
     ``scale`` divides the cost. ``first`` is ``evaluate(start)`` where the caller has it already. ``finished(z, value)`` is asked at the
     start and after every iteration about the best point so far, and may end the search with a status: a statistical rule knows
-    better than a gradient norm when nothing is left to gain. Where a step is shortened again and again for nothing, the cost has a
-    kink and its gradient misleads: the search goes on without it (``thorough``) or ends. Ctrl-C ends it too; the best point so
-    far is kept. What ``evaluate`` raises is raised here.
+    better than a gradient norm when nothing is left to gain. Where a step is shortened again and again for nothing, damped
+    Gauss-Newton steps go on from the best point; where they gain nothing either, the cost has a kink and its gradient misleads:
+    the search goes on without it (``thorough``) or ends. Ctrl-C ends it too; the best point so far is kept. What ``evaluate``
+    raises is raised here.
     """
     began = time.perf_counter()
     search = Search(evaluate, scale, finished, progress)
@@ -50,7 +52,7 @@ def minimise(
     else:
         with interruptible(search):
             word, count = _run(search, start, low, high, tolerance, iterations)
-            if search.lost and not search.stop:
+            if search.lost and not search.stop and not descend(search, low, high) and not search.stop:
                 search.done = search_around(search, low, high) if thorough else Status.STUCK
         status = search.done or (Status.INTERRUPTED if search.stop else IPOPT_STATUS.get(word, Status.FAILED))
     z, seconds = np.clip(search.best, low, high), time.perf_counter() - began

@@ -1,0 +1,53 @@
+"""Damped Gauss-Newton steps from the best point, where an interior-point search has lost its way."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from greybox.optimiser.outcome import Status
+from greybox.optimiser.search import Search
+
+# Damping begins at this share of the curvature, falls after a step that gains and grows after one that does not.
+DAMPING, EASIER, HARDER = 1e-6, 0.1, 10.0
+STEPS, REFUSED = 50, 8
+# A step that promises to lower the cost by less than this share of it is lost in rounding errors.
+NOTHING = 1e-13
+
+
+def descend(search: Search, low: np.ndarray, high: np.ndarray) -> bool:
+    """Levenberg and Marquardt's steps from the best point, until the rule of ``search`` ends it; whether it did.
+
+    An interior-point method that begins close to the optimum may follow its barrier away from it for many iterations, and that
+    looks like a step that is shortened for nothing. Where the gradient is right, one of these steps gains at once. False
+    where none does: the cost has a kink there.
+    """
+    damping, refused = DAMPING, 0
+    for _ in range(STEPS):
+        before, step = search.best_cost, _step(search, damping, low, high)
+        if -0.5 * float(search.best_value.gradient @ step) <= NOTHING * before:  # type: ignore[union-attr]
+            search.done = Status.CONVERGED
+            return True
+        search.shortenings = 0
+        search(np.clip(search.best + step, low, high))
+        if search.best_cost < before:
+            damping, refused = damping * EASIER, 0
+            if search.iterated():
+                return search.done is not None or search.stop
+        else:
+            damping, refused = max(damping, DAMPING) * HARDER, refused + 1
+            if refused == REFUSED:
+                return False
+    return False
+
+
+def _step(search: Search, damping: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """``-(H + damping diag H)^-1 g`` over what is not held at a bound."""
+    z, value = search.best, search.best_value
+    assert value is not None  # a search keeps its start
+    inside = ~((z <= low) & (value.gradient > 0) | (z >= high) & (value.gradient < 0))
+    curvature = value.hessian[np.ix_(inside, inside)]
+    scale = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    scaled = curvature / np.outer(scale, scale) + damping * np.eye(int(inside.sum()))
+    step = np.zeros(len(z))
+    step[inside] = -np.linalg.lstsq(scaled, value.gradient[inside] / scale, rcond=1e-13)[0] / scale
+    return step
