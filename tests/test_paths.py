@@ -1,5 +1,6 @@
 """Gaps, irregular time and several experiments with first states of their own, on every path from record to verdict."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -129,3 +130,30 @@ def test_a_constant_that_differs_between_such_experiments_is_named():
     stiff = irregular(record(1, x0=STARTS[1], name="day 2", stiffness=4.4))
     note = next(n for n in fit(MASS, [one, stiff, whole], noise=LEVEL).notes if "not constant" in n)
     assert "K goes from 4." in note and "'day 2'" in note
+
+
+def dead(rows):
+    """A record whose second sensor reads 3 m/s throughout."""
+    data = record(1, rows=rows)
+    return replace(data, outputs={**data.outputs, "v": np.full(rows, 3.0)})
+
+
+@pytest.mark.parametrize("path", ["noise from differences", "huber", "estimated process noise"])
+@pytest.mark.parametrize("rows", [15, 240])
+def test_a_dead_sensor_beside_a_moving_one_counts_for_nothing(path, rows):
+    """Its differences are zero, and so would be the noise that they tell: everything would follow the dead sensor."""
+    model, _, told = PATHS[path]
+    choice = {k: v for k, v in told.items() if k != "noise"}
+    data = dead(rows)
+    found = fit(model, data, **choice)
+    alone = fit(model, replace(data, outputs={"x": data.outputs["x"]}), **choice)
+    assert list(found.misfit) == list(found.noise) == ["x"]
+    for n in "BK":
+        assert found.parameters[n].value == pytest.approx(alone.parameters[n].value, rel=1e-6)
+        assert found.parameters[n].std == pytest.approx(alone.parameters[n].std, rel=1e-4)
+    assert any(n.startswith("left out: v, which reads the same in every row") for n in found.notes)
+    assert list(check(MASS, data).noise) == ["x"] and "left out: v" in str(check(MASS, data))
+
+
+def test_a_dead_sensor_whose_noise_is_given_counts():
+    assert fit(MASS, dead(240), noise=LEVEL).misfit["v"].noise_ratio > 30

@@ -91,7 +91,7 @@ def test_agreement_with_the_data_is_judged_by_what_they_say_alone():
 
 def test_conflicts_are_standard_normal_where_both_are_right():
     conflicts = []
-    for seed in range(60):
+    for seed in range(40):
         data, _, _ = regression(seed=seed + 10)
         drawn = 1.2 + 0.05 * np.random.default_rng([seed, 8]).normal()
         conflicts.append(fit(LINE.prior(a=(drawn, 0.05)), data, noise={"y": NOISE}, options=REST).priors["a"].conflict)
@@ -142,8 +142,8 @@ def test_the_gradient_holds_with_priors():
 @pytest.mark.parametrize("transcription", ["multiple", "collocation-radau", "arcs"])
 def test_other_transcriptions_weigh_priors_too(transcription):
     known = micro_actuator.fix("M", "Ra").prior(La=(5.2e-4, 2e-6))
-    data = linear_record(known, multisine(np.random.default_rng(1), 300, 2.5e-4, 5, 800, 3.0), 2.5e-4, noise=LEVEL)
-    options = FitOptions(transcription=transcription, arc_length=0.04 if transcription == "arcs" else 0.0)
+    data = linear_record(known, multisine(np.random.default_rng(1), 150, 2.5e-4, 5, 800, 3.0), 2.5e-4, noise=LEVEL)
+    options = FitOptions(transcription=transcription, arc_length=0.02 if transcription == "arcs" else 0.0)
     free, found = fit(known, data, noise=LEVEL), fit(known, data, noise=LEVEL, options=options)
     unweighed = fit(known.prior(La=None), data, noise=LEVEL, options=options)
     assert found.success

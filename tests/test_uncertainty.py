@@ -18,7 +18,7 @@ from greybox.result import load_fit
 from greybox.uncertainty import bootstrap, profile
 from models.emps import emps
 from models.micro_actuator import micro_actuator
-from tests.independent import experiment, linear_record, multisine, solved_record
+from tests.independent import experiment, linear_record, multisine
 
 TRUTH = micro_actuator.fix("M", "Ra")
 LEVEL = {"x": 2e-7, "i": 5e-3}
@@ -106,7 +106,7 @@ def test_the_toeplitz_form_is_that_of_the_dense_matrix():
 
 def test_the_sandwich_widens_the_interval_by_what_the_colour_costs():
     """Spread of the constants over many records of AR(1) noise, against the stated standard deviation."""
-    fits = [fit(TRUTH, actuator_record(seed, 0.9)) for seed in range(40)]
+    fits = [fit(TRUTH, actuator_record(seed, 0.9)) for seed in range(20)]
     assert all(f.interval_kind == "sandwich" for f in fits)
     for q in TRUTH.free_parameters:
         z = [(f.parameters[q.name].value - q.value) / f.parameters[q.name].std for f in fits]
@@ -199,8 +199,8 @@ def test_a_constant_that_imitates_a_missing_effect_is_named():
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_constant_constants_raise_no_alarm(rho):
-    alarms = [any("not constant" in n for n in fit(TRUTH, actuator_record(seed, rho)).notes) for seed in range(60)]
-    assert sum(alarms) <= 3
+    alarms = [any("not constant" in n for n in fit(TRUTH, actuator_record(seed, rho)).notes) for seed in range(25)]
+    assert sum(alarms) <= 2
 
 
 def test_emps_intervals_admit_both_estimators_and_the_alias_is_raised(shared_data):
@@ -214,14 +214,16 @@ def test_emps_intervals_admit_both_estimators_and_the_alias_is_raised(shared_dat
 
 def test_gaps_and_irregular_time_keep_the_intervals_honest():
     rng = np.random.default_rng(5)
-    time = np.cumsum(rng.uniform(2e-4, 3e-4, 500))
+    rows = np.append(0, np.cumsum(rng.integers(20, 31, 499)))  # of a grid of 10 us, over which the input is held
+    time = rows * 1e-5
     u = 2 * np.sign(np.sin(2 * np.pi * 60 * time)) + rng.normal(0, 0.5, len(time))
-    clean = solved_record(TRUTH, u, time, np.zeros(3))
+    fine = linear_record(TRUTH, np.repeat(u, np.append(np.diff(rows), 1)), 1e-5)
+    clean = {n: y[rows] for n, y in fine.outputs.items()}
     z = []
     for seed in range(8):
         rng = np.random.default_rng(seed)
         noise = {n: LEVEL[n] * lfilter([1.0], [1.0, -0.8], rng.normal(size=800) * 0.6)[300:] for n in LEVEL}
-        y = [np.where(rng.random(500) < 0.2, np.nan, clean.outputs[n] + noise[n]) for n in ("x", "i")]
+        y = [np.where(rng.random(500) < 0.2, np.nan, clean[n] + noise[n]) for n in ("x", "i")]
         found = fit(
             TRUTH,
             experiment(TRUTH, time, u[:, None], np.column_stack(y)),

@@ -8,6 +8,7 @@ from typing import Any
 
 from greybox.errors import DataError, ModelError, nearest
 from greybox.experiment import Experiment
+from greybox.fitting.asked import left_out
 from greybox.fitting.options import FitOptions
 from greybox.fitting.problem import prepare
 from greybox.identifiability.generic import generic_record
@@ -105,7 +106,7 @@ def check(
         model, model.system.linear, problem.step.label, problem.kernel.description, problem.kernel.reason,
         group, assumed,
         {o.name: float(problem.noise.std[j]) for j, o in enumerate(model.outputs) if o.name in measured},
-        problem.noise.source, structure, judge(problem, structure), doubt,
+        "; ".join([problem.noise.source, *left_out(problem)]), structure, judge(problem, structure), doubt,
     )  # fmt: skip
 
 

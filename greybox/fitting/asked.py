@@ -56,9 +56,15 @@ def asked(
             result.append(
                 f"so many samples of {', '.join(many)} are no outliers: the model lacks something, or the noise is larger"
             )
-    if problem.still:
-        result.append(
-            f"left out: {', '.join(problem.still)}, which reads the same in every row and may be dead; its noise cannot be told, and"
-            " if it is given the sensor counts"
-        )
-    return tuple(result)
+    return (*result, *left_out(problem))
+
+
+def left_out(problem: Problem) -> tuple[str, ...]:
+    """What to know of sensors that read the same in every row."""
+    if not problem.still:
+        return ()
+    which, it, its = (", ".join(problem.still), *(("reads", "its") if len(problem.still) == 1 else ("read", "their")))
+    return (
+        f"left out: {which}, which {it} the same in every row and may be dead; {its} noise cannot be told, and if it is given the"
+        " sensor counts",
+    )

@@ -8,7 +8,9 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from greybox.experiment import Experiment
+from greybox.fitting.asked import asked
 from greybox.fitting.estimates import estimates, model_covariance, own_estimates, prior_checks, tied_estimates
+from greybox.fitting.notes import of_records
 from greybox.fitting.options import FitOptions, Report
 from greybox.fitting.predictive_intensity import Intensity, tested
 from greybox.fitting.predictive_likely import most_likely
@@ -18,6 +20,7 @@ from greybox.fitting.predictive_search import Found, scoring_step
 from greybox.fitting.predictive_uncertainty import Spread, spread
 from greybox.fitting.predictive_unknowns import Unknowns
 from greybox.fitting.problem import Problem
+from greybox.fitting.robust import Outlying
 from greybox.fitting.solution import Solution
 from greybox.fitting.traces import misfits, traces
 from greybox.fitting.uncertainty import quantile
@@ -70,6 +73,11 @@ def _result(model: Model, solution: Solution, found: Found, judged: Sequence[Int
     free, covariance = _laid_out(model, variables, around)
     sources = _sources(problem, cost.unknowns, around)
     own, tied = own_estimates(variables, around.constants), tied_estimates(variables, around.constants)
+    priors = prior_checks(variables, around.constants)
+    remarks = notes(fitted, problem, found, around, constants, judged, shift)
+    remarks = (
+        *remarks, *asked(problem, constants, tied, own, priors, Outlying("", {}, {})), *of_records(problem.experiments),
+    )  # fmt: skip
     return Fit(
         model=fitted, status=found.status.name.lower(), success=found.status.success, meaning=meaning(found, one_step, free_run),
         parameters=constants, misfit=free_run, traces=runs, free=free, covariance=covariance,
@@ -78,11 +86,11 @@ def _result(model: Model, solution: Solution, found: Found, judged: Sequence[Int
         integration_error={n: float(solution.integration_error[j]) for j, n in enumerate(model.system.output_names) if n in free_run},
         cost=float(found.evaluation.cost), solver=_statistics(solution, found), options={**asdict(options), "own": list(options.own)},
         equations=equations(model), versions=versions(),
-        notes=notes(fitted, problem, found, around, constants, judged, shift),
+        notes=remarks,
         noise_sources={name: _source(problem, cost.unknowns, name) for name in sources}, interval_kind=around.constants.kind,
         noise_colour=dict.fromkeys(free_run, ()), inflation=dict(zip(variables.names, inflation.tolist(), strict=True)),
         discretisation_shift=shift, tied=tied, ties={tie.name: tie.formula for tie in model.ties}, own=own,
-        priors=prior_checks(variables, around.constants),
+        priors=priors,
         process_noise={state: value for state, value in intensities(fitted).items() if state in model.noisy_states},
         prediction=one_step, log_likelihood=found.likelihood if np.isfinite(found.likelihood) else None,
     )  # fmt: skip

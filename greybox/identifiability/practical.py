@@ -92,8 +92,9 @@ def practical(
 
 
 def measured_outputs(problem: Problem) -> list[str]:
-    """Names of the outputs that at least one record has."""
-    return [o.name for o in problem.model.outputs if any(o.name in e.outputs for e in problem.experiments)]
+    """Names of the outputs that at least one record has, but for sensors that were left out as dead."""
+    names = [o.name for o in problem.model.outputs if any(o.name in e.outputs for e in problem.experiments)]
+    return [name for name in names if name not in problem.still]
 
 
 def judge(problem: Problem, structure: Identifiability | None) -> Practical:

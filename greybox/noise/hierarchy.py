@@ -127,15 +127,15 @@ def _level(
 
 
 def _silent(levels: Mapping[str, _Level], experiments: Sequence[Experiment]) -> list[str]:
-    """Outputs that read the same in every row while another one moves, and whose noise nobody gave: nothing tells it."""
+    """Outputs that read the same in every row while another one moves, and whose noise nobody gave: nothing tells it.
+
+    A handful of samples may be equal by chance; those have the residual of the fit as their source.
+    """
     columns = {name: [e.outputs[name] for e in experiments if name in e.outputs] for name in levels}
     resting = [name for name, found in columns.items() if all(map(still, found))]
     if len(resting) == len(levels):
         return []
-    known = (GIVEN, QUIET)
-    return [
-        name for name in resting if levels[name].source not in known and sum(map(len, columns[name])) >= LEAST_SAMPLES
-    ]
+    return [name for name in resting if levels[name].source == DIFFERENCES]
 
 
 def _check_given(model: Model, given: Mapping[str, float]) -> None:
