@@ -71,7 +71,7 @@ def _models(comparison: Comparison) -> Iterator[str]:
         [
             _short(e.name), e.kind, str(e.parameters), "-" if not math.isfinite(e.bic) else f"{e.bic:.0f}",
             "yes" if e.stable else "no",
-            ", ".join(f"{number(v, 3)}" for v in e.feedthrough.values()) or "none", f"{e.seconds:.1f} s",
+            ", ".join(f"{number(v, 3)}" for v in e.feedthrough.values()) or "none", f"{e.seconds:.1f} s" if e.seconds else "-",
         ]
         for e in comparison.entries
     ]  # fmt: skip
