@@ -25,7 +25,7 @@ import numpy as np
 import greybox as gb
 from fits import micromotion_printed as printed
 from fits.micromotion_twin import DELAY, MICRO, ROWS, SAMPLING_TIME, SEED, in_micrometres, record, step_record
-from fits.paper_page import Say, docs_folder, markdown, write_section
+from fits.paper_page import MEASURED, MODELS, Say, docs_folder, legend, markdown, picture, save, write_section
 from greybox.blackbox import PolynomialModel, armax, arx, output_error
 from greybox.blackbox.smoothing import monte_carlo_smoothing
 from greybox.blackbox.smoothing_result import Smoothing
@@ -34,6 +34,7 @@ from models.micro_actuator import micro_actuator_no_inductance
 
 BAND, FAST = (5.0, 400.0), 1e-4  # Hz; s
 OFF = {"B": 0.4, "K": 4500.0, "Kf": 1.0, "delay": 1e-4}  # where the search starts
+SHOWN = ("armax(4,1,1,3)", "smoothing", "oe(2,2,1)")  # in the figure, beside the physical model
 BlackBox = PolynomialModel | Smoothing
 
 
@@ -44,6 +45,15 @@ class Score:
     step: float
     sweep: float
     fast: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """The physical fit, the black boxes by name, and the scores of all; "physical" is the first."""
+
+    fit: gb.Fit
+    boxes: Mapping[str, BlackBox]
+    scores: Mapping[str, Score]
 
 
 def sweep(sampling_time: float = SAMPLING_TIME) -> gb.Experiment:
@@ -76,14 +86,15 @@ def black_boxes(step: gb.Experiment) -> dict[str, BlackBox]:
     return models
 
 
-def study() -> tuple[gb.Fit, dict[str, Score]]:
-    """The physical fit, and the scores of all models; "physical" is the first."""
+def study() -> Study:
+    """Everything."""
     step, judge, fast = step_record(), sweep(), sweep(FAST)
     fit = fitted_on_step(step)
     scores = {"physical": Score(*(_rms(r, gb.simulate(fit.model, r).outputs) for r in (step, judge, fast)))}
-    for name, model in black_boxes(in_micrometres(step)).items():
+    boxes = black_boxes(in_micrometres(step))
+    for name, model in boxes.items():
         scores[name] = Score(_judged(model, step), _judged(model, judge), _where_it_holds(model, fast))
-    return fit, scores
+    return Study(fit, boxes, scores)
 
 
 def _judged(model: BlackBox, record: gb.Experiment) -> float:
@@ -106,8 +117,9 @@ def _rms(record: gb.Experiment, outputs: Mapping[str, np.ndarray]) -> float:
     return MICRO * float(np.sqrt(np.mean((record.outputs["x"] - outputs["x"]) ** 2)))
 
 
-def verdict(fit: gb.Fit, scores: Mapping[str, Score]) -> None:
+def verdict(s: Study) -> None:
     """The physical model keeps its error; black boxes that look alike on the step do not look alike on the sweep."""
+    fit, scores = s.fit, s.scores
     assert fit.success
     low, high = fit.parameters["delay"].interval or (np.nan, np.nan)
     assert low < DELAY < high
@@ -122,11 +134,11 @@ def verdict(fit: gb.Fit, scores: Mapping[str, Score]) -> None:
     assert min(s.sweep for name, s in scores.items() if name.startswith("oe")) < 1.1 * own.sweep
 
 
-def write(scores: Mapping[str, Score], folder: Path) -> None:
-    """The page's part."""
+def write(s: Study, folder: Path) -> None:
+    """The page's part and its figure."""
     rows = [
-        [name, f"{s.step:.3f}", f"{s.sweep:.3f}", "needs a new fit" if s.fast is None else f"{s.fast:.3f}"]
-        for name, s in scores.items()
+        [name, f"{e.step:.3f}", f"{e.sweep:.3f}", "needs a new fit" if e.fast is None else f"{e.fast:.3f}"]
+        for name, e in s.scores.items()
     ]
     text = [
         "### Fitted on a step, judged on a sweep (`fits/micromotion_chirp.py`)",
@@ -134,16 +146,33 @@ def write(scores: Mapping[str, Score], folder: Path) -> None:
         markdown(["model", "step", "sweep, 5 to 400 Hz", "sweep recorded at 10 kHz"], rows),
         "Models that look alike on the step differ on the sweep, and the step does not say which to take. The right output-error"
         " structure is as good as physics at its own sampling rate: that much of the gain is the criterion, not the physics.",
+        "![The sweep, and what each model leaves of it](figures/only_physics_sweep.png)",
     ]
     write_section(folder, "3b", "\n\n".join(text))
+    draw(s, folder)
+
+
+def draw(s: Study, folder: Path) -> None:
+    """The sweep, and what the models leave of it."""
+    judge = in_micrometres(sweep())
+    t, y = 1e3 * judge.time, judge.outputs["x"]
+    runs = {name: s.boxes[name].simulate(judge, initial="zero")["x"] for name in SHOWN}
+    runs["physical"] = MICRO * gb.simulate(s.fit.model, judge).outputs["x"]
+    figure, (above, below) = picture(2, height=2.6)
+    above.plot(t, y, color=MEASURED, lw=1.2, label="generated sweep")
+    for colour, (name, run) in zip((*MODELS[1:], MODELS[0]), runs.items(), strict=True):
+        below.plot(t, y - run, color=colour, lw=0.8, label=name)
+    legend(above, "", "displacement [µm]", "Fitted on a step, judged on a sweep from 5 to 400 Hz")
+    legend(below, "time [ms]", "error [µm]", "what the models leave of it", columns=4)
+    save(figure, folder, "only_physics_sweep")
 
 
 def main(folder: Path, say: Say = sys.stdout.write) -> None:
     """The whole study; a few seconds."""
-    fit, scores = study()
-    say(f"{fit}\n")
-    verdict(fit, scores)
-    write(scores, folder)
+    result = study()
+    say(f"{result.fit}\n")
+    verdict(result)
+    write(result, folder)
     say(f"written to {folder}\n")
 
 

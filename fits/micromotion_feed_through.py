@@ -27,13 +27,14 @@ import greybox as gb
 from fits import micromotion_printed as printed
 from fits.micromotion_chirp import physical
 from fits.micromotion_twin import DELAY, MICRO, SAMPLING_TIME, SEED, in_micrometres, motion, step_record
-from fits.paper_page import Say, docs_folder, markdown, write_section
+from fits.paper_page import MEASURED, MODELS, Say, docs_folder, legend, markdown, picture, save, write_section
 from greybox.blackbox import output_error
 from greybox.blackbox.smoothing import monte_carlo_smoothing
 from greybox.blackbox.smoothing_continuous import s_domain
 from greybox.blackbox.smoothing_grid import Combination
 from greybox.blackbox.smoothing_result import Smoothing
 
+SHOWN = 13  # rows in the figure
 DELAYS = (0.0, 0.5, 1.0, 1.56, 2.0)  # samples
 
 
@@ -156,8 +157,30 @@ def write(s: Study, folder: Path) -> None:
         f" physical model with a delay finds {found:.2f} samples, 95 % interval [{low:.2f}, {high:.2f}], where"
         f" {DELAY / SAMPLING_TIME:.2f} are right, has no feed-through, and leaves {rmse[0]:.2f} um rms; without the delay"
         f" {rmse[1]:.2f} um.",
+        "![The first three milliseconds](figures/only_physics_feed_through.png)",
     ]
     write_section(folder, "3c", "\n\n".join(text))
+    draw(s, folder)
+
+
+def draw(s: Study, folder: Path) -> None:
+    """The first milliseconds: equation 17 jumps at the edge, the physical model waits and then starts from rest."""
+    record = in_micrometres(step_record())
+    t = record.time[:SHOWN]
+    figure, (axis,) = picture()
+    axis.plot(1e3 * t, record.outputs["x"][:SHOWN], ".", color=MEASURED, label="generated record")
+    axis.plot(1e3 * t, MICRO * motion(np.ones(SHOWN)), color="black", lw=0.8, ls=":", label="motion without noise")
+    fine = np.linspace(0, t[-1], 400)
+    for colour, (name, found) in zip(
+        MODELS[1:],
+        {"printed": printed.smoothing(record.rows), "least squares": least_squares(record)}.items(),
+        strict=False,
+    ):
+        axis.plot(1e3 * fine, found.response(fine), color=colour, lw=1, label=f"equation 17, {name}")
+    run = MICRO * gb.simulate(s.with_delay.model, step_record()).outputs["x"][:SHOWN]
+    axis.plot(1e3 * t, run, color=MODELS[0], lw=1, label="physical, with a delay")
+    legend(axis, "time [ms]", "displacement [µm]", "The feed-through is a delay, read at the edge")
+    save(figure, folder, "only_physics_feed_through")
 
 
 def main(folder: Path, say: Say = sys.stdout.write) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +11,8 @@ import typer
 
 from greybox.cli import constraints as c
 from greybox.cli import options as o
+from greybox.cli import predicted as p
+from greybox.cli import searching as s
 from greybox.cli.guard import INTERRUPTED, stop
 from greybox.cli.progress import Show, gauge, in_words, share_done
 from greybox.cli.records import tell_notes
@@ -50,6 +52,7 @@ def compare(
     own: c.Own,
     schedule: c.Schedule,
     condition: c.Condition,
+    process_noise: p.ProcessNoise,
     noise: o.Noise,
     quiet: o.Quiet,
     validate: Annotated[
@@ -67,6 +70,11 @@ def compare(
     method: o.Method = o.MethodName.automatic,
     substeps: o.Substeps = 0,
     loss: c.Loss = "squares",
+    transcription: s.Transcription = s.TranscriptionName.automatic,
+    arc_length: s.ArcLength = 0.0,
+    starts: s.Starts = 1,
+    seed: s.Seed = None,
+    predict: p.Predict,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -91,7 +99,8 @@ def compare(
     from greybox.fitting import FitOptions
     from greybox.project import resolve
 
-    plain = o.changed(c.scheduled(resolve(model), schedule), effects=effect, fix=fix, start=start, free=free)
+    plain = p.pushed(o.changed(c.scheduled(resolve(model), schedule), effects=effect), process_noise)
+    plain = o.changed(plain, fix=fix, start=start, free=free)
     plants = [c.constrained(plant, prior, tie) for plant in (plain, *_extended(plain, effects))]
     o.check_substeps(plants[0], method, substeps)
     folder = o.writable_folder(output or Path("results") / f"{plain.name}-compare")
@@ -114,9 +123,14 @@ def compare(
     o.check_skip(skip, judges)
     if not silent:
         tell_notes(records, judges)
-    options = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, own=c.names(own))
+    options = FitOptions(
+        at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, own=c.names(own),
+        transcription=transcription.value, arc_length=arc_length,
+    )  # fmt: skip
+    seed = s.check_seed(starts, seed)
     with gauge() as show:
-        grey = [_fitted(p, records, show, noise=said, quiet=hushed, options=options) for p in plants]
+        given = {"noise": said, "quiet": hushed, "options": options}
+        grey = [_fitted(plant, records, show, starts, seed, given) for plant in plants]
         measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
         outputs = [q.name for q in measured]
         black, notes = black_contestants(
@@ -125,7 +139,9 @@ def compare(
             report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scanned(what, done / of, outputs)),
         )  # fmt: skip
         show("judging")
-        result = compared([*grey, *black], judges, records, skip=skip, options=options, notes=notes)
+        result = compared(
+            [*grey, *black], judges, records, skip=skip, steps=[k for k in predict if k], options=options, notes=notes
+        )
     _tell(result, folder, records, judges, quiet=silent, json=json)
 
 
@@ -150,15 +166,23 @@ def scanned(what: str, share: float, outputs: Sequence[str]) -> float:
     return (outputs.index(output) + (before + share * SCAN_TIMES[kind]) / sum(SCAN_TIMES.values())) / len(outputs)
 
 
-def _fitted(plant: Model, records: Sequence[Experiment], show: Show, **choices: Any) -> Named:
+def _fitted(
+    plant: Model, records: Sequence[Experiment], show: Show, starts: int, seed: int, given: Mapping[str, Any]
+) -> Named:
     from greybox.comparison.compare import Named
-    from greybox.fitting import fit
+    from greybox.fitting import fit, multistart
 
     def report(progress: Progress) -> None:
         show(f"{plant.title}: {in_words(progress)}", share_done(progress))
 
+    def tally(done: int, jobs: int) -> None:
+        show(f"{plant.title}: {done} of {jobs} starts done", done / jobs)
+
     began = time.perf_counter()
-    result = fit(plant, records, report=report, **choices)
+    if starts > 1:
+        result = multistart(plant, records, starts=starts, seed=seed, report=tally, **given).best
+    else:
+        result = fit(plant, records, report=report, **given)
     return Named(plant.title, result, time.perf_counter() - began)
 
 

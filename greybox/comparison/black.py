@@ -16,9 +16,15 @@ SAME = 2e-3  # relative difference of sampling times that are one
 
 
 def black_runs(
-    model: BlackBoxModel, experiments: Sequence[Experiment], *, training: bool, skip: int, at_rest: bool
+    model: BlackBoxModel,
+    experiments: Sequence[Experiment],
+    *,
+    training: bool,
+    skip: int,
+    at_rest: bool,
+    steps: Sequence[int] = (),
 ) -> list[Run]:
-    """Free run and one-step prediction of ``model`` over each record that has its output.
+    """Free run and one-step prediction of ``model`` over each record that has its output, and predictions ``steps`` samples ahead.
 
     The initial state comes from all rows of a ``training`` record, and from the first ``skip`` (or 50) of another; with ``at_rest``
     everything was zero before.
@@ -32,9 +38,14 @@ def black_runs(
         rows = None if training else max(1, round(ratio * (skip or FIRST_ROWS)))
         initial = "zero" if at_rest else "estimated"
         free = model.simulate(seen, initial=initial, rows=rows)[model.output]
-        ahead = model.predict(seen, initial=initial, rows=rows)[model.output]
+        one, *more = (model.predict(seen, k, initial=initial, rows=rows)[model.output] for k in (1, *steps))
         left_out = 0 if training else int(np.searchsorted(seen.time, experiment.time[min(skip, experiment.rows - 1)]))
-        found.append(Run(experiment.name, model.output, seen.time, seen.outputs[model.output], free, ahead, left_out))
+        found.append(
+            Run(
+                experiment.name, model.output, seen.time, seen.outputs[model.output], free, one, left_out,
+                dict(zip(steps, more, strict=True)),
+            )
+        )  # fmt: skip
     return found
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.comparison.black import black_runs
-from greybox.comparison.grey import feedthrough, grey_runs, options_of, stable
+from greybox.comparison.grey import feedthrough, filtered, grey_runs, options_of, stable
 from greybox.comparison.values import BlackBoxModel, Comparison, Entry, Run, Score, score
 from greybox.errors import DataError
 from greybox.experiment import Experiment
@@ -37,6 +37,7 @@ def compare(
     *,
     training: Experiment | Sequence[Experiment] = (),
     skip: int = 0,
+    steps: Sequence[int] = (),
     options: FitOptions | None = None,
     units: Mapping[str, str] | None = None,
 ) -> Comparison:
@@ -48,7 +49,7 @@ def compare(
 
     The initial state of each record of ``experiments`` is estimated from its first ``skip`` (or 50) rows, for every model in the same
     way, or is rest with ``options.at_rest`` (None: the options of each fit; a black box is at rest where any fit is). ``units``:
-    output -> unit; those of the physical models are known.
+    output -> unit; those of the physical models are known. ``steps``: further samples ahead, at which predictions are judged too.
 
     Raises DataError where there is nothing to compare or to compare on, and for names given twice.
     """
@@ -56,7 +57,9 @@ def compare(
         Named(name, model)
         for name, model in (models.items() if isinstance(models, Mapping) else ((_name(m), m) for m in models))
     ]
-    return compared(entered, _group(experiments), _group(training), skip=skip, options=options, units=units)
+    return compared(
+        entered, _group(experiments), _group(training), skip=skip, steps=steps, options=options, units=units
+    )
 
 
 def compared(
@@ -65,6 +68,7 @@ def compared(
     training: Sequence[Experiment],
     *,
     skip: int = 0,
+    steps: Sequence[int] = (),
     options: FitOptions | None = None,
     units: Mapping[str, str] | None = None,
     notes: tuple[str, ...] = (),
@@ -83,9 +87,12 @@ def compared(
     shortest = min((e.rows for e in judging), default=skip + FEWEST_JUDGED)
     if skip < 0 or shortest - skip < FEWEST_JUDGED:
         raise DataError(f"skip: {skip} rows, but the shortest record has {shortest}; leave out fewer rows")
+    if any(k < 1 for k in steps):
+        raise DataError(f"steps ahead: {', '.join(map(str, steps))}; give whole numbers from 1")
     at_rest = options.at_rest if options is not None else any(options_of(f, None).at_rest for f in fits)
     known = _units(entered, units or {})
-    entries = tuple(_entry(named, judging, training, skip, options, at_rest, known) for named in entered)
+    further = tuple(sorted({int(k) for k in steps} - {1}))
+    entries = tuple(_entry(named, judging, training, skip, further, options, at_rest, known) for named in entered)
     outputs = dict.fromkeys(name for e in entries for name in (*e.training, *e.validation))
     return Comparison(
         entries, {name: known.get(name, "") for name in outputs}, tuple(e.name for e in training),
@@ -98,26 +105,28 @@ def _entry(
     judging: Sequence[Experiment],
     training: Sequence[Experiment],
     skip: int,
+    steps: Sequence[int],
     options: FitOptions | None,
     at_rest: bool,
     units: Mapping[str, str],
 ) -> Entry:
     model = named.model
     if isinstance(model, (Model, Fit)):
-        choice = options_of(model, options)
+        choice, ahead = options_of(model, options), filtered(model, sum(e.rows for e in (*training, *judging)))
         fitted, judged = (
-            grey_runs(model, group, training=own, skip=0 if own else skip, options=choice)
+            grey_runs(model, group, training=own, skip=0 if own else skip, options=choice, ahead=ahead, steps=steps)
             for group, own in ((training, True), (judging, False))
         )
         plant = model.model if isinstance(model, Fit) else model
+        corrected = (f"predictions corrected by: {ahead.correction.words}",) if ahead else ()
         return _scored(
             named, "grey", fitted, judged, units, parameters=len(plant.free_parameters),
             structure={o.name: plant.title for o in plant.outputs}, stable=stable(plant, [*fitted, *judged]),
-            feedthrough=feedthrough(plant), notes=(*named.notes, *_troubles(model)),
+            feedthrough=feedthrough(plant), notes=(*named.notes, *_troubles(model), *corrected),
         )  # fmt: skip
     boxes = tuple(model) if isinstance(model, Sequence) else (model,)
     fitted, judged = (
-        [r for box in boxes for r in black_runs(box, group, training=own, skip=skip, at_rest=at_rest)]
+        [r for box in boxes for r in black_runs(box, group, training=own, skip=skip, at_rest=at_rest, steps=steps)]
         for group, own in ((training, True), (judging, False))
     )
     direct = {f"{b.output}/{name}": share for b in boxes for name, share in b.feedthrough.items() if share}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.comparison.values import Run
 from greybox.experiment import Experiment
-from greybox.fitting import FitOptions, validate
+from greybox.fitting import FitOptions, Predictor, predictor, validate
 from greybox.model import Model
 from greybox.noise import AutoRegression, autoregression, segments
 from greybox.result import Fit, Trace
@@ -18,17 +18,27 @@ from greybox.simulation import initial_state
 
 # Of the fastest eigenvalue, by which a real part may seem to lie above zero.
 ROUNDING = 1e-9
+# Rows of all records up to which the filter that predicts best is searched for, which takes longer with more.
+MOST_FILTERED = 50_000
 
 
 def grey_runs(
-    model: Model | Fit, experiments: Sequence[Experiment], *, training: bool, skip: int, options: FitOptions
+    model: Model | Fit,
+    experiments: Sequence[Experiment],
+    *,
+    training: bool,
+    skip: int,
+    options: FitOptions,
+    ahead: Predictor | None = None,
+    steps: Sequence[int] = (),
 ) -> list[Run]:
     """Free run and one-step prediction of a physical model over each record.
 
     A record that a fit was made of has the initial state of that fit; another one a state estimated from its first ``skip`` (or 50)
-    rows. The one-step prediction adds an autoregression's forecast of the free-run error, which comes from the fit's own residual.
+    rows. Predictions, also ``steps`` samples ahead, are those of ``ahead`` (`filtered`); without it an autoregression forecasts the
+    free-run error, as the fit's own residual tells.
     """
-    own = {t.fingerprint: t for t in model.traces} if isinstance(model, Fit) else {}
+    own = {t.fingerprint: t for t in model.traces} if isinstance(model, Fit) and runs_freely(model) else {}
     plant = model.model if isinstance(model, Fit) else model
     noise = model.noise if isinstance(model, Fit) else None
     unknown = [e for e in experiments if not (training and e.fingerprint in own)]
@@ -36,10 +46,23 @@ def grey_runs(
     traces = [own[e.fingerprint] if training and e.fingerprint in own else next(judged) for e in experiments]
     colour = colours(model) if isinstance(model, Fit) else {}
     return [
-        _run(trace, experiment.name, output, colour.get(output), 0 if training else skip)
+        run
         for trace, experiment in zip(traces, experiments, strict=True)
-        for output in trace.measured
+        for run in _runs(trace, experiment, ahead, colour, 0 if training else skip, steps)
     ]
+
+
+def filtered(model: Model | Fit, rows: int) -> Predictor | None:
+    """What predicts best from sample to sample with the constants of a fit, learnt from its own records; None for what is no
+    successful fit, has constants of single records, or where all its and the other ``rows`` are too many."""
+    if not (isinstance(model, Fit) and model.success and not model.own):
+        return None
+    return predictor(model) if rows + sum(len(t.time) for t in model.traces) <= MOST_FILTERED else None
+
+
+def runs_freely(fit: Fit) -> bool:
+    """Whether the traces of ``fit`` are free runs over whole records: not those of arcs or segments."""
+    return bool(fit.solver.get("free_run", True)) and fit.solver.get("transcription") != "arcs"
 
 
 def colours(fit: Fit) -> dict[str, AutoRegression]:
@@ -48,10 +71,23 @@ def colours(fit: Fit) -> dict[str, AutoRegression]:
     return {n: autoregression(segments([t.residual(n) for t in fit.traces if n in t.measured])) for n in names}
 
 
-def _run(trace: Trace, record: str, output: str, colour: AutoRegression | None, skip: int) -> Run:
-    residual, simulated = trace.residual(output), trace.simulated[output]
-    ahead = simulated + (colour.predict(residual, 1) if colour is not None else 0.0)
-    return Run(record, output, trace.time, trace.measured[output], simulated, ahead, skip)
+def _runs(
+    trace: Trace, experiment: Experiment, ahead: Predictor | None, colour: Mapping[str, AutoRegression], skip: int,
+    steps: Sequence[int],
+) -> Iterator[Run]:  # fmt: skip
+    """The runs of one record, output by output."""
+    foreseen = {k: ahead.predict(experiment, k, initial=trace.initial_state) for k in (1, *steps)} if ahead else {}
+    for output in trace.measured:
+        simulated = trace.simulated[output]
+        if ahead is None:
+            residual = trace.residual(output)
+            one, *more = (
+                simulated + (colour[output].predict(residual, k) if output in colour else 0.0) for k in (1, *steps)
+            )
+        else:
+            one, *more = (foreseen[k][output] for k in (1, *steps))
+        further = dict(zip(steps, more, strict=True))
+        yield Run(experiment.name, output, trace.time, trace.measured[output], simulated, one, skip, further)
 
 
 def feedthrough(model: Model) -> dict[str, float]:

@@ -55,6 +55,7 @@ def _scores(scores: Mapping[str, Score]) -> dict[str, Any]:
         output: {
             "rmse": s.rmse, "best_fit_percent": s.best_fit_percent, "one_step_rmse": s.one_step_rmse,
             "samples": s.samples, "unit": s.unit,
+            **({"ahead_rmse": {str(k): v for k, v in s.ahead_rmse.items()}} if s.ahead_rmse else {}),
         }
         for output, s in scores.items()
     }  # fmt: skip

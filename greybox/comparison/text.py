@@ -36,12 +36,16 @@ def _errors(comparison: Comparison, group: str, output: str, unit: str) -> Itera
         found: Mapping[str, Score] = getattr(entry, group)
         if output in found:
             scores[entry.name] = found[output]
+    further = sorted({k for s in scores.values() for k in s.ahead_rmse})
     rows = [
-        [_short(name), comparison[name].kind, _cell(s.rmse), f"{s.best_fit_percent:.2f} %", _cell(s.one_step_rmse)]
+        [
+            _short(name), comparison[name].kind, _cell(s.rmse), f"{s.best_fit_percent:.2f} %", _cell(s.one_step_rmse),
+            *(_cell(s.ahead_rmse.get(k, math.nan)) for k in further),
+        ]
         for name, s in sorted(scores.items(), key=lambda item: _rank(item[1].rmse))
-    ]
+    ]  # fmt: skip
     title = f"{group}: {output} [{unit}]" if unit else f"{group}: {output}"
-    yield from table([title, "box", "free run", "best fit", "one step"], rows)
+    yield from table([title, "box", "free run", "best fit", "one step", *(f"{k} ahead" for k in further)], rows)
 
 
 def _by_record(comparison: Comparison) -> Iterator[str]:
@@ -67,7 +71,7 @@ def _models(comparison: Comparison) -> Iterator[str]:
         [
             _short(e.name), e.kind, str(e.parameters), "-" if not math.isfinite(e.bic) else f"{e.bic:.0f}",
             "yes" if e.stable else "no",
-            ", ".join(f"{number(v, 3)}" for v in e.feedthrough.values()) or "none", f"{e.seconds:.1f} s",
+            ", ".join(f"{number(v, 3)}" for v in e.feedthrough.values()) or "none", f"{e.seconds:.1f} s" if e.seconds else "-",
         ]
         for e in comparison.entries
     ]  # fmt: skip

@@ -62,7 +62,8 @@ class BlackBoxModel(Protocol):
 @dataclass(frozen=True, eq=False)
 class Run:
     """One output of one record beside a model's free run and one-step prediction: ``time``, ``measured``, ``simulated``,
-    ``predicted`` (N,); the first ``skip`` rows do not count. ``predicted`` is NaN where nothing is predicted."""
+    ``predicted`` (N,); the first ``skip`` rows do not count. ``predicted`` is NaN where nothing is predicted. ``ahead``: further
+    predictions (N,) by the number of samples ahead."""
 
     record: str
     output: str
@@ -71,6 +72,7 @@ class Run:
     simulated: np.ndarray
     predicted: np.ndarray
     skip: int = 0
+    ahead: Mapping[int, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,8 @@ class Score:
     """Errors of one output over one or more records, in ``unit``.
 
     ``rmse`` of the free run, ``best_fit_percent = 100 (1 - ||y - yhat|| / ||y - mean(y)||)`` with each record's own mean,
-    ``one_step_rmse`` of the prediction one sample ahead; infinite where a run leaves all bounds. ``samples`` went into it.
+    ``one_step_rmse`` of the prediction one sample ahead, ``ahead_rmse`` of those further ahead by the number of samples; infinite
+    where a run leaves all bounds. ``samples`` went into it.
     """
 
     rmse: float
@@ -86,6 +89,7 @@ class Score:
     one_step_rmse: float
     samples: int
     unit: str = ""
+    ahead_rmse: Mapping[int, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,24 +168,34 @@ class Comparison:
 
 def score(runs: Sequence[Run], unit: str) -> Score:
     """Errors of one output over its ``runs``."""
-    squares = movement = ahead = 0.0
-    count = foreseen = 0
+    squares = movement = 0.0
+    count = 0
     for run in runs:
-        y, yhat, one = (values[run.skip :] for values in (run.measured, run.simulated, run.predicted))
+        y, yhat = (values[run.skip :] for values in (run.measured, run.simulated))
         there = np.isfinite(y)
         if not there.any():
             continue
         squares += _square(y[there] - yhat[there])
         movement += _square(y[there] - y[there].mean())
         count += int(there.sum())
-        known = there & ~np.isnan(one)
-        ahead += _square(y[known] - one[known])
-        foreseen += int(known.sum())
     if not count:
         return Score(np.nan, np.nan, np.nan, 0, unit)
     fit = 100 * (1 - np.sqrt(squares / movement)) if movement > 0 else np.nan
-    step = np.sqrt(ahead / foreseen) if foreseen else np.nan
-    return Score(float(np.sqrt(squares / count)), float(fit), float(step), count, unit)
+    one_step = _foreseen([(run, run.predicted) for run in runs])
+    further = dict.fromkeys(steps for run in runs for steps in run.ahead)
+    ahead = {k: _foreseen([(run, run.ahead[k]) for run in runs if k in run.ahead]) for k in further}
+    return Score(float(np.sqrt(squares / count)), float(fit), one_step, count, unit, ahead)
+
+
+def _foreseen(predictions: Sequence[tuple[Run, np.ndarray]]) -> float:
+    """Root mean square error of predictions (N,), where there are any."""
+    squares, count = 0.0, 0
+    for run, ahead in predictions:
+        y, yhat = run.measured[run.skip :], ahead[run.skip :]
+        known = np.isfinite(y) & ~np.isnan(yhat)
+        squares += _square(y[known] - yhat[known])
+        count += int(known.sum())
+    return float(np.sqrt(squares / count)) if count else np.nan
 
 
 def _square(error: np.ndarray) -> float:

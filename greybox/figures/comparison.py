@@ -21,6 +21,7 @@ GREY = ("#c0392b", "#e67e22", "#b7950b", "#8e44ad")
 BLACK = ("#1f5a8a", "#16a085", "#5d6d7e", "#2e86c1", "#1e8449", "#17202a", "#76448a")
 ZOOM_ROWS = 200
 DPI = 110
+DECADE = 10.0  # ratio of the largest to the smallest error, from which bars have a logarithmic axis
 FAR = 2.0  # ranges of the measured signal, beyond which a run is cut off
 
 
@@ -74,7 +75,7 @@ def _output(top: Axes, bottom: Axes, output: str, unit: str, runs: dict[str, Run
     start, stop = _liveliest(some)
     inside = (some.time >= start) & (some.time <= stop)
     top.plot(some.time[inside], factor * some.measured[inside], color=MEASURED, lw=3.0, label="measured")
-    for name, run in runs.items():
+    for name, run in reversed(runs.items()):  # the first, as a rule the grey box, on top
         rows = (run.time >= start) & (run.time <= stop)
         top.plot(run.time[rows], factor * run.simulated[rows], color=colours[name], lw=1.0)
         bottom.plot(*envelope(run.time, small * (run.measured - run.simulated)), color=colours[name], lw=0.6, alpha=0.8)
@@ -96,7 +97,7 @@ def _output(top: Axes, bottom: Axes, output: str, unit: str, runs: dict[str, Run
 
 
 def _bars(axis: Axes, comparison: Comparison, record: str, output: str, colours: dict[str, str]) -> None:
-    """Free-run error as a bar and one-step error as a mark, best at the top, on a logarithmic axis."""
+    """Free-run error as a bar and one-step error as a mark, best at the top; on a logarithmic axis where they lie far apart."""
     scores = {e.name: e.records[record][output] for e in comparison.entries if output in e.records.get(record, {})}
     ranked = sorted(scores, key=lambda name: -scores[name].rmse if np.isfinite(scores[name].rmse) else -np.inf)
     factor, text = scaled(comparison.outputs[output], np.array([_finite(s.rmse) for s in scores.values()]))
@@ -106,16 +107,19 @@ def _bars(axis: Axes, comparison: Comparison, record: str, output: str, colours:
         axis.plot(
             [factor * _finite(s.one_step_rmse)], [row], marker="D", ms=5, mfc="white", mec=colours[name], ls="none"
         )
-        axis.annotate(
-            f" {s.best_fit_percent:.1f} %" if np.isfinite(s.rmse) else " grows away", (factor * _finite(s.rmse), row),
-            va="center", fontsize=8,
-        )  # fmt: skip
-    axis.set_xscale("log")
+        end = factor * np.nanmax([_finite(s.rmse), _finite(s.one_step_rmse), 0.0])
+        said = f" {s.best_fit_percent:.1f} %" if np.isfinite(s.rmse) else " grows away"
+        axis.annotate(said, (end, row), va="center", fontsize=8)
+    errors = [factor * e for s in scores.values() for e in (s.rmse, s.one_step_rmse) if np.isfinite(_finite(e))]
+    low, high = min(errors, default=1.0), max(errors, default=1.0)
+    if high > DECADE * low:
+        axis.set_xscale("log")
+        axis.set_xlim(low / 2, high * (2 * high / low) ** 0.25)
+    else:
+        axis.set_xlim(0, 1.3 * high)
     axis.set_yticks(range(len(ranked)), [f"{name} ({comparison[name].parameters})" for name in ranked], fontsize=8)
     axis.set_xlabel(label("rms error", text), fontsize=9)
     axis.set_title("bar: free run, with best fit; diamond: one sample ahead", loc="right", fontsize=8)
-    left, right = axis.get_xlim()
-    axis.set_xlim(left, right * (right / left) ** 0.25)
     axis.tick_params(axis="x", labelsize=8)
     axis.grid(axis="x", alpha=0.25, lw=0.5)
 
