@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.reports import report_of_fit, write
+from greybox.reports import page_of, write
 from models.micro_actuator import micro_actuator
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
@@ -57,9 +57,7 @@ def good_fit():
 
 @pytest.fixture(scope="module")
 def report(good_fit, tmp_path_factory) -> Path:
-    return write(
-        report_of_fit(good_fit, command=f"greybox fit {HOSTILE}"), tmp_path_factory.mktemp("report") / "fit.html"
-    )
+    return write(page_of(good_fit, command=f"greybox fit {HOSTILE}"), tmp_path_factory.mktemp("report") / "fit.html")
 
 
 def test_the_page_draws_every_figure_and_stays_small(browser, report):

@@ -10,6 +10,7 @@ import typer
 
 from greybox.cli import constraints as c
 from greybox.cli import options as o
+from greybox.cli.reporting import NoReport, told, write_report
 
 
 def check(
@@ -40,14 +41,21 @@ def check(
     column: o.Columns,
     method: o.Method = o.MethodName.automatic,
     substeps: o.Substeps = 0,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", metavar="DIR", help="Folder for check.json and report.html. [default: results/MODEL-check]"
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON instead of text.")] = False,
+    no_report: NoReport = False,
 ) -> None:
     """Check MODEL before a fit: equations, units, integration, and which constants can be determined.
 
     Says first what the measured outputs can tell at best: the combinations of constants that are determined, what stays
     open, and which sensor or known constant would close it. Then what the records in DATA tell, near the start values
     and if the model is right: the standard deviation to expect of each constant, and what the input excites. Without
-    DATA the model is driven by a random input.
+    DATA the model is driven by a random input. Writes DIR/check.json and DIR/report.html.
     """
     from greybox.check import check as check_model
     from greybox.experiment import read_experiments
@@ -67,6 +75,14 @@ def check(
     )
     records, _ = c.under_conditions(condition, records, ())
     choice = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps)
+    folder = o.writable_folder(output or Path("results") / f"{plant.name}-check")
     only = [name for text in outputs for name in text.replace(",", " ").split()] or None
     found = check_model(plant, records, noise=o.numbers("--noise", noise), outputs=only, options=choice)
-    typer.echo(json_format.dumps(found.as_dict(), indent=2) if json else str(found))
+    text = json_format.dumps(found.as_dict(), indent=2)
+    folder.mkdir(parents=True, exist_ok=True)
+    saved = folder / "check.json"
+    saved.write_text(text + "\n", encoding="utf-8")
+    report = None if no_report else write_report(found, folder / "report.html")
+    typer.echo(text if json else f"{found}\n\nwritten: {saved}")
+    if report and not json:
+        typer.echo(told(report))

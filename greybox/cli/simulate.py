@@ -10,6 +10,7 @@ import typer
 
 from greybox.cli import options as o
 from greybox.cli.guard import UNSUCCESSFUL, note, stop
+from greybox.cli.reporting import NoReport, told, write_report
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
@@ -86,10 +87,12 @@ def simulate(
         Path | None,
         typer.Option("--output", metavar="FILE", help="CSV file to write. [default: results/MODEL-simulated.csv]"),
     ] = None,
+    no_report: NoReport = False,
 ) -> None:
     """Run MODEL over the inputs of a file, or over a test signal, and write a CSV that greybox fit reads.
 
-    A test signal drives the model's first input; others stay at zero. The model starts at the states it declares.
+    A test signal drives the model's first input; others stay at zero. The model starts at the states it declares. Beside
+    an --output FILE.csv that is named stands FILE.html, a page with the run, its states and the equations.
 
     Exit code 0: done. 1: the simulation overflows. 2: bad input. In both nothing is written.
     """
@@ -124,6 +127,9 @@ def simulate(
     typer.echo(
         f"{target}: {len(run.time)} rows, {', '.join([*run.inputs, *run.outputs])}; integrated by {run.discretisation}"
     )
+    if output is not None and not no_report:
+        added = ", ".join(f"{name} {std:g}" for name, std in said.items())
+        typer.echo(told(write_report(run, target.with_suffix(".html"), model=plant, noise=added)))
 
 
 def _target(path: Path, inputs: Path | None) -> Path:

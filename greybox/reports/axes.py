@@ -73,7 +73,7 @@ def even_step(time: np.ndarray) -> float | None:
 def extent(values: np.ndarray) -> str:
     """``-3.1 to 2.7``, for a description."""
     known = values[np.isfinite(values)]
-    return f"{known.min():.4g} to {known.max():.4g}" if len(known) else "nothing"
+    return f"{known.min():.4g} to {known.max():.4g}".replace("-", "−") if len(known) else "nothing"
 
 
 def rms(values: np.ndarray) -> float:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from greybox.reports.axes import axes
 from greybox.reports.page import Figure
+from greybox.reports.words import typeset_number
 from greybox.result import Estimate, Fit
 
 TOGETHER = 0.95  # constants that are correlated more than this are called tied
@@ -16,25 +17,27 @@ TOGETHER = 0.95  # constants that are correlated more than this are called tied
 
 def intervals_figure(fit: Fit) -> Figure | None:
     """Half width of each 95 % interval in percent of the value; None where fewer than two constants have one."""
-    rows = [(name, half) for name, e in fit.parameters.items() if (half := half_width(e)) is not None]
-    if len(rows) < 2:
+    percent = {name: half for name, e in fit.parameters.items() if (half := half_width(e)) is not None}
+    return spread_figure(percent, "How well each constant is known: further to the left is better.")
+
+
+def spread_figure(percent: Mapping[str, float], caption: str) -> Figure | None:
+    """A mark for each constant at half the width of its 95 % interval, in percent of the value; None for fewer than two."""
+    if len(percent) < 2:
         return None
-    rows.sort(key=lambda row: -row[1])
-    names, percent = [r[0] for r in rows], [r[1] for r in rows]
+    rows = sorted(percent.items(), key=lambda row: -row[1])
+    names, sizes = [r[0] for r in rows], [r[1] for r in rows]
     data = [{
-        "type": "scatter", "mode": "markers+text", "x": percent, "y": names, "marker": {"color": "--residual", "size": 11},
-        "text": [f"± {p:.2g} %" for p in percent], "textposition": "middle right", "cliponaxis": False,
+        "type": "scatter", "mode": "markers+text", "x": sizes, "y": names, "marker": {"color": "--residual", "size": 11},
+        "text": [typeset_number(f"± {p:.2g} %") for p in sizes], "textposition": "middle right", "cliponaxis": False,
         "hovertemplate": "%{y}: ± %{x:.3g} %<extra></extra>",
     }]  # fmt: skip
     layout = axes("half width of the 95 % interval [% of the value]", "", logarithmic="x")
     layout |= {"showlegend": False, "hovermode": "closest"}
-    layout["xaxis"] |= {"range": [math.log10(min(percent)) - 0.3, math.log10(max(percent)) + 0.7], "dtick": 1}
+    layout["xaxis"] |= {"range": [math.log10(min(sizes)) - 0.3, math.log10(max(sizes)) + 0.7], "dtick": 1}
     layout["yaxis"] |= {"type": "category"}
-    words = "; ".join(f"{n} ± {p:.3g} %" for n, p in reversed(rows))
-    return Figure(
-        "intervals", "How well each constant is known: further to the left is better.", words + ".", data, layout,
-        height=90 + 28 * len(names),
-    )  # fmt: skip
+    words = "; ".join(typeset_number(f"{n} ± {p:.3g} %") for n, p in reversed(rows))
+    return Figure("intervals", caption, words + ".", data, layout, height=90 + 28 * len(names))
 
 
 def half_width(e: Estimate) -> float | None:

@@ -39,7 +39,7 @@ def _terms(balance: Balance) -> str:
         minus = term.startswith("-") and " + " not in term and " - " not in term[1:]
         sign = "-" if minus else ("+" if text else "")
         body = term.removeprefix("-") if minus else term
-        text += rf" {sign} \underbrace{{{body}}}_{{\text{{{_words(name)}}}}}"
+        text += rf" {sign} \underset{{\text{{{_words(name)}}}}}{{{body}}}"
     return text.strip()
 
 

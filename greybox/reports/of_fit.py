@@ -7,13 +7,12 @@ from collections.abc import Iterator, Mapping
 
 from greybox.diagnose import ResidualTests, diagnose_residuals
 from greybox.figures import misfits_of
-from greybox.model import Model
 from greybox.reports.axes import stretches
 from greybox.reports.constant_figures import correlation_figure, half_width, intervals_figure, tied
 from greybox.reports.equations import typeset
 from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text, Tone
 from greybox.reports.record_figures import WHOLE, inputs_figure, record_figures
-from greybox.reports.records import records_section
+from greybox.reports.records import records_section, units_of
 from greybox.reports.repeat import repeat_section
 from greybox.reports.residual_figures import memory_figure
 from greybox.reports.words import counted, listed, sentence, typeset_number, unit_text
@@ -54,11 +53,6 @@ def _question(fit: Fit) -> str:
         f"Which values of {listed(fit.free) or 'its constants'} make the model follow {counted(len(fit.traces), 'record')}"
         f" ({counted(rows, 'row')}){told}?"
     )
-
-
-def units_of(model: Model) -> dict[str, str]:
-    """Unit of each output and input."""
-    return {o.name: o.unit for o in model.outputs} | {i.name: i.unit for i in model.inputs}
 
 
 def verdict(fit: Fit) -> Text:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.experiment import Experiment
 from greybox.figures.envelope import envelope
 from greybox.figures.scale import label, scaled
 from greybox.reports.axes import axes, band, density, even_step, extent, line, rms, thinned
@@ -33,20 +34,47 @@ def record_figures(
     ]
 
 
-def inputs_figure(trace: Trace, units: Mapping[str, str], name: str, most: int) -> Figure | None:
+def inputs_figure(record: Trace | Experiment, units: Mapping[str, str], name: str, most: int) -> Figure | None:
     """What drove the record, a button for each input; None where nothing did."""
-    if not trace.inputs:
+    if not record.inputs:
         return None
+    caption = f"What drove record {record.name}."
+    return curves_figure(record.time, record.inputs, units, f"inputs-{name}", caption, most, "--fourth", name)
+
+
+def outputs_figure(record: Experiment, units: Mapping[str, str], name: str, most: int) -> Figure | None:
+    """What the sensors show, a button for each output; None where nothing was measured."""
+    if not record.outputs:
+        return None
+    caption = f"Outputs of record {record.name}."
+    return curves_figure(record.time, record.outputs, units, f"outputs-{name}", caption, most, "--residual", name)
+
+
+def curves_figure(
+    time: np.ndarray, signals: Mapping[str, np.ndarray], units: Mapping[str, str], name: str, caption: str, most: int, colour: str,
+    group: str,
+) -> Figure:  # fmt: skip
+    """``signals`` (N,) over ``time`` (N,), one at a time, each with its button."""
     data, views, words = [], {}, []
-    for k, (own, values) in enumerate(trace.inputs.items()):
+    for k, (own, given) in enumerate(signals.items()):
+        values = np.asarray(given)
         factor, text = scaled(units[own], values)
-        data.append(line(*envelope(trace.time, factor * values, most), own, "--fourth", width=1.2))
+        data.append(line(*envelope(time, factor * values, most), own, colour, width=1.2))
         views[own] = View([k], {"yaxis": {"title": {"text": label(own, text)}}})
-        words.append(f"{own} runs from {extent(factor * values)} {text}")
+        gaps = int((~np.isfinite(values)).sum())
+        words.append(
+            f"{own} runs from {extent(factor * values)} {text}" + (f", {gaps} values are missing" if gaps else "")
+        )
     return Figure(
-        f"inputs-{name}", f"What drove record {trace.name}.", "; ".join(words) + ".", data, axes("time [s]", ""), height=230,
-        group=name, views=views,
-    )  # fmt: skip
+        name,
+        caption,
+        "; ".join(words) + ".",
+        data,
+        axes("time [s]", "") | {"showlegend": False},
+        height=240,
+        group=group,
+        views=views,
+    )
 
 
 def _run(trace: Trace, outputs: list[str], units: Mapping[str, str], name: str, most: int) -> Figure:

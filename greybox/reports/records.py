@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from greybox.figures.scale import scaled
+from greybox.model import Model
 from greybox.reports.axes import extent
 from greybox.reports.page import Section, Table
-from greybox.reports.words import listed, sentence, unit_text
+from greybox.reports.words import listed, sentence
 from greybox.result import Fit, Trace
 
 HEAD = ["record", "use", "rows", "duration", "sampling time", "missing values", "fingerprint"]
@@ -39,6 +41,11 @@ def pace(time: np.ndarray) -> str:
     return f"{float(steps.mean()):.6g} s" if even else f"{float(steps.min()):.4g} to {float(steps.max()):.4g} s"
 
 
+def units_of(model: Model) -> dict[str, str]:
+    """Unit of each output and input."""
+    return {o.name: o.unit for o in model.outputs} | {i.name: i.unit for i in model.inputs}
+
+
 def _signals(traces: Sequence[Trace], fit: Fit) -> Table:
     rows = []
     for use, signals in (("input", fit.model.inputs), ("measured", fit.model.outputs)):
@@ -46,7 +53,9 @@ def _signals(traces: Sequence[Trace], fit: Fit) -> Table:
             groups = [t.inputs if use == "input" else t.measured for t in traces]
             values = [np.asarray(g[signal.name]) for g in groups if signal.name in g]
             std = fit.noise.get(signal.name) if use == "measured" else None
-            known = f"{std:.3g}" if std is not None and np.isfinite(std) else ""
-            reach = extent(np.concatenate(values)) if values else "not recorded"
-            rows.append([signal.name, use, unit_text(signal.unit), reach, known])
-    return Table("Signals over all records", ["signal", "use", "unit", "from … to", "noise (std)"], rows)
+            every = np.concatenate(values) if values else np.array([])
+            factor, text = scaled(signal.unit, every)
+            known = f"{factor * std:.3g} {text}" if std is not None and np.isfinite(std) else ""
+            reach = f"{extent(factor * every)} {text}" if values else "not recorded"
+            rows.append([signal.name, use, reach, known])
+    return Table("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from greybox.reports.page import Block, Code, Folded, Section, Table
-from greybox.reports.words import listed
+from greybox.reports.words import counted, listed
 from greybox.result import Fit
 
 
@@ -23,15 +23,12 @@ def shell(command: str) -> Iterator[Block]:
 
 def _of_fit(fit: Fit, command: str) -> Iterator[Block]:
     yield from shell(command)
-    error = listed([f"{e:.2g} of the noise in {o}" for o, e in fit.integration_error.items()])
+    error = listed([f"{e:.2g} of the noise in {o}" for o, e in fit.integration_error.items() if e])
     how = [
         ["integration", fit.discretisation],
-        ["its error", error],
+        ["its error", error or "none"],
         ["search", str(fit.solver.get("strategy", ""))],
-        [
-            "ended",
-            f"{fit.status} ({fit.solver.get('ipopt_status', '')}, {fit.solver.get('iterations', '')} iterations)",
-        ],
+        ["ended", f"{fit.status.replace('_', ' ')} after {counted(int(fit.solver.get('iterations', 0)), 'iteration')}"],
     ]
     yield Table("How it was computed", ["what", "how"], [row for row in how if row[1]])
     yield Folded("Options and versions", [named("Options", fit.options), named("Versions", fit.versions)])

@@ -23,6 +23,8 @@ def memory_figure(name: str, output: str, residuals: Sequence[np.ndarray]) -> Fi
     half = NINETY_NINE / np.sqrt(max(count, 1))
     outside = int(np.sum(np.abs(values) > half))
     layout = axes("lag [samples]", f"autocorrelation, {output}") | {"shapes": [band(half)], "showlegend": False}
+    reach = 1.15 * max(float(np.abs(values).max(initial=0.0)), 2 * half)
+    layout["yaxis"] |= {"range": [-reach, reach]}
     data = [{"type": "bar", "x": lags, "y": values, "marker": {"color": "--residual"}, "name": "autocorrelation"}]
     words = f"{outside} of {len(lags)} lags lie outside the 99 % band of white noise (± {half:.2g})"
     worst = (
