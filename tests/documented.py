@@ -1,9 +1,8 @@
 """Pages whose commands and code are run: blocks of a Markdown page, what they print, and what the page says that they print.
 
 A page is run from top to bottom in one folder. ``sh`` blocks hold commands, ``python`` blocks code (with a title the content of a
-file), and a ``text`` block what the block before it prints: its lines, in their order, others may stand between them.
-What stands below a line
-``<!-- slow -->`` is left out of a quick run, up to the next block that is not an output.
+file), and a ``text`` block what the block before it prints: its lines, in their order, others may stand between them. What stands below a
+line ``<!-- slow -->`` is left out of a quick run, up to the next block that is not an output.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from unittest import mock
 
 import matplotlib as mpl
 from typer.testing import CliRunner
@@ -31,7 +31,7 @@ NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d,]*\.?\d*(?:e[-+]?\d+)?")
 # Numbers of a page are those of one machine: another may differ in the last digits of a search, and by more where they are small.
 SAME = 0.03
 # What a page may show without its being run here: it sets up, or is run by a test of its own.
-ELSEWHERE = ("make ", "git clone", "python3 -m venv", "uv ", ".venv/")
+ELSEWHERE = ("make ", "source ", "git clone", "python3 -m venv", "uv ", ".venv/")
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,8 @@ def blocks(page: Path) -> list[Block]:
 def run_page(page: Path, folder: Path, *, slow: bool = False) -> Run:
     """Run the page in ``folder``; a command or code that fails raises, what is not printed as shown is in ``missing``."""
     run, found = Run(), blocks(page)
-    with _in(folder):
+    # What a figure shows is looked at elsewhere; drawing them would take half of the time.
+    with _in(folder), mock.patch("matplotlib.figure.Figure.savefig", lambda figure, path, **_: Path(path).touch()):
         for block in (b for b in found if slow or not b.slow):
             where = f"{page.name}:{block.line}"
             if block.language == "text":

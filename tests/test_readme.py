@@ -1,53 +1,69 @@
 """What the README shows works as it stands."""
 
-import contextlib
-import io
-import os
+from __future__ import annotations
+
+import json
+import math
 import re
-import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+from tests.documented import ROOT, Run, blocks, run_page
+
+README = ROOT / "README.md"
 
 
-def blocks(language):
-    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("readme")
 
 
-def test_the_python_example_runs_and_finds_the_inertia(tmp_path, monkeypatch):
-    (code,) = blocks("python")
-    monkeypatch.chdir(tmp_path)
-    scope: dict = {}
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
-        exec(compile(code, "README.md", "exec"), scope)
-    estimate = scope["found"].parameters["J"]
-    assert estimate.interval[0] < 2e-4 < estimate.interval[1]
-    assert "J dw/dt = Kt i - B w" in " ".join(said.getvalue().split())
-    assert (tmp_path / "rotor.json").exists()
+@pytest.fixture(scope="module")
+def run(folder: Path) -> Run:
+    return run_page(README, folder)
 
 
-def shell_lines():
-    block = next(b for b in blocks("") if "greybox models " in b)
-    return [line.split(" #")[0].strip() for line in block.splitlines() if line.startswith("greybox")]
+def test_every_command_and_line_of_code_runs_and_prints_what_is_shown(run: Run) -> None:
+    assert not run.missing, "\n".join(run.missing)
+    said = {command.split()[1] for command in run.commands}
+    assert said == {"simulate", "models", "check", "fit", "discover", "export", "init"}
 
 
-def test_the_shell_example_runs_in_an_empty_directory(tmp_path):
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    for line in shell_lines():
-        command = [sys.executable, "-m", "greybox.cli", *shlex.split(line)[1:]]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
-    assert (tmp_path / "results" / "fit.json").exists()
-    assert (tmp_path / "my_rig" / "models" / "micro_actuator.py").exists()
+def test_the_friction_that_the_model_was_not_told_about_is_named(run: Run, folder: Path) -> None:
+    found = json.loads((folder / "results" / "micro_actuator-discover" / "discovery.json").read_text())
+    assert found["verdict"] == "named"
+    assert [e["name"] for e in found["effects"]] == ["coulomb_friction"]
+    assert (folder / "results" / "fit.json").exists()
+    assert (folder / "my_rig" / "models" / "micro_actuator.py").exists()
 
 
-@pytest.mark.parametrize("command", ["make demo", "make test"])
-def test_the_readmes_commands_are_those_of_the_makefile(command):
-    assert command in README
+def test_the_eight_lines_give_constants_a_verdict_and_a_black_box(run: Run) -> None:
+    fit = run.scope["fit"]
+    for name, truth in {"K": 5895.5, "Fc": 0.05}.items():
+        e = fit.parameters[name]
+        assert e.value == pytest.approx(truth, abs=4 * e.std) and math.isfinite(e.std)
+    for words in ("95 % interval", "whiteness", "output_error", "is\n  best"):
+        assert words in run.printed
+    (code,) = (b.text for b in blocks(README) if b.language == "python")
+    assert len([line for line in code.splitlines() if not re.match(r"from|import|\s*$", line)]) <= 8
+
+
+@pytest.mark.slow
+def test_what_takes_longer_runs_too(tmp_path: Path) -> None:
+    run = run_page(README, tmp_path, slow=True)
+    assert not run.missing, "\n".join(run.missing)
+    assert any(command.startswith("greybox compare") for command in run.commands)
+
+
+@pytest.mark.parametrize("command", ["make demo", "make test", "make docs"])
+def test_the_readmes_commands_are_those_of_the_makefile(command: str) -> None:
+    assert command in README.read_text(encoding="utf-8")
     assert f"\n{command.split()[1]}:" in (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
+def test_what_the_readme_links_to_is_there() -> None:
+    targets = re.findall(r"\]\(([^)#]+)\)", README.read_text(encoding="utf-8"))
+    assert targets
+    assert not [t for t in targets if not (ROOT / t).exists()]
+    assert (ROOT / "docs" / "figures" / "gap.png").stat().st_size < 200_000

@@ -14,7 +14,7 @@ def init(
         bool, typer.Option("--force", help="Overwrite files of the template that are there already.")
     ] = False,
 ) -> None:
-    """Write a project into DIR: models/ and fits/ to start from, as files of your own."""
+    """Write a project into DIR: models/, fits/ and a notebook to start from, as files of your own."""
     from greybox.project import init as write_project
 
     files = write_project(directory, force=force)

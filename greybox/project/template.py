@@ -1,4 +1,4 @@
-"""A new project: the shipped models and studies, written out as files of one's own."""
+"""A new project: the shipped models, studies and notebook, written out as files of one's own."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from pathlib import Path
 from greybox.errors import GreyboxError
 from greybox.project.place import template_root
 
-FOLDERS = ("models", "fits")
+FOLDERS = ("models", "fits", "notebooks")
 README = """# {name}
 
 A greybox project: from measured records to physical constants with intervals.
 
 - `models/` plants, one a file: balances of named terms, and constants with unit, bounds and source
 - `fits/` studies, one a file: question, data, fit, verdict
+- `notebooks/first_hour.ipynb` from a record to what the model lacks, to run in Jupyter
 
 Inside this folder a model is called by its name, and its file is yours to change:
 
@@ -35,7 +36,7 @@ In Python, from this folder:
 
 
 def init(directory: str | Path, *, force: bool = False) -> list[Path]:
-    """Write a project into ``directory``: ``models/``, ``fits/`` and a README. Returns the files written.
+    """Write a project into ``directory``: ``models/``, ``fits/``, ``notebooks/`` and a README. Returns the files written.
 
     Raises GreyboxError, before anything is written, where one of the files is there already; ``force`` overwrites them.
     """

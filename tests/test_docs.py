@@ -1,0 +1,110 @@
+"""The documentation: its tutorials run as they stand, its formulas and its reference are complete."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import greybox
+from tests.documented import ROOT, blocks, commands, missing, run_page, same
+
+DOCS = ROOT / "docs"
+# Pages that are run here, quickly: without the parts marked slow. The others are run by the slow tests.
+QUICK = ("own_model.md", "own_effect.md")
+TUTORIALS = ("tutorial_micro_actuator.md", "tutorial_pneumatic.md", *QUICK)
+
+
+@pytest.fixture(scope="module")
+def hooks():
+    spec = importlib.util.spec_from_file_location("docs_hooks", DOCS / "hooks.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("page", QUICK)
+def test_a_page_runs_and_prints_what_it_shows(page: str, tmp_path: Path) -> None:
+    run = run_page(DOCS / page, tmp_path)
+    assert not run.missing, "\n".join(run.missing)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", TUTORIALS)
+def test_a_whole_tutorial_runs_and_prints_what_it_shows(page: str, tmp_path: Path) -> None:
+    run = run_page(DOCS / page, tmp_path, slow=True)
+    assert not run.missing, "\n".join(run.missing)
+
+
+def test_every_page_with_commands_or_code_is_run() -> None:
+    pages = {p.name for p in DOCS.glob("*.md") if any(b.language == "python" or _own_commands(b) for b in blocks(p))}
+    assert pages == set(TUTORIALS)
+
+
+def _own_commands(block) -> bool:
+    return block.language == "sh" and any(line.startswith("greybox") for line in commands(block.text))
+
+
+@pytest.mark.parametrize(
+    ("shown", "printed", "lacking"),
+    [
+        ("K 5895.5 +- 0.12", "head\nK  5895.6 +- 0.13\ntail", 0),  # another machine's last digits
+        ("K 5895.5", "K 5000.0", 1),
+        ("B 1\nA 2", "A 2\nB 1", 1),  # in another order
+        ("note: x lacks", "note: y lacks", 1),
+        ("...\nend", "begin\nend", 0),
+    ],
+)
+def test_what_a_page_shows_is_compared_with_what_is_printed(shown: str, printed: str, lacking: int) -> None:
+    assert len(missing(shown, printed)) == lacking
+
+
+def test_lines_are_the_same_by_words_and_numbers() -> None:
+    assert same("x 1.05e-06 m", "x   1.051e-06  m") and not same("x 1.05e-06 m", "x 1.05e-05 m")
+
+
+def test_formulas_become_mathml_and_code_stays(hooks) -> None:
+    html = hooks.on_page_markdown("mass $m_j$ and `$x$`\n\n$$\\dot x = A x$$\n\n```sh\necho $HOME $PATH\n```\n")
+    assert html.count("<math") == 2 and 'display="block"' in html
+    assert "`$x$`" in html and "echo $HOME $PATH" in html
+
+
+def test_the_reference_holds_every_public_name(hooks) -> None:
+    named = re.findall(r"^::: (\S+)$", hooks.public_names(), re.MULTILINE)
+    assert [name.rpartition(".")[2] for name in named] == [n for names in greybox._ROOMS.values() for n in names]
+    assert set(greybox.__all__) <= {name.rpartition(".")[2] for name in named}
+
+
+def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
+    from greybox.cli.app import app
+
+    text = hooks.commands()
+    for command in app.registered_commands:
+        assert f"## greybox {command.callback.__name__}\n" in text
+    assert "--json" in text and "\x1b" not in text
+    assert all(f"## {e.name}\n" in hooks.catalogue() for e in greybox.CATALOGUE)
+
+
+def test_pages_of_studies_find_their_way_into_the_navigation(hooks) -> None:
+    config = type("Config", (), {"nav": [{"Start": "index.md"}, {"Studies": [{"Errata": "errata.md"}]}]})
+    nav = list(hooks._pages(hooks.on_config(config).nav))
+    assert sorted(nav) == sorted(p.name for p in DOCS.glob("*.md"))
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_warnings_and_fetches_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("material", reason="mkdocs-material comes with the extra 'docs'")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    fetched = re.compile(r'(?:src|href)="(https?:)?//[^"]+\.(?:js|css|woff2?)"')
+    for page in tmp_path.rglob("*.html"):
+        assert not fetched.search(page.read_text(encoding="utf-8")), page.name
+    assert "<math" in (tmp_path / "how_it_works.html").read_text(encoding="utf-8")
+    index = json.loads((tmp_path / "search" / "search_index.json").read_text(encoding="utf-8"))
+    assert {"reference.html", "commands.html"} <= {d["location"].partition("#")[0] for d in index["docs"]}
