@@ -22,7 +22,7 @@ from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
-from tests.independent import experiment, linear_matrices, linear_record, multisine, solved_record
+from tests.independent import experiment, linear_matrices, linear_record, multisine, rates_of, solved_record
 from tests.test_transcription import oscillator
 from tests.test_uncertainty import PREY
 
@@ -162,13 +162,11 @@ def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
             Balance("slow", "m/s", 1, "x", inflow=p.g * x.s, decay=-p.a * x.x),
         ],
     )  # fmt: skip
-    f, p, u = model.system.rhs_function, np.array(list(model.values.values())), 1.5 * np.sin(0.08 * np.arange(80))
+    f, p, u = rates_of(model), np.array(list(model.values.values())), 1.5 * np.sin(0.08 * np.arange(80))
     x, y = np.zeros(2), []
     for value in u:
         y.append([x[1]])
-        run = solve_ivp(
-            lambda _, x, u=value: f(x, u, p).full().ravel(), (0, 0.01), x, method="LSODA", rtol=1e-9, atol=1e-11
-        )
+        run = solve_ivp(lambda _, x, u=value: f(x, u, p), (0, 0.01), x, method="LSODA", rtol=1e-9, atol=1e-11)
         x = run.y[:, -1]
     data = experiment(model, np.arange(80) * 0.01, u[:, None], np.array(y), {"x": 1e-4})
     start = model.start(a=3.0, c=0.2)
