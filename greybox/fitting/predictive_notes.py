@@ -55,9 +55,12 @@ def notes(
         result.append(
             f"stopped by a bound: {', '.join(at_bound)}; widen the bound, or the model needs something else there"
         )
-    wide = [n for n, e in estimates.items() if e.std is not None and not e.at_bound and e.std > 0.5 * abs(e.value)]
+    told_apart = [i.name for i in intensities]
+    wide = [
+        n for n, e in estimates.items() if e.std is not None and not (e.at_bound or e.determined or n in told_apart)
+    ]
     if wide:
-        result.append(f"poorly determined (standard deviation over half the value): {', '.join(wide)}")
+        result.append(f"not determined (the 95 % interval reaches further than half the value): {', '.join(wide)}")
     result += not_constant(moves)
     result += [told(model, problem, i, estimates[i.name]) for i in intensities]
     kind, inflation = spread.constants.kind, spread.constants.inflation
