@@ -94,7 +94,7 @@ def compare(
     Exit code 0: there is a comparison. 2: bad input, nothing was written. 130: Ctrl-C, nothing was written.
     """
     from greybox.comparison.compare import compared
-    from greybox.comparison.contestants import black_contestants
+    from greybox.comparison.contestants import black_contestants, refuse_other_steps
     from greybox.experiment import read_experiments
     from greybox.fitting import FitOptions
     from greybox.project import resolve
@@ -121,6 +121,7 @@ def compare(
     )
     records, judges = c.under_conditions(condition, records, judges)
     o.check_skip(skip, judges)
+    refuse_other_steps(records, judges, [q.name for q in plain.outputs])
     if not silent:
         tell_notes(records, judges)
     options = FitOptions(
