@@ -27,6 +27,15 @@ if TYPE_CHECKING:
 # Time that the scan of each kind takes beside the others, as a rule.
 SCAN_TIMES = {"arx": 8, "armax": 40, "output error": 33, "box-jenkins": 6, "hammerstein": 13}
 
+Rivals = Annotated[
+    str,
+    typer.Option(
+        "--effects",
+        metavar="NAME,...",
+        help="Also fit MODEL with each of these effects of the catalogue; A+B is one model with both.",
+    ),
+]
+
 
 def compare(
     model: o.ModelName,
@@ -39,14 +48,7 @@ def compare(
     start: o.Start,
     free: o.Free,
     effect: o.Effects,
-    effects: Annotated[
-        str,
-        typer.Option(
-            "--effects",
-            metavar="NAME,...",
-            help="Also fit MODEL with each of these effects of the catalogue; A+B is one model with both.",
-        ),
-    ] = "",
+    effects: Rivals = "",
     prior: c.Prior,
     tie: c.Tie,
     own: c.Own,
