@@ -27,6 +27,15 @@ if TYPE_CHECKING:
 # Time that the scan of each kind takes beside the others, as a rule.
 SCAN_TIMES = {"arx": 8, "armax": 40, "output error": 33, "box-jenkins": 6, "hammerstein": 13}
 
+Rivals = Annotated[
+    str,
+    typer.Option(
+        "--effects",
+        metavar="NAME,...",
+        help="Also fit MODEL with each of these effects of the catalogue; A+B is one model with both.",
+    ),
+]
+
 
 def compare(
     model: o.ModelName,
@@ -39,14 +48,7 @@ def compare(
     start: o.Start,
     free: o.Free,
     effect: o.Effects,
-    effects: Annotated[
-        str,
-        typer.Option(
-            "--effects",
-            metavar="NAME,...",
-            help="Also fit MODEL with each of these effects of the catalogue; A+B is one model with both.",
-        ),
-    ] = "",
+    effects: Rivals = "",
     prior: c.Prior,
     tie: c.Tie,
     own: c.Own,
@@ -94,7 +96,7 @@ def compare(
     Exit code 0: there is a comparison. 2: bad input, nothing was written. 130: Ctrl-C, nothing was written.
     """
     from greybox.comparison.compare import compared
-    from greybox.comparison.contestants import black_contestants
+    from greybox.comparison.contestants import refuse_other_steps
     from greybox.experiment import read_experiments
     from greybox.fitting import FitOptions
     from greybox.project import resolve
@@ -121,6 +123,7 @@ def compare(
     )
     records, judges = c.under_conditions(condition, records, judges)
     o.check_skip(skip, judges)
+    refuse_other_steps(records, judges, [q.name for q in plain.outputs])
     if not silent:
         tell_notes(records, judges)
     options = FitOptions(
@@ -131,13 +134,7 @@ def compare(
     with gauge() as show:
         given = {"noise": said, "quiet": hushed, "options": options}
         grey = [_fitted(plant, records, show, starts, seed, given) for plant in plants]
-        measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
-        outputs = [q.name for q in measured]
-        black, notes = black_contestants(
-            records, outputs, [i.name for i in plain.inputs], at_rest=at_rest,
-            units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
-            report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scanned(what, done / of, outputs)),
-        )  # fmt: skip
+        black, notes = _boxes(plain, records, at_rest, show)
         show("judging")
         result = compared(
             [*grey, *black], judges, records, skip=skip, steps=[k for k in predict if k], options=options, notes=notes
@@ -184,6 +181,21 @@ def _fitted(
     else:
         result = fit(plant, records, report=report, **given)
     return Named(plant.title, result, time.perf_counter() - began)
+
+
+def _boxes(
+    plain: Model, records: Sequence[Experiment], at_rest: bool, show: Show
+) -> tuple[tuple[Named, ...], tuple[str, ...]]:
+    """The black boxes of every output of ``plain`` that the records measure, and what is to be said about them."""
+    from greybox.comparison.contestants import black_contestants
+
+    measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
+    outputs = [q.name for q in measured]
+    return black_contestants(
+        records, outputs, [i.name for i in plain.inputs], at_rest=at_rest,
+        units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
+        report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scanned(what, done / of, outputs)),
+    )  # fmt: skip
 
 
 def _tell(
