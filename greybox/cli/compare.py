@@ -16,13 +16,14 @@ from greybox.cli import searching as s
 from greybox.cli.guard import INTERRUPTED, stop
 from greybox.cli.progress import Show, gauge, in_words, share_done
 from greybox.cli.records import tell_notes
+from greybox.cli.reporting import NoReport, told, write_report
 
 if TYPE_CHECKING:
     from greybox.comparison import Comparison
-    from greybox.comparison.compare import Named
     from greybox.experiment import Experiment
     from greybox.fitting.options import Progress
     from greybox.model import Model
+    from greybox.result import Fit
 
 # Time that the scan of each kind takes beside the others, as a rule.
 SCAN_TIMES = {"arx": 8, "armax": 40, "output error": 33, "box-jenkins": 6, "hammerstein": 13}
@@ -83,17 +84,18 @@ def compare(
     ] = None,
     silent: Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the comparison as JSON instead of text.")] = False,
+    no_report: NoReport = False,
 ) -> None:
     """Does the physics pay? Fit MODEL and the usual black boxes to the same records, and judge them on others.
 
     The black boxes are ARX, ARMAX, output error, Box-Jenkins and Hammerstein models, each chosen by a scan of its own over
     orders, delays and offset, and Monte-Carlo smoothing where a record is a single step. Prints the errors of the free run
     and one sample ahead, best fit, number of constants, BIC, stability, feed-through and time, and says which is best and
-    by how much. Writes DIR/compare.json and a figure for each judging record.
+    by how much. Writes DIR/compare.json, a figure for each judging record, and DIR/report.html, a page with everything.
 
     Exit code 0: there is a comparison. 2: bad input, nothing was written. 130: Ctrl-C, nothing was written.
     """
-    from greybox.comparison.compare import compared
+    from greybox.comparison.compare import Named, compared
     from greybox.comparison.contestants import black_contestants
     from greybox.experiment import read_experiments
     from greybox.fitting import FitOptions
@@ -130,7 +132,7 @@ def compare(
     seed = s.check_seed(starts, seed)
     with gauge() as show:
         given = {"noise": said, "quiet": hushed, "options": options}
-        grey = [_fitted(plant, records, show, starts, seed, given) for plant in plants]
+        fitted = [_fitted(plant, records, show, starts, seed, given) for plant in plants]
         measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
         outputs = [q.name for q in measured]
         black, notes = black_contestants(
@@ -139,10 +141,12 @@ def compare(
             report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scanned(what, done / of, outputs)),
         )  # fmt: skip
         show("judging")
+        grey = [Named(fit.model.title, fit, seconds) for fit, seconds in fitted]
         result = compared(
             [*grey, *black], judges, records, skip=skip, steps=[k for k in predict if k], options=options, notes=notes
         )
-    _tell(result, folder, records, judges, quiet=silent, json=json)
+    fits = None if no_report else {fit.model.title: fit for fit, _ in fitted}
+    _tell(result, folder, records, judges, fits, quiet=silent, json=json)
 
 
 def _extended(model: Model, effects: str) -> list[Model]:
@@ -168,8 +172,8 @@ def scanned(what: str, share: float, outputs: Sequence[str]) -> float:
 
 def _fitted(
     plant: Model, records: Sequence[Experiment], show: Show, starts: int, seed: int, given: Mapping[str, Any]
-) -> Named:
-    from greybox.comparison.compare import Named
+) -> tuple[Fit, float]:
+    """The fit, and the seconds it took."""
     from greybox.fitting import fit, multistart
 
     def report(progress: Progress) -> None:
@@ -183,7 +187,7 @@ def _fitted(
         result = multistart(plant, records, starts=starts, seed=seed, report=tally, **given).best
     else:
         result = fit(plant, records, report=report, **given)
-    return Named(plant.title, result, time.perf_counter() - began)
+    return result, time.perf_counter() - began
 
 
 def _tell(
@@ -191,6 +195,7 @@ def _tell(
     folder: Path,
     records: Sequence[Experiment],
     judges: Sequence[Experiment],
+    fits: Mapping[str, Fit] | None,
     *,
     quiet: bool,
     json: bool,
@@ -206,7 +211,10 @@ def _tell(
         typer.echo(str(result))
     try:
         figures = comparison_figure(result, folder)
+        report = None if fits is None else write_report(result, folder / "report.html", fits=fits, data=prints)
     except KeyboardInterrupt:
         stop(f"interrupted while drawing; the comparison is in {saved}", INTERRUPTED)
     if not (quiet or json):
         typer.echo(f"\nwritten: {saved}, {', '.join(map(str, figures))}")
+        if report:
+            typer.echo(told(report))

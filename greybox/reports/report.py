@@ -14,6 +14,9 @@ from greybox.reports.render import write
 PAGES = {
     "Fit": "of_fit",
     "Check": "of_check",
+    "Comparison": "of_comparison",
+    "Export": "of_export",
+    "Linearisation": "of_linearisation",
     "Simulation": "of_simulation",
 }
 

@@ -42,7 +42,8 @@
     const own = painted(view ? merged(figure.layout, view.layout) : figure.layout);
     const axes = Object.fromEntries(
       Object.keys({ xaxis: 0, yaxis: 0, ...own }).filter((key) => /^[xy]axis/.test(key)).map((key) => {
-        return [key, { ...axis, ...(own[key]?.type === "log" ? { exponentformat: "none" } : {}), ...own[key], uirevision: key[0] === "x" ? "kept" : String(figure.shown) }];
+        const title = { standoff: 12, ...own[key]?.title };
+        return [key, { ...axis, ...(own[key]?.type === "log" ? { exponentformat: key[0] === "x" ? "none" : "power" } : {}), ...own[key], title, uirevision: key[0] === "x" ? "kept" : String(figure.shown) }];
       }));
     return {
       margin: { l: narrow() ? 44 : 60, r: 16, t: 16, b: 44 }, hovermode: "x unified", showlegend: true, uirevision: "kept",
