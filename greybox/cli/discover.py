@@ -11,6 +11,7 @@ from greybox.cli import constraints as c
 from greybox.cli import options as o
 from greybox.cli.guard import note
 from greybox.cli.records import tell_notes
+from greybox.cli.reporting import NoReport, told, write_report
 
 
 def discover(
@@ -40,12 +41,14 @@ def discover(
         typer.Option("--output", metavar="DIR", help="Folder for discovery.json. [default: results/MODEL-discover]"),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the discovery as JSON instead of text.")] = False,
+    no_report: NoReport = False,
 ) -> None:
     """Find which effect MODEL lacks, name it, add it, and show the gap shrink on records not used for it.
 
     Refits the model with each effect of the catalogue, keeps what the ESTIMATION records demand, and judges it on the
     --validate records. Says "complete" when nothing is missing, "ambiguous" when the records cannot tell, "unknown" when
-    the catalogue does not explain what is missing. Writes DIR/discovery.json.
+    the catalogue does not explain what is missing. Writes DIR/discovery.json and
+    DIR/report.html, a page with the whole story.
 
     Exit code 0: there is an answer. 2: bad input, nothing was written.
     """
@@ -75,4 +78,7 @@ def discover(
         options=FitOptions(at_rest=at_rest), say=note,
     )  # fmt: skip
     saved = found.save(folder / "discovery.json")
+    report = None if no_report else write_report(found, folder / "report.html")
     typer.echo(saved.read_text(encoding="utf-8") if json else f"{found}\n\nwritten: {saved}", nl=not json)
+    if report and not json:
+        typer.echo(told(report))

@@ -15,6 +15,7 @@ PAGES = {
     "Fit": "of_fit",
     "Check": "of_check",
     "Comparison": "of_comparison",
+    "Discovery": "of_discovery",
     "Export": "of_export",
     "Linearisation": "of_linearisation",
     "Simulation": "of_simulation",

@@ -11,7 +11,7 @@ from greybox.result.summary import number
 __all__ = ["counted", "listed", "number", "sentence", "typeset_number", "unit_text"]
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-WORD = re.compile(r"[a-z]{3,}[ :,-]|(?:no|at|on|in|it|of|is|an?|as|by|if|to) ")
+WORD = re.compile(r"[a-z]{3,}[ :,-]|(?:no|at|on|in|it|of|is|an?|as|by|if|to)[ :]")
 EXPONENT = re.compile(r"(?<=\d)e([+-])0*(\d+)")
 
 

@@ -129,10 +129,16 @@
 
   // The spectrum of the stretch that is looked at.
   const respectrum = (figure) => {
-    const signal = figure.views[figure.shown]?.signal;
-    const target = signal?.figure && figures.find((f) => f.element.id === signal.figure);
-    if (!target) return;
-    const { start, step, values, trace } = signal;
+    const changed = new Set();
+    for (const signal of figure.views[figure.shown]?.signals ?? []) {
+      const target = figures.find((f) => f.element.id === signal.figure);
+      retake(figure, target, signal);
+      changed.add(target);
+    }
+    changed.forEach(draw);
+  };
+
+  const retake = (figure, target, { start, step, values, trace }) => {
     target.whole ??= {};
     target.whole[trace] ??= { x: target.data[trace].x, y: target.data[trace].y };
     let shown = target.whole[trace];
@@ -142,7 +148,6 @@
       if (found) shown = { x: found.f, y: found.a };
     }
     target.data[trace] = { ...target.data[trace], ...shown };
-    draw(target);
   };
 
   const choose = (figure, name) => {
