@@ -20,6 +20,7 @@ from greybox.cli.reporting import NoReport, told, write_report
 
 if TYPE_CHECKING:
     from greybox.comparison import Comparison
+    from greybox.comparison.compare import Named
     from greybox.experiment import Experiment
     from greybox.fitting.options import Progress
     from greybox.model import Model
@@ -96,7 +97,6 @@ def compare(
     Exit code 0: there is a comparison. 2: bad input, nothing was written. 130: Ctrl-C, nothing was written.
     """
     from greybox.comparison.compare import Named, compared
-    from greybox.comparison.contestants import black_contestants
     from greybox.experiment import read_experiments
     from greybox.fitting import FitOptions
     from greybox.project import resolve
@@ -110,17 +110,11 @@ def compare(
     stated = c.from_files(condition)
     records, judges, hushed = (
         read_experiments(
-            files,
-            plain,
-            columns=columns,
-            hold=hold.value,
-            conditions=None if files is quiet else stated,
+            files, plain, columns=columns, hold=hold.value, conditions=None if files is quiet else stated,
             allow_constant_input=free_decay or files is quiet,
-        )
-        if files
-        else ()
+        ) if files else ()
         for files in (train, validate, quiet)
-    )
+    )  # fmt: skip
     records, judges = c.under_conditions(condition, records, judges)
     o.check_skip(skip, judges)
     if not silent:
@@ -133,13 +127,7 @@ def compare(
     with gauge() as show:
         given = {"noise": said, "quiet": hushed, "options": options}
         fitted = [_fitted(plant, records, show, starts, seed, given) for plant in plants]
-        measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
-        outputs = [q.name for q in measured]
-        black, notes = black_contestants(
-            records, outputs, [i.name for i in plain.inputs], at_rest=at_rest,
-            units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
-            report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scanned(what, done / of, outputs)),
-        )  # fmt: skip
+        black, notes = _boxes(plain, records, show, at_rest)
         show("judging")
         grey = [Named(fit.model.title, fit, seconds) for fit, seconds in fitted]
         result = compared(
@@ -160,6 +148,21 @@ def _extended(model: Model, effects: str) -> list[Model]:
             extended = extended + effect(name.strip())
         found.append(extended)
     return found
+
+
+def _boxes(
+    plain: Model, records: Sequence[Experiment], show: Show, at_rest: bool
+) -> tuple[tuple[Named, ...], tuple[str, ...]]:
+    """The black boxes, each with the best structure of its scan, and notes on what could not be scanned."""
+    from greybox.comparison.contestants import black_contestants
+
+    measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
+    outputs = [q.name for q in measured]
+    return black_contestants(
+        records, outputs, [i.name for i in plain.inputs], at_rest=at_rest,
+        units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
+        report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scanned(what, done / of, outputs)),
+    )  # fmt: skip
 
 
 def scanned(what: str, share: float, outputs: Sequence[str]) -> float:
