@@ -75,6 +75,13 @@ def run(
     return book.results, False
 
 
+@contextmanager
+def local_pool(workers: int) -> Iterator[Executor]:
+    """Processes of this machine for several calls of `run`, with one BLAS thread each; ended with the block."""
+    with _quiet_children(), ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        yield pool
+
+
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -49,17 +49,44 @@ def linear_record(model, u, period, x0=None, noise=None, seed=0, name="twin"):
     return experiment(model, np.arange(len(u)) * period, u, y, noise, seed, name)
 
 
+def quick(inputs, output):
+    """``output`` of the symbols ``inputs`` as a function of arrays, without the detours of an ordinary call into CasADi."""
+    function = ca.Function("f", inputs, [ca.densify(output)])
+    buffer, evaluate = function.buffer()
+    held, result = [np.zeros(symbol.numel()) for symbol in inputs], np.zeros(output.numel())
+    for k, array in enumerate(held):
+        if array.size:
+            buffer.set_arg(k, memoryview(array))
+    buffer.set_res(0, memoryview(result))
+
+    def called(*arrays):
+        for array, given in zip(held, arrays, strict=True):
+            array[:] = given
+        evaluate()
+        return result.copy() if output.is_column() else result.reshape(output.shape, order="F").copy()
+
+    called.memory = function, buffer  # CasADi keeps neither alive
+    return called
+
+
+def rates_of(model):
+    """``(x, u, p) -> dx/dt`` of arrays."""
+    s = model.system
+    return quick([s.x, s.u, s.p], s.explicit)
+
+
 def solved_record(model, u, time, x0, noise=None, seed=0, name="twin", hold="zero"):
     """Any smooth model, solved interval by interval to 1e-11."""
-    f, g, p = model.system.rhs_function, model.system.output_function, values(model)
+    s, p = model.system, values(model)
+    f, g = rates_of(model), quick([s.x, s.u, s.p], s.outputs)
     u = np.asarray(u, float).reshape(len(u), -1)
     x, y = np.array(x0, float), []
     for k, row in enumerate(u):
-        y.append(g(x, row, p).full().ravel())
+        y.append(g(x, row, p))
         if k + 1 < len(u):
             h = time[k + 1] - time[k]
             slope = (u[k + 1] - row) / h if hold == "first" else 0 * row
-            solver = ode(lambda t, x, row=row, slope=slope: f(x, row + slope * t, p).full().ravel())
+            solver = ode(lambda t, x, row=row, slope=slope: f(x, row + slope * t, p))
             x = solver.set_integrator("dop853", rtol=1e-11, atol=1e-13, nsteps=10000).set_initial_value(x).integrate(h)
     return experiment(model, time, u, np.array(y), noise, seed, name, hold)
 

@@ -17,7 +17,8 @@ from greybox.experiment import Experiment
 from greybox.fitting import fit
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
-from tests.independent import linear_record, multisine
+from tests.independent import linear_matrices, linear_record, multisine
+from tests.test_filtering import discrete
 
 ROWS = 1500
 RIGS = {
@@ -26,6 +27,8 @@ RIGS = {
 }
 # What the fit is told: nothing, a quiet record, or to colour the noise as the residual is.
 WAYS = ("nothing", "quiet record", "residual")
+# The state that something random pushes, and how strongly.
+PUSHED = {"micro_actuator": ("v", 0.5), "pneumatic_cylinder": ("v", 0.3)}
 
 
 def noise(rng, rho):
@@ -47,6 +50,40 @@ def simulated(rig, rho, seed):
     record = replace(clean, outputs={n: y + level[n] * noise(rng, rho) for n, y in clean.outputs.items()})
     quiet = Experiment("quiet", clean.time, {"u": np.zeros(ROWS)}, {n: s * noise(rng, rho) for n, s in level.items()})
     return model, record, quiet
+
+
+def pushed(rig, seed):
+    """A record with white noise on a state and on the outputs, the model with that intensity unknown, and the true constants."""
+    model, level, period = RIGS[rig]
+    state, size = PUSHED[rig]
+    plant = model.with_process_noise(**{state: size})
+    *_, c, d, _, offset = linear_matrices(plant)
+    phi, early, late, steady, noise = discrete(plant, period)
+    spread = np.sqrt(np.diag(noise)) + 1e-300
+    values, vectors = np.linalg.eigh(noise / np.outer(spread, spread))
+    root = spread[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    record, rng = simulated(rig, 0.0, seed)[1], np.random.default_rng([seed, 77])
+    x, y = np.array([model.values["P_S"] / 2 * (n in ("p_a", "p_b")) if "P_S" in model.values else 0.0
+                     for n in model.system.state_names]), []  # fmt: skip
+    for u in record.inputs["u"]:
+        y.append(c @ x + d[:, 0] * u + offset)
+        x = phi @ x + (early + late)[:, 0] * u + steady + root @ rng.normal(size=len(x))
+    outputs = {o.name: np.array(y)[:, j] + level[o.name] * rng.normal(size=ROWS) for j, o in enumerate(model.outputs)}
+    truth = {q.name: q.value for q in model.free_parameters} | {f"noise_{state}": size}
+    return model.with_process_noise(state), replace(record, outputs=outputs), truth
+
+
+def coverage_when_pushed(rig, records):
+    """`coverage` of fits with process noise, its intensity and the noise of the outputs estimated with the rest."""
+    hits = {}
+    for seed in range(records):
+        model, record, truth = pushed(rig, seed)
+        found = fit(model, record)
+        assert found.success, found.meaning
+        for name, value in truth.items():
+            low, high = found.parameters[name].interval
+            hits[name] = hits.get(name, 0) + (low <= value <= high)
+    return {name: count / records for name, count in hits.items()}
 
 
 def coverage(rig, rho, way, records):
@@ -82,12 +119,24 @@ def test_intervals_contain_the_truth_as_often_as_they_say(rig, rho, way):
     assert all(0.90 <= share <= 0.995 for share in found.values()), found
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("rig", RIGS)
+def test_intervals_of_fits_with_process_noise_contain_the_truth_as_often_as_they_say(rig):
+    found = coverage_when_pushed(rig, 200)
+    assert 0.92 <= np.mean(list(found.values())) <= 0.98, found
+    assert all(0.90 <= share <= 0.995 for share in found.values()), found
+
+
 def table(records):
     """The table of the documentation."""
     lines = ["| rig | noise | the fit was told | constants | mean |", "|---|---|---|---|---|"]
-    for rig, rho, way in CASES:
-        found = coverage(rig, rho, way, records)
-        colour = f"AR(1), {rho:g}" if rho else "white"
+    cases = [
+        (rig, f"AR(1), {rho:g}" if rho else "white", way, coverage(rig, rho, way, records)) for rig, rho, way in CASES
+    ]
+    cases += [
+        (rig, "white, and process noise", "that there is some", coverage_when_pushed(rig, records)) for rig in RIGS
+    ]
+    for rig, colour, way, found in cases:
         each = ", ".join(f"{name} {100 * share:.1f}" for name, share in found.items())
         lines.append(f"| {rig} | {colour} | {way} | {each} | {100 * np.mean(list(found.values())):.1f} |")
     return "\n".join(lines)

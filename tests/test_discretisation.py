@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -23,6 +24,7 @@ from greybox.integrators.accuracy import run
 from greybox.integrators.relaxing import fast_relaxation
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
+from tests.independent import quick
 from tests.stepping import (
     KERNELS,
     bouc_wen,
@@ -40,13 +42,14 @@ from tests.stepping import (
 
 def solved(model, u, period, x0, rtol=1e-9, atol=1e-12, slope=None):
     """States at the rows, by scipy's Radau, each held interval on its own; ``slope``: the input is linear instead."""
-    f, j, p, x = model.system.rhs_function, model.system.jacobian, values(model), np.array(x0, float)
+    s, p, x = model.system, values(model), np.array(x0, float)
+    f, j = (quick([s.x, s.u, s.p], e) for e in (s.explicit, ca.jacobian(s.explicit, s.x)))
     found = [x]
     for k in range(len(u) - 1):
         rise = 0.0 if slope is None else (u[k + 1] - u[k]) / period
         x = solve_ivp(
-            lambda t, x, k=k, rise=rise: f(x, u[k] + rise * t, p).full().ravel(), (0, period), x, method="Radau", rtol=rtol, atol=atol,
-            jac=lambda t, x, k=k: j(x, u[k], p).full(),
+            lambda t, x, k=k, rise=rise: f(x, u[k] + rise * t, p), (0, period), x, method="Radau", rtol=rtol, atol=atol,
+            jac=lambda t, x, k=k: j(x, u[k], p),
         ).y[:, -1]  # fmt: skip
         found.append(x)
     return np.array(found)

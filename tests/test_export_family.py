@@ -99,6 +99,14 @@ def test_the_family_prints_its_spread(fit):
     assert "gain u -> x" in text
 
 
+def test_a_minimal_family_has_the_same_states_throughout(fit, tmp_path):
+    idle = (fit.model + gb.effect("winding_heating")).start(Rth=0.1)  # heat goes with the square of the current
+    family = gb.family(replace(fit, model=idle), number=4, dt=2.5e-4, delay=1e-4, minimal=True)
+    assert {m.state_names for m in (family.nominal, *family.members)} == {("x", "v", "i", "u_1")}
+    path = gb.to_numpy(replace(fit, model=idle), tmp_path / "p", samples=3, minimal=True)
+    assert np.load(path)["family_A"].shape == (3, 3, 3)
+
+
 def test_what_cannot_be_drawn_is_refused(fit):
     with pytest.raises(gb.ModelError, match="is no fit: it has no covariance"):
         gb.family(micro_actuator)

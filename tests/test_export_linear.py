@@ -109,6 +109,21 @@ def test_sampling_is_that_of_scipy(model, method):
         np.testing.assert_allclose(ours, matrix, rtol=1e-9, atol=1e-13 * np.abs(matrix).max())
 
 
+@pytest.mark.parametrize("method", ["zoh", "tustin"])
+@pytest.mark.parametrize("draw", range(4))
+def test_sampling_changes_neither_gain_nor_integrators(draw, method):
+    """Pressures keep a finite gain and the position integrates, whatever the last digits of the constants."""
+    rng = np.random.default_rng(draw)
+    model = pneumatic_cylinder.start(
+        f_v=46 * (1 + 0.01 * rng.standard_normal()), K2=6.5e-10 * (1 + 0.01 * rng.standard_normal())
+    )
+    continuous, sampled = gb.linearise(model), gb.linearise(model, dt=0.01, method=method, delay=0.015)
+    for output, integrators in (("s", 1), ("p_a", 0), ("p_b", 0)):
+        one, other = continuous.channel(output), sampled.channel(output)
+        assert one.integrators == other.integrators == integrators
+        assert other.gain == pytest.approx(one.gain, rel=1e-7)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0, 2.7])
 def test_a_delay_of_any_length_is_exact_for_a_held_input(share):
     dt, rng = 2.5e-4, np.random.default_rng(1)
@@ -173,9 +188,18 @@ def test_an_integrating_state_stays_where_it_starts_or_moves_steadily():
     assert steady.moving == ("s",)
     assert steady.states["v"] == pytest.approx(p.P_a * p.K2 / (p.rho_a * p.A_piston), rel=1e-10)
     assert "s moves at 0.04727 m/s" in steady.notes[0]
-    full = gb.operating_point(pneumatic_full, {"v": 0.1})  # the valve has no slope at u = 0, where the search begins
-    assert full.states["v"] == 0.1
-    assert abs(full.rates["p_a"]) < 1e-6 and full.inputs["u"] > 1
+
+
+@pytest.fixture(scope="module")
+def steady():
+    """The whole chain moving at 0.1 m/s: the valve has no slope at u = 0, where the search begins."""
+    return gb.linearise(pneumatic_full, {"v": 0.1})
+
+
+def test_a_valve_that_is_shut_at_first_is_opened_until_the_speed_is_there(steady):
+    at = dict(zip(steady.state_names, range(4), strict=True))
+    assert steady.x0[at["v"]] == 0.1
+    assert abs(steady.rates[at["p_a"]]) < 1e-6 and steady.u0[0] > 1
 
 
 def test_a_point_that_is_no_equilibrium_says_by_how_much():
@@ -291,11 +315,10 @@ def test_to_control_hands_over_names_and_warns():
         gb.to_control(micro_actuator, {"u": 1}, delay=1e-3, form="nonlinear")
 
 
-def test_the_continuous_nonlinear_system_has_the_linear_one_as_its_slope():
+def test_the_continuous_nonlinear_system_has_the_linear_one_as_its_slope(steady):
     system = gb.to_control(pneumatic_full, form="nonlinear")
-    about = gb.linearise(pneumatic_full, {"v": 0.1})
-    theirs = system.linearize(about.x0, about.u0)
-    np.testing.assert_allclose(theirs.A, about.A, rtol=1e-3, atol=1e-3)
+    theirs = system.linearize(steady.x0, steady.u0)
+    np.testing.assert_allclose(theirs.A, steady.A, rtol=1e-3, atol=1e-3)
     with pytest.raises(gb.ModelError, match=r"no ordinary differential equation: coulomb_friction \(it sticks"):
         gb.nonlinear_system(COULOMB)
 

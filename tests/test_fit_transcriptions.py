@@ -22,13 +22,15 @@ from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
-from tests.independent import experiment, linear_matrices, linear_record, multisine, solved_record
+from tests.independent import experiment, linear_matrices, linear_record, multisine, rates_of, solved_record
 from tests.test_transcription import oscillator
 from tests.test_uncertainty import PREY
 
 RANGE = (1e-3, 1e3)
 LIFTED = ("multiple", "collocation-radau", "collocation-legendre")
 ALL = ("automatic", "single", *LIFTED, "arcs")
+# Where the two kinds of points go the same way one of them is enough for an ordinary run.
+ONE_OF_EACH = ("multiple", "collocation-radau", pytest.param("collocation-legendre", marks=pytest.mark.slow))
 
 
 def levitation() -> Model:
@@ -65,7 +67,7 @@ def duffing_case():
 
 def pneumatic_case():
     model = pneumatic_cylinder.free("V_total")
-    t = np.arange(300) * 0.01
+    t = np.arange(200) * 0.01
     u = 1.25 * np.cos(0.4 * np.pi * t) + 2.0 * np.cos(1.6 * np.pi * t) + 0.5 * np.sign(np.sin(9.1 * t))
     half = model.values["P_S"] / 2
     data = linear_record(model, u, 0.01, [0.0, 0.0, half, half])
@@ -74,7 +76,7 @@ def pneumatic_case():
 
 def actuator_case():
     model = micro_actuator.fix("M", "Ra")
-    data = linear_record(model, multisine(np.random.default_rng(1), 80, 2.5e-4, 5, 800, 3.0), 2.5e-4)
+    data = linear_record(model, multisine(np.random.default_rng(1), 50, 2.5e-4, 5, 800, 3.0), 2.5e-4)
     return model, model.start(**{q.name: 1.3 * q.value for q in model.free_parameters}), data, None, True
 
 
@@ -107,7 +109,7 @@ def test_the_same_fit_by_every_transcription_gives_the_same_constants(case, tran
     assert found.solver["strategy"].endswith("as asked") is (transcription != "automatic")
 
 
-@pytest.mark.parametrize("transcription", ["automatic", *LIFTED])
+@pytest.mark.parametrize("transcription", ["automatic", *ONE_OF_EACH])
 def test_an_unstable_plant_has_traces_and_a_validation_that_follow_the_record(transcription):
     truth = levitation()
     noise = {"x": 2e-3}
@@ -138,7 +140,7 @@ def test_the_default_says_what_it_picked_and_why():
         ],
         "integrating": [
             "single shooting",
-            "picked because integrating (2.99 s are 97 times",
+            "picked because integrating (1.99 s are 64 times",
             "keeps the free run near the data",
         ],
         "stable": ["single shooting", "picked because the model is stable and not stiff"],
@@ -162,13 +164,11 @@ def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
             Balance("slow", "m/s", 1, "x", inflow=p.g * x.s, decay=-p.a * x.x),
         ],
     )  # fmt: skip
-    f, p, u = model.system.rhs_function, np.array(list(model.values.values())), 1.5 * np.sin(0.08 * np.arange(80))
+    f, p, u = rates_of(model), np.array(list(model.values.values())), 1.5 * np.sin(0.08 * np.arange(80))
     x, y = np.zeros(2), []
     for value in u:
         y.append([x[1]])
-        run = solve_ivp(
-            lambda _, x, u=value: f(x, u, p).full().ravel(), (0, 0.01), x, method="LSODA", rtol=1e-9, atol=1e-11
-        )
+        run = solve_ivp(lambda _, x, u=value: f(x, u, p), (0, 0.01), x, method="LSODA", rtol=1e-9, atol=1e-11)
         x = run.y[:, -1]
     data = experiment(model, np.arange(80) * 0.01, u[:, None], np.array(y), {"x": 1e-4})
     start = model.start(a=3.0, c=0.2)
@@ -185,7 +185,7 @@ def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
             assert other.parameters[name].std == pytest.approx(std, rel=0.02)
 
 
-@pytest.mark.parametrize("transcription", LIFTED)
+@pytest.mark.parametrize("transcription", ONE_OF_EACH)
 def test_intervals_and_own_constants_are_those_of_single_shooting(transcription):
     """Two days with a damping of their own, a prior on the stiffness: every transcription weighs them alike."""
     truth = oscillator("duffing", 0.3, 4.0, 6.0, 2.0)
@@ -260,14 +260,13 @@ def test_short_arcs_show_the_structure_of_the_drive_and_the_whole_record_what_dr
 
     train = read_csv(shared_data / "emps" / "train.csv", emps).window(0, 12000)
     rubbing = emps + effect("coulomb_friction") + effect("constant_load")
-    short, long, whole = (fit(rubbing, train, options=FitOptions(arc_length=s)) for s in (0.1, 2.0, 0.0))
+    short, whole = (fit(rubbing, train, options=FitOptions(arc_length=s)) for s in (0.1, 0.0))
     known = {"M": 95.1, "Fv": 203.5, "Fc": 20.4, "F0": 3.16}
     for name, value in known.items():
         assert short.parameters[name].value == pytest.approx(value, rel=0.03), name
     far = {name: abs(whole.parameters[name].value / value - 1) for name, value in known.items()}
     assert far["Fv"] > 0.05 and far["Fc"] > 0.05  # the offset that a free run adds up over 25 s spoils the friction
-    rmse = [f.misfit["q"].rmse for f in (short, long, whole)]
-    assert rmse[0] < 1e-5 < 5e-4 < rmse[1] < rmse[2]
+    assert short.misfit["q"].rmse < 1e-5 < 5e-4 < whole.misfit["q"].rmse
     assert "arcs of 0.1 s, each from a state of its own, as asked" in str(short)
     bare = {s: fit(emps, train, options=FitOptions(arc_length=s)).parameters["M"].value for s in (0.1, 0.0)}
     assert (

@@ -99,6 +99,15 @@ def test_the_intervals_from_the_data_hold_the_constants(noise):
     assert peak / bin_width == pytest.approx(round(peak / bin_width))
 
 
+@pytest.mark.parametrize("rows", [120, 300, 900])
+def test_a_record_shorter_than_the_window_shows_its_frequency_too(rows):
+    t = TS * np.arange(rows)
+    found = gb.monte_carlo_smoothing(step(equation_17(t, **TRUE)), seed=1, draws=FEW)
+    assert found.coefficients["w"] == pytest.approx(TRUE["frequency"], rel=0.03)
+    with pytest.raises(gb.DataError, match=r"at least 3 show how the oscillation decays: .* use output_error"):
+        gb.monte_carlo_smoothing(step(1 - np.exp(-t / t[rows // 8])), seed=1)
+
+
 def test_a_step_that_comes_late_and_is_not_one_gives_the_same_constants():
     t = TS * np.arange(900)
     y = equation_17(t, **TRUE)

@@ -85,10 +85,13 @@ def spectrum(y: np.ndarray, sampling_time: float, points: int = 1024) -> tuple[n
 
 def resonance(w: np.ndarray, density: np.ndarray) -> float:
     """The frequency of the highest peak beyond the one at zero, in the units of ``w`` (n,). Raises DataError without one."""
-    falling = np.flatnonzero(np.diff(density) > 0)
-    if len(falling) == 0 or falling[0] >= len(w) - 2:
+    # A one-sided density counts every line but the one at zero twice, so that a broad peak at zero may rise to its second line.
+    change = np.diff(density)
+    down = int(np.argmax(change < 0))
+    rising = down + np.flatnonzero(change[down:] > 0)
+    if len(rising) == 0 or rising[0] >= len(w) - 2:
         raise DataError(f"the power spectral density has no peak besides the one at 0 rad/s; {NO_OSCILLATION}")
-    start = int(falling[0])
+    start = int(rising[0])
     return float(w[start + int(np.argmax(density[start:]))])
 
 
@@ -108,7 +111,7 @@ def from_data(time: np.ndarray, y: np.ndarray, sampling_time: float, points: int
         )
     if not low < high:
         low, high = level - 0.01 * abs(level), level + 0.01 * abs(level)
-    w = resonance(*spectrum(y, sampling_time, points))
+    w = _frequency(y, level, sampling_time, points)
     bin_width = 2 * np.pi / (points * sampling_time)
     decay, size = _envelope(time, y - level, w, sampling_time)
     ratio = size / abs(level)
@@ -129,6 +132,18 @@ def from_data(time: np.ndarray, y: np.ndarray, sampling_time: float, points: int
     )
 
 
+def _frequency(y: np.ndarray, level: float, sampling_time: float, points: int) -> float:
+    """The oscillation's frequency in rad/s: the spectrum's peak besides the one at zero."""
+    if len(y) >= points:
+        return resonance(*spectrum(y, sampling_time, points))
+    # The one window of a shorter record is padded with zeros: the final value would leak over the oscillation, so it is taken out.
+    w, density = spectrum(y - level, sampling_time, points)
+    peak = int(np.argmax(density))
+    if peak in (0, len(w) - 1):
+        raise DataError(f"the power spectral density of what moves is largest at {w[peak]:.4g} rad/s; {NO_OSCILLATION}")
+    return float(w[peak])
+
+
 def _levels(level: float, low: float, high: float) -> tuple[float, float]:
     """The smallest and the largest final value that the tail allows, over their mean."""
     return tuple(sorted((low / level, high / level)))  # type: ignore[return-value]
@@ -140,7 +155,8 @@ def _envelope(time: np.ndarray, swing: np.ndarray, w: float, sampling_time: floa
     count = len(swing) // period
     if count < 3:
         raise DataError(
-            f"the record holds {count} periods of {w:.4g} rad/s; at least 3 show how the oscillation decays"
+            f"the record holds {count} periods of {w:.4g} rad/s; at least 3 show how the oscillation decays:"
+            " take a longer record, or use output_error"
         )
     turned = swing[: count * period] * np.exp(-1j * w * time[: count * period])
     size = 2 * np.abs(turned.reshape(count, period).mean(axis=1))

@@ -29,6 +29,15 @@ if TYPE_CHECKING:
 # Time that the scan of each kind takes beside the others, as a rule.
 SCAN_TIMES = {"arx": 8, "armax": 40, "output error": 33, "box-jenkins": 6, "hammerstein": 13}
 
+Rivals = Annotated[
+    str,
+    typer.Option(
+        "--effects",
+        metavar="NAME,...",
+        help="Also fit MODEL with each of these effects of the catalogue; A+B is one model with both.",
+    ),
+]
+
 
 def compare(
     model: o.ModelName,
@@ -41,14 +50,7 @@ def compare(
     start: o.Start,
     free: o.Free,
     effect: o.Effects,
-    effects: Annotated[
-        str,
-        typer.Option(
-            "--effects",
-            metavar="NAME,...",
-            help="Also fit MODEL with each of these effects of the catalogue; A+B is one model with both.",
-        ),
-    ] = "",
+    effects: Rivals = "",
     prior: c.Prior,
     tie: c.Tie,
     own: c.Own,
@@ -97,6 +99,7 @@ def compare(
     Exit code 0: there is a comparison. 2: bad input, nothing was written. 130: Ctrl-C, nothing was written.
     """
     from greybox.comparison.compare import Named, compared
+    from greybox.comparison.contestants import refuse_other_steps
     from greybox.experiment import read_experiments
     from greybox.fitting import FitOptions
     from greybox.project import resolve
@@ -117,6 +120,7 @@ def compare(
     )  # fmt: skip
     records, judges = c.under_conditions(condition, records, judges)
     o.check_skip(skip, judges)
+    refuse_other_steps(records, judges, [q.name for q in plain.outputs])
     if not silent:
         tell_notes(records, judges)
     options = FitOptions(
@@ -127,7 +131,7 @@ def compare(
     with gauge() as show:
         given = {"noise": said, "quiet": hushed, "options": options}
         fitted = [_fitted(plant, records, show, starts, seed, given) for plant in plants]
-        black, notes = _boxes(plain, records, show, at_rest)
+        black, notes = _boxes(plain, records, at_rest, show)
         show("judging")
         grey = [Named(fit.model.title, fit, seconds) for fit, seconds in fitted]
         result = compared(
@@ -148,21 +152,6 @@ def _extended(model: Model, effects: str) -> list[Model]:
             extended = extended + effect(name.strip())
         found.append(extended)
     return found
-
-
-def _boxes(
-    plain: Model, records: Sequence[Experiment], show: Show, at_rest: bool
-) -> tuple[tuple[Named, ...], tuple[str, ...]]:
-    """The black boxes, each with the best structure of its scan, and notes on what could not be scanned."""
-    from greybox.comparison.contestants import black_contestants
-
-    measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
-    outputs = [q.name for q in measured]
-    return black_contestants(
-        records, outputs, [i.name for i in plain.inputs], at_rest=at_rest,
-        units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
-        report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scanned(what, done / of, outputs)),
-    )  # fmt: skip
 
 
 def scanned(what: str, share: float, outputs: Sequence[str]) -> float:
@@ -191,6 +180,21 @@ def _fitted(
     else:
         result = fit(plant, records, report=report, **given)
     return result, time.perf_counter() - began
+
+
+def _boxes(
+    plain: Model, records: Sequence[Experiment], at_rest: bool, show: Show
+) -> tuple[tuple[Named, ...], tuple[str, ...]]:
+    """The black boxes of every output of ``plain`` that the records measure, and what is to be said about them."""
+    from greybox.comparison.contestants import black_contestants
+
+    measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
+    outputs = [q.name for q in measured]
+    return black_contestants(
+        records, outputs, [i.name for i in plain.inputs], at_rest=at_rest,
+        units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
+        report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scanned(what, done / of, outputs)),
+    )  # fmt: skip
 
 
 def _tell(

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from greybox.cli import constraints as c
 from greybox.cli import options as o
-from greybox.cli.guard import note
+from greybox.cli.guard import INTERRUPTED, note, stop
 from greybox.cli.records import tell_notes
 from greybox.cli.reporting import NoReport, told, write_report
+
+if TYPE_CHECKING:
+    from greybox.discovery import Discovery
 
 
 def discover(
@@ -38,7 +41,7 @@ def discover(
     ] = "",
     output: Annotated[
         Path | None,
-        typer.Option("--output", metavar="DIR", help="Folder for discovery.json. [default: results/MODEL-discover]"),
+        typer.Option("--output", metavar="DIR", help="Folder for what is found. [default: results/MODEL-discover]"),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the discovery as JSON instead of text.")] = False,
     no_report: NoReport = False,
@@ -47,10 +50,11 @@ def discover(
 
     Refits the model with each effect of the catalogue, keeps what the ESTIMATION records demand, and judges it on the
     --validate records. Says "complete" when nothing is missing, "ambiguous" when the records cannot tell, "unknown" when
-    the catalogue does not explain what is missing. Writes DIR/discovery.json and
-    DIR/report.html, a page with the whole story.
+    the catalogue does not explain what is missing (a fitted curve stands in for it). Writes DIR/discovery.json, the extended model as
+    DIR/model.py (greybox fit DIR/model.py ... goes on with it), figures as PNG and SVG, and DIR/report.html, a page with the whole
+    story. Every finished refit is kept in DIR/journal.jsonl: after Ctrl-C the same command goes on where it was.
 
-    Exit code 0: there is an answer. 2: bad input, nothing was written.
+    Exit code 0: there is an answer. 2: bad input, nothing was written. 130: interrupted.
     """
     from greybox.discovery import discover as find
     from greybox.effects import effect
@@ -73,12 +77,32 @@ def discover(
     )
     tell_notes(records, judges, silent)
     chosen = [effect(name.strip()) for name in effects.split(",") if name.strip()] or None
-    found = find(
-        plant, records, validation=judges, noise=said, quiet=silent, effects=chosen,
-        options=FitOptions(at_rest=at_rest), say=note,
-    )  # fmt: skip
+    journal = folder / "journal.jsonl"
+    try:
+        found = find(
+            plant, records, validation=judges, noise=said, quiet=silent, effects=chosen,
+            options=FitOptions(at_rest=at_rest), say=note, journal=journal,
+        )  # fmt: skip
+    except KeyboardInterrupt:
+        kept = f"; finished refits are in {journal}, the same command goes on from there" if journal.exists() else ""
+        stop(f"interrupted{kept}", INTERRUPTED)
+    _write(found, folder, json=json, page=not no_report)
+
+
+def _write(found: Discovery, folder: Path, *, json: bool, page: bool) -> None:
+    from greybox.export import to_python
+    from greybox.figures import discovery_figures
+
     saved = found.save(folder / "discovery.json")
-    report = None if no_report else write_report(found, folder / "report.html")
-    typer.echo(saved.read_text(encoding="utf-8") if json else f"{found}\n\nwritten: {saved}", nl=not json)
-    if report and not json:
-        typer.echo(told(report))
+    typer.echo(saved.read_text(encoding="utf-8") if json else str(found), nl=not json)
+    files = [saved]
+    try:
+        files.append(to_python(found.extended, folder / "model.py"))
+        files += discovery_figures(found, folder)
+        report = write_report(found, folder / "report.html") if page else None
+    except KeyboardInterrupt:
+        stop(f"interrupted while drawing; the answer is in {saved}", INTERRUPTED)
+    if not json:
+        typer.echo(f"\nwritten: {', '.join(map(str, files))}")
+        if report:
+            typer.echo(told(report))

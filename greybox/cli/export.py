@@ -146,20 +146,23 @@ def _linear(
     from greybox.export.plant import plant_of
     from greybox.reports.of_export import Export
 
-    linear: Linearisation = linearise(fit, at, dt=dt, method=method.value, delay=delay)
-    linear = linear.minimal() if minimal else linear
+    whole: Linearisation = linearise(fit, at, dt=dt, method=method.value, delay=delay)
+    linear = whole.minimal() if minimal else whole
     drawn: Family | None = (
-        family(fit, at, number=samples, seed=seed, dt=dt, method=method.value, delay=delay) if samples else None
+        family(fit, at, number=samples, seed=seed, dt=dt, method=method.value, delay=delay, minimal=minimal)
+        if samples
+        else None
     )
     plant = plant_of(fit)
-    for text in (*linear.notes, *(drawn.notes if drawn else ())):
+    for text in (*whole.notes, *(drawn.notes if drawn else ())):
         note(f"warning: {text}")
     if to is Target.control:
         written = write_control(linear, target, plant=plant)
     else:
         writer = {Target.mat: write_mat, Target.json: write_json, Target.numpy: write_npz}[to]
         written = writer(linear, target, plant=plant, family=drawn)
-    shown = [str(replace(linear, notes=())), *(["", str(replace(drawn, notes=()))] if drawn else [])]
+    asked = linear.notes[len(whole.notes) :]
+    shown = [str(replace(linear, notes=asked)), *(["", str(replace(drawn, notes=()))] if drawn else [])]
     return [*shown, "", f"written: {written}"], Export(fit, KIND[to], (written,), linear, drawn)
 
 

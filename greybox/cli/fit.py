@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from greybox.cli import constraints as c
+from greybox.cli import intervals as i
 from greybox.cli import options as o
 from greybox.cli import predicted as p
 from greybox.cli import searching as s
@@ -63,6 +64,8 @@ def fit(
     starts: s.Starts = 1,
     seed: s.Seed = None,
     predict: p.Predict,
+    profile: i.Profile,
+    bootstrap: i.Bootstrap = 0,
     output: Annotated[
         Path | None,
         typer.Option("--output", metavar="DIR", help="Folder for fit.json and figures. [default: results/MODEL-fit]"),
@@ -109,7 +112,7 @@ def fit(
         at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, own=c.names(own),
         transcription=transcription.value, arc_length=arc_length,
     )  # fmt: skip
-    seed = s.check_seed(starts, seed)
+    seed, profiled = s.check_seed(starts, seed), i.check(plant, profile, bootstrap)
     given: dict[str, Any] = {"noise": said, "quiet": hushed, "validation": judges, "skip": skip, "options": choice}
     if starts > 1:
         many = s.from_many(plant, records, starts, seed, **given)
@@ -121,8 +124,9 @@ def fit(
     with held():
         saved = result.save(folder / "fit.json")
     tests = None if interrupted else _tested(result)
+    more = [] if interrupted or silent or json else i.further(result, profiled, bootstrap)
     ahead = [] if interrupted or silent or json else p.predicted(result, judges, predict, skip)
-    _tell(result, tests, ahead, saved, skip, quiet=silent, json=json)
+    _tell(result, tests, [*more, *ahead], saved, skip, quiet=silent, json=json)
     if interrupted or result.status == "interrupted":
         stop(f"interrupted; the best point so far is in {saved}", INTERRUPTED)
     _draw(result, tests, saved, skip, quiet=silent or json, page=not no_report)

@@ -33,7 +33,7 @@ def black_runs(
     for experiment in experiments:
         if model.output not in experiment.outputs or not np.isfinite(experiment.outputs[model.output]).any():
             continue
-        seen = on_grid_of(model, experiment)
+        seen = on_grid(experiment, model.output, model.sampling_time, model.label)
         ratio = seen.rows / experiment.rows
         rows = None if training else max(1, round(ratio * (skip or FIRST_ROWS)))
         initial = "zero" if at_rest else "estimated"
@@ -49,18 +49,19 @@ def black_runs(
     return found
 
 
-def on_grid_of(model: BlackBoxModel, experiment: Experiment) -> Experiment:
-    """``experiment`` at the sampling time of ``model``: as it is, at its measured rows alone, or resampled."""
+def on_grid(experiment: Experiment, output: str, wanted: float, label: str) -> Experiment:
+    """``experiment`` at the sampling time ``wanted`` by the model ``label`` of ``output``: as it is, at its measured rows alone, or
+    resampled where its time is irregular. Raises DataError for another sampling time."""
     step = experiment.sampling_time
-    if step is not None and np.isclose(step, model.sampling_time, rtol=SAME):
+    if step is not None and np.isclose(step, wanted, rtol=SAME):
         return experiment
-    sparse = thinned(experiment, model.output)
+    sparse = thinned(experiment, output)
     slow = sparse.sampling_time if sparse is not None else None
-    if sparse is not None and slow is not None and np.isclose(slow, model.sampling_time, rtol=SAME):
+    if sparse is not None and slow is not None and np.isclose(slow, wanted, rtol=SAME):
         return sparse
     if step is not None:
         raise DataError(
-            f"experiment {experiment.name!r} is sampled every {step:.6g} s, but {model.label} of {model.output!r} was identified"
-            f" at {model.sampling_time:.6g} s; give greybox.resample(experiment, {model.sampling_time:.6g})"
+            f"experiment {experiment.name!r} is sampled every {step:.6g} s, but {label} of {output!r} was identified"
+            f" at {wanted:.6g} s; give greybox.resample(experiment, {wanted:.6g})"
         )
-    return resample(experiment, model.sampling_time)
+    return resample(experiment, wanted)

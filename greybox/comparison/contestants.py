@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from greybox.blackbox import best_black_boxes, monte_carlo_smoothing, resample, thinned
+from greybox.comparison.black import on_grid
 from greybox.comparison.compare import Named
 from greybox.comparison.values import BlackBoxModel
 from greybox.errors import DataError
@@ -65,6 +66,16 @@ def black_contestants(
             found.setdefault(SMOOTHING, []).append(smoothed)
             seconds[SMOOTHING] = seconds.get(SMOOTHING, 0.0) + time.perf_counter() - began
     return tuple(Named(name, tuple(models), seconds[name]) for name, models in found.items()), tuple(notes)
+
+
+def refuse_other_steps(training: Sequence[Experiment], judging: Sequence[Experiment], outputs: Sequence[str]) -> None:
+    """DataError, before anything is fitted, for a record that no black box of the ``training`` records could be judged on."""
+    even, notes = _even(training)
+    for output in outputs:
+        records = _dense(even, output, notes)
+        if records:
+            for record in (e for e in judging if output in e.outputs):
+                on_grid(record, output, float(np.median(records[0].intervals)), "a black box")
 
 
 def _even(records: Sequence[Experiment]) -> tuple[tuple[Experiment, ...], list[str]]:

@@ -2,16 +2,18 @@
 
 from greybox.discovery.attempt import Attempt, drop_effect, try_effect
 from greybox.discovery.bench import Bench, Trial
-from greybox.discovery.discover import discover
+from greybox.discovery.find import discover
 from greybox.discovery.gap import Gap
 from greybox.discovery.look import Signal, Site, Unexplained, unexplained
 from greybox.discovery.missing import Missing
 from greybox.discovery.region import Region
 from greybox.discovery.result import Discovery, Rank
+from greybox.discovery.spectrum import Spectrum, residual_spectrum
 from greybox.discovery.stand_in import StandIn
 from greybox.discovery.when import Window
 
 __all__ = [
-    "Attempt", "Bench", "Discovery", "Gap", "Missing", "Rank", "Region", "Signal", "Site", "StandIn", "Trial", "Unexplained", "Window",
-    "discover", "drop_effect", "try_effect", "unexplained",
+    "Attempt", "Bench", "Discovery", "Gap", "Missing", "Rank", "Region", "Signal", "Site", "Spectrum", "StandIn", "Trial", "Unexplained",
+    "Window",
+    "discover", "drop_effect", "residual_spectrum", "try_effect", "unexplained",
 ]  # fmt: skip

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
 
+from greybox.discovery.refit import Job, Outcome, Refits
 from greybox.experiment import Experiment
 from greybox.fitting import FitOptions
 from greybox.fitting.problem import Problem, prepare
 from greybox.fitting.solve import Solution, solve
 from greybox.model import Model
 from greybox.noise import AutoRegression, Noise
+from greybox.optimiser import Status
 from greybox.result import Fit
 from greybox.transcription import Evaluation, Variables
 
@@ -62,6 +64,7 @@ class Bench:
     noise: Mapping[str, float] | Noise
     quiet: tuple[Experiment, ...]
     options: FitOptions
+    refits: Refits = field(default_factory=Refits)
 
     @classmethod
     def of(cls, fit: Fit) -> Bench:
@@ -86,7 +89,10 @@ class Bench:
     @cached_property
     def base(self) -> Trial:
         """The plain model, fitted to a growing part of the record from its start values."""
-        return _trial(self.plain, solve(self.problem(self.plain), self.options))
+        solution = solve(self.problem(self.plain), self.options)
+        if solution.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        return _trial(self.plain, solution)
 
     def problem(self, model: Model, experiments: tuple[Experiment, ...] | None = None) -> Problem:
         """The records (or others) as a fit of ``model`` sees them; the noise is looked at once."""
@@ -95,6 +101,11 @@ class Bench:
             model, experiments or self.experiments, known, at_rest=self.options.at_rest, method=self.options.method,
             substeps=self.options.substeps, quiet=self.quiet,
         )  # fmt: skip
+
+    @property
+    def known_noise(self) -> Noise:
+        """The noise as it was given, or as the base fit looked at it."""
+        return self.noise if isinstance(self.noise, Noise) else self._noise
 
     @cached_property
     def _noise(self) -> Noise:
@@ -109,14 +120,40 @@ class Bench:
 
     def best(self, model: Model, starts: Iterable[Start], keep: int = 2, iterations: int = ITERATIONS) -> Trial | None:
         """``model`` refitted from the most promising ``keep`` of ``starts``; None where none of them can be simulated."""
-        problem = self.problem(model)
+        return self.every([Job(model, tuple(starts), keep, iterations)])[0]
+
+    def every(self, jobs: Sequence[Job]) -> list[Trial | None]:
+        """Independent refits, wherever they are done."""
+        return self.refits.run(self, jobs)
+
+    def refitted(self, job: Job) -> Trial | None:
+        """One refit, here and now. Raises KeyboardInterrupt where the user ended it."""
+        problem = self.problem(job.model)
         ranked = sorted(
-            (point for s in starts if (point := _promise(problem, s)) is not None), key=lambda point: point[0]
+            (point for s in job.starts if (point := _promise(problem, s)) is not None), key=lambda point: point[0]
         )
-        options = replace(self.options, progressive=False, thorough=False, iterations=iterations)
-        trials = [_trial(model, solve(replace(problem, variables=v), options)) for _, v in ranked[:keep]]
-        finite = [t for t in trials if np.isfinite(t.cost)]
+        options = replace(self.options, progressive=False, thorough=False, iterations=job.iterations)
+        solutions = [solve(replace(problem, variables=v), options) for _, v in ranked[: job.keep]]
+        if any(s.status is Status.INTERRUPTED for s in solutions):
+            raise KeyboardInterrupt
+        finite = [t for t in (_trial(job.model, s) for s in solutions) if np.isfinite(t.cost)]
         return min(finite, key=lambda t: t.cost, default=None)
+
+    def outcome(self, trial: Trial) -> Outcome:
+        """What has to be known of a trial to have it again."""
+        return Outcome(trial.model.values, tuple(map(tuple, trial.variables.initial.guess.tolist())))
+
+    def placed(self, model: Model, outcome: Outcome) -> Trial:
+        """``model`` where a refit ended."""
+        problem = self.problem(model.start(**outcome.values))
+        variables = started(problem.variables, outcome.values)
+        variables = replace(variables, initial=replace(variables.initial, guess=np.array(outcome.initial)))
+        e = problem.shooting(variables).evaluate(np.zeros(variables.size))
+        return Trial(problem.model, e.cost, e.count, variables.size, problem, variables, e)
+
+    def portable(self) -> Bench:
+        """The same for another process: with the noise as it is known here, and without a journal or an executor."""
+        return Bench(self.plain, self.experiments, self.known_noise, (), self.options)
 
     def promise(self, model: Model, starts: Iterable[Start]) -> float:
         """The lowest cost that a Gauss-Newton step from any of ``starts`` foresees."""

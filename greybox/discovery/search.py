@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from greybox.discovery import rules
 from greybox.discovery.bench import ITERATIONS, Bench, Start, Trial
 from greybox.discovery.colour import LEFT_OVER, remainder
-from greybox.discovery.starts import candidate_starts, child_starts
+from greybox.discovery.refit import Job
+from greybox.discovery.starts import LADDER, candidate_starts, child_starts
 from greybox.effects import Scales
-from greybox.model import Effect
+from greybox.model import Effect, Model
 
 # First picks that are carried on in parallel, second effects refitted for each, and effects at most.
 BEAM, SECONDS, MOST_EFFECTS = 3, 5, 3
@@ -36,6 +37,7 @@ class Search:
     base: Trial = field(init=False)
     singles: list[Trial] = field(init=False, default_factory=list)
     tried: dict[frozenset[str], Trial] = field(init=False, default_factory=dict)
+    hopes: dict[frozenset[str], dict[tuple[str, float], float]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         self.base = self.bench.base
@@ -56,8 +58,12 @@ class Search:
 
     def _try(self, effects: Sequence[Effect]) -> None:
         """Each effect alone, one short refit from its most promising start."""
-        found = [self._added(self.base, e, keep=1, iterations=SHORT) for e in effects]
-        self.singles += [t for t in found if t is not None]
+        # A child starts from its parent, so it waits for one that is tried at the same time.
+        names = {e.name for e in effects}
+        waiting = [e for e in effects if set(e.parents) & names]
+        self.singles += self._added_all(self.base, [e for e in effects if e not in waiting])
+        if waiting:
+            self._try(waiting)
 
     def _polish(self) -> None:
         """The leading effects once more, thoroughly: from several starts and to convergence."""
@@ -105,10 +111,30 @@ class Search:
     ) -> Trial | None:
         """``trial`` with one more effect, refitted from the ``keep`` best starts (once for each set of effects)."""
         key = frozenset((*trial.effects, effect.name))
-        if key in self.tried:
-            return self.tried[key]
-        model = trial.model + effect
-        seed = self.seeds.get(key)
+        if key not in self.tried:
+            model = trial.model + effect
+            found = self.bench.best(model, self._starts(trial, effect, model, more), keep, iterations)
+            if found is None:
+                return None
+            self.tried[key] = found
+        return self.tried[key]
+
+    def _added_all(self, trial: Trial, effects: Sequence[Effect]) -> list[Trial]:
+        """``trial`` with each effect in turn, one short refit from its most promising start: independent of one another."""
+        keys = [frozenset((*trial.effects, e.name)) for e in effects]
+        new = [(key, e) for key, e in zip(keys, effects, strict=True) if key not in self.tried]
+        jobs = []
+        for _, e in new:
+            model = trial.model + e
+            jobs.append(Job(model, tuple(self._starts(trial, e, model)), 1, SHORT))
+        for (key, _), found in zip(new, self.bench.every(jobs), strict=True):
+            if found is not None:
+                self.tried[key] = found
+        return [self.tried[key] for key in keys if key in self.tried]
+
+    def _starts(self, trial: Trial, effect: Effect, model: Model, more: Sequence[Start] = ()) -> list[Start]:
+        """Where the refit of ``model``, which is ``trial`` with ``effect``, begins."""
+        seed = self.seeds.get(frozenset((*trial.effects, effect.name)))
         starts: list[Start]
         if seed is not None:  # refitted before, with another idea of the noise
             starts = [seed.model.values]
@@ -118,10 +144,7 @@ class Search:
             parent = self.tried.get(frozenset((*trial.effects, name)))
             if parent is not None:
                 starts += child_starts(model, effect, parent, self._effect(name), self.scales)
-        found = self.bench.best(model, starts, keep, iterations)
-        if found is not None:
-            self.tried[key] = found
-        return found
+        return starts
 
     def _extended(self, chosen: Trial) -> Trial | None:
         """The best model with one effect more, from the chosen one and (for a second effect) from the other good first picks."""
@@ -155,9 +178,19 @@ class Search:
     def _seconds(self, first: Trial) -> list[Trial]:
         """``first`` with each promising further effect."""
         room = [e for e in self.candidates if e.name not in first.effects and not self._family(e, first)]
-        hopes = {e.name: self._hope(first, e) for e in room}
-        promising = sorted(room, key=lambda e: hopes[e.name])[:SECONDS]
-        return [t for e in promising if (t := self._added(first, e, keep=1, iterations=SHORT)) is not None]
+        promising = self._promising(first, room, SECONDS)
+        return self._added_all(first, promising)
+
+    def _promising(self, first: Trial, room: Sequence[Effect], most: int) -> list[Effect]:
+        """The ``most`` effects that promise most beside ``first``: all at a small amplitude, the better half at a large one too."""
+        known = self.hopes.setdefault(frozenset(first.effects), {})
+        for rung, few in zip(LADDER, (len(room), 2 * most), strict=True):
+            leading = sorted(room, key=lambda e: known.get((e.name, LADDER[0]), 0.0))[:few]
+            for e in leading:
+                if (e.name, rung) not in known:
+                    known[e.name, rung] = self._hope(first, e, rung)
+        best = {e.name: min(value for (name, _), value in known.items() if name == e.name) for e in room}
+        return sorted(room, key=lambda e: best[e.name])[:most]
 
     def _finished(self, trial: Trial) -> Trial:
         """A short refit carried on to convergence."""
@@ -166,9 +199,9 @@ class Search:
         self.tried[frozenset(best.effects)] = best
         return best
 
-    def _hope(self, first: Trial, effect: Effect) -> float:
+    def _hope(self, first: Trial, effect: Effect, rung: float) -> float:
         model = first.model + effect
-        return self.bench.promise(model, candidate_starts(model, effect, first, first.model, self.scales))
+        return self.bench.promise(model, candidate_starts(model, effect, first, first.model, self.scales, (rung,)))
 
     def _pruned(self, chosen: Trial) -> Trial:
         """Without every effect that the data do not need once the others are there."""
@@ -198,10 +231,9 @@ class Search:
             if rest is None:
                 continue
             room = [e for e in self.candidates if e.name not in chosen.effects and not self._family(e, chosen)]
-            hopes = {e.name: self._hope(rest, e) for e in room}
-            promising = sorted(room, key=lambda e: hopes[e.name])[:SWAPS]
-            others = [self._added(rest, e, keep=1, iterations=SHORT) for e in promising]
-            better = [t for t in others if t is not None and t.criterion < chosen.criterion - rules.TIE]
+            promising = self._promising(rest, room, SWAPS)
+            others = self._added_all(rest, promising)
+            better = [t for t in others if t.criterion < chosen.criterion - rules.TIE]
             if better:
                 chosen = self._finished(min(better, key=lambda t: t.criterion))
         return self._parsimonious(chosen, list(self.tried.values()))

@@ -1,8 +1,8 @@
 """What the catalogue does not explain: a smooth fitted curve in the place of the unknown effect.
 
-``sum c_k B(t - k)``, ``t = (z - lowest) / pitch``, with the cubic B-spline ``B(t) = ((2 - |t|)_+^3 - 4 (1 - |t|)_+^3) / 6`` (C. de Boor
-1978, A practical guide to splines), constant outside the range that was seen. Weak priors on the ordinates keep apart what a
-constant of the model could do as well.
+``sum c_k exp(-(t - k)^2)``, ``t = (z - lowest) / pitch``: bumps so close that their sum is smooth (equal ones make a constant to 1e-4), and
+short enough to be read in a model file. Outside the range that was seen the curve goes to zero. Weak priors on the heights keep
+apart what a constant of the model could do as well.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from greybox.result.frozen import ReadOnly
 from greybox.signals import Expression, Named, Parameter
 
 NAME = "fitted_curve"
-# Intervals of the curve; how far it reaches beyond the stretch that was looked at; prior of an ordinate over the signal's rms.
+# Intervals of the curve; how far it reaches beyond the stretch that was looked at; prior of a height over the signal's rms.
 INTERVALS, MARGIN, LOOSE = 20, 0.15, 5.0
 ITERATIONS = 30
 
@@ -36,7 +36,8 @@ class StandIn(ReadOnly):
     """A curve fitted in the place of an unknown effect: at ``site``, a function of ``variable``.
 
     ``fit`` is the extended model with the curve as an effect; ``gap`` by output on the validation records. ``values`` (M,) of the
-    variable and the ``curve`` (M,) there, in ``variable_unit`` and ``unit``.
+    variable and the ``curve`` (M,) there, in ``variable_unit`` and ``unit``. A straight line is shared with the model's own constants (a
+    damper, a spring) in a way that no data decide: the ``curve`` has the one that the unexplained signal has.
     """
 
     site: str
@@ -86,67 +87,65 @@ def stand_in(
     z = np.linspace(seen.min(), seen.max(), 101)
     values = {n: better.model.values[there] for n, there in names.items()}
     return StandIn(
-        signal.site, region.variable, region.unit, place.unit, fitted, gaps(base, fitted), z, curve_at(values, z)
+        signal.site, region.variable, region.unit, place.unit, fitted, gaps(base, fitted), z,
+        curve_at(values, z) + np.polyval(np.polyfit(seen, signal.value - curve_at(values, seen), 1), z),
     )  # fmt: skip
 
 
 def curve_effect(
     place: Place, region: Region, z: np.ndarray, w: np.ndarray, std: np.ndarray
 ) -> tuple[Effect, dict[str, float]]:
-    """A spline over the variable of ``region`` as an effect at ``place``, and its ordinates by regression of ``w`` (K,) on ``z`` (K,)."""
+    """A smooth curve over the variable of ``region`` as an effect at ``place``; its heights by regression of ``w`` (K,) on ``z`` (K,)."""
     low, high = float(z.min()), float(z.max())
     low, high = low - MARGIN * (high - low), high + MARGIN * (high - low)
     pitch, size = (high - low) / INTERVALS, float(np.sqrt(np.mean(w**2)))
-    ordinates = [f"c{k}" for k in range(INTERVALS + 3)]
+    heights = [f"c{k}" for k in range(INTERVALS + 1)]
     parameters = [
         Parameter("lowest", region.unit, low, fixed=True, source="range of the record", description=f"least {region.variable}"),
-        Parameter("pitch", region.unit, pitch, fixed=True, source="range of the record", description="distance of the knots"),
+        Parameter("pitch", region.unit, pitch, fixed=True, source="range of the record", description="distance of the bumps"),
         *(
-            Parameter(n, place.unit, 0.0, source="zero, until fitted", prior=(0.0, LOOSE * size), description="ordinate")
-            for n in ordinates
+            Parameter(n, place.unit, 0.0, source="zero, until fitted", prior=(0.0, LOOSE * size), description="height")
+            for n in heights
         ),
     ]  # fmt: skip
     variable, is_input = region.variable, place.kind == INPUT
 
     def curve(x: Named, u: Named, p: Named) -> Expression:
         seen = x[variable] if variable in x else u[variable]
-        return _spline((seen - p.lowest) / p.pitch, [p[n] for n in ordinates])
+        return _bumps((seen - p.lowest) / p.pitch, [p[n] for n in heights])
 
     def changed(value: Expression, x: Named, u: Named, p: Named) -> Expression:
         return value + curve(x, u, p)
 
     basis = _basis((z - low) / pitch)
     weight = 1 / np.maximum(std, 1e-3 * size)
-    held = np.eye(len(ordinates)) / (LOOSE * size)
+    held = np.eye(len(heights)) / (LOOSE * size)
     c = np.linalg.lstsq(
-        np.vstack([basis * weight[:, None], held]), np.append(w * weight, np.zeros(len(ordinates))), rcond=None
+        np.vstack([basis * weight[:, None], held]), np.append(w * weight, np.zeros(len(heights))), rcond=None
     )[0]
     effect = Effect(
         NAME, place.name, parameters,
         terms=None if place.kind in (INPUT, SENSOR) else curve,
         on_input=changed if is_input else None, on_output=changed if place.kind == SENSOR else None,
-        equation=f"cubic spline over {variable}", parity=region.parity, amplitudes=ordinates,
+        equation=f"smooth curve over {variable}", parity=region.parity, amplitudes=heights,
         source="fitted to what the model leaves over; no law of its own",
     )  # fmt: skip
-    return effect, dict(zip(ordinates, map(float, c), strict=True))
+    return effect, dict(zip(heights, map(float, c), strict=True))
 
 
 def curve_at(values: Mapping[str, float], z: np.ndarray) -> np.ndarray:
-    """The spline with these constants at ``z`` (M,)."""
-    ordinates = np.array([values[f"c{k}"] for k in range(INTERVALS + 3)])
-    return _basis((z - values["lowest"]) / values["pitch"]) @ ordinates
+    """The curve with these constants at ``z`` (M,)."""
+    heights = np.array([values[f"c{k}"] for k in range(INTERVALS + 1)])
+    return _basis((z - values["lowest"]) / values["pitch"]) @ heights
 
 
 def _basis(t: np.ndarray) -> np.ndarray:
-    """Cubic B-splines (M, INTERVALS + 3) at ``t``, which is clipped to the range [0, INTERVALS]."""
-    away = np.abs(np.clip(t, 0, INTERVALS)[:, None] - np.arange(-1, INTERVALS + 2))
-    return (np.maximum(2 - away, 0) ** 3 - 4 * np.maximum(1 - away, 0) ** 3) / 6
+    """Bumps (M, INTERVALS + 1) at ``t``."""
+    return np.exp(-((t[:, None] - np.arange(INTERVALS + 1)) ** 2))
 
 
-def _spline(t: Expression, ordinates: Sequence[Expression]) -> Expression:
-    inside = ca.fmin(ca.fmax(t, 0), INTERVALS)
+def _bumps(t: Expression, heights: Sequence[Expression]) -> Expression:
     total: Expression = 0
-    for k, c in enumerate(ordinates, start=-1):
-        away = ca.fabs(inside - k)
-        total = total + c * (ca.fmax(2 - away, 0) ** 3 - 4 * ca.fmax(1 - away, 0) ** 3) / 6
+    for k, c in enumerate(heights):
+        total = total + c * ca.exp(-((t - k) ** 2))
     return total

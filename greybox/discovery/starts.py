@@ -18,12 +18,16 @@ from greybox.model import Effect, Model
 LADDER = (1.0, 10.0)
 
 
-def candidate_starts(model: Model, effect: Effect, parent: Trial, plain: Model, scales: Scales) -> Iterator[Start]:
-    """Start values for ``model``, which is ``parent.model + effect``: constants, amplitude and shape."""
+def candidate_starts(
+    model: Model, effect: Effect, parent: Trial, plain: Model, scales: Scales, ladder: Sequence[float] = LADDER
+) -> Iterator[Start]:
+    """Start values for ``model``, which is ``parent.model + effect``: constants, amplitude (on a ``ladder``) and shape."""
     names = next(b.own for b in model.bound_effects if b.effect.name == effect.name)
-    origins = (parent.model.values, {**parent.model.values, **plain.values})
-    for shape, rung in product(_shapes(effect, scales), LADDER):
-        probe = {name: value * rung for name, value in _probe(effect, scales).items()}
+    nominal = {**parent.model.values, **plain.values}
+    origins = [parent.model.values] + ([nominal] if nominal != parent.model.values else [])
+    sizes = _probe(effect, scales)
+    for shape, rung in product(_shapes(effect, scales), ladder if sizes else (1.0,)):
+        probe = {name: value * rung for name, value in sizes.items()}
         own = {names[name]: _inside(model, names[name], value) for name, value in {**shape, **probe}.items()}
         for origin in origins:
             yield {**origin, **own}

@@ -19,6 +19,7 @@ from greybox.result import Fit
 from greybox.result.summary import table
 
 Criterion = Callable[[Linearisation], float]
+How = tuple[Mapping[str, float] | None, float | None, str, float, bool]  # at, dt, method, delay, minimal
 STARTS = 5  # of the search for the worst case, from the worst of the draws
 
 
@@ -48,7 +49,7 @@ class Family:
     _plant: Plant
     _equations: Equations
     _cloud: Cloud
-    _how: tuple[Mapping[str, float] | None, float | None, str, float]
+    _how: How
 
     @property
     def poles(self) -> np.ndarray:
@@ -108,7 +109,7 @@ class Family:
         return Worst(float(criterion(model)), float(criterion(self.nominal)), model, model.parameters)
 
     def _member(self, p: np.ndarray) -> Linearisation:
-        return linear_model(self._plant, self._equations, p, *self._how)
+        return _member(self._plant, self._equations, p, self._how)
 
     def __str__(self) -> str:
         """How far the poles and gains spread."""
@@ -147,14 +148,15 @@ def family(
     dt: float | None = None,
     method: str = "zoh",
     delay: float = 0.0,
+    minimal: bool = False,
 ) -> Family:
     """``number`` linear models drawn from the covariance of a fit's constants, and the nominal one; the same ``seed`` draws the same.
 
     Constants are drawn from a normal distribution; a positive one that is known to no better than a quarter by its logarithm; draws
     outside the bounds are drawn anew. The operating point is found for each draw from the same ``at``; the other arguments are those
-    of `linearise`.
+    of `linearise`; ``minimal`` takes the same states out of each.
 
-    Raises ModelError for a model without a fit, and for fewer than two draws.
+    Raises ModelError for a model without a fit, for fewer than two draws, and where the draws do not have the same states.
     """
     if number < 2:
         raise ModelError(f"a family of {number}: give at least 2 models")
@@ -162,15 +164,21 @@ def family(
     cloud, equations = cloud_of(plant), Equations(plant.model)
     generator = np.random.default_rng(seed)
     constants = np.array([cloud.draw(generator) for _ in range(number)])
-    how = (at, dt, method, delay)
-    nominal = linear_model(plant, equations, plant.p, *how)
-    members = tuple(linear_model(plant, equations, p, *how) for p in constants)
-    odd = [k for k, member in enumerate(members) if member.A.shape != nominal.A.shape]
-    if odd:
+    how = (at, dt, method, delay, minimal)
+    nominal = _member(plant, equations, plant.p, how)
+    members = tuple(_member(plant, equations, p, how) for p in constants)
+    odd = next((member for member in members if member.state_names != nominal.state_names), None)
+    if odd is not None:
         raise ModelError(
-            f"family of {plant.model.title}: the delay is a fitted constant and changes the number of states from draw to draw; leave"
-            " dt out, or fix the delay"
+            f"family of {plant.model.title}: the states differ from draw to draw, {', '.join(nominal.state_names)} and"
+            f" {', '.join(odd.state_names)}; leave minimal out, or, where the delay is a fitted constant, dt, or fix the delay"
         )
     return Family(
         nominal, members, constants, tuple(plant.model.values), seed, cloud.notes, plant, equations, cloud, how
     )
+
+
+def _member(plant: Plant, equations: Equations, p: np.ndarray, how: How) -> Linearisation:
+    at, dt, method, delay, minimal = how
+    model = linear_model(plant, equations, p, at, dt, method, delay)
+    return model.minimal() if minimal else model

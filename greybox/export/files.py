@@ -83,8 +83,9 @@ def write_mat(
 
 def write_control(model: Linearisation, path: str | Path, *, plant: Plant | None = None) -> Path:
     """Write a Python file that makes the ``control.StateSpace`` called ``plant``, matrices and names in plain sight."""
+    target = Path(path).with_suffix(".py")
     lines = docstring(
-        f"Linear model of {model.name} for python-control: from plant_file import plant.",
+        f"Linear model of {model.name} for python-control: from {target.stem} import plant.",
         [behaviour(model), list(plant.origin()) if plant else [], [f"Note: {note}" for note in model.notes]],
     )
     lines += ["", "import control", "import numpy as np", ""]
@@ -104,7 +105,7 @@ def write_control(model: Linearisation, path: str | Path, *, plant: Plant | None
         lines += [f"delay = {delays!r}  # s, not in the matrices"]
     names = ", ".join(f"{kind}s=list({kind}_units)" for kind in units)
     lines += [f"plant = control.ss(A, B, C, D, {model.dt!r}, {names})", ""]
-    return _written(Path(path).with_suffix(".py"), "\n".join(lines).encode())
+    return _written(target, "\n".join(lines).encode())
 
 
 def _contents(model: Linearisation) -> dict[str, Any]:

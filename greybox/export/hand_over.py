@@ -55,44 +55,45 @@ def to_control(
         _warn(plant_of(plant).notes)
         return nonlinear_system(plant, dt)
     model = linearise(plant, at, dt=dt, method=method, delay=delay)
-    model = model.minimal() if minimal else model
     _warn(model.notes)
+    model = model.minimal() if minimal else model
     return model.state_space(pade) if form == "state_space" else model.transfer_function(pade)
 
 
 def to_mat(
     plant: Fit | Model, path: str | Path, at: Mapping[str, float] | None = None, *,
-    dt: float | None = None, method: str = "zoh", delay: float = 0.0, samples: int = 0, seed: int = 0,
+    dt: float | None = None, method: str = "zoh", delay: float = 0.0, minimal: bool = False, samples: int = 0, seed: int = 0,
 ) -> Path:  # fmt: skip
     """Write the linear model about ``at`` as MATLAB's ``.mat`` (see `greybox.export.files.write_mat`).
 
     ``samples`` above zero adds that many models drawn from the covariance of the constants. Other arguments, notes and errors as for
     `to_control`.
     """
-    model, drawn = _linear(plant, at, dt, method, delay, samples, seed)
+    model, drawn = _linear(plant, at, dt, method, delay, minimal, samples, seed)
     return write_mat(model, path, plant=plant_of(plant), family=drawn)
 
 
 def to_json(
     plant: Fit | Model, path: str | Path, at: Mapping[str, float] | None = None, *,
-    dt: float | None = None, method: str = "zoh", delay: float = 0.0, samples: int = 0, seed: int = 0,
+    dt: float | None = None, method: str = "zoh", delay: float = 0.0, minimal: bool = False, samples: int = 0, seed: int = 0,
 ) -> Path:  # fmt: skip
     """Write the linear model about ``at`` as JSON: matrices, names, units, poles, zeros, constants, covariance. See `to_mat`."""
-    model, drawn = _linear(plant, at, dt, method, delay, samples, seed)
+    model, drawn = _linear(plant, at, dt, method, delay, minimal, samples, seed)
     return write_json(model, path, plant=plant_of(plant), family=drawn)
 
 
 def to_numpy(
     plant: Fit | Model, path: str | Path, at: Mapping[str, float] | None = None, *,
-    dt: float | None = None, method: str = "zoh", delay: float = 0.0, samples: int = 0, seed: int = 0,
+    dt: float | None = None, method: str = "zoh", delay: float = 0.0, minimal: bool = False, samples: int = 0, seed: int = 0,
 ) -> Path:  # fmt: skip
     """Write the linear model about ``at`` as arrays of NumPy (``.npz``). See `to_mat`."""
-    model, drawn = _linear(plant, at, dt, method, delay, samples, seed)
+    model, drawn = _linear(plant, at, dt, method, delay, minimal, samples, seed)
     return write_npz(model, path, plant=plant_of(plant), family=drawn)
 
 
 def _linear(
-    plant: Fit | Model, at: Mapping[str, float] | None, dt: float | None, method: str, delay: float, samples: int, seed: int
+    plant: Fit | Model, at: Mapping[str, float] | None, dt: float | None, method: str, delay: float, minimal: bool,
+    samples: int, seed: int,
 ) -> tuple[Linearisation, Family | None]:  # fmt: skip
     model = linearise(plant, at, dt=dt, method=method, delay=delay)
     drawn = None
@@ -101,9 +102,9 @@ def _linear(
             raise ModelError(
                 "samples need a fit, whose constants have a covariance; give what gb.fit returns, or samples=0"
             )
-        drawn = family(plant, at, number=samples, seed=seed, dt=dt, method=method, delay=delay)
+        drawn = family(plant, at, number=samples, seed=seed, dt=dt, method=method, delay=delay, minimal=minimal)
     _warn((*model.notes, *(drawn.notes if drawn else ())))
-    return model, drawn
+    return model.minimal() if minimal else model, drawn
 
 
 def _warn(notes: tuple[str, ...]) -> None:

@@ -10,7 +10,7 @@ from scipy.linalg import qr
 from greybox.export.balance import scaled
 from greybox.export.linear import Linearisation
 
-# A part of the reachable space below this share of the model's size is a rounding error.
+# A part of the reachable space below this share of the model's size is a rounding error, and so is a coefficient between its states.
 RANK = 1e-10
 
 
@@ -61,7 +61,7 @@ def _reachable(model: Linearisation) -> tuple[Linearisation, list[str]]:
         return model, []
     keep = _chosen(basis)
     # x = T x[keep]: the states left out as they follow from those that stay
-    lift = (s.t[:, None] * basis) @ np.linalg.inv(s.t[keep, None] * basis[keep]) if r else np.zeros((len(s.a), 0))
+    lift = s.t[:, None] * _without_rounding(basis @ np.linalg.inv(basis[keep])) / s.t[keep]
     lift[keep] = np.eye(r)
     a = (model.A @ lift)[keep]
     return _with_states(model, a, model.B[keep], model.C @ lift, keep, [model.state_names[k] for k in keep])
@@ -75,12 +75,17 @@ def _observable(model: Linearisation) -> tuple[Linearisation, list[str]]:
         return model, []
     keep = _chosen(basis)
     # z[keep] = R x: the part of the state that the outputs show, in the coordinates of the states that stay
-    rows = np.linalg.inv((basis[keep] / s.t[keep, None]).T) @ (basis.T / s.t) if r else np.zeros((0, len(s.a)))
+    rows = s.t[keep, None] * _without_rounding(basis @ np.linalg.inv(basis[keep])).T / s.t
     rows[:, keep] = np.eye(r)
     others = np.setdiff1d(np.arange(len(s.a)), keep)
     mixed = np.abs(rows[:, others] * s.t[others]).max(axis=1, initial=0.0) > RANK * s.t[keep]
     names = [model.state_names[k] + "_r" * bool(m) for k, m in zip(keep, mixed, strict=True)]
     return _with_states(model, rows @ model.A[:, keep], rows @ model.B, model.C[:, keep], keep, names)
+
+
+def _without_rounding(lift: np.ndarray) -> np.ndarray:
+    """Coefficients (n, r) of about one, those that are rounding errors put to zero: balancing would blow them up to a coupling."""
+    return np.where(np.abs(lift) > RANK, lift, 0.0)
 
 
 def _chosen(basis: np.ndarray) -> np.ndarray:

@@ -103,15 +103,23 @@ def _hold(model: Linearisation, dt: float) -> tuple[np.ndarray, np.ndarray]:
     size = np.abs(model.B / t[:, None]).max(axis=0, initial=0.0)
     size = np.where(size > 0, size, 1.0)
     block[:n, :n], block[:n, n:] = a * dt, model.B / t[:, None] / size
-    e = expm(block)
+    e = expm(block) * _paths(block)
     return t[:, None] * e[:n, :n] / t, t[:, None] * e[:n, n:] * size * dt
+
+
+def _paths(a: np.ndarray) -> np.ndarray:
+    """Where a function of ``a`` (n, n) can differ from zero: entry (i, j) if j acts on i, through others too. The rest is rounding."""
+    reach = (a != 0) | np.eye(len(a), dtype=bool)
+    for _ in range(len(a).bit_length()):
+        reach = reach @ reach
+    return reach
 
 
 def _trapezoidal(model: Linearisation, dt: float, parts: list[tuple[int, float]]) -> Parts:
     n = len(model.A)
     a, t = balanced(model.A)
     b, c = model.B / t[:, None], model.C * t
-    inverse = np.linalg.inv(np.eye(n) - a * dt / 2)
+    inverse = np.linalg.inv(np.eye(n) - a * dt / 2) * _paths(a)
     phi, gamma, seen = inverse @ (np.eye(n) + a * dt / 2), inverse @ b * dt, c @ inverse
     direct = model.D + seen @ b * dt / 2
     share = np.array([f for _, f in parts])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from greybox.figures.comparison import comparison_figure
+    from greybox.figures.discovery import discovery_figures
     from greybox.figures.gap import gap_figure
     from greybox.figures.of_fit import fit_figure, misfits_of
     from greybox.figures.residual_tests import residual_figure
@@ -14,13 +15,14 @@ if TYPE_CHECKING:
 # Where each name lives. Loaded when first asked for: a page needs the thinning of curves, and not the drawing library.
 _HOME = {
     "comparison_figure": "comparison",
+    "discovery_figures": "discovery",
     "fit_figure": "of_fit",
     "gap_figure": "gap",
     "misfits_of": "of_fit",
     "residual_figure": "residual_tests",
 }
 
-__all__ = ["comparison_figure", "fit_figure", "gap_figure", "misfits_of", "residual_figure"]
+__all__ = ["comparison_figure", "discovery_figures", "fit_figure", "gap_figure", "misfits_of", "residual_figure"]
 
 
 def __getattr__(name: str) -> Any:

@@ -22,6 +22,7 @@ BLACK = ("#1f5a8a", "#16a085", "#5d6d7e", "#2e86c1", "#1e8449", "#17202a", "#764
 ZOOM_ROWS = 200
 DPI = 110
 DECADE = 10.0  # ratio of the largest to the smallest error, from which bars have a logarithmic axis
+BEYOND = 1e100  # size from which a run is no longer drawn
 FAR = 2.0  # ranges of the measured signal, beyond which a run is cut off
 
 
@@ -70,15 +71,16 @@ def _draw(comparison: Comparison, record: str) -> Figure:
 def _output(top: Axes, bottom: Axes, output: str, unit: str, runs: dict[str, Run], colours: dict[str, str]) -> None:
     some = next(iter(runs.values()))
     factor, text = scaled(unit, some.measured)
-    errors = [run.measured - run.simulated for run in runs.values()]
+    free = {name: _drawable(run.simulated) for name, run in runs.items()}
+    errors = [run.measured - free[name] for name, run in runs.items()]
     small, small_text = scaled(unit, np.array([_typical(e) for e in errors]))
     start, stop = _liveliest(some)
     inside = (some.time >= start) & (some.time <= stop)
     top.plot(some.time[inside], factor * some.measured[inside], color=MEASURED, lw=3.0, label="measured")
     for name, run in reversed(runs.items()):  # the first, as a rule the grey box, on top
         rows = (run.time >= start) & (run.time <= stop)
-        top.plot(run.time[rows], factor * run.simulated[rows], color=colours[name], lw=1.0)
-        bottom.plot(*envelope(run.time, small * (run.measured - run.simulated)), color=colours[name], lw=0.6, alpha=0.8)
+        top.plot(run.time[rows], factor * free[name][rows], color=colours[name], lw=1.0)
+        bottom.plot(*envelope(run.time, small * (run.measured - free[name])), color=colours[name], lw=0.6, alpha=0.8)
     low, high = np.nanmin(factor * some.measured), np.nanmax(factor * some.measured)
     reach = FAR * (high - low) or 1.0
     bounds = np.clip(top.get_ylim(), low - reach, high + reach)
@@ -133,12 +135,15 @@ def _colours(entries: Sequence[Entry]) -> dict[str, str]:
     return found
 
 
+def _drawable(values: np.ndarray) -> np.ndarray:
+    """``values`` (N,) with NaN where a run has left all bounds."""
+    return np.where(np.abs(values) < BEYOND, values, np.nan)
+
+
 def _typical(error: np.ndarray) -> float:
-    """Root mean square of the finite errors; NaN where the run has left all bounds."""
+    """Root mean square of the finite errors; NaN where there are none."""
     known = error[np.isfinite(error)]
-    with np.errstate(over="ignore"):
-        size = float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
-    return size if np.isfinite(size) and size < 1e100 else np.nan
+    return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
 
 
 def _finite(value: float) -> float:

@@ -48,21 +48,47 @@ class Move:
     between: str
 
 
-def moves(solution: Solution, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[Move]:
+Rows = Sequence[tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What is looked at: the constants, the ``names`` of their experiments, the model's outputs (N, ny) in each of them, and ``colour``
+    and variance of what noise alone leaves in the weighted residual. ``aside``: constants that are not looked at.
+    """
+
+    variables: Variables
+    names: Sequence[str]
+    outputs: Sequence[np.ndarray]
+    colour: Colour
+    aside: Sequence[str] = ()
+
+
+def moves(solution: Solution, rows: Rows) -> list[Move]:
+    """`moves_of` a fit by free runs, from the weighted residual (N, ny) of each record and its slopes (N, ny, L)."""
+    if not np.isfinite(solution.evaluation.cost):
+        return []
+    problem = solution.problem
+    runs = zip(problem.records, solution.simulate(), strict=True)
+    names = [e.name for e in problem.experiments]
+    outputs = [record.samples(y) for record, (y, _) in runs]
+    return moves_of(Judged(solution.variables, names, outputs, _noise(solution, rows)), rows)
+
+
+def moves_of(judged: Judged, rows: Rows) -> list[Move]:
     """Constants that move too far between experiments, halves of the records, or small and large motion; the farthest first.
 
     Each part has its own constants and initial states, one Gauss-Newton step from the common optimum (a score test of constancy). The
     standard deviation of a move is the one that noise leaves: where the residual clearly exceeds the noise, of the noise alone;
     else of the residual with its colour. A constant that each experiment has for itself may move, and is not looked at.
     """
-    variables = solution.variables
-    inside = np.flatnonzero(~variables.active & (variables.owner == SHARED))
-    if not len(inside) or not np.isfinite(solution.evaluation.cost):
+    variables, colour = judged.variables, judged.colour
+    inside = np.flatnonzero(~variables.active & (variables.owner == SHARED) & ~np.isin(variables.names, judged.aside))
+    if not len(inside):
         return []
-    colour = _noise(solution, rows)
     groups = [
         [(name, *found) for name, rows_in in parts if (found := _part(variables, rows, rows_in, colour, inside))]
-        for parts in (_experiments(solution, rows), _halves(rows), _amplitudes(solution, colour))
+        for parts in (_experiments(judged, rows), _halves(rows), _amplitudes(judged))
     ]
     comparisons = max(sum(len(inside) * len(g) * (len(g) - 1) // 2 for g in groups), 1)
     threshold = max(LEAST, float(-ndtri(ALARMS / comparisons / 2)))
@@ -77,26 +103,25 @@ def moves(solution: Solution, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> 
     return sorted(farthest.values(), key=lambda m: -m.deviations)
 
 
-def _experiments(solution: Solution, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[Part]:
+def _experiments(judged: Judged, rows: Rows) -> list[Part]:
     """Each experiment by itself, if there are several."""
     if len(rows) < 2:
         return []
-    known = solution.problem.experiments
-    names = [f"experiment {known[e].name!r}" if known else f"experiment {e + 1}" for e in range(len(rows))]
+    known = judged.names
+    names = [f"experiment {known[e]!r}" if known else f"experiment {e + 1}" for e in range(len(rows))]
     return [(name, {e: np.ones(len(rows[e][0]), bool)}) for e, name in enumerate(names)]
 
 
-def _halves(rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[Part]:
+def _halves(rows: Rows) -> list[Part]:
     """The first and the second half of every record."""
     first = {e: np.arange(len(r)) < len(r) // 2 for e, (r, _) in enumerate(rows)}
     of = "half of the record" if len(rows) == 1 else "halves of the records"
     return [(f"the first {of}", first), (f"the second {of}", {e: ~mask for e, mask in first.items()})]
 
 
-def _amplitudes(solution: Solution, colour: Colour) -> list[Part]:
+def _amplitudes(judged: Judged) -> list[Part]:
     """The rows with small and with large motion, if the motion changes enough; motion is smoothed over some correlation times."""
-    runs = zip(solution.problem.records, solution.simulate(), strict=True)
-    outputs = [record.samples(y) for record, (y, _) in runs]
+    outputs, colour = judged.outputs, judged.colour
     everything = np.concatenate(outputs)
     spread = np.nanstd(everything, axis=0)
     if not np.isfinite(spread).all() or not spread.any():
@@ -116,7 +141,7 @@ def _amplitudes(solution: Solution, colour: Colour) -> list[Part]:
     return [("small motion", parts), ("large motion", {e: ~mask for e, mask in parts.items()})]
 
 
-def _noise(solution: Solution, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> Colour:
+def _noise(solution: Solution, rows: Rows) -> Colour:
     """Colour and variance of what noise alone leaves in the weighted residual."""
     noise, everything = solution.problem.noise, np.concatenate([r for r, _ in rows])
     found = colour_of(rows, solution.unknowns, noise.given, solution.problem.least)
@@ -135,7 +160,7 @@ def _noise(solution: Solution, rows: Sequence[tuple[np.ndarray, np.ndarray]]) ->
 
 def _part(
     variables: Variables,
-    rows: Sequence[tuple[np.ndarray, np.ndarray]],
+    rows: Rows,
     chosen: Mapping[int, np.ndarray],
     colour: Colour,
     inside: np.ndarray,

@@ -89,10 +89,7 @@ def notes(
     if wide:
         result.append(f"not determined (the 95 % interval reaches further than half the value): {', '.join(wide)}")
     result += _excess(solution, misfit)
-    if moves:
-        result.append(
-            f"not constant: {'; '.join(map(_moved, moves[:MOST_MOVES]))}: imitating something that the model lacks, or that changes"
-        )
+    result += not_constant(moves)
     coloured = [n for n, m in misfit.items() if m.noise_ratio > LITTLE and correlation(runs, n) > COLOURED]
     if found.kind == SANDWICH and coloured and found.inflation is not None and len(found.inflation):
         result.append(
@@ -136,6 +133,12 @@ def _excess(solution: Solution, misfit: Mapping[str, Misfit]) -> list[str]:
             " coloured (a quiet record tells)"
         ]
     return ["the misfit exceeds the noise: the model lacks something, and the constants may imitate it"]
+
+
+def not_constant(moves: Sequence[Move]) -> list[str]:
+    """The sentence on constants that move; none where none does."""
+    told = "; ".join(map(_moved, moves[:MOST_MOVES]))
+    return [f"not constant: {told}: imitating something that the model lacks, or that changes"] if moves else []
 
 
 def _moved(move: Move) -> str:

@@ -8,19 +8,22 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from greybox.experiment import Experiment
+from greybox.fitting.alias import Judged, Move, moves_of
 from greybox.fitting.asked import asked
 from greybox.fitting.estimates import estimates, model_covariance, own_estimates, prior_checks, tied_estimates
 from greybox.fitting.notes import of_records
 from greybox.fitting.options import FitOptions, Report
+from greybox.fitting.predictive_again import innovations_of
 from greybox.fitting.predictive_intensity import Intensity, tested
 from greybox.fitting.predictive_likely import most_likely
 from greybox.fitting.predictive_notes import meaning, notes
-from greybox.fitting.predictive_runs import free_runs, one_step_runs
+from greybox.fitting.predictive_runs import Runs, free_runs, one_step_runs
 from greybox.fitting.predictive_search import Found, scoring_step
 from greybox.fitting.predictive_uncertainty import Spread, spread
 from greybox.fitting.predictive_unknowns import Unknowns
 from greybox.fitting.problem import Problem
 from greybox.fitting.robust import Outlying
+from greybox.fitting.sandwich import colour_of
 from greybox.fitting.solution import Solution
 from greybox.fitting.traces import misfits, traces
 from greybox.fitting.uncertainty import quantile
@@ -33,6 +36,8 @@ from greybox.result import Estimate, Fit
 from greybox.transcription import Variables
 
 INNOVATIONS = "the innovations"
+# Ends of an interval that are further from the value than by a factor of e to this say nothing.
+HARDLY = 5.0
 
 
 def fit_by_prediction(
@@ -63,24 +68,25 @@ def _result(model: Model, solution: Solution, found: Found, judged: Sequence[Int
     cost, variables = found.cost, found.cost.unknowns.variables
     level = cost.unknowns.level
     problem = solution.problem.with_noise(replace(solution.problem.noise, std=level))
-    runs = traces(problem, free_runs(cost))
+    free = free_runs(cost)
+    runs = traces(problem, free)
     free_run, one_step = misfits(problem, runs), misfits(problem, traces(problem, one_step_runs(cost)))
     around = spread(found)
     fitted = model.start(**{name: float(v) for name, v in zip(model.values, variables.fixed, strict=True)})
     constants = _with_limits(estimates(variables, around.constants), judged)
     inflation = np.ones(len(variables.names)) if around.constants.inflation is None else around.constants.inflation
     shift = _shift(found, around)
-    free, covariance = _laid_out(model, variables, around)
+    names, covariance = _laid_out(model, variables, around)
     sources = _sources(problem, cost.unknowns, around)
     own, tied = own_estimates(variables, around.constants), tied_estimates(variables, around.constants)
     priors = prior_checks(variables, around.constants)
-    remarks = notes(fitted, problem, found, around, constants, judged, shift)
+    remarks = notes(fitted, problem, found, around, constants, judged, shift, _moves(problem, found, free))
     remarks = (
         *remarks, *asked(problem, constants, tied, own, priors, Outlying("", {}, {})), *of_records(problem.experiments),
     )  # fmt: skip
     return Fit(
         model=fitted, status=found.status.name.lower(), success=found.status.success, meaning=meaning(found, one_step, free_run),
-        parameters=constants, misfit=free_run, traces=runs, free=free, covariance=covariance,
+        parameters=constants, misfit=free_run, traces=runs, free=names, covariance=covariance,
         noise={name: float(level[j]) for j, name in enumerate(problem.model.system.output_names) if name in free_run},
         noise_source="; ".join(f"{name}: {text}" for name, text in sources.items()), discretisation=cost.kalman.whole.label,
         integration_error={n: float(solution.integration_error[j]) for j, n in enumerate(model.system.output_names) if n in free_run},
@@ -135,6 +141,17 @@ def _shift(found: Found, around: Spread) -> dict[str, float]:
     return dict(zip(variables.names, share.tolist(), strict=True))
 
 
+def _moves(problem: Problem, found: Found, runs: Runs) -> list[Move]:
+    """Constants that move, by the innovations; not the intensities, which these tell by their size alone."""
+    if not found.status.success:
+        return []
+    rows = [(e, mean) for e, mean, _ in innovations_of(found.cost).rows]
+    outputs = [record.samples(y) for record, (y, _) in zip(problem.records, runs, strict=True)]
+    names, aside = [e.name for e in problem.experiments], problem.model.noise_parameters
+    judged = Judged(found.cost.unknowns.variables, names, outputs, colour_of(rows, 0, True), aside)
+    return moves_of(judged, rows)
+
+
 def _source(problem: Problem, unknowns: Unknowns, output: str) -> str:
     place = problem.model.system.output_names.index(output)
     return INNOVATIONS if unknowns.estimated[place] else problem.noise.sources[output]
@@ -147,7 +164,8 @@ def _sources(problem: Problem, unknowns: Unknowns, around: Spread) -> dict[str, 
         if unknowns.estimated[j]:
             value, reach = unknowns.level[j], quantile(np.inf) * around.noise[j]
             unit = problem.model.outputs[j].unit
-            ends = f" [{value * np.exp(-reach):.3g}, {value * np.exp(reach):.3g}]" if np.isfinite(reach) else ""
+            told = reach < HARDLY
+            ends = f" [{value * np.exp(-reach):.3g}, {value * np.exp(reach):.3g}]" if told else " (hardly told)"
             texts[output.name] = f"{value:.3g}{ends} {unit} from {INNOVATIONS}"
         elif output.name in problem.noise.sources:
             texts[output.name] = problem.noise.sources[output.name]

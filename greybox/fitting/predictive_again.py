@@ -51,13 +51,14 @@ class Innovations:
     evaluation: Evaluation
 
 
-def innovations_of(fit: Fit, cost: PredictionError) -> Innovations:
-    """The innovations of ``fit`` at its optimum, ``cost`` being its likelihood. Raises FitError where its filter is not finite."""
+def innovations_of(cost: PredictionError) -> Innovations:
+    """The innovations at ``z = 0`` of a likelihood. Raises FitError where its filter is not finite."""
     zero = np.zeros(cost.unknowns.size)
     rows = []
     for record, found in zip(cost.records, cost.slopes(zero), strict=True):
         if found is None:
-            raise FitError(f"fit of {fit.model.title}: its filter is not finite at the fitted constants; fit again")
+            title = cost.unknowns.variables.model.title
+            raise FitError(f"fit of {title}: its filter is not finite at the fitted constants; fit again")
         e = np.full(record.y.shape, np.nan)
         mean, logarithm = (np.full((*record.y.shape, found.de.shape[1]), np.nan) for _ in range(2))
         e[found.rows, found.outputs] = found.e
@@ -74,4 +75,4 @@ def innovation_rows(fit: Fit) -> tuple[list[tuple[np.ndarray, np.ndarray]], Pred
     only scales an innovation does not explain it.
     """
     cost = likelihood_of_fit(fit)
-    return [(e, mean) for e, mean, _ in innovations_of(fit, cost).rows], cost
+    return [(e, mean) for e, mean, _ in innovations_of(cost).rows], cost

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from greybox.fitting.notes import CAUSES, describe
+from greybox.fitting.alias import Move
+from greybox.fitting.notes import CAUSES, describe, not_constant
 from greybox.fitting.predictive_intensity import Intensity
 from greybox.fitting.predictive_search import Found
 from greybox.fitting.predictive_uncertainty import SANDWICH, Spread
@@ -44,6 +45,7 @@ def notes(
     estimates: Mapping[str, Estimate],
     intensities: Sequence[Intensity],
     shift: Mapping[str, float],
+    moves: Sequence[Move] = (),
 ) -> tuple[str, ...]:
     """Sentences in order of importance; ``model`` has the fitted values."""
     result = [f"not determined by these data: {describe(d)}" for d in spread.constants.open_directions]
@@ -53,9 +55,13 @@ def notes(
         result.append(
             f"stopped by a bound: {', '.join(at_bound)}; widen the bound, or the model needs something else there"
         )
-    wide = [n for n, e in estimates.items() if e.std is not None and not e.at_bound and e.std > 0.5 * abs(e.value)]
+    told_apart = [i.name for i in intensities]
+    wide = [
+        n for n, e in estimates.items() if e.std is not None and not (e.at_bound or e.determined or n in told_apart)
+    ]
     if wide:
-        result.append(f"poorly determined (standard deviation over half the value): {', '.join(wide)}")
+        result.append(f"not determined (the 95 % interval reaches further than half the value): {', '.join(wide)}")
+    result += not_constant(moves)
     result += [told(model, problem, i, estimates[i.name]) for i in intensities]
     kind, inflation = spread.constants.kind, spread.constants.inflation
     if kind == SANDWICH and inflation is not None and len(inflation):

@@ -100,7 +100,7 @@ def _of_free_runs(fit: Fit) -> _Optimum:
 
 def _of_predictions(fit: Fit) -> _Optimum:
     cost = likelihood_of_fit(fit)
-    found = innovations_of(fit, cost)
+    found = innovations_of(cost)
     return _Optimum(cost.unknowns.variables, cost.unknowns, found.rows, found.evaluation.hessian / 2, True)
 
 

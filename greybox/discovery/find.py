@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from greybox.discovery.gap import Gap, gaps
 from greybox.discovery.hidden import hidden
 from greybox.discovery.look import looked
 from greybox.discovery.missing import missing_signals
+from greybox.discovery.refit import Journal, Refits
 from greybox.discovery.result import Discovery, Rank
 from greybox.discovery.search import Say, Search
 from greybox.discovery.separate import Separation, separations
@@ -96,13 +99,22 @@ def discover(
     effects: Sequence[Effect] | None = None,
     options: FitOptions | None = None,
     say: Say | None = None,
+    executor: Executor | None = None,
+    workers: int = 0,
+    journal: str | Path | None = None,
 ) -> Discovery:
     """Find which effect, if any, ``model`` lacks.
 
     Refits the model with each effect of the catalogue that it has a place for (or of ``effects``) to the ``estimation`` records,
     keeps what the data demand, and judges it on the ``validation`` records, which no constant has seen. An effect that shows in
     the validation records only (a saturation that the estimation input never reaches) is learnt from their first half and
-    judged on the second. Raises DataError where there is nothing to judge by, or for records that do not go with the model.
+    judged on the second.
+
+    ``executor``: where the refits run, for example ``Client.get_executor()`` of Dask; None for this machine, where a long search uses
+    ``workers`` processes (0: one for each core). ``journal``: a file in which every finished refit is kept, so that the same call
+    goes on where an earlier one was interrupted. ``say`` is called with a line about each step.
+
+    Raises DataError where there is nothing to judge by, for records that do not go with the model, and for a file that is no journal.
     """
     began = time.perf_counter()
     options, say = options or FitOptions(), say or _silent
@@ -111,11 +123,19 @@ def discover(
         raise DataError(
             "no validation record: a discovery is judged on data that no constant has seen; give at least one"
         )
-    bench = Bench(model, _several(estimation), dict(noise or {}), _several(quiet), options)
+    refits = Refits(executor, workers, Journal(Path(journal)) if journal else None)
+    with refits.open():
+        bench = Bench(model, _several(estimation), dict(noise or {}), _several(quiet), options, refits)
+        return _found(bench, judges, effects, say, began)
+
+
+def _found(
+    bench: Bench, judges: tuple[Experiment, ...], effects: Sequence[Effect] | None, say: Say, began: float
+) -> Discovery:
     scales = scales_along(bench.base)
-    candidates = [tailored(e, scales) for e in effects] if effects else applicable(model, scales)
+    candidates = [tailored(e, scales) for e in effects] if effects else applicable(bench.plain, scales)
     found, notes = _evidence(bench, candidates, scales, judges, 0, say), []
-    if found.shows_elsewhere and options.at_rest:
+    if found.shows_elsewhere and bench.options.at_rest:
         say("the plain model fails on the validation records only: learning from their first half")
         half = min(j.rows for j in judges) // 2
         wider = replace(bench, experiments=(*bench.experiments, *(j.window(0, half) for j in judges)))

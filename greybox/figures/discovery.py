@@ -1,0 +1,148 @@
+"""A discovery in pictures: the missing signal with the effect's curve through it, candidates in order, the gap before and after."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from greybox.discovery import Discovery, Missing
+from greybox.figures.discovery_residual import draw_residuals
+from greybox.figures.scale import label, scaled
+
+DATA, EFFECT, BEFORE, AFTER, FLOOR = "#8a8a8a", "#c0392b", "#b7950b", "#1f5a8a", "#dcdcdc"
+KINDS = ("png", "svg")
+DPI = 110
+CANDIDATES = 12  # of the ranking that are shown
+
+
+def discovery_figures(found: Discovery, directory: str | Path) -> list[Path]:
+    """Draw ``found`` into ``directory``, each picture as PNG and SVG; returns the files.
+
+    ``missing-EFFECT`` (or ``missing-unknown``): the unexplained signal against the variable it depends on, with the curve of the effect
+    (of the stand-in) through it. ``residuals``: the validation error in time and by frequency, before and after, with the noise.
+    ``candidates``: misfit over noise of the refitted candidates. ``gap``: rms misfit before and after beside the noise floor.
+    """
+    drawn = {f"missing-{_file(m.effect)}": _missing(m) for m in found.missing}
+    if found.look.signal is not None and found.stand_in is not None:
+        drawn["missing-unknown"] = _unknown(found)
+    drawn["residuals"] = draw_residuals(found)
+    if found.ranking:
+        drawn["candidates"] = _candidates(found)
+    drawn["gap"] = _gap(found)
+    folder = Path(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = []
+    for name, figure in drawn.items():
+        for kind in KINDS:
+            file = folder / f"{name}.{kind}"
+            figure.savefig(file, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
+            files.append(file)
+    return files
+
+
+def _file(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_.-]+", "_", name)
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _missing(m: Missing) -> Figure:
+    figure = _figure(10, 4.2)
+    left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.1, 1]})
+    factor, unit = scaled(m.unit, m.value)
+    across, variable_unit = scaled(m.variable_unit, m.variable)
+    left.plot(across * m.variable, factor * m.value, ".", color=DATA, ms=3, label="from the data")
+    left.plot(across * m.variable, factor * m.modelled, ".", color=EFFECT, ms=2, label=m.effect)
+    _bins(left, across, factor, m.region.centres, m.region.mean, m.region.std)
+    left.set_xlabel(label(m.variable_name, variable_unit))
+    left.set_ylabel(label(f"missing at the {m.site}", unit))
+    few = slice(0, min(len(m.time), 150))
+    right.fill_between(
+        m.time[few], factor * (m.value - 2 * m.std)[few], factor * (m.value + 2 * m.std)[few], color=FLOOR, lw=0
+    )
+    right.plot(m.time[few], factor * m.value[few], color=DATA, lw=1.6, label="from the data, ± 2 std")
+    right.plot(m.time[few], factor * m.modelled[few], color=EFFECT, lw=0.9, label=m.effect)
+    right.set_xlabel("time [s]")
+    figure.suptitle(f"{m.effect} explains {100 * m.explained:.1f} % of the missing signal in {m.record}", fontsize=11)
+    _dress(left, right)
+    return figure
+
+
+def _unknown(found: Discovery) -> Figure:
+    signal, curve = found.look.signal, found.stand_in
+    assert signal is not None and curve is not None
+    figure = _figure(7, 4.2)
+    axis = figure.subplots()
+    z = signal.variables[curve.variable]
+    factor, unit = scaled(curve.unit, signal.value)
+    across, variable_unit = scaled(curve.variable_unit, z)
+    region = next(r for r in found.look.regions if r.variable == curve.variable)
+    axis.plot(across * z, factor * signal.value, ".", color=DATA, ms=3, label="unexplained by the plain model")
+    _bins(axis, across, factor, region.centres, region.mean, region.std)
+    axis.plot(across * curve.values, factor * curve.curve, color=EFFECT, lw=1.6, label="fitted curve (stand-in)")
+    axis.set_xlabel(label(curve.variable, variable_unit))
+    axis.set_ylabel(label(f"missing at the {curve.site}", unit))
+    figure.suptitle(f"unknown effect; the curve closes {100 * curve.closed:.1f} % of the gap", fontsize=11)
+    _dress(axis)
+    return figure
+
+
+def _bins(axis: Axes, across: float, factor: float, centres: np.ndarray, mean: np.ndarray, std: np.ndarray) -> None:
+    axis.errorbar(
+        across * centres, factor * mean, 2 * factor * std, fmt="o", ms=4, color="black", lw=0.8, label="mean in bins, ± 2 std"
+    )  # fmt: skip
+
+
+def _candidates(found: Discovery) -> Figure:
+    shown = list(found.ranking)[:CANDIDATES]
+    figure = _figure(8.5, 1.2 + 0.32 * len(shown))
+    axis = figure.subplots()
+    chosen = tuple(found.best.model.effects[k].name for k in range(len(found.best.model.effects)))
+    rivals = [tuple(a) for a in found.alternatives]
+    for row, rank in enumerate(reversed(shown)):
+        colour = EFFECT if rank.effects == chosen else BEFORE if rank.effects in rivals else DATA
+        axis.barh(row, rank.misfit, color=colour, height=0.6)
+        axis.annotate(f" +{rank.behind:.3g}" if rank.behind else " best", (rank.misfit, row), va="center", fontsize=8)
+    axis.axvline(1.0, color="black", lw=0.8, ls=":")
+    axis.set_yticks(range(len(shown)), [" + ".join(r.effects) for r in reversed(shown)], fontsize=8)
+    axis.set_xscale("log")
+    axis.set_xlim(min(0.8, axis.get_xlim()[0]), axis.get_xlim()[1] * 1.6)
+    axis.set_xlabel("misfit over noise on the estimation records (dotted: noise); numbers: criterion behind the best")
+    named = "candidates; red: the answer" + ("; yellow: explains as well" if rivals else "")
+    axis.set_title(f"{found.verdict}: {named}", loc="left", fontsize=10)
+    return figure
+
+
+def _gap(found: Discovery) -> Figure:
+    figure = _figure(1.5 + 2.6 * len(found.gap), 3.6)
+    axes = figure.subplots(1, len(found.gap), squeeze=False)[0]
+    for axis, (output, gap) in zip(axes, found.gap.items(), strict=True):
+        bars = {"before": (gap.before, BEFORE), "after": (gap.after, AFTER)}
+        if found.stand_in is not None:
+            bars["with the curve"] = (found.stand_in.gap[output].after, EFFECT)
+        factor, unit = scaled(gap.unit, np.array([v for v, _ in bars.values()]))
+        axis.bar(list(bars), [factor * v for v, _ in bars.values()], color=[c for _, c in bars.values()], width=0.6)
+        axis.axhline(factor * gap.floor, color="black", lw=1, ls=":", label="noise")
+        axis.set_ylabel(label(f"rms misfit of {output}", unit))
+        closed = f"{100 * gap.closed:.1f} % closed" if gap.before > 1.02 * gap.floor else "no gap"
+        axis.set_title(f"{output}: {closed}", fontsize=10)
+        axis.legend(fontsize=8, frameon=False)
+        axis.tick_params(labelsize=8)
+    figure.suptitle("validation records, free run", fontsize=10)
+    return figure
+
+
+def _dress(*axes: Axes) -> None:
+    for axis in axes:
+        axis.grid(alpha=0.25, lw=0.5)
+        axis.legend(fontsize=8, frameon=False)
+        axis.tick_params(labelsize=8)

@@ -1,0 +1,129 @@
+"""What a fit may be told on the command line about its constants and its noise, and that it is told back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from greybox.cli.app import app
+from greybox.simulation import write_csv
+from tests.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, with_gaps
+
+FILE = """
+from greybox import Balance, Input, Model, Output, Parameter, State
+
+mass = Model(
+    "mass", [State("x", "m"), State("v", "m/s")], [Input("u", "N")], [Output("x", "m"), Output("v", "m/s")],
+    [Parameter("M", "kg", 1.0, (0.01, 100.0), fixed=True), Parameter("B", "N*s/m", 0.4, (1e-3, 100.0)),
+     Parameter("K", "N/m", 4.0, (1e-3, 1000.0))],
+    lambda x, u, p: [
+        Balance("position", "m/s", 1, "x", velocity=x.v),
+        Balance("force", "N", p.M, "v", drive=u.u, damping=-p.B * x.v, spring=-p.K * x.x),
+    ],
+)
+"""
+Run = Callable[..., Result]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model and three records, with gaps, at irregular times, and one pushed at random."""
+    folder = tmp_path_factory.mktemp("data")
+    (folder / "mass.py").write_text(FILE)
+    for name, data in {
+        "gaps": with_gaps(record(0)),
+        "irregular": irregular(record(1, x0=STARTS[1])),
+        "pushed": record(3, intensity=INTENSITY, x0=STARTS[1]),
+    }.items():
+        write_csv(data, MASS, folder / f"{name}.csv")
+    rng = np.random.default_rng(1)
+    still = {n: s * rng.normal(size=240) for n, s in LEVEL.items()}
+    write_csv(replace(record(0), inputs={"u": np.zeros(240)}, outputs=still), MASS, folder / "quiet.csv")
+    return folder
+
+
+@pytest.fixture
+def run(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Fits the mass to some of the records."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(records: str, *arguments: str) -> Result:
+        files = [str(folder / f"{name}.csv") for name in records.split()]
+        told = [str(folder / a) if a.endswith(".csv") else a for a in arguments]
+        return CliRunner().invoke(
+            app, ["fit", str(folder / "mass.py"), *files, *told, "--output", "out", "--no-report"]
+        )
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("records", "options", "said"),
+    [
+        (
+            "gaps irregular",
+            [
+                "--prior", "B=0.44+-0.001", "--own", "K", "--loss", "student:5", "--quiet", "quiet.csv", "--profile", "K",
+                "--bootstrap", "200",
+            ],
+            [
+                "the prior of B and the data disagree by", "each experiment has its own K", "robust loss (student, 5 degrees of freedom)",
+                "quiet record", "K (gaps): ", "K (irregular): ", "95 % by profile likelihood",
+                "block bootstrap, 200 replicates in blocks of",
+            ],
+        ),
+        ("gaps irregular", ["--tie", "B=0.2*sqrt(K*M)", "--schedule", "K=M@1", "--condition", "M=1,1"], ["0.2*sqrt(K*M)"]),
+        (
+            "pushed", ["--process-noise", "v", "--predict", "5", "--profile", "K,noise_v"],
+            [
+                "process noise on v (noise_v = 0.", "prediction (1 step ahead)", "5 steps ahead", "Kalman filter, process noise on v",
+                "K: 4.", "noise_v: 0.", "95 % by profile likelihood",
+            ],
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_told_is_told_back(run: Run, tmp_path: Path, records: str, options: list[str], said: list[str]) -> None:
+    result = run(records, *options)
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    for text in (*said, "residual tests", "free run and prediction"):
+        assert text in result.stdout, result.stdout
+    saved = json.loads((tmp_path / "out" / "fit.json").read_text())
+    assert saved["success"] is True
+    drawn = {f.name for f in (tmp_path / "out").glob("residual-*.png")}
+    assert drawn == {"residual-x.png", "residual-v.png"}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--prior", "K=4"], "--prior K=4: write mean and standard deviation, as in --prior K=0.0100+-0.0001"),
+        (["--prior", "K=4+-0"], "a standard deviation above zero"),
+        (["--prior", "M=1+-0.1"], "--prior M: fixed in the model or by --fix"),
+        (["--tie", "B=Q"], "'Q'"),
+        (["--own", "Bb"], "'Bb'"),
+        (["--loss", "hubber"], "unknown loss 'hubber'; did you mean 'huber'"),
+        (["--schedule", "K=P_S"], "'P_S'"),
+        (["--condition", "M=1,2,3"], "--condition M: 3 values for 2 records"),
+        (["--process-noise", "w"], "has no state 'w'"),
+        (["--process-noise", "v=-1"], "is no intensity; give a finite one from 0 up"),
+        (["--process-noise", "v", "--loss", "huber"], "leave out the loss, or the process noise"),
+        (["--noise", "x=-1"], "not a positive standard deviation"),
+        (["--quiet", "gaps.csv"], "input 'u' moves by 4 N"),
+        (["--profile", "M"], "--profile M: no constant that is fitted"),
+        (["--profile", "Kk"], "--profile Kk: no constant that is fitted; did you mean 'K'"),
+        (["--bootstrap", "20"], "--bootstrap 20: too few replicates for a 95 % interval; give 100 or more"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_message(run: Run, tmp_path: Path, options: list[str], message: str) -> None:
+    result = run("gaps irregular", *options)
+    assert result.exit_code == 2, result.output
+    assert message in result.stderr
+    assert result.stderr.count("error:") == 1 and "Traceback" not in result.output
+    assert list(tmp_path.iterdir()) == []
