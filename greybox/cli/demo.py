@@ -10,6 +10,7 @@ import typer
 from greybox.cli import options as o
 from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, note, stop
 from greybox.cli.progress import gauge
+from greybox.cli.reporting import shown, told, write_report
 
 if TYPE_CHECKING:
     from greybox.demo import Demo
@@ -25,7 +26,8 @@ def demo(
 
     Fits the model (it misses the record by a hundred times the noise), finds and names what it lacks, shows the gap before and
     after on a record that was not used, puts black-box models beside it, and writes the state space for a controller design.
-    The rig is simulated by an integrator that the fits do not use. Takes half a minute.
+    The rig is simulated by an integrator that the fits do not use. Takes half a minute; the story is in DIR/report.html, which opens
+    where a person sits at a desktop.
     """
     from greybox.demo import demo as run
 
@@ -39,10 +41,12 @@ def demo(
         found = run(folder, say=say)
     if found.plain.status == "interrupted":
         stop(f"interrupted; what was done so far is in {folder}", INTERRUPTED)
+    report = write_report(found, folder / "report.html")
     if json:
         typer.echo((folder / "discovery.json").read_text(encoding="utf-8"), nl=False)
     else:
-        typer.echo(_told(found, folder))
+        typer.echo(f"{_told(found, folder)}\n\n{told(report)}")
+        shown(report)
     if not found.fit.success:
         raise typer.Exit(UNSUCCESSFUL)
 
