@@ -10,6 +10,7 @@ import typer
 from greybox.cli import options as o
 from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, note, stop
 from greybox.cli.progress import gauge
+from greybox.cli.reporting import told, typed
 
 if TYPE_CHECKING:
     from greybox.demo import Demo
@@ -17,8 +18,9 @@ if TYPE_CHECKING:
 
 def demo(
     output: Annotated[
-        Path, typer.Option("--output", metavar="DIR", help="Folder for records, results and figures.")
+        Path, typer.Option("--output", metavar="DIR", help="Folder for records, results, figures and report.html.")
     ] = Path("results/demo"),
+    open_: Annotated[bool, typer.Option("--open", help="Show the report in the browser at the end.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the discovery as JSON instead of text.")] = False,
 ) -> None:
     """The whole story on a simulated actuator that hides an effect from its model.
@@ -28,6 +30,8 @@ def demo(
     The rig is simulated by an integrator that the fits do not use. Takes half a minute.
     """
     from greybox.demo import demo as run
+    from greybox.demo import page_of_demo
+    from greybox.reports import write
 
     folder = o.writable_folder(output)
     with gauge() as show:
@@ -39,10 +43,13 @@ def demo(
         found = run(folder, say=say)
     if found.plain.status == "interrupted":
         stop(f"interrupted; what was done so far is in {folder}", INTERRUPTED)
+    report = write(page_of_demo(found, command=typed()), folder / "report.html")
     if json:
         typer.echo((folder / "discovery.json").read_text(encoding="utf-8"), nl=False)
     else:
-        typer.echo(_told(found, folder))
+        typer.echo(f"{_told(found, folder)}\n\n{told(report)}")
+    if open_:
+        typer.launch(report.resolve().as_uri())
     if not found.fit.success:
         raise typer.Exit(UNSUCCESSFUL)
 

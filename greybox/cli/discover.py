@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greybox.cli import complete
 from greybox.cli import constraints as c
 from greybox.cli import options as o
 from greybox.cli.guard import INTERRUPTED, note, stop
@@ -36,7 +37,13 @@ def discover(
     at_rest: o.AtRest = False,
     column: o.Columns,
     effects: Annotated[
-        str, typer.Option("--effects", metavar="NAME,...", help="Only these effects of the catalogue. [default: all]")
+        str,
+        typer.Option(
+            "--effects",
+            metavar="NAME,...",
+            autocompletion=complete.effects,
+            help="Only these effects of the catalogue. [default: all]",
+        ),
     ] = "",
     output: Annotated[
         Path | None,

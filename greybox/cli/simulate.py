@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greybox.cli import complete
 from greybox.cli import options as o
 from greybox.cli.guard import UNSUCCESSFUL, note, stop
 from greybox.cli.reporting import NoReport, told, write_report
@@ -27,19 +28,28 @@ Values = Annotated[
         "--start",
         metavar="NAME=VALUE",
         default_factory=list,
+        autocompletion=complete.constants,
         help="The value of a constant, in its unit.",
     ),
 ]
 Initial = Annotated[
     o.Names,
     typer.Option(
-        "--initial", metavar="STATE=VALUE", default_factory=list, help="A state at the first row, in its unit."
+        "--initial",
+        metavar="STATE=VALUE",
+        default_factory=list,
+        autocompletion=complete.states,
+        help="A state at the first row, in its unit.",
     ),
 ]
 Noise = Annotated[
     o.Names,
     typer.Option(
-        "--noise", metavar="OUTPUT=STD", default_factory=list, help="White noise on an output: its standard deviation."
+        "--noise",
+        metavar="OUTPUT=STD",
+        default_factory=list,
+        autocompletion=complete.outputs,
+        help="White noise on an output: its standard deviation.",
     ),
 ]
 
