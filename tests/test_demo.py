@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from greybox import read_csv
-from greybox.demo import EXTENDED, HIDDEN, KNOWN, NOISE, PLAIN, STRENGTH, Demo, demo
+from greybox.demo import EXTENDED, HIDDEN, KNOWN, NOISE, PLAIN, STRENGTH, Demo, demo, page_of_demo
+from greybox.reports import write
 from models.micro_actuator import micro_actuator
 
 
@@ -87,3 +89,13 @@ def test_the_story_is_told_in_order(found: Demo, told: list[str]) -> None:
     order = ["constant", "consistent with cubic_stiffness", "misfit on the other record", "black box", "linear model"]
     places = [text.index(words) for words in order]
     assert places == sorted(places)
+
+
+def test_the_page_tells_the_same_story(found: Demo, tmp_path: Path) -> None:
+    page = page_of_demo(found, command="greybox demo")
+    assert [s.name for s in page.sections][:5] == ["gap", "found", "black", "plant", "constants"]
+    assert page.verdict.tone == "good" and HIDDEN in page.verdict.paragraphs[0]
+    file = write(page, tmp_path / "report.html")
+    text = file.read_text(encoding="utf-8")
+    assert file.stat().st_size < 6_000_000
+    assert "greybox demo" in text and "Beside black boxes" in text

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.demo.story import EXTENDED, HIDDEN, MODEL, PLAIN, Demo
 from greybox.figures.scale import scaled
-from greybox.reports import Page, report_of_fit
+from greybox.reports import Page, page_of
 from greybox.reports.axes import axes, band, line, rms
 from greybox.reports.page import Block, Code, Figure, Section, Table, Text, Tone
 from greybox.result import Trace
@@ -31,7 +31,7 @@ def page_of_demo(told: Demo, *, command: str = "") -> Page:
         Section("found", "What was found", list(_found(told))),
         Section("black", "Beside black boxes", [_black(told)]),
         Section("plant", "The state space", [Code(str(told.plant), "About rest, for a controller design")]),
-        *report_of_fit(discovery.best, command=command).sections,
+        *page_of(discovery.best, command=command).sections,
     ]
     question = f"A simulated {MODEL} hides {HIDDEN} from its model. Does the program find out, and what does it gain?"
     tone: Tone = "good" if discovery.verdict == "named" else "caution"
