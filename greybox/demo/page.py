@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.demo.story import EXTENDED, HIDDEN, MODEL, PLAIN, Demo
+from greybox.demo.story import EXTENDED, HIDDEN, MODEL, PLAIN, Demo, written
 from greybox.figures.scale import scaled
 from greybox.reports import Page, page_of
 from greybox.reports.axes import axes, band, line, rms
@@ -24,7 +24,7 @@ def page_of_demo(told: Demo, *, command: str = "") -> Page:
     said = [
         f"The model alone misses the record that was not used by {off:.0f} times the noise. {discovery.story}",
         f"Its constants come back to within {max(abs(d) for d in told.deviations.values()):.1f} standard deviations of the rig's.",
-        *told.comparison.verdict[:1],
+        *(f"{text}." for text in told.comparison.verdict[:1]),
     ]
     sections = [
         Section("gap", "The gap, before and after", list(_gap(told))),
@@ -67,7 +67,7 @@ def _found(told: Demo) -> Iterator[Block]:
     rows = []
     for name, truth in told.truth.items():
         plain, best = told.plain.parameters.get(name), told.fit.parameters.get(name)
-        cells = [f"{e.value:.5g}" + (f" ± {e.std:.1g}" if e.std else "") if e else "" for e in (plain, best)]
+        cells = [written(e).replace("+-", "±") for e in (plain, best)]
         rows.append([name, f"{truth:.5g}", *cells, tidy(best.unit) if best else ""])
     yield Table("Constants beside those of the rig", ["constant", "rig", PLAIN, EXTENDED, "unit"], rows)
     ranking = [

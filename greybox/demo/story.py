@@ -23,8 +23,8 @@ from greybox.fitting import FitOptions, fit
 from greybox.fitting.options import Report
 from greybox.model import Model
 from greybox.project import shipped
-from greybox.result import Fit
-from greybox.result.summary import table
+from greybox.result import Estimate, Fit
+from greybox.result.summary import table, with_std
 from greybox.simulation import chirp, multisine, write_csv
 from greybox.twin import twin
 from greybox.units import tidy
@@ -102,16 +102,16 @@ class Demo:
             e = self.fit.parameters.get(name)
             before = self.plain.parameters.get(name)
             rows.append([
-                name, f"{truth:.5g}", f"{self.start[name]:.4g}" if name in self.start else "", _value(before), _value(e),
+                name, f"{truth:.5g}", f"{self.start[name]:.4g}" if name in self.start else "", written(before), written(e),
                 f"{abs(self.deviations[name]):.1f} std" if e else "", tidy(e.unit) if e else "",
             ])  # fmt: skip
         head = ["constant", "true", "start", PLAIN, EXTENDED, "off by", "unit"]
         return "\n".join(table(head, rows))
 
 
-def _value(e: object) -> str:
-    value, std = getattr(e, "value", None), getattr(e, "std", None)
-    return "" if value is None else f"{value:.5g}" + (f" +- {std:.1g}" if std else "")
+def written(e: Estimate | None) -> str:
+    """``value +- std``; empty where a model lacks the constant."""
+    return "" if e is None else with_std(e.value, e.std or 0.0)
 
 
 def demo(directory: str | Path, *, report: Report | None = None, say: Say | None = None) -> Demo:
