@@ -8,6 +8,7 @@ import pytest
 from greybox.errors import DataError, GreyboxError
 from greybox.integrators.step import Step
 from greybox.kernel import make_kernel
+from greybox.kernel.protocol import finished
 from greybox.kernel.record import Record
 
 KERNELS = ["compiled", "interpreted"]
@@ -349,3 +350,10 @@ def test_unknown_kernel_is_refused(monkeypatch):
     monkeypatch.setenv("GREYBOX_KERNEL", "quantum")
     with pytest.raises(GreyboxError, match="GREYBOX_KERNEL=quantum"):
         make_kernel(oscillator_step())
+
+
+def test_sums_that_overflow_count_as_failed_and_warn_of_nothing() -> None:
+    huge = np.diag([1.2e308, 1.2e308])
+    sums = finished(np.array([1.0]), np.array([5]), np.zeros(2), huge, None, 5)
+    assert (sums.cost, sums.failed_at) == (np.inf, 5)
+    assert not sums.gauss_newton.any()

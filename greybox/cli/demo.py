@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greybox.cli import options as o
-from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, note, stop
-from greybox.cli.progress import gauge
+from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
+from greybox.cli.progress import search_gauge
 from greybox.cli.reporting import told, typed
 
 if TYPE_CHECKING:
@@ -34,22 +34,17 @@ def demo(
     from greybox.reports import write
 
     folder = o.writable_folder(output)
-    with gauge() as show:
-
-        def say(text: str) -> None:
-            note(text)
-            show(text.strip())
-
-        found = run(folder, say=say)
+    with search_gauge() as (say, report):
+        found = run(folder, say=say, report=report)
     if found.plain.status == "interrupted":
         stop(f"interrupted; what was done so far is in {folder}", INTERRUPTED)
-    report = write(page_of_demo(found, command=typed()), folder / "report.html")
+    page = write(page_of_demo(found, command=typed()), folder / "report.html")
     if json:
         typer.echo((folder / "discovery.json").read_text(encoding="utf-8"), nl=False)
     else:
-        typer.echo(f"{_told(found, folder)}\n\n{told(report)}")
+        typer.echo(f"{_told(found, folder)}\n\n{told(page)}")
     if open_:
-        typer.launch(report.resolve().as_uri())
+        typer.launch(page.resolve().as_uri())
     if not found.fit.success:
         raise typer.Exit(UNSUCCESSFUL)
 
