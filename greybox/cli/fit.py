@@ -117,7 +117,7 @@ def fit(
     with held():
         saved = result.save(folder / "fit.json")
     tests = None if interrupted else _tested(result)
-    more = [] if interrupted or silent or json else i.further(result, profiled, bootstrap)
+    more = [] if interrupted or silent or json else [*i.closing(result), *i.further(result, profiled, bootstrap)]
     ahead = [] if interrupted or silent or json else p.predicted(result, judges, predict, skip)
     _tell(result, tests, [*more, *ahead], saved, skip, quiet=silent, json=json)
     if interrupted or result.status == "interrupted":
