@@ -16,8 +16,8 @@ from greybox.effects import applicable, scales_of
 
 # Functions of displacement, velocity, input and time, and the effects that they are read as.
 LIBRARY = {
-    "sign(v)": "coulomb_friction", "v|v|": "quadratic_damping", "x^3": "cubic_stiffness", "x^2": "quadratic_stiffness", "1": "constant_load",
-    "u^3": "input_saturation", "sign(u)": "input_dead_zone",
+    "sign(v)": "coulomb_friction", "v|v|": "quadratic_damping", "x^3": "cubic_stiffness", "x^2": "quadratic_stiffness",
+    "1": "constant_load", "u^3": "input_saturation", "sign(u)": "input_dead_zone",
 }  # fmt: skip
 PNEUMATIC = {"sign(u)": "valve_dead_zone"}
 SMOOTH = 9  # samples of the local polynomials that differentiate

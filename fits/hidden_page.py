@@ -63,7 +63,7 @@ def _scores(rows: Sequence[Row]) -> str:
     constants = [c for r in rows if right(r) for c in r["constants"] if c["truth"]]
     errors = [abs(c["value"] / c["truth"] - 1) for c in constants]
     inside = [abs(c["value"] - c["truth"]) <= Z95 * c["std"] for c in constants if c["std"]]
-    singles = seen["single"]
+    singles, seconds = seen["single"], [r["seconds"] for r in rows]
     lines = [
         ("one effect, visible: exact name", _share(map(right, singles))),
         ("one effect, visible: exact name, or a declared tie of at most four", _share(map(tied, singles))),
@@ -77,7 +77,7 @@ def _scores(rows: Sequence[Row]) -> str:
         ("gap closed on the judging record where named rightly: median, tenth percentile", _two(closed)),
         ("constants of effects named rightly: median relative error", f"{np.median(errors):.3f} ({len(errors)})" if errors else "-"),
         ("constants inside their 95 % interval", _share(inside)),
-        ("processor seconds a case: median, worst", f"{np.median([r['seconds'] for r in rows]):.1f}, {max(r['seconds'] for r in rows):.1f}"),
+        ("processor seconds a case: median, worst", f"{np.median(seconds):.1f}, {max(seconds):.1f}"),
         ("not visible in the records (left out above)", str(sum(r["base"] < VISIBLE for r in effects))),
     ]  # fmt: skip
     return "\n".join(["| what | result |", "|---|---|", *(f"| {what} | {value} |" for what, value in lines)])
