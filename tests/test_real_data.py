@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fits import cascaded_tanks_discovery, emps_discovery, silverbox_discovery
+from fits.real_page import arguments
 from greybox import Experiment, FitOptions, fit, further, simulate
 from greybox.discovery import Bench
 from greybox.discovery.veto import held_out, surviving
@@ -150,3 +152,28 @@ def test_a_model_that_fails_on_other_records_gives_way(hardening):
     assert surviving(bench, bench.base, wrong, [wrong, right], [judge]).effects == ("cubic_stiffness",)
     assert surviving(bench, bench.base, right, [wrong, right], [judge]) is right
     assert surviving(bench, bench.base, wrong, [wrong], [judge]) is wrong
+
+
+def test_the_studies_say_what_they_need(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["fits", str(tmp_path)])
+    with pytest.raises(SystemExit) as stopped:
+        arguments("emps_discovery", *emps_discovery.FILES)
+    assert stopped.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("usage: python -m fits.emps_discovery [-h] [--output DOCS] FOLDER\n")
+    assert "has no train.csv, test.csv; give the folder of these records" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("module", "folder", "told"),
+    [
+        (silverbox_discovery, "silverbox", "the family is named, not the member"),
+        (emps_discovery, "emps", "**The classical offset imitated friction that differs by direction.**"),
+        (cascaded_tanks_discovery, "cascaded_tanks", "they form an ambiguity set"),
+    ],
+)
+def test_what_is_missing_is_found_on_measured_records(shared_data, module, folder, told):
+    done = module.study(shared_data / folder)
+    module.verdict(done)
+    assert told in "\n".join(module.section(done))
