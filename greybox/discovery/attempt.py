@@ -83,7 +83,8 @@ def try_effect(
     scales = scales_along(trial)
     added = tailored(effect(candidate) if isinstance(candidate, str) else candidate, scales)
     model = fit.model + added
-    found = bench.best(model, candidate_starts(model, added, trial, nominal or fit.model, scales), KEPT, like=trial)
+    starts = [model.values, *candidate_starts(model, added, trial, nominal or fit.model, scales)]
+    found = bench.best(model, starts, KEPT, like=trial)
     if found is None:
         raise DataError(
             f"effect {added.name!r}: the extended model overflows from every start; state the effect's bounds"

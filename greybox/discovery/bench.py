@@ -119,7 +119,12 @@ class Bench:
         return {o.name: float(std) for o, std in pairs if o.name in measured}
 
     def best(
-        self, model: Model, starts: Iterable[Start], keep: int = 2, iterations: int = ITERATIONS, like: Trial | None = None
+        self,
+        model: Model,
+        starts: Iterable[Start],
+        keep: int = 2,
+        iterations: int = ITERATIONS,
+        like: Trial | None = None,
     ) -> Trial | None:
         """``model`` refitted from the most promising ``keep`` of ``starts``; None where none of them can be simulated.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from greybox.discovery import rules
 from greybox.discovery.attempt import judged, scales_along
-from greybox.discovery.bench import Bench, Trial
+from greybox.discovery.bench import Bench, Start, Trial
 from greybox.discovery.starts import candidate_starts
 from greybox.discovery.veto import held_out
 from greybox.effects import Scales, applicable
@@ -120,11 +120,17 @@ def _extended(bench: Bench, chosen: Trial, candidates: Sequence[Effect], scales:
     names = set(chosen.effects)
     inside = {parent for b in chosen.model.bound_effects for parent in b.effect.parents}
     room = [e for e in candidates if e.name not in names | inside and not names & set(e.parents)]
-    starts = {e.name: list(candidate_starts(chosen.model + e, e, chosen, chosen.model, scales)) for e in room}
+    starts = {e.name: _starts(chosen, e, scales) for e in room}
     hopes = {e.name: bench.promise(chosen.model + e, starts[e.name], chosen) for e in room}
     promising = sorted(room, key=lambda e: hopes[e.name])[:PROMISING]
     found = [bench.best(chosen.model + e, starts[e.name], KEPT, like=chosen) for e in promising]
     return [t for t in found if t is not None]
+
+
+def _starts(chosen: Trial, effect: Effect, scales: Scales) -> list[Start]:
+    """Where the refit with a further effect begins: with nothing of it, and at the usual amplitudes and shapes."""
+    model = chosen.model + effect
+    return [model.values, *candidate_starts(model, effect, chosen, chosen.model, scales)]
 
 
 def _added(smaller: Trial, larger: Trial) -> str:
