@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from greybox import read_csv
+from greybox import read_csv, report
 from greybox.demo import EXTENDED, HIDDEN, KNOWN, NOISE, PLAIN, STRENGTH, Demo, demo
 from models.micro_actuator import micro_actuator
 
@@ -87,3 +88,10 @@ def test_the_story_is_told_in_order(found: Demo, told: list[str]) -> None:
     order = ["constant", "consistent with cubic_stiffness", "misfit on the other record", "black box", "linear model"]
     places = [text.index(words) for words in order]
     assert places == sorted(places)
+
+
+def test_the_page_tells_the_same_story(found: Demo, tmp_path: Path) -> None:
+    file = report(found, tmp_path / "report.html")
+    text = file.read_text(encoding="utf-8")
+    assert file.stat().st_size < 6_000_000
+    assert HIDDEN in text and "black box" in text

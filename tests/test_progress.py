@@ -9,7 +9,7 @@ from rich.console import Console
 
 from greybox.cli import progress
 from greybox.cli.compare import scanned
-from greybox.cli.progress import Gauge, share_done, spelled, time_left
+from greybox.cli.progress import Gauge, search_gauge, share_done, share_of, spelled, time_left
 from greybox.fitting.options import Progress
 
 
@@ -62,3 +62,19 @@ def _still(console: Console, own=progress._bar):
     bar.live.auto_refresh = False
     bar.get_time = lambda: 4.0
     return bar
+
+
+def test_a_discovery_says_its_steps_and_how_many_refits_are_done(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    shown: list[tuple[str, float | None]] = []
+    monkeypatch.setattr(Gauge, "__call__", lambda line, text, share=None: shown.append((text, share)))
+    with search_gauge() as (say, report):
+        say("plain model: misfit 50 times the noise")
+        report(10)
+    assert shown == [
+        ("plain model: misfit 50 times the noise", None),
+        ("plain model: misfit 50 times the noise; refit 10", 0.25),
+    ]
+    assert capsys.readouterr().err == "plain model: misfit 50 times the noise\n"
+    assert share_of(400, 40) < 1

@@ -37,7 +37,6 @@ app = typer.Typer(
     help="Physics-based grey-box identification: from a record to physical constants with intervals.",
     epilog="Start with:\n\n\b\n  greybox demo\n  greybox models\n  greybox fit --help",
     no_args_is_help=True,
-    add_completion=False,
     # Plain text: a message stays on one line, and nothing heavy is imported for --help.
     rich_markup_mode=None,
     pretty_exceptions_enable=False,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from greybox.cli import complete
 from greybox.cli import constraints as c
 from greybox.cli import options as o
 from greybox.cli import predicted as p
@@ -34,6 +35,7 @@ Rivals = Annotated[
     typer.Option(
         "--effects",
         metavar="NAME,...",
+        autocompletion=complete.effects,
         help="Also fit MODEL with each of these effects of the catalogue; A+B is one model with both.",
     ),
 ]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greybox.cli import complete
 from greybox.cli.options import Names, numbers, pairs
 from greybox.errors import GreyboxError, ModelError
 
@@ -24,6 +25,7 @@ Prior = Annotated[
         "--prior",
         metavar="NAME=MEAN+-STD",
         default_factory=list,
+        autocompletion=complete.constants,
         help="What is known of a constant beforehand, as M=0.0100+-0.0001; weighed as a measurement.",
     ),
 ]
@@ -33,13 +35,18 @@ Tie = Annotated[
         "--tie",
         metavar="NAME=FORMULA",
         default_factory=list,
+        autocompletion=complete.constants,
         help="A constant that others give, as Kv=Kf or K2=3*K1; it holds exactly.",
     ),
 ]
 Own = Annotated[
     Names,
     typer.Option(
-        "--own", metavar="NAME", default_factory=list, help="A constant of which each record has a value of its own."
+        "--own",
+        metavar="NAME",
+        default_factory=list,
+        autocompletion=complete.constant_names,
+        help="A constant of which each record has a value of its own.",
     ),
 ]
 Schedule = Annotated[
@@ -48,6 +55,7 @@ Schedule = Annotated[
         "--schedule",
         metavar="NAME=CONDITION[@VALUE]",
         default_factory=list,
+        autocompletion=complete.constants,
         help="A constant that follows a condition or an input, as K2=P_S@8e5; it holds at that value.",
     ),
 ]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greybox.cli import options as o
-from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, note, stop
-from greybox.cli.progress import gauge
+from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
+from greybox.cli.progress import search_gauge
 from greybox.cli.reporting import shown, told, write_report
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def demo(
     output: Annotated[
-        Path, typer.Option("--output", metavar="DIR", help="Folder for records, results and figures.")
+        Path, typer.Option("--output", metavar="DIR", help="Folder for records, results, figures and report.html.")
     ] = Path("results/demo"),
     json: Annotated[bool, typer.Option("--json", help="Print the discovery as JSON instead of text.")] = False,
 ) -> None:
@@ -32,21 +32,16 @@ def demo(
     from greybox.demo import demo as run
 
     folder = o.writable_folder(output)
-    with gauge() as show:
-
-        def say(text: str) -> None:
-            note(text)
-            show(text.strip())
-
-        found = run(folder, say=say)
+    with search_gauge() as (say, report):
+        found = run(folder, say=say, report=report)
     if found.plain.status == "interrupted":
         stop(f"interrupted; what was done so far is in {folder}", INTERRUPTED)
-    report = write_report(found, folder / "report.html")
+    page = write_report(found, folder / "report.html")
     if json:
         typer.echo((folder / "discovery.json").read_text(encoding="utf-8"), nl=False)
     else:
-        typer.echo(f"{_told(found, folder)}\n\n{told(report)}")
-        shown(report)
+        typer.echo(f"{_told(found, folder)}\n\n{told(page)}")
+        shown(page)
     if not found.fit.success:
         raise typer.Exit(UNSUCCESSFUL)
 

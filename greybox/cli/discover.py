@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greybox.cli import complete
 from greybox.cli import constraints as c
 from greybox.cli import options as o
-from greybox.cli.guard import INTERRUPTED, note, stop
+from greybox.cli.guard import INTERRUPTED, stop
+from greybox.cli.progress import search_gauge
 from greybox.cli.records import tell_notes
 from greybox.cli.reporting import NoReport, told, write_report
 
@@ -37,7 +39,13 @@ def discover(
     at_rest: o.AtRest = False,
     column: o.Columns,
     effects: Annotated[
-        str, typer.Option("--effects", metavar="NAME,...", help="Only these effects of the catalogue. [default: all]")
+        str,
+        typer.Option(
+            "--effects",
+            metavar="NAME,...",
+            autocompletion=complete.effects,
+            help="Only these effects of the catalogue. [default: all]",
+        ),
     ] = "",
     output: Annotated[
         Path | None,
@@ -79,10 +87,11 @@ def discover(
     chosen = [effect(name.strip()) for name in effects.split(",") if name.strip()] or None
     journal = folder / "journal.jsonl"
     try:
-        found = find(
-            plant, records, validation=judges, noise=said, quiet=silent, effects=chosen,
-            options=FitOptions(at_rest=at_rest), say=note, journal=journal,
-        )  # fmt: skip
+        with search_gauge() as (say, report):
+            found = find(
+                plant, records, validation=judges, noise=said, quiet=silent, effects=chosen,
+                options=FitOptions(at_rest=at_rest), say=say, journal=journal, report=report,
+            )  # fmt: skip
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command goes on from there" if journal.exists() else ""
         stop(f"interrupted{kept}", INTERRUPTED)

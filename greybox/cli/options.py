@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greybox.cli import complete
 from greybox.cli.guard import note
 from greybox.errors import GreyboxError, ModelError
 
@@ -46,6 +47,7 @@ ModelName = Annotated[
     typer.Argument(
         metavar="MODEL",
         show_default=False,
+        autocompletion=complete.models,
         help="Name of a model (see greybox models), or a model file: my/rig.py, my/rig.py:name.",
     ),
 ]
@@ -55,16 +57,29 @@ Fix = Annotated[
         "--fix",
         metavar="NAME=VALUE",
         default_factory=list,
+        autocompletion=complete.constants,
         help="A constant that is known, in its unit; NAME alone fixes it where it is.",
     ),
 ]
 Start = Annotated[
     Names,
-    typer.Option("--start", metavar="NAME=VALUE", default_factory=list, help="A value to start from, in its unit."),
+    typer.Option(
+        "--start",
+        metavar="NAME=VALUE",
+        default_factory=list,
+        autocompletion=complete.constants,
+        help="A value to start from, in its unit.",
+    ),
 ]
 Free = Annotated[
     Names,
-    typer.Option("--free", metavar="NAME", default_factory=list, help="A constant to fit that the model holds fixed."),
+    typer.Option(
+        "--free",
+        metavar="NAME",
+        default_factory=list,
+        autocompletion=complete.constant_names,
+        help="A constant to fit that the model holds fixed.",
+    ),
 ]
 Effects = Annotated[
     Names,
@@ -72,6 +87,7 @@ Effects = Annotated[
         "--effect",
         metavar="NAME",
         default_factory=list,
+        autocompletion=complete.effects,
         help="Add an effect of the catalogue, such as coulomb_friction.",
     ),
 ]
@@ -81,6 +97,7 @@ Noise = Annotated[
         "--noise",
         metavar="OUTPUT=STD",
         default_factory=list,
+        autocompletion=complete.outputs,
         help="Standard deviation of an output's noise, in the model's unit; estimated if left out.",
     ),
 ]
@@ -104,6 +121,7 @@ Columns = Annotated[
         "--column",
         metavar="NAME=HEADER",
         default_factory=list,
+        autocompletion=complete.signals,
         help="The file's header for a signal, or for time, where it has another name.",
     ),
 ]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greybox.cli import complete
 from greybox.cli.options import Names, numbers
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ ProcessNoise = Annotated[
         "--process-noise",
         metavar="STATE[=VALUE]",
         default_factory=list,
+        autocompletion=complete.states,
         help="A state that something random pushes: the fit is then one of predictions, by a Kalman filter, and estimates how"
         " strongly; VALUE is known, in the state's unit over sqrt(s).",
     ),

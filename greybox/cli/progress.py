@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
+from greybox.cli.guard import note
 from greybox.cli.interrupt import Interrupt
 
 if TYPE_CHECKING:
@@ -15,8 +16,9 @@ if TYPE_CHECKING:
     from greybox.fitting.options import Progress, Report
 
 PATIENCE = 1.0  # seconds before the line appears
-# Iterations that a stage of a fit takes as a rule; beyond them a search goes on for a third of what it has taken so far.
-USUAL_ITERATIONS, LINGERS = 15, 3
+# Iterations of a stage of a fit, and refits of a discovery, as a rule; beyond them a search goes on for a third of what it has
+# taken so far.
+USUAL_ITERATIONS, USUAL_REFITS, LINGERS = 15, 40, 3
 
 
 class Show(Protocol):
@@ -101,9 +103,31 @@ def in_words(progress: Progress) -> str:
 
 def share_done(progress: Progress) -> float:
     """Share of a fit that is done, from what a stage takes as a rule: nobody knows how many iterations a search still needs."""
-    k = max(progress.iteration, 0)
-    ahead = max(USUAL_ITERATIONS - k, k / LINGERS)
-    return (progress.stage - 1 + k / (k + ahead)) / max(progress.stages, progress.stage)
+    within = share_of(max(progress.iteration, 0), USUAL_ITERATIONS)
+    return (progress.stage - 1 + within) / max(progress.stages, progress.stage)
+
+
+def share_of(done: int, usual: int) -> float:
+    """Share that is done of what takes ``usual`` steps as a rule, and may take more."""
+    return done / (done + max(usual - done, done / LINGERS))
+
+
+@contextmanager
+def search_gauge() -> Iterator[tuple[Callable[[str], None], Callable[[int], None]]]:
+    """For a discovery: what to say, a line at a time, and what to tell after each refit; the line below them is gone at the end."""
+    last = ""
+    with gauge() as show:
+
+        def say(text: str) -> None:
+            nonlocal last
+            last = text.strip()
+            note(text)
+            show(last)
+
+        def report(done: int) -> None:
+            show(f"{last}; refit {done}", share_of(done, USUAL_REFITS))
+
+        yield say, report
 
 
 def time_left(elapsed: float, share: float | None) -> float | None:

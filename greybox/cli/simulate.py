@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json as json_format
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greybox.cli import complete
 from greybox.cli import options as o
 from greybox.cli.guard import UNSUCCESSFUL, note, stop
 from greybox.cli.reporting import NoReport, told, write_report
@@ -16,6 +18,7 @@ from greybox.errors import GreyboxError
 if TYPE_CHECKING:
     from greybox.experiment import Experiment
     from greybox.model import Model
+    from greybox.simulation import Simulation
 
 MOST_ROWS = 10_000_000
 
@@ -27,19 +30,28 @@ Values = Annotated[
         "--start",
         metavar="NAME=VALUE",
         default_factory=list,
+        autocompletion=complete.constants,
         help="The value of a constant, in its unit.",
     ),
 ]
 Initial = Annotated[
     o.Names,
     typer.Option(
-        "--initial", metavar="STATE=VALUE", default_factory=list, help="A state at the first row, in its unit."
+        "--initial",
+        metavar="STATE=VALUE",
+        default_factory=list,
+        autocompletion=complete.states,
+        help="A state at the first row, in its unit.",
     ),
 ]
 Noise = Annotated[
     o.Names,
     typer.Option(
-        "--noise", metavar="OUTPUT=STD", default_factory=list, help="White noise on an output: its standard deviation."
+        "--noise",
+        metavar="OUTPUT=STD",
+        default_factory=list,
+        autocompletion=complete.outputs,
+        help="White noise on an output: its standard deviation.",
     ),
 ]
 
@@ -88,6 +100,7 @@ def simulate(
         typer.Option("--output", metavar="FILE", help="CSV file to write. [default: results/MODEL-simulated.csv]"),
     ] = None,
     no_report: NoReport = False,
+    json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON instead of text.")] = False,
 ) -> None:
     """Run MODEL over the inputs of a file, or over a test signal, and write a CSV that greybox fit reads.
 
@@ -124,12 +137,25 @@ def simulate(
     write_csv(run.record(said, generator), plant, target)
     if replaced:
         note(f"note: {target} was there already; it has been overwritten")
-    typer.echo(
-        f"{target}: {len(run.time)} rows, {', '.join([*run.inputs, *run.outputs])}; integrated by {run.discretisation}"
-    )
+    report = None
     if output is not None and not no_report:
         added = ", ".join(f"{name} {std:g}" for name, std in said.items())
-        typer.echo(told(write_report(run, target.with_suffix(".html"), model=plant, noise=added)))
+        report = write_report(run, target.with_suffix(".html"), model=plant, noise=added)
+    typer.echo(_in_json(run, target, report) if json else _in_words(run, target, report))
+
+
+def _in_words(run: Simulation, target: Path, report: Path | None) -> str:
+    names = ", ".join([*run.inputs, *run.outputs])
+    line = f"{target}: {len(run.time)} rows, {names}; integrated by {run.discretisation}"
+    return f"{line}\n{told(report)}" if report else line
+
+
+def _in_json(run: Simulation, target: Path, report: Path | None) -> str:
+    found = {
+        "file": str(target), "rows": len(run.time), "inputs": list(run.inputs), "outputs": list(run.outputs),
+        "discretisation": run.discretisation, "report": str(report) if report else None,
+    }  # fmt: skip
+    return json_format.dumps(found, indent=2)
 
 
 def _target(path: Path, inputs: Path | None) -> Path:

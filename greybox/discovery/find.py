@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -107,6 +107,7 @@ def discover(
     executor: Executor | None = None,
     workers: int = 0,
     journal: str | Path | None = None,
+    report: Callable[[int], None] | None = None,
 ) -> Discovery:
     """Find which effect, if any, ``model`` lacks.
 
@@ -117,7 +118,8 @@ def discover(
 
     ``executor``: where the refits run, for example ``Client.get_executor()`` of Dask; None for this machine, where a long search uses
     ``workers`` processes (0: one for each core). ``journal``: a file in which every finished refit is kept, so that the same call
-    goes on where an earlier one was interrupted. ``say`` is called with a line about each step.
+    goes on where an earlier one was interrupted. ``say`` is called with a line about each step, ``report`` after each
+    refit with the number of those that are done.
 
     Raises DataError where there is nothing to judge by, for records that do not go with the model, and for a file that is no journal.
     """
@@ -128,7 +130,7 @@ def discover(
         raise DataError(
             "no validation record: a discovery is judged on data that no constant has seen; give at least one"
         )
-    refits = Refits(executor, workers, Journal(Path(journal)) if journal else None)
+    refits = Refits(executor, workers, Journal(Path(journal)) if journal else None, report)
     with refits.open():
         bench = Bench(model, _several(estimation), dict(noise or {}), _several(quiet), options, refits)
         return _found(bench, judges, effects, say, began)

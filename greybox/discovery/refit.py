@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
@@ -78,11 +78,16 @@ class Journal:
 
 @dataclass
 class Refits:
-    """How refits are done: on an ``executor`` (None: this machine, on ``workers`` processes where that pays), with a ``journal`` or not."""
+    """How refits are done: on an ``executor`` (None: this machine, on ``workers`` processes where that pays), with a ``journal`` or not.
+
+    ``report`` is told after each how many are ``finished``.
+    """
 
     executor: Executor | None = None
     workers: int = 0
     journal: Journal | None = None
+    report: Callable[[int], None] | None = None
+    finished: int = field(init=False, default=0)
     seconds: list[float] = field(init=False, default_factory=list)
     _pools: ExitStack = field(init=False, default_factory=ExitStack)
 
@@ -148,6 +153,9 @@ class Refits:
             raise FitError(f"refits failed: {'; '.join(errors)}")
 
     def _note(self, key: str, outcome: Outcome | None) -> None:
+        self.finished += 1
+        if self.report:
+            self.report(self.finished)
         if self.journal:
             self.journal.add(key, outcome)
 

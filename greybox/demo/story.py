@@ -20,11 +20,10 @@ from greybox.export import Linearisation, linearise
 from greybox.export.files import write_control
 from greybox.figures import fit_figure, gap_figure
 from greybox.fitting import FitOptions, fit
-from greybox.fitting.options import Report
 from greybox.model import Model
 from greybox.project import shipped
-from greybox.result import Fit
-from greybox.result.summary import table
+from greybox.result import Estimate, Fit
+from greybox.result.summary import table, with_std
 from greybox.simulation import chirp, multisine, write_csv
 from greybox.twin import twin
 from greybox.units import tidy
@@ -102,24 +101,25 @@ class Demo:
             e = self.fit.parameters.get(name)
             before = self.plain.parameters.get(name)
             rows.append([
-                name, f"{truth:.5g}", f"{self.start[name]:.4g}" if name in self.start else "", _value(before), _value(e),
+                name, f"{truth:.5g}", f"{self.start[name]:.4g}" if name in self.start else "", written(before), written(e),
                 f"{abs(self.deviations[name]):.1f} std" if e else "", tidy(e.unit) if e else "",
             ])  # fmt: skip
         head = ["constant", "true", "start", PLAIN, EXTENDED, "off by", "unit"]
         return "\n".join(table(head, rows))
 
 
-def _value(e: object) -> str:
-    value, std = getattr(e, "value", None), getattr(e, "std", None)
-    return "" if value is None else f"{value:.5g}" + (f" +- {std:.1g}" if std else "")
+def written(e: Estimate | None) -> str:
+    """``value +- std``; empty where a model lacks the constant."""
+    return "" if e is None else with_std(e.value, e.std or 0.0)
 
 
-def demo(directory: str | Path, *, report: Report | None = None, say: Say | None = None) -> Demo:
+def demo(directory: str | Path, *, say: Say | None = None, report: Callable[[int], None] | None = None) -> Demo:
     """Measure a simulated micro-motion actuator whose spring hardens, and let the program find that out.
 
     The records come from `greybox.twin`, an integrator that the fits do not use, with white noise; they are written to
     ``directory`` as CSV and read back, as a user's would be. The model that is fitted knows nothing of the hardening and
-    starts 40 % off. ``say`` is told, a line at a time, what happens next; ``report`` follows the first fit.
+    starts 40 % off. ``say`` is told, a line at a time, what happens next; ``report`` how many refits of the
+    discovery are done.
     """
     began, folder = time.perf_counter(), Path(directory)
     tell = say or (lambda _: None)
@@ -133,11 +133,17 @@ def demo(directory: str | Path, *, report: Report | None = None, say: Say | None
     train, test = (read_csv(path, known) for path in records)
     options = FitOptions(at_rest=True)
     tell(f"1. fit: {', '.join(start)} from {train.rows} rows; {' and '.join(KNOWN)} are known")
-    plain = fit(known.start(**start), train, noise=NOISE, validation=test, options=options, report=report)
+    plain = fit(known.start(**start), train, noise=NOISE, validation=test, options=options)
     tell(f"   in x it is off by {plain.misfit['x'].noise_ratio:.0f} times the noise: the model lacks something")
     tell("2. discover: which effect of the catalogue would close that gap?")
     found = discover(
-        known.start(**start), train, validation=test, noise=NOISE, options=options, say=lambda s: tell("   " + s)
+        known.start(**start),
+        train,
+        validation=test,
+        noise=NOISE,
+        options=options,
+        say=lambda s: tell(f"   {s}"),
+        report=report,
     )
     tell("3. compare with black boxes, which need no physics")
     compared = _compared(plain, found.best, train, test)
