@@ -11,9 +11,10 @@ from fits.control_study import BLACK, COMPENSATED, FAMILY, GENTLER, KNOWING, LEV
 from fits.paper_page import MODELS, docs_folder, legend, markdown, picture, save
 
 PAGE = "control.md"
-HEAD = (
-    "design", "settling time of each move [s]", "overshoot", "steady error", "slowest of the family [s]", "worst steady error of it",
-    "gain margin", "phase margin", "distance from -1", "least of the family", f"worst of the {100 * LEVEL:.0f} % set",
+MEASURES = (
+    "settling time of each move [s]", "overshoot", "steady error",
+    "slowest settling of the family [s]", "worst steady error of the family",
+    "gain margin", "phase margin", "distance from -1", "distance, least of the family", f"distance, worst of the {100 * LEVEL:.0f} % set",
 )  # fmt: skip
 ORDER = (BLACK, PLAIN, KNOWING, COMPENSATED)
 COLOURS = dict(zip(ORDER, MODELS, strict=True))
@@ -28,9 +29,9 @@ give: a force against the friction, in the direction of the wanted motion, and a
 
 Each controller then runs on the rig itself, friction and all, integrated by equations and a method of its own
 (`fits/rig_twins.py`); and on {FAMILY} rigs drawn from what the records leave open (`greybox.family`). Everything is **generated,
-not measured**. A dash: it never stays within the band. Margins are those of the linear loop (the compensation is outside it)
-on the linear rig; "distance from -1" is the least of the loop's Nyquist curve, on the rig, over the family, and over the confidence set
-of the constants.
+not measured**. A dash: it never stays within the band, or there is no margin. Margins are those of the linear loop (the compensation
+is outside it) on the linear rig; "distance from -1" is the least of the loop's Nyquist curve, on the rig, over the family, and over
+the confidence set of the constants.
 
 This page is written by `python -m fits.control_page`; the studies are `fits/control_micro_actuator.py` and `fits/control_pneumatic.py`,
 whose `verdict` asserts what is said here.
@@ -38,18 +39,18 @@ whose `verdict` asserts what is said here.
 
 
 def rows_of(found: Study) -> list[list[str]]:
-    """A row for each design, in the order of `HEAD`."""
+    """A row for each of `MEASURES`, a column for each design."""
     unit, size = found.setting.shown
-    rows = []
+    columns = []
     for name in ORDER:
         verdict, m, spread = found.verdicts[name], found.margins[name], found.spread[name]
-        rows.append([
-            name, ", ".join(map(seconds, verdict.settling)), f"{100 * verdict.overshoot:.0f} %", f"{verdict.steady / size:.2g} {unit}",
+        columns.append([
+            ", ".join(map(seconds, verdict.settling)), f"{100 * verdict.overshoot:.0f} %", f"{verdict.steady / size:.2g} {unit}",
             seconds(max(v.slowest for v in spread.verdicts)), f"{max(v.steady for v in spread.verdicts) / size:.2g} {unit}",
-            f"{m.gain:.2f}", f"{m.phase:.0f}°", distance(m.distance if m.stable else -1.0),
+            f"{m.gain:.2f}" if m.stable else "-", f"{m.phase:.0f}°" if m.stable else "-", distance(m.distance if m.stable else -1.0),
             distance(spread.distance), distance(spread.worst),
         ])  # fmt: skip
-    return rows
+    return [[measure, *values] for measure, values in zip(MEASURES, zip(*columns, strict=True), strict=True)]
 
 
 def gentler_rows(found: Study) -> list[list[str]]:
@@ -76,7 +77,7 @@ def printed(found: Study) -> None:
     """The tables on the terminal."""
     from greybox.result.summary import table
 
-    lines = [found.found.story, "", *table(list(HEAD), rows_of(found)), ""]
+    lines = [found.found.story, "", *table(["", *ORDER], rows_of(found)), ""]
     lines += table(gentler_head(), gentler_rows(found))
     sys.stdout.write("\n".join(lines) + "\n")
 
@@ -99,8 +100,8 @@ def section(title: str, name: str, words: str, found: Study, folder: Path) -> st
         f"## {title}", words,
         f"What `discover` says: {found.found.story}",
         f"Targets {targets} {unit}, {moves.hold:g} s each and {moves.rise:g} s on the way; within {moves.band / size:g} {unit} is there.",
-        markdown(HEAD, rows_of(found)),
-        "No design loses by the weights: the same with the voltage counted more.",
+        markdown(["", *ORDER], rows_of(found)),
+        "It is no matter of the weights; with the voltage counted more:",
         markdown(gentler_head(), gentler_rows(found)),
         f"![{title}: positions and errors of each design](figures/{name}.png)",
     ])  # fmt: skip

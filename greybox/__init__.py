@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         scan_structures,
     )
     from greybox.comparison import Comparison, compare
+    from greybox.diagnose import ResidualTests, Scores, diagnose_residuals, scores
     from greybox.discovery import Attempt, Discovery, Unexplained, discover, drop_effect, try_effect, unexplained
     from greybox.effects import CATALOGUE, effect
     from greybox.errors import DataError, FitError, GreyboxError, ModelError, UnitError
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     from greybox.result import Estimate, Fit, Misfit, load_fit
     from greybox.signals import Input, Output, Parameter, State
     from greybox.simulation import Simulation, simulate
+    from greybox.uncertainty import Bootstrap, Profile, bootstrap, profile
 
 # Where each public name lives. Loaded when first asked for: stating a model should not load a solver.
 _ROOMS = {
@@ -82,6 +84,7 @@ _ROOMS = {
         "scan_structures",
     ),
     "comparison": ("Comparison", "compare"),
+    "diagnose": ("ResidualTests", "Scores", "diagnose_residuals", "scores"),
     "discovery": ("Attempt", "Discovery", "Unexplained", "discover", "drop_effect", "try_effect", "unexplained"),
     "effects": ("CATALOGUE", "effect"),
     "errors": ("DataError", "FitError", "GreyboxError", "ModelError", "UnitError"),
@@ -99,6 +102,7 @@ _ROOMS = {
     "result": ("Estimate", "Fit", "Misfit", "load_fit"),
     "signals": ("Input", "Output", "Parameter", "State"),
     "simulation": ("Simulation", "simulate"),
+    "uncertainty": ("Bootstrap", "Profile", "bootstrap", "profile"),
 }
 _HOME = {name: f"greybox.{room}" for room, names in _ROOMS.items() for name in names}
 
@@ -106,6 +110,7 @@ __all__ = [
     "CATALOGUE",
     "Attempt",
     "Balance",
+    "Bootstrap",
     "Candidate",
     "Comparison",
     "DataError",
@@ -130,7 +135,10 @@ __all__ = [
     "Parameter",
     "PolynomialModel",
     "Predictor",
+    "Profile",
+    "ResidualTests",
     "Scan",
+    "Scores",
     "Simulation",
     "Smoothed",
     "Smoothing",
@@ -140,8 +148,10 @@ __all__ = [
     "armax",
     "arx",
     "best_black_boxes",
+    "bootstrap",
     "box_jenkins",
     "compare",
+    "diagnose_residuals",
     "digits_needed",
     "discover",
     "drop_effect",
@@ -158,12 +168,14 @@ __all__ = [
     "output_error",
     "predict",
     "predictor",
+    "profile",
     "read_csv",
     "read_experiments",
     "report",
     "resample",
     "rounded",
     "scan_structures",
+    "scores",
     "simulate",
     "smooth",
     "to_c",

@@ -235,6 +235,18 @@ def test_the_digits_asked_for_keep_stability_and_response(pole):
     assert f"digits: at least {enough} keep its stability" in str(model)
 
 
+def test_the_printed_digits_of_an_integrator_keep_it_stable():
+    # the pneumatic chapter prints four digits of such a model and makes it unstable
+    model = gb.PolynomialModel(
+        "arx", "y", ("u",), 0.01, (0,), ([0.00778812345, -0.00767123456],), a=np.poly([1 - 3e-9, 0.98761234567]), samples=10001
+    )  # fmt: skip
+    assert model.stable and not gb.rounded(model, 4).stable
+    rows = dict(line.split()[:2] for line in str(model).splitlines() if line.strip()[:2] in ("a1", "a2", "b1", "b2"))
+    a1, a2 = (float(rows[name]) for name in ("a1", "a2"))
+    assert np.abs(np.roots([1, a1, a2])).max() < 1
+    assert gb.digits_needed(model) > 8
+
+
 # ---- What cannot be ----
 
 

@@ -112,5 +112,5 @@ def test_knowing_the_friction_helps(name, tmp_path):
     found = module.study(module.SETTING)
     module.verdict(found)
     text = control_page.section("Rig", name, module.WORDS, found, tmp_path)
-    assert text.count("| grey-box with it, compensated |") == 2
+    assert text.count("| grey-box with it, compensated |") == 2  # at the head of one table, before a row of the other
     assert (tmp_path / "figures" / f"{name}.png").stat().st_size > 10_000

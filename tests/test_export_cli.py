@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 import greybox as gb
 from greybox.cli.app import app
 from models.micro_actuator import micro_actuator
+from models.pneumatic_cylinder import pneumatic_cylinder
 
 FORMATS = {"control": "_ss.py", "mat": ".mat", "json": ".json", "numpy": ".npz", "modelica": ".mo", "python": ".py"}
 
@@ -57,6 +58,19 @@ def test_poles_zeros_gain_and_bandwidth_are_printed(saved, tmp_path):
     assert "warning: coulomb_friction cannot be linearised at v = 0" in done.output
     read = json.loads((tmp_path / "p.json").read_text())
     assert len(read["family"]["A"]) == 5 and read["u0"] == [1.0]
+
+
+def test_a_minimal_model_says_what_was_taken_out_and_so_is_its_family(tmp_path):
+    t = 0.01 * np.arange(300)
+    noise = {"s": 2e-4, "p_a": 500.0, "p_b": 500.0}
+    record = gb.simulate(pneumatic_cylinder, {"time": t, "u": np.sin(6 * t)}).record(noise, np.random.default_rng(0))
+    fit = gb.fit(pneumatic_cylinder, record, noise=noise).save(tmp_path / "fit.json")
+    done = export(fit, "--to", "json", "--minimal", "--samples", "3", "--dt", "0.01", "--output", tmp_path / "p.json")
+    assert done.exit_code == 0, done.output
+    assert "note: minimal realisation with 3 of 4 states; taken out are p_b: not reached by any input" in done.output
+    read = json.loads((tmp_path / "p.json").read_text())
+    assert np.shape(read["A"]) == (3, 3) and np.shape(read["family"]["A"]) == (3, 3, 3)
+    assert all(channel["integrators"] == (name == "u -> s") for name, channel in read["channels"].items())
 
 
 @pytest.mark.parametrize(("arguments", "said"), [

@@ -1,9 +1,12 @@
 """Linear models with their uncertainty: draws respect covariance and bounds, bounds hold, the worst case is the worst."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.io import loadmat
+from scipy.signal import cont2discrete, dlsim
 
 import greybox as gb
 from greybox.export.draws import cloud_of
@@ -58,6 +61,29 @@ def test_pole_bounds_are_those_of_linear_propagation(fit):
     assert slow.real.std() == pytest.approx(expected, rel=0.15)
 
 
+def test_pole_bounds_hold_their_share(fit):
+    family = gb.family(fit, number=60)
+    real, imag = family.pole_bounds(0.9)
+    for k, pole in enumerate(family.nominal.poles):
+        inside = (family.poles[:, k].real >= real[k, 0]) & (family.poles[:, k].real <= real[k, 1])
+        assert 0.85 <= inside.mean() <= 0.95 and real[k, 0] < pole.real < real[k, 1]
+        assert imag[k, 0] <= abs(pole.imag) <= imag[k, 1]
+
+
+def test_a_fit_as_mat_gives_scipy_the_response_of_the_fit(fit, tmp_path):
+    found = loadmat(gb.to_mat(fit, tmp_path / "plant.mat"))
+    t = 2.5e-4 * np.arange(300)
+    u = np.sign(np.sin(300 * t))
+    held = cont2discrete(tuple(found[name] for name in "ABCD"), t[1], "zoh")
+    _, y, _ = dlsim(held, u)
+    run = gb.simulate(fit.model, {"time": t, "u": u})
+    for j, values in enumerate(run.outputs.values()):
+        np.testing.assert_allclose(y[:, j], values, rtol=0, atol=1e-11 * np.abs(values).max())
+    names = [str(entry[0][0]) for entry in found["covariance_names"]]
+    np.testing.assert_array_equal(found["covariance_values"], fit.covariance)
+    assert names == list(fit.free)
+
+
 def test_frequency_bounds_contain_the_nominal_and_most_members(fit):
     family, w = gb.family(fit, number=60), np.geomspace(10, 1e4, 25)
     low, high = family.bounds(w, 0.9)
@@ -97,6 +123,7 @@ def test_the_family_prints_its_spread(fit):
     text = str(gb.family(fit, number=20))
     assert "20 models drawn from the covariance of B, K, Kf, Kv, La (seed 0)" in text
     assert "gain u -> x" in text
+    assert re.search(r"response u -> x up to 1\d\d\d\.?\d* rad/s: within \d\.?\d* % of the nominal one", text)
 
 
 def test_a_minimal_family_has_the_same_states_throughout(fit, tmp_path):

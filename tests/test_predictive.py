@@ -194,6 +194,17 @@ def test_a_prediction_is_the_filters_and_its_error_grows_to_the_free_runs():
         ready.predict(other, 1, initial={"w": 0.0})
 
 
+def test_a_prior_is_weighed_beside_process_noise():
+    """As sure as the data by themselves, one standard deviation off: half way, and surer by the root of two."""
+    plain = pushed_fit()
+    k = plain.parameters["K"]
+    found = fit(PUSHED.prior(K=(k.value + k.std, k.std)), record(3, intensity=INTENSITY, x0=[1.0, -0.5]))
+    held, check = found.parameters["K"], found.priors["K"]
+    assert held.value == pytest.approx(k.value + k.std / 2, abs=0.02 * k.std)
+    assert held.std == pytest.approx(k.std / np.sqrt(2), rel=0.02)
+    assert check.learnt == pytest.approx(0.5, abs=0.02) and check.conflict == pytest.approx(-np.sqrt(0.5), rel=0.03)
+
+
 def test_it_is_saved_and_read_back(tmp_path):
     found = pushed_fit()
     again = load_fit(found.save(tmp_path / "fit.json"), MASS)

@@ -17,6 +17,7 @@ from greybox.cli import searching as s
 from greybox.cli.guard import INTERRUPTED, stop
 from greybox.cli.progress import Show, gauge, in_words, share_done
 from greybox.cli.records import tell_notes
+from greybox.cli.reporting import NoReport, told, write_report
 
 if TYPE_CHECKING:
     from greybox.comparison import Comparison
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from greybox.experiment import Experiment
     from greybox.fitting.options import Progress
     from greybox.model import Model
+    from greybox.result import Fit
 
 # Time that the scan of each kind takes beside the others, as a rule.
 SCAN_TIMES = {"arx": 8, "armax": 40, "output error": 33, "box-jenkins": 6, "hammerstein": 13}
@@ -87,17 +89,18 @@ def compare(
     ] = None,
     silent: Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the comparison as JSON instead of text.")] = False,
+    no_report: NoReport = False,
 ) -> None:
     """Does the physics pay? Fit MODEL and the usual black boxes to the same records, and judge them on others.
 
     The black boxes are ARX, ARMAX, output error, Box-Jenkins and Hammerstein models, each chosen by a scan of its own over
     orders, delays and offset, and Monte-Carlo smoothing where a record is a single step. Prints the errors of the free run
     and one sample ahead, best fit, number of constants, BIC, stability, feed-through and time, and says which is best and
-    by how much. Writes DIR/compare.json and a figure for each judging record.
+    by how much. Writes DIR/compare.json, a figure for each judging record, and DIR/report.html, a page with everything.
 
     Exit code 0: there is a comparison. 2: bad input, nothing was written. 130: Ctrl-C, nothing was written.
     """
-    from greybox.comparison.compare import compared
+    from greybox.comparison.compare import Named, compared
     from greybox.comparison.contestants import refuse_other_steps
     from greybox.experiment import read_experiments
     from greybox.fitting import FitOptions
@@ -112,17 +115,11 @@ def compare(
     stated = c.from_files(condition)
     records, judges, hushed = (
         read_experiments(
-            files,
-            plain,
-            columns=columns,
-            hold=hold.value,
-            conditions=None if files is quiet else stated,
+            files, plain, columns=columns, hold=hold.value, conditions=None if files is quiet else stated,
             allow_constant_input=free_decay or files is quiet,
-        )
-        if files
-        else ()
+        ) if files else ()
         for files in (train, validate, quiet)
-    )
+    )  # fmt: skip
     records, judges = c.under_conditions(condition, records, judges)
     o.check_skip(skip, judges)
     refuse_other_steps(records, judges, [q.name for q in plain.outputs])
@@ -135,13 +132,15 @@ def compare(
     seed = s.check_seed(starts, seed)
     with gauge() as show:
         given = {"noise": said, "quiet": hushed, "options": options}
-        grey = [_fitted(plant, records, show, starts, seed, given) for plant in plants]
+        fitted = [_fitted(plant, records, show, starts, seed, given) for plant in plants]
         black, notes = _boxes(plain, records, at_rest, show)
         show("judging")
+        grey = [Named(fit.model.title, fit, seconds) for fit, seconds in fitted]
         result = compared(
             [*grey, *black], judges, records, skip=skip, steps=[k for k in predict if k], options=options, notes=notes
         )
-    _tell(result, folder, records, judges, quiet=silent, json=json)
+    fits = None if no_report else {fit.model.title: fit for fit, _ in fitted}
+    _tell(result, folder, records, judges, fits, quiet=silent, json=json)
 
 
 def _extended(model: Model, effects: str) -> list[Model]:
@@ -167,8 +166,8 @@ def scanned(what: str, share: float, outputs: Sequence[str]) -> float:
 
 def _fitted(
     plant: Model, records: Sequence[Experiment], show: Show, starts: int, seed: int, given: Mapping[str, Any]
-) -> Named:
-    from greybox.comparison.compare import Named
+) -> tuple[Fit, float]:
+    """The fit, and the seconds it took."""
     from greybox.fitting import fit, multistart
 
     def report(progress: Progress) -> None:
@@ -182,7 +181,7 @@ def _fitted(
         result = multistart(plant, records, starts=starts, seed=seed, report=tally, **given).best
     else:
         result = fit(plant, records, report=report, **given)
-    return Named(plant.title, result, time.perf_counter() - began)
+    return result, time.perf_counter() - began
 
 
 def _boxes(
@@ -205,6 +204,7 @@ def _tell(
     folder: Path,
     records: Sequence[Experiment],
     judges: Sequence[Experiment],
+    fits: Mapping[str, Fit] | None,
     *,
     quiet: bool,
     json: bool,
@@ -220,7 +220,10 @@ def _tell(
         typer.echo(str(result))
     try:
         figures = comparison_figure(result, folder)
+        report = None if fits is None else write_report(result, folder / "report.html", fits=fits, data=prints)
     except KeyboardInterrupt:
         stop(f"interrupted while drawing; the comparison is in {saved}", INTERRUPTED)
     if not (quiet or json):
         typer.echo(f"\nwritten: {saved}, {', '.join(map(str, figures))}")
+        if report:
+            typer.echo(told(report))

@@ -10,7 +10,7 @@ import typer
 from greybox.cli import options as o
 from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
 from greybox.cli.progress import search_gauge
-from greybox.cli.reporting import told, typed
+from greybox.cli.reporting import told, write_report
 
 if TYPE_CHECKING:
     from greybox.demo import Demo
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def demo(
     output: Annotated[
-        Path, typer.Option("--output", metavar="DIR", help="Folder for records, results, figures and report.html.")
+        Path, typer.Option("--output", metavar="DIR", help="Folder for records, results and figures.")
     ] = Path("results/demo"),
     open_: Annotated[bool, typer.Option("--open", help="Show the report in the browser at the end.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the discovery as JSON instead of text.")] = False,
@@ -27,18 +27,16 @@ def demo(
 
     Fits the model (it misses the record by a hundred times the noise), finds and names what it lacks, shows the gap before and
     after on a record that was not used, puts black-box models beside it, and writes the state space for a controller design.
-    The rig is simulated by an integrator that the fits do not use. Takes half a minute.
+    The rig is simulated by an integrator that the fits do not use. Takes half a minute; the story is in DIR/report.html.
     """
     from greybox.demo import demo as run
-    from greybox.demo import page_of_demo
-    from greybox.reports import write
 
     folder = o.writable_folder(output)
     with search_gauge() as (say, report):
         found = run(folder, say=say, report=report)
     if found.plain.status == "interrupted":
         stop(f"interrupted; what was done so far is in {folder}", INTERRUPTED)
-    page = write(page_of_demo(found, command=typed()), folder / "report.html")
+    page = write_report(found, folder / "report.html")
     if json:
         typer.echo((folder / "discovery.json").read_text(encoding="utf-8"), nl=False)
     else:

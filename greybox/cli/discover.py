@@ -13,6 +13,7 @@ from greybox.cli import options as o
 from greybox.cli.guard import INTERRUPTED, stop
 from greybox.cli.progress import search_gauge
 from greybox.cli.records import tell_notes
+from greybox.cli.reporting import NoReport, told, write_report
 
 if TYPE_CHECKING:
     from greybox.discovery import Discovery
@@ -51,14 +52,15 @@ def discover(
         typer.Option("--output", metavar="DIR", help="Folder for what is found. [default: results/MODEL-discover]"),
     ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the discovery as JSON instead of text.")] = False,
+    no_report: NoReport = False,
 ) -> None:
     """Find which effect MODEL lacks, name it, add it, and show the gap shrink on records not used for it.
 
     Refits the model with each effect of the catalogue, keeps what the ESTIMATION records demand, and judges it on the
     --validate records. Says "complete" when nothing is missing, "ambiguous" when the records cannot tell, "unknown" when
     the catalogue does not explain what is missing (a fitted curve stands in for it). Writes DIR/discovery.json, the extended model as
-    DIR/model.py (greybox fit DIR/model.py ... goes on with it), and figures as PNG and SVG. Every finished refit is kept in
-    DIR/journal.jsonl: after Ctrl-C the same command goes on where it was.
+    DIR/model.py (greybox fit DIR/model.py ... goes on with it), figures as PNG and SVG, and DIR/report.html, a page with the whole
+    story. Every finished refit is kept in DIR/journal.jsonl: after Ctrl-C the same command goes on where it was.
 
     Exit code 0: there is an answer. 2: bad input, nothing was written. 130: interrupted.
     """
@@ -93,10 +95,10 @@ def discover(
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command goes on from there" if journal.exists() else ""
         stop(f"interrupted{kept}", INTERRUPTED)
-    _write(found, folder, json=json)
+    _write(found, folder, json=json, page=not no_report)
 
 
-def _write(found: Discovery, folder: Path, *, json: bool) -> None:
+def _write(found: Discovery, folder: Path, *, json: bool, page: bool) -> None:
     from greybox.export import to_python
     from greybox.figures import discovery_figures
 
@@ -106,7 +108,10 @@ def _write(found: Discovery, folder: Path, *, json: bool) -> None:
     try:
         files.append(to_python(found.extended, folder / "model.py"))
         files += discovery_figures(found, folder)
+        report = write_report(found, folder / "report.html") if page else None
     except KeyboardInterrupt:
         stop(f"interrupted while drawing; the answer is in {saved}", INTERRUPTED)
     if not json:
         typer.echo(f"\nwritten: {', '.join(map(str, files))}")
+        if report:
+            typer.echo(told(report))

@@ -12,10 +12,12 @@ import typer
 from greybox.cli import options as o
 from greybox.cli.fitted import fitted
 from greybox.cli.guard import note
+from greybox.cli.reporting import NoReport, told, write_report
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
     from greybox.export import Family, Linearisation
+    from greybox.reports.of_export import Export
     from greybox.result import Fit
 
 
@@ -44,6 +46,11 @@ STEPPED = (Target.c, Target.fmu)
 SUFFIX = {
     Target.control: ".py", Target.mat: ".mat", Target.json: ".json", Target.numpy: ".npz", Target.c: ".c", Target.fmu: ".fmu",
     Target.modelica: ".mo", Target.python: ".py",
+}  # fmt: skip
+
+KIND = {
+    Target.control: "a Python file for python-control", Target.mat: "a MATLAB file", Target.json: "JSON", Target.numpy: "NumPy arrays",
+    Target.c: "C", Target.fmu: "an FMU 2.0 for co-simulation", Target.modelica: "Modelica", Target.python: "a Python model file",
 }  # fmt: skip
 
 
@@ -98,11 +105,14 @@ def export(
         Path | None,
         typer.Option("--output", metavar="FILE", help="File to write. [default: results/MODEL-export/MODEL.*]"),
     ] = None,
+    no_report: NoReport = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the matrices and what was written as JSON.")] = False,
 ) -> None:
     """Hand a fitted model to a controller design: linear with its uncertainty, or as code.
 
     Linear models are taken about an operating point (--at; an equilibrium is found) and printed with poles, zeros, gain and
-    bandwidth. C and FMU carry the sampled nonlinear model exactly, with dry friction, delays and play.
+    bandwidth. C and FMU carry the sampled nonlinear model exactly, with dry friction, delays and play. Beside each FILE
+    stands FILE.html, a page to look at.
 
     Exit code 0: written. 2: bad input, nothing was written.
     """
@@ -118,21 +128,36 @@ def export(
     suffix = "_ss.py" if to is Target.control else SUFFIX[to]
     target = _target(output or Path("results") / f"{name}-export" / f"{name}{suffix}", to, fit)
     if to in LINEAR:
-        lines = _linear(found, to, target, point, dt, method or Sampling.zoh, delay, minimal, samples, seed)
+        lines, made = _linear(found, to, target, point, dt, method or Sampling.zoh, delay, minimal, samples, seed)
     else:
-        lines = _code(found, to, target, dt, substeps)
-    typer.echo("\n".join(lines))
+        lines, made = _code(found, to, target, dt, substeps)
+    report = None if no_report else write_report(made, target.with_name(f"{target.name}.html"))
+    if json:
+        typer.echo(_in_json(made, to, report))
+    else:
+        typer.echo("\n".join([*lines, *([told(report)] if report else [])]))
+
+
+def _in_json(made: Export, to: Target, report: Path | None) -> str:
+    from greybox.export.files import as_data
+    from greybox.export.plant import plant_of
+    from greybox.result import layout
+
+    linear = as_data(made.linear, plant_of(made.fit), made.family) if made.linear else None
+    files = [str(file) for file in made.files]
+    return layout({"target": to.value, "files": files, "report": str(report) if report else None, "linear": linear})
 
 
 def _linear(
     fit: Fit, to: Target, target: Path, at: Mapping[str, float], dt: float | None, method: Sampling, delay: float, minimal: bool,
     samples: int, seed: int,
-) -> list[str]:  # fmt: skip
+) -> tuple[list[str], Export]:  # fmt: skip
     from dataclasses import replace
 
     from greybox.export import family, linearise
     from greybox.export.files import write_control, write_json, write_mat, write_npz
     from greybox.export.plant import plant_of
+    from greybox.reports.of_export import Export
 
     whole: Linearisation = linearise(fit, at, dt=dt, method=method.value, delay=delay)
     linear = whole.minimal() if minimal else whole
@@ -151,28 +176,26 @@ def _linear(
         written = writer(linear, target, plant=plant, family=drawn)
     asked = linear.notes[len(whole.notes) :]
     shown = [str(replace(linear, notes=asked)), *(["", str(replace(drawn, notes=()))] if drawn else [])]
-    return [*shown, "", f"written: {written}"]
+    return [*shown, "", f"written: {written}"], Export(fit, KIND[to], (written,), linear, drawn)
 
 
-def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -> list[str]:
+def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -> tuple[list[str], Export]:
     from greybox.export import to_c, to_fmu, to_modelica, to_python
     from greybox.export.plant import plant_of
+    from greybox.reports.of_export import Export
 
     for text in plant_of(fit).notes:
         note(f"warning: {text}")
+    files: tuple[Path, ...]
     if to is Target.c:
         source, header = to_c(fit, target, dt=dt, substeps=substeps)
-        return [f"{fit.model.title} as C, one step of {_step(fit, dt)}", f"written: {header}, {source}"]
-    if to is Target.fmu:
-        return [
-            f"{fit.model.title} as an FMU 2.0 for co-simulation, step {_step(fit, dt)}",
-            f"written: {to_fmu(fit, target, dt=dt, substeps=substeps)}",
-        ]
-    writer = to_modelica if to is Target.modelica else to_python
-    return [
-        f"{fit.model.title} as {'Modelica' if to is Target.modelica else 'a Python model file'}",
-        f"written: {writer(fit, target)}",
-    ]
+        said, files = f", one step of {_step(fit, dt)}", (header, source)
+    elif to is Target.fmu:
+        said, files = f", step {_step(fit, dt)}", (to_fmu(fit, target, dt=dt, substeps=substeps),)
+    else:
+        said, files = "", ((to_modelica if to is Target.modelica else to_python)(fit, target),)
+    lines = [f"{fit.model.title} as {KIND[to]}{said}", f"written: {', '.join(map(str, files))}"]
+    return lines, Export(fit, KIND[to], files)
 
 
 def _step(fit: Fit, dt: float | None) -> str:

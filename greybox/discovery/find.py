@@ -54,6 +54,11 @@ class Evidence:
     skip: int
 
     @property
+    def refined(self) -> Trial:
+        """The chosen model with the form of its effects corrected, where the records asked for that."""
+        return self.search.form.get(frozenset(self.chosen.effects), self.chosen)
+
+    @property
     def worst(self) -> Gap:
         """The output that the plain model misses most, in units of its noise."""
         return max(self.gap.values(), key=lambda g: g.before / g.floor)
@@ -61,7 +66,7 @@ class Evidence:
     @property
     def verdict(self) -> str:
         """``complete``, ``named``, ``ambiguous`` or ``unknown``."""
-        base, chosen = self.search.base, self.chosen
+        base, chosen = self.search.base, self.refined
         if not chosen.effects:
             seen = base.per_sample > rules.threshold(base.count) or self.shows_elsewhere
             return "unknown" if seen else "complete"
@@ -158,7 +163,8 @@ def _evidence(
     else:
         search, chosen = _with_unknown_noise(search, say)
     rivals = search.rivals(chosen) if chosen.effects else []
-    base, best = (judged(t, bench, judges, skip) for t in (search.base, chosen))
+    final = search.form.get(frozenset(chosen.effects), chosen)
+    base, best = (judged(t, bench, judges, skip) for t in (search.base, final))
     return Evidence(search, chosen, rivals, base, best, gaps(base, best), judges, skip)
 
 
@@ -205,6 +211,12 @@ def _discovery(found: Evidence, notes: Sequence[str], seconds: float) -> Discove
     limits = hidden(search.singles) if verdict == "complete" else []
     curve = _curve(found) if verdict == "unknown" else None
     signals = missing_signals(search.bench, chosen) if chosen.effects else ()
+    if found.refined is not chosen:
+        added = " + ".join(e for e in found.refined.effects if e not in chosen.effects)
+        notes = (
+            *notes,
+            f"the family is sure, its form is not quite that of {' + '.join(chosen.effects)}: {added} corrects it",
+        )
     return Discovery(
         verdict, found.base, found.best, [t.effects for t in found.rivals], found.gap, ranking, look,
         story(verdict, chosen, found.rivals, found.gap, look, curve), (*notes, *map(_told, tests), *limits), seconds, signals, curve,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from greybox.discovery.form import is_refinement
 from greybox.discovery.gap import Gap
 from greybox.discovery.look import Unexplained
 from greybox.discovery.missing import Missing
@@ -59,10 +60,17 @@ class Discovery:
         return self.stand_in.fit if self.verdict == "unknown" and self.stand_in is not None else self.best
 
     @property
+    def form(self) -> tuple[str, ...]:
+        """Refinements in the best model: second branches, or a curve, where the form of an effect is not quite the catalogue's."""
+        return tuple(e.name for e in self.best.model.effects if is_refinement(e.name))
+
+    @property
     def effects(self) -> list[dict[str, Any]]:
         """Name, site and constants of each effect in the best model; none if the plain model is complete."""
         found = []
         for b in self.best.model.bound_effects:
+            if is_refinement(b.effect.name):
+                continue
             constants = {}
             for own, there in b.own.items():
                 estimate = self.best.parameters.get(there)
@@ -76,7 +84,7 @@ class Discovery:
     def save(self, path: str | Path) -> Path:
         """Write ``discovery.json``."""
         data = {
-            "verdict": self.verdict, "effects": self.effects, "alternatives": self.alternatives, "sites": self._sites(),
+            "verdict": self.verdict, "effects": self.effects, "form": self.form, "alternatives": self.alternatives, "sites": self._sites(),
             "when": self.look.windows, "regions": self.look.regions, "stand_in": self._stand_in(),
             "parameters": self.best.parameters, "gap": self.gap, "ranking": self.ranking, "story": self.story,
             "notes": self.notes, "seconds": self.seconds, "model": self.best.model.name, "equations": self.best.equations,

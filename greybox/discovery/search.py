@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from greybox.discovery import rules
 from greybox.discovery.bench import ITERATIONS, Bench, Start, Trial
 from greybox.discovery.colour import LEFT_OVER, remainder
+from greybox.discovery.form import refined
 from greybox.discovery.refit import Job
 from greybox.discovery.starts import LADDER, candidate_starts, child_starts
 from greybox.effects import Scales
@@ -37,6 +38,7 @@ class Search:
     base: Trial = field(init=False)
     singles: list[Trial] = field(init=False, default_factory=list)
     tried: dict[frozenset[str], Trial] = field(init=False, default_factory=dict)
+    form: dict[frozenset[str], Trial] = field(init=False, default_factory=dict)
     hopes: dict[frozenset[str], dict[tuple[str, float], float]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -89,9 +91,20 @@ class Search:
             larger = self._extended(chosen)
             if larger is None or not rules.accepted(self.base, chosen, larger):
                 break
+            if self._of_form(chosen, larger):
+                self.say(f"what is left is of the form of {' + '.join(chosen.effects)}: no further effect")
+                break
             chosen = larger
             self.say(f"{' + '.join(chosen.effects)}: misfit {chosen.per_sample**0.5:.3g} times the noise")
         return self._swapped(self._pruned(chosen))
+
+    def _of_form(self, chosen: Trial, larger: Trial) -> bool:
+        """Whether a refinement of the effects at hand explains what is left as well as a further effect does."""
+        better = refined(self.bench, chosen, self.scales)
+        if better is None or better.criterion > larger.criterion:
+            return False
+        self.form[frozenset(chosen.effects)] = better
+        return True
 
     def _suspicious(self, chosen: Trial) -> bool:
         """Whether a further effect is worth looking for: the misfit, or the residual's memory, is more than chance."""

@@ -93,13 +93,13 @@ def stand_in(
 
 
 def curve_effect(
-    place: Place, region: Region, z: np.ndarray, w: np.ndarray, std: np.ndarray
+    place: Place, region: Region, z: np.ndarray, w: np.ndarray, std: np.ndarray, intervals: int = INTERVALS
 ) -> tuple[Effect, dict[str, float]]:
     """A smooth curve over the variable of ``region`` as an effect at ``place``; its heights by regression of ``w`` (K,) on ``z`` (K,)."""
     low, high = float(z.min()), float(z.max())
     low, high = low - MARGIN * (high - low), high + MARGIN * (high - low)
-    pitch, size = (high - low) / INTERVALS, float(np.sqrt(np.mean(w**2)))
-    heights = [f"c{k}" for k in range(INTERVALS + 1)]
+    pitch, size = (high - low) / intervals, float(np.sqrt(np.mean(w**2)))
+    heights = [f"c{k}" for k in range(intervals + 1)]
     parameters = [
         Parameter("lowest", region.unit, low, fixed=True, source="range of the record", description=f"least {region.variable}"),
         Parameter("pitch", region.unit, pitch, fixed=True, source="range of the record", description="distance of the bumps"),
@@ -117,7 +117,7 @@ def curve_effect(
     def changed(value: Expression, x: Named, u: Named, p: Named) -> Expression:
         return value + curve(x, u, p)
 
-    basis = _basis((z - low) / pitch)
+    basis = _basis((z - low) / pitch, len(heights))
     weight = 1 / np.maximum(std, 1e-3 * size)
     held = np.eye(len(heights)) / (LOOSE * size)
     c = np.linalg.lstsq(
@@ -136,12 +136,12 @@ def curve_effect(
 def curve_at(values: Mapping[str, float], z: np.ndarray) -> np.ndarray:
     """The curve with these constants at ``z`` (M,)."""
     heights = np.array([values[f"c{k}"] for k in range(INTERVALS + 1)])
-    return _basis((z - values["lowest"]) / values["pitch"]) @ heights
+    return _basis((z - values["lowest"]) / values["pitch"], len(heights)) @ heights
 
 
-def _basis(t: np.ndarray) -> np.ndarray:
-    """Bumps (M, INTERVALS + 1) at ``t``."""
-    return np.exp(-((t[:, None] - np.arange(INTERVALS + 1)) ** 2))
+def _basis(t: np.ndarray, count: int) -> np.ndarray:
+    """Bumps (M, count) at ``t``."""
+    return np.exp(-((t[:, None] - np.arange(count)) ** 2))
 
 
 def _bumps(t: Expression, heights: Sequence[Expression]) -> Expression:

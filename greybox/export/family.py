@@ -20,6 +20,7 @@ from greybox.result.summary import table
 
 Criterion = Callable[[Linearisation], float]
 How = tuple[Mapping[str, float] | None, float | None, str, float, bool]  # at, dt, method, delay, minimal
+ERROR_GRID = 200  # frequencies up to the bandwidth at which the family is compared with the nominal model
 STARTS = 5  # of the search for the worst case, from the worst of the draws
 
 
@@ -61,6 +62,12 @@ class Family:
             _, order = linear_sum_assignment(np.abs(home[:, None] - own[None, :]))
             rows.append(own[order])
         return np.array(rows)
+
+    def pole_bounds(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+        """Intervals (nx, 2) of the real parts and of the sizes of the imaginary parts that hold the share ``level`` of each pole."""
+        ends = [(1 - level) / 2, (1 + level) / 2]
+        poles = self.poles
+        return np.quantile(poles.real, ends, axis=0).T, np.quantile(np.abs(poles.imag), ends, axis=0).T
 
     def frequency_response(self, omega: np.ndarray) -> np.ndarray:
         """Complex responses (N, nw, ny, nu) of the members at the angular frequencies ``omega`` (nw,) in rad/s."""
@@ -112,31 +119,40 @@ class Family:
         return _member(self._plant, self._equations, p, self._how)
 
     def __str__(self) -> str:
-        """How far the poles and gains spread."""
-        home, spread = self.nominal.poles, self.poles
-        rows = []
-        for k in np.flatnonzero(home.imag >= 0):
-            real, imag = (
-                np.quantile(spread[:, k].real, [0.025, 0.975]),
-                np.quantile(np.abs(spread[:, k].imag), [0.025, 0.975]),
-            )
-            rows.append(
-                [
-                    f"{home[k].real:.6g}{home[k].imag:+.6g}j" if home[k].imag else f"{home[k].real:.6g}",
-                    f"[{real[0]:.6g}, {real[1]:.6g}]",
-                    f"[{imag[0]:.6g}, {imag[1]:.6g}]" if home[k].imag else "",
-                ]
-            )
-        for output in self.nominal.output_names:
-            for name in self.nominal.input_names:
+        """How far poles, gains and frequency responses spread."""
+        home, (real, imag) = self.nominal.poles, self.pole_bounds()
+        rows = [
+            [
+                f"{home[k].real:.6g}{home[k].imag:+.6g}j" if home[k].imag else f"{home[k].real:.6g}",
+                f"[{real[k][0]:.6g}, {real[k][1]:.6g}]",
+                f"[{imag[k][0]:.6g}, {imag[k][1]:.6g}]" if home[k].imag else "",
+            ]
+            for k in np.flatnonzero(home.imag >= 0)
+        ]
+        errors = []
+        for row, output in enumerate(self.nominal.output_names):
+            for column, name in enumerate(self.nominal.input_names):
                 gains = [member.channel(output, name).gain for member in self.members]
                 low, high = np.quantile(gains, [0.025, 0.975])
                 rows.append([f"gain {name} -> {output}", f"[{low:.6g}, {high:.6g}]", ""])
+                errors += self._error_line(row, column)
         head = (
             f"{len(self.members)} models drawn from the covariance of {', '.join(self._cloud.names)} (seed {self.seed})"
         )
-        lines = [head, *table(["pole", "real part, 95 %", "imaginary part, 95 %"], rows)]
+        lines = [head, *table(["pole", "real part, 95 %", "imaginary part, 95 %"], rows), *errors]
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
+    def _error_line(self, row: int, column: int) -> list[str]:
+        """How far the members' responses are from the nominal one within the bandwidth of a channel, if it has one."""
+        channel = self.nominal.channel(self.nominal.output_names[row], self.nominal.input_names[column])
+        if not np.isfinite(channel.bandwidth):
+            return []
+        omega = channel.bandwidth * np.geomspace(1e-3, 1, ERROR_GRID)
+        largest = self.relative_error(omega)[:, row, column].max()
+        return [
+            f"  response {channel.input} -> {channel.output} up to {channel.bandwidth:.6g} rad/s: within {100 * largest:.3g} % of the"
+            " nominal one"
+        ]
 
 
 def family(

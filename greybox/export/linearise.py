@@ -17,8 +17,8 @@ from greybox.model import Model
 from greybox.result import Fit
 from greybox.units import tidy
 
-# Of the sum of a row: below what a double can hold.
-ROUNDING = 1e-17
+# Of the sum of a row: what is left of terms that cancel.
+ROUNDING = 1e-15
 
 
 def linearise(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,6 +23,7 @@ LAGS, INPUT_LAGS = 40, 20
 LOOKED_AT = 20  # stretches of all records in which spread and mean are looked at
 MOST_POINTS = 2000  # of the normal plot
 SMALL = 8
+TITLE_WIDTH = 85  # characters of a title above one panel
 
 
 def residual_figure(tests: ResidualTests, directory: str | Path, *, title: str = "") -> list[Path]:
@@ -131,10 +133,11 @@ def _stems(axis: Axes, lags: np.ndarray, values: np.ndarray, band: float) -> Non
 
 
 def _say(axis: Axes, tests: Sequence[ResidualTest]) -> None:
-    """The tests as the title: those that speak up in red, else the least comfortable one."""
-    loud = [t for t in tests if t.alarm]
-    told = loud or sorted(tests, key=lambda t: t.p_value)[:1]
-    lines = dict.fromkeys(f"{t.test} (p = {t.p_value:.2g}): {t.sentence}" for t in told)
+    """The tests as the title: those that speak up in red, the clearest of each kind, else the least comfortable one."""
+    ordered = sorted(tests, key=lambda t: t.p_value)
+    loud = list({t.test.partition(",")[0]: t for t in reversed(ordered) if t.alarm}.values())
+    told = loud or ordered[:1]
+    lines = [fill(f"{t.test} (p = {t.p_value:.2g}): {t.sentence}", TITLE_WIDTH) for t in told]
     axis.set_title("\n".join(lines), loc="left", fontsize=8, color=SIMULATED if loud else "0.2")
     axis.tick_params(labelsize=SMALL)
     axis.grid(alpha=0.25, lw=0.5)

@@ -91,7 +91,7 @@ def finished(
     samples: int,
 ) -> Sums:
     """The sums, or an infinite cost where anything was not finite."""
-    with np.errstate(over="ignore"):  # finite sensitivities may add up to something that is not
+    with np.errstate(over="ignore", invalid="ignore"):  # that is what is looked for
         cost, size = float(squares.sum()), float(gauss_newton.trace())
     # |J'r|^2 is at most J'J r'r, and an entry of J'J at most the product of two on its diagonal.
     if failed_at is None and not math.isfinite(cost + size):

@@ -62,13 +62,13 @@ class Equations:
 class View:
     """What a figure shows once its button is pressed: the numbers of its ``traces``, and what that changes in its ``layout``.
 
-    ``signal`` is a residual sampled evenly from ``start`` in steps of ``step`` seconds (``values``; ``figure``: the one that shows
-    its spectrum, ``trace``: as which curve), whose spectrum is taken anew over the stretch that is zoomed into.
+    ``signals`` are residuals sampled evenly from ``start`` in steps of ``step`` seconds (``values``; ``figure``: the one that shows the
+    spectrum, ``trace``: as which curve), whose spectra are taken anew over the stretch that is zoomed into.
     """
 
     traces: Sequence[int]
     layout: Mapping[str, Any] = field(default_factory=dict)
-    signal: Mapping[str, Any] = field(default_factory=dict)
+    signals: Sequence[Mapping[str, Any]] = ()
 
 
 @dataclass(frozen=True)

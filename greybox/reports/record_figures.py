@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -100,10 +100,9 @@ def _run(trace: Trace, outputs: list[str], units: Mapping[str, str], name: str, 
 def _residual(
     trace: Trace, outputs: list[str], units: Mapping[str, str], noise: Mapping[str, float], name: str, most: int, whole: bool
 ) -> Figure:  # fmt: skip
-    step = even_step(trace.time)
     data, views, words = [], {}, []
     for k, output in enumerate(outputs):
-        residual, std = trace.residual(output), _known(noise.get(output))
+        residual, std = trace.residual(output), known_noise(noise.get(output))
         factor, text = scaled(units[output], residual, np.array([2 * std]))
         data.append(line(*envelope(trace.time, factor * residual, most), "residual", "--residual", width=1.0))
         layout: dict[str, Any] = {"yaxis": {"title": {"text": label(f"residual of {output}", text)}}, "shapes": []}
@@ -114,19 +113,12 @@ def _residual(
             said += (
                 f", {100 * inside:.0f} % within two standard deviations of the noise (± {factor * 2 * std:.3g} {text})"
             )
-        signal: dict[str, Any] = {}
-        if whole and step is not None and len(residual) <= WHOLE:
-            start = float(trace.time[0])
-            signal = {
-                "start": start,
-                "step": step,
-                "values": factor * residual,
-                "figure": f"spectrum-{name}",
-                "trace": 2 * k,
-            }
-        views[output] = View([k], layout, signal)
+        spectra = [(residual, f"spectrum-{name}", 2 * k)] if whole else []
+        views[output] = View([k], layout, signals_of(trace.time, spectra, factor))
         words.append(said)
-    known = "; the grey band is two standard deviations of the noise" if any(_known(n) for n in noise.values()) else ""
+    known = (
+        "; the grey band is two standard deviations of the noise" if any(known_noise(n) for n in noise.values()) else ""
+    )
     return Figure(
         f"residual-{name}", f"Measured minus simulated, record {trace.name}{known}.", ". ".join(words) + ".", data,
         axes("time [s]", ""), height=270, group=name, views=views, switch=name,
@@ -139,7 +131,7 @@ def _spectrum(
     step = even_step(trace.time) or float(np.median(np.diff(trace.time)))
     data, views, words = [], {}, []
     for k, output in enumerate(outputs):
-        residual, std = trace.residual(output), _known(noise.get(output))
+        residual, std = trace.residual(output), known_noise(noise.get(output))
         factor, text = scaled(units[output], residual, np.array([2 * std]))
         f, amplitude = thinned(*density(factor * residual, step), most)
         floor = np.array([factor * std * np.sqrt(2 * step)] * 2) if std > 0 else np.array([])
@@ -157,5 +149,18 @@ def _spectrum(
     )  # fmt: skip
 
 
-def _known(std: float | None) -> float:
+def signals_of(time: np.ndarray, spectra: Sequence[tuple[np.ndarray, str, int]], factor: float) -> list[dict[str, Any]]:
+    """Residuals (N,), each with the figure and the number of the curve that shows its spectrum; none where a spectrum says little."""
+    step = even_step(time)
+    if step is None or len(time) > WHOLE:
+        return []
+    start = float(time[0])
+    return [
+        {"start": start, "step": step, "values": factor * r, "figure": figure, "trace": trace}
+        for r, figure, trace in spectra
+    ]
+
+
+def known_noise(std: float | None) -> float:
+    """The standard deviation of a noise, 0 where it is not known."""
     return std if std is not None and np.isfinite(std) else 0.0

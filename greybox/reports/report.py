@@ -14,6 +14,11 @@ from greybox.reports.render import write
 PAGES = {
     "Fit": "of_fit",
     "Check": "of_check",
+    "Comparison": "of_comparison",
+    "Demo": "of_demo",
+    "Discovery": "of_discovery",
+    "Export": "of_export",
+    "Linearisation": "of_linearisation",
     "Simulation": "of_simulation",
 }
 
@@ -21,9 +26,10 @@ PAGES = {
 def report(value: Any, path: str | Path, *, command: str = "", **more: Any) -> Path:
     """Write the report of ``value`` as one HTML file that opens without a network, and return its path.
 
-    ``value``: what `greybox.fit`, `greybox.check.check` or `greybox.simulate` gave. ``path``: the file, or a folder, which then gets
-    ``report.html``. ``command`` is what was typed, for the page to say how to repeat it; ``more`` goes to the builder of the page, such
-    as ``model`` for a simulation. Raises GreyboxError for a value of another kind.
+    ``value``: what `greybox.fit`, `greybox.discover`, `greybox.simulate`, `greybox.linearise`, `greybox.check.check` or
+    `greybox.comparison.compare` gave. ``path``: the file, or a folder, which then gets ``report.html``. ``command`` is what was typed,
+    for the page to say how to repeat it; ``more`` goes to the builder of the page, such as ``model`` for a simulation. Raises
+    GreyboxError for a value of another kind.
     """
     target = Path(path)
     target = target if target.suffix.lower() in (".html", ".htm") else target / "report.html"

@@ -11,6 +11,7 @@ from greybox.result.summary import number
 __all__ = ["counted", "listed", "number", "sentence", "typeset_number", "unit_text"]
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+WORD = re.compile(r"[a-z]{3,}[ :,-]|(?:no|at|on|in|it|of|is|an?|as|by|if|to)[ :]")
 EXPONENT = re.compile(r"(?<=\d)e([+-])0*(\d+)")
 
 
@@ -39,6 +40,8 @@ def listed(names: Sequence[str]) -> str:
 
 
 def sentence(text: str) -> str:
-    """With a capital at its beginning and a full stop at its end."""
+    """With a capital at its beginning, where that is a word, and a full stop at its end."""
     text = text.strip()
-    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?", ":")) or not text else ".")
+    if WORD.match(text):  # a name of a signal or a constant stays as it is
+        text = text[:1].upper() + text[1:]
+    return text + ("" if text.endswith((".", "!", "?", ":")) or not text else ".")

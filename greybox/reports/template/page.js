@@ -42,7 +42,8 @@
     const own = painted(view ? merged(figure.layout, view.layout) : figure.layout);
     const axes = Object.fromEntries(
       Object.keys({ xaxis: 0, yaxis: 0, ...own }).filter((key) => /^[xy]axis/.test(key)).map((key) => {
-        return [key, { ...axis, ...(own[key]?.type === "log" ? { exponentformat: "none" } : {}), ...own[key], uirevision: key[0] === "x" ? "kept" : String(figure.shown) }];
+        const title = { standoff: 12, ...own[key]?.title };
+        return [key, { ...axis, ...(own[key]?.type === "log" ? { exponentformat: key[0] === "x" ? "none" : "power" } : {}), ...own[key], title, uirevision: key[0] === "x" ? "kept" : String(figure.shown) }];
       }));
     return {
       margin: { l: narrow() ? 44 : 60, r: 16, t: 16, b: 44 }, hovermode: "x unified", showlegend: true, uirevision: "kept",
@@ -128,10 +129,16 @@
 
   // The spectrum of the stretch that is looked at.
   const respectrum = (figure) => {
-    const signal = figure.views[figure.shown]?.signal;
-    const target = signal?.figure && figures.find((f) => f.element.id === signal.figure);
-    if (!target) return;
-    const { start, step, values, trace } = signal;
+    const changed = new Set();
+    for (const signal of figure.views[figure.shown]?.signals ?? []) {
+      const target = figures.find((f) => f.element.id === signal.figure);
+      retake(figure, target, signal);
+      changed.add(target);
+    }
+    changed.forEach(draw);
+  };
+
+  const retake = (figure, target, { start, step, values, trace }) => {
     target.whole ??= {};
     target.whole[trace] ??= { x: target.data[trace].x, y: target.data[trace].y };
     let shown = target.whole[trace];
@@ -141,7 +148,6 @@
       if (found) shown = { x: found.f, y: found.a };
     }
     target.data[trace] = { ...target.data[trace], ...shown };
-    draw(target);
   };
 
   const choose = (figure, name) => {

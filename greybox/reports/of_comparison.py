@@ -1,0 +1,152 @@
+"""The page of a comparison: does the physics pay? Grey and black boxes on the same rows of the same records."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from greybox.comparison import Comparison, Entry, Score
+from greybox.fitting.versions import versions
+from greybox.reports.comparison_figures import colours_of, errors_figure, runs_figures
+from greybox.reports.equations import typeset
+from greybox.reports.fit_parts import constants_table
+from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text
+from greybox.reports.repeat import named, shell
+from greybox.reports.words import counted, listed, number, sentence, typeset_number, unit_text
+from greybox.result import Fit
+
+MOST_DRAWN = 8  # records with curves; the tables have all
+
+
+def report_of_comparison(
+    comparison: Comparison, *, command: str = "", fits: Mapping[str, Fit] | None = None, data: Mapping[str, str] | None = None
+) -> Page:  # fmt: skip
+    """The page of a comparison.
+
+    ``fits``: the grey boxes' fits by the name of their entry, for their equations and constants; ``data``: fingerprint of each record.
+    """
+    sections = [
+        Section("errors", "Who is how good", list(errors(comparison))),
+        Section("runs", "The runs", list(runs(comparison))),
+        Section("models", "What they are", [models(comparison), *_notes(comparison)]),
+    ]
+    if fits:
+        sections.append(Section("physics", "The physical models", list(_physics(fits))))
+    sections.append(_data(comparison, data or {}))
+    sections.append(Section("repeat", "How to repeat it", [*shell(command), named("Versions", versions())]))
+    outputs = listed(list(comparison.outputs))
+    where = "records that none of them was fitted to" if comparison.validation else "the records they were fitted to"
+    question = f"Does the physics pay? {counted(len(comparison.entries), 'model')} of {outputs}, judged on the same rows of {where}."
+    return Page("Grey boxes and black boxes side by side", question, verdict(comparison), sections, "comparison")
+
+
+def verdict(comparison: Comparison) -> Text:
+    """What the comparison says of itself: good where a grey box is best, or as good, in the free run of every output."""
+    best = [_best(comparison, output) for output in comparison.outputs]
+    failed = any(n.startswith("the fit did not succeed") for e in comparison.entries for n in e.notes)
+    won = all(e is not None and e.kind == "grey" for e in best) and bool(best)
+    return Text([sentence(typeset_number(s)) for s in comparison.verdict], "good" if won and not failed else "caution")
+
+
+def _best(comparison: Comparison, output: str) -> Entry | None:
+    judged = [
+        (comparison.judged(e)[output].rmse, k)
+        for k, e in enumerate(comparison.entries)
+        if output in comparison.judged(e)
+    ]
+    finite = [pair for pair in judged if math.isfinite(pair[0])]
+    return comparison.entries[min(finite)[1]] if finite else None
+
+
+def errors(comparison: Comparison) -> Iterator[Block]:
+    """Bars and tables of the errors on the judging records, and on the training records where there are others."""
+    yield errors_figure(comparison)
+    groups = (("validation", comparison.validation, "On records that no model was fitted to"),
+              ("training", comparison.training, "On the fitted records"))  # fmt: skip
+    for group, records, title in groups:
+        if records:
+            tables = [_table(comparison, group, output, title) for output in comparison.outputs]
+            yield from tables if group == "validation" or not comparison.validation else [Folded(title, tables)]
+
+
+def _table(comparison: Comparison, group: str, output: str, title: str) -> Table:
+    found: dict[str, Score] = {}
+    for e in comparison.entries:
+        scores: Mapping[str, Score] = getattr(e, group)
+        if output in scores:
+            found[e.name] = scores[output]
+    ranked = sorted(found.items(), key=lambda item: item[1].rmse if math.isfinite(item[1].rmse) else math.inf)
+    unit = unit_text(comparison.outputs[output])
+    rows = [
+        [name, comparison[name].kind, _error(s.rmse, unit), _percent(s.best_fit_percent), _error(s.one_step_rmse, unit)]
+        for name, s in ranked
+    ]
+    return Table(f"{title}: {output}", ["model", "box", "free run (rms)", "best fit", "one sample ahead (rms)"], rows)
+
+
+def _error(value: float, unit: str) -> str:
+    if math.isnan(value):
+        return "–"
+    return typeset_number(f"{number(value, 4)} {unit}".rstrip()) if math.isfinite(value) else "grows away"
+
+
+def _percent(value: float) -> str:
+    return f"{value:.2f} %" if math.isfinite(value) else "–"
+
+
+def runs(comparison: Comparison) -> Iterator[Block]:
+    """The curves of every model over each judging record."""
+    records = list(dict.fromkeys(comparison.validation or comparison.training))
+    colours = colours_of(comparison.entries)
+    yield Text(["A click on a name in the legend hides that model; a double click shows it alone."])
+    for k, record in enumerate(records[:MOST_DRAWN]):
+        figures = runs_figures(comparison, record, colours, f"{k}", len(records[:MOST_DRAWN]))
+        if k == 0:
+            yield Heading(f"Record {record}")
+        yield from figures if k == 0 else [Folded(f"Record {record}", figures)]
+    if len(records) > MOST_DRAWN:
+        yield Text([f"{counted(len(records) - MOST_DRAWN, 'more record')} in the tables, but not drawn."])
+
+
+def models(comparison: Comparison) -> Table:
+    """Structure, numbers, BIC, stability, feed-through and time of each model."""
+    rows = [
+        [
+            e.name, e.kind, ", ".join(dict.fromkeys(e.structure.values())), str(e.parameters),
+            f"{e.bic:.0f}".replace("-", "−") if math.isfinite(e.bic) else "–", "yes" if e.stable else "no",
+            typeset_number(", ".join(number(v, 3) for v in e.feedthrough.values())) or "none",
+            f"{e.seconds:.1f} s" if e.seconds else "–",
+        ]
+        for e in comparison.entries
+    ]  # fmt: skip
+    head = ["model", "box", "structure", "numbers", "BIC", "stable", "feed-through", "time"]
+    note = "Numbers: fitted constants or coefficients. BIC: of the free run on the fitted records, lower is better."
+    return Table("The models", head, rows, note)
+
+
+def _notes(comparison: Comparison) -> Iterator[Block]:
+    said = [*comparison.notes, *(f"{e.name}: {n}" for e in comparison.entries for n in e.notes)]
+    if said:
+        yield Listing([sentence(s) for s in said])
+
+
+def _physics(fits: Mapping[str, Fit]) -> Iterator[Block]:
+    for k, (name, fit) in enumerate(fits.items()):
+        blocks: list[Block] = [constants_table(fit), typeset(fit.model)]
+        if k == 0:
+            yield Heading(name)
+        yield from blocks if k == 0 else [Folded(name, blocks)]
+
+
+def _data(comparison: Comparison, prints: Mapping[str, str]) -> Section:
+    rows = []
+    for use, records in (("fitted", comparison.training), ("judged by", comparison.validation)):
+        for record in records:
+            every = (r for e in comparison.entries for r in (*e.training_runs, *e.validation_runs))
+            run = next((r for r in every if r.record == record), None)
+            length = [str(len(run.time)), f"{run.time[-1] - run.time[0]:.6g} s"] if run is not None else ["", ""]
+            rows.append([record, use, *length, prints.get(record, "")[:12]])
+    left = f"The first {comparison.skip} rows of each judging record do not count." if comparison.skip else ""
+    return Section(
+        "data", "The data", [Table("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, left)]
+    )

@@ -1,0 +1,167 @@
+"""The page of a discovery: what is missing, how sure that is, and the gap before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from greybox.discovery import Discovery, Gap
+from greybox.reports.axes import stretches
+from greybox.reports.discovery_figures import (
+    before_after_figures,
+    candidates_figure,
+    gap_figure,
+    missing_figure,
+    signal_figure,
+    stand_in_figure,
+    steps_of,
+    when_figure,
+)
+from greybox.reports.equations import typeset
+from greybox.reports.fit_parts import constants_table
+from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text, Tone
+from greybox.reports.records import records_section, units_of
+from greybox.reports.repeat import repeat_section
+from greybox.reports.words import counted, listed, number, sentence, typeset_number, unit_text
+from greybox.result.summary import constant_cells
+
+NO_GAP = 1.01  # a misfit up to this many times the noise
+MOST_DRAWN = 8  # judging records with curves
+TONES: dict[str, Tone] = {"complete": "good", "named": "good", "ambiguous": "caution", "unknown": "caution"}
+ANSWERS = {
+    "complete": "Nothing is missing.", "named": "Something is missing, and it has a name.",
+    "ambiguous": "Something is missing; these records fit more than one name.",
+    "unknown": "Something is missing that the catalogue does not explain.",
+}  # fmt: skip
+
+
+def report_of_discovery(found: Discovery, *, command: str = "") -> Page:
+    """The page of a discovery; ``command`` is what was typed."""
+    sections = [*discovery_sections(found)]
+    sections.append(Section("constants", "The constants, before and after", [constants_before_after(found)]))
+    model: list[Block] = [typeset(found.best.model)]
+    sections.append(Section("model", "The extended model" if found.best.model.effects else "The model", model))
+    sections.append(records_section([*found.best.traces], [*found.best.validation_traces], found.best))
+    sections.append(repeat_section(found.best, command))
+    plain = found.base.model.title
+    return Page(
+        f"What {plain} lacks", f"Which effect, if any, does {plain} lack?", verdict(found), sections, "discovery"
+    )
+
+
+def verdict(found: Discovery) -> Text:
+    """The answer, the story and the notes."""
+    said = [ANSWERS[found.verdict], found.story]
+    for effect in found.effects if found.verdict != "complete" else []:
+        values = [
+            typeset_number(f"{name} = {number(c['value'])}" + (f" +- {c['std']:.2g}" if c["std"] else ""))
+            + f" {unit_text(c['unit'])}"
+            for name, c in effect["parameters"].items()
+        ]
+        said.append(f"{effect['name']} ({effect['site']}): {listed([v.rstrip() for v in values])}.")
+    return Text([*said, *map(sentence, found.notes)], TONES[found.verdict])
+
+
+def discovery_sections(found: Discovery) -> Iterator[Section]:
+    """The story: the gap, the missing signal, where and when, the candidates."""
+    yield Section("gap", "The gap", list(_gap(found)))
+    signal: list[Block] = [missing_figure(m, f"missing-{k}") for k, m in enumerate(found.missing)]
+    if found.stand_in is not None:
+        signal += [Text([sentence(str(found.stand_in))]), stand_in_figure(found.stand_in, found.look)]
+    if signal:
+        yield Section("signal", "The missing signal", signal)
+    if found.look.missing:
+        yield Section("where", "Where, when and in which region", list(_where(found)))
+    if found.ranking:
+        yield Section("candidates", "The candidates", list(_candidates(found)))
+
+
+def _gap(found: Discovery) -> Iterator[Block]:
+    yield gap_figure(found)
+    rows = [
+        [
+            output, *(typeset_number(f"{v:.4g} {unit_text(g.unit)}".rstrip()) for v in (g.before, g.after, g.floor)),
+            _closed(g),
+        ]
+        for output, g in found.gap.items()
+    ]  # fmt: skip
+    head = ["output", "plain model", extended_name(found), "noise", "closed"]
+    yield Table("Misfit of the free run on records that nothing was fitted to (rms)", head, rows)
+    way = steps_of(found)
+    if len(way) > 2:
+        steps = [[name, typeset_number(f"{misfit:.4g} × noise")] for name, misfit in way]
+        yield Table("Step by step, on the records that were fitted", ["model", "misfit"], steps)
+    units = units_of(found.base.model)
+    pairs = list(zip(found.base.validation_traces, found.best.validation_traces, strict=False))[:MOST_DRAWN]
+    most = stretches(sum(4 * len(b.measured) for b, _ in pairs))
+    for k, (before, after) in enumerate(pairs):
+        figures = before_after_figures(
+            before, after, units, found.best.noise, f"judged-{k}", most, extended_name(found)
+        )
+        if k == 0:
+            yield Heading(f"Record {before.name}")
+        yield from figures if k == 0 else [Folded(f"Record {before.name}", figures)]
+
+
+def _closed(gap: Gap) -> str:
+    if gap.before <= NO_GAP * gap.floor:
+        return "no gap"
+    return f"{100 * gap.closed:.1f} %" if gap.closed > 0 else "it grew"
+
+
+def extended_name(found: Discovery) -> str:
+    """What to call the extended model."""
+    return "with the nearest look-alike" if found.verdict == "unknown" else "with what was found"
+
+
+def _where(found: Discovery) -> Iterator[Block]:
+    look = found.look
+    yield Listing([sentence(line.strip()) for line in str(look).splitlines()])
+    picture = signal_figure(look)
+    if picture is not None:
+        yield picture
+    sets = {name: k + 1 for k, group in enumerate(look.sets) for name in group}
+    rows = [
+        [
+            str(s),
+            str(sets[str(s)]),
+            typeset_number(f"{s.gain:.4g}"),
+            typeset_number(f"{s.size:.3g} {unit_text(s.unit)}".rstrip()),
+        ]
+        for s in look.sites
+    ]
+    if rows:
+        note = "Places of one set cannot be told apart with these sensors; gain is the logarithm of how much likelier the record is."
+        yield Table("Places, likeliest first", ["place", "set", "gain", "size of the signal (rms)"], rows, note)
+    picture = when_figure(look)
+    if picture is not None:
+        yield picture
+
+
+def _candidates(found: Discovery) -> Iterator[Block]:
+    picture = candidates_figure(found.ranking, [e["name"] for e in found.effects])
+    if picture is not None:
+        yield picture
+    if found.alternatives:
+        yield Listing([f"{' + '.join(a)} explains the records as well." for a in found.alternatives])
+    rows = [
+        [" + ".join(r.effects), typeset_number(f"{r.misfit:.4g} × noise"), typeset_number(f"{r.behind:.4g}")]
+        for r in found.ranking
+    ]
+    note = "Behind: by how much Schwarz's criterion is above that of the best; 10 and more are decisive."
+    yield Folded(
+        f"All {counted(len(rows), 'candidate')}", [Table("Candidates", ["effects", "misfit", "behind"], rows, note)]
+    )
+
+
+def constants_before_after(found: Discovery) -> Table:
+    """Each constant with the plain model and with the extended one."""
+    if not found.best.model.effects:
+        return constants_table(found.best)
+    rows = []
+    for name, e in found.best.parameters.items():
+        before = found.base.parameters.get(name)
+        _, after, limits, _, remark = map(typeset_number, constant_cells(name, e))
+        told = typeset_number(constant_cells(name, before)[1]) if before is not None else "–"
+        rows.append([name, told, after, limits, unit_text(e.unit), remark])
+    head = ["constant", "plain model", extended_name(found), "95 % interval", "unit", "remark"]
+    return Table("Constants: what a model lacks, its other constants have to make up for", head, rows)
