@@ -8,7 +8,6 @@ import pytest
 from greybox.errors import DataError, GreyboxError
 from greybox.integrators.step import Step
 from greybox.kernel import make_kernel
-from greybox.kernel.protocol import finished
 from greybox.kernel.record import Record
 
 KERNELS = ["compiled", "interpreted"]
