@@ -246,7 +246,7 @@ def run(tmp_path, monkeypatch, records, model, plant):
 
 def test_the_command_compares_writes_and_draws(run, tmp_path):
     judge = ["--validate", "first.csv", "--validate", "second.csv", "--skip", 20]
-    done = run("train.csv", *judge, "--at-rest", "--predict", 5, "--output", "out")
+    done = run("train.csv", *judge, "--at-rest", "--predict", 5, "--no-report", "--output", "out")
     assert done.exit_code == 0, done.output
     assert done.stderr == "note: second.csv: output 'y' has 3 gaps in 90 rows\n"
     saved = json.loads((tmp_path / "out" / "compare.json").read_text())
@@ -265,7 +265,7 @@ def test_a_step_has_smoothing_among_its_models(run, tmp_path, model):
     time = STEP * np.arange(200)
     y = motion(np.ones(200)) + 1e-4 * np.random.default_rng(0).standard_normal(200)
     write_csv(gb.Experiment("step", time, {"F": np.ones(200)}, {"y": y}), model, tmp_path / "step.csv")
-    done = run("step.csv", "--at-rest", "--json", "--fix", "D=0.8", "--output", "out")
+    done = run("step.csv", "--at-rest", "--json", "--no-report", "--fix", "D=0.8", "--output", "out")
     assert done.exit_code == 0, done.output
     saved = json.loads(done.stdout)
     assert "monte_carlo_smoothing" in saved["models"] and "hammerstein" not in saved["models"]
@@ -305,7 +305,8 @@ def test_compare_takes_the_options_of_fit():
 
     commands = get_command(app).commands
     fit, compare = ({name for p in commands[c].params for name in p.opts} for c in ("fit", "compare"))
-    assert fit <= compare | {"data", "--no-report"}  # train in its place; there is no report of a single fit
+    # train stands in its place; the others are about the intervals of constants, which are not compared
+    assert fit - compare == {"data", "--profile", "--bootstrap"}
 
 
 @pytest.mark.slow
@@ -316,6 +317,18 @@ def test_many_starts_and_process_noise_reach_the_fit(run, tmp_path):
     assert pushed.exit_code == 0, pushed.output
     saved = json.loads((tmp_path / "pushed" / "compare.json").read_text())
     grey = [name for name, entry in saved["models"].items() if entry["kind"] == "grey"]
-    assert len(grey) == 2 and all(
-        "process noise" in n or "corrected by" in n for g in grey for n in saved["models"][g]["notes"][-1:]
-    )
+    assert len(grey) == 2
+    assert all(any("predictions corrected by" in note for note in saved["models"][name]["notes"]) for name in grey)
+
+
+@pytest.mark.slow
+def test_rivals_with_effects_begin_where_the_records_show_them(run, shared_data, tmp_path):
+    tanks = shared_data / "cascaded_tanks"
+    judge = ["--validate", tanks / "test.csv", "--skip", 50, "--effects", "lower_overflow+upper_overflow+reading_curve"]
+    arguments = ["compare", "cascaded_tanks", tanks / "train.csv", *judge, "--output", "out"]
+    done = CliRunner().invoke(app, list(map(str, arguments)))
+    assert done.exit_code == 0, done.output
+    models = json.loads((tmp_path / "out" / "compare.json").read_text())["models"]
+    rms = {name: entry["validation"]["y"]["rmse"] for name, entry in models.items()}
+    (grown,) = (name for name in rms if name.endswith("reading_curve"))
+    assert rms[grown] < 0.25 < 0.5 < min(value for name, value in rms.items() if models[name]["kind"] == "black")

@@ -14,6 +14,7 @@ from greybox import Balance, FitError, Model, ModelError, Output, Parameter, Sta
 from greybox.experiment import Experiment
 from greybox.fitting import FitOptions, fit
 from greybox.fitting.sandwich import toeplitz_form
+from greybox.fitting.uncertainty import inverted
 from greybox.result import load_fit
 from greybox.uncertainty import bootstrap, profile
 from models.emps import emps
@@ -233,3 +234,10 @@ def test_gaps_and_irregular_time_keep_the_intervals_honest():
         assert found.interval_kind == "sandwich"
         z += [(found.parameters[q.name].value - q.value) / found.parameters[q.name].std for q in TRUTH.free_parameters]
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_information_that_rounding_made_negative_is_none():
+    # of a run that has left all bounds: what remains of the second constant is a rounding error
+    inverse, weak, scale = inverted(np.array([[4.0, 1e80, 0.0], [1e80, -1e160, 0.0], [0.0, 0.0, 9.0]]))
+    assert inverse == pytest.approx(np.diag([1 / 4, 0, 1 / 9]))
+    assert len(scale) == 3 and (np.abs(weak[:, 0]) > 1e-12).tolist() == [False, True, False]

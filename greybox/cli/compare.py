@@ -108,7 +108,8 @@ def compare(
 
     plain = p.pushed(o.changed(c.scheduled(resolve(model), schedule), effects=effect), process_noise)
     plain = o.changed(plain, fix=fix, start=start, free=free)
-    plants = [c.constrained(plant, prior, tie) for plant in (plain, *_extended(plain, effects))]
+    rivals = [tuple(name.strip() for name in part.split("+")) for part in effects.split(",") if part.strip()]
+    plants = [c.constrained(_extended(plain, names), prior, tie) for names in ((), *rivals)]
     o.check_substeps(plants[0], method, substeps)
     folder = o.writable_folder(output or Path("results") / f"{plain.name}-compare")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
@@ -126,7 +127,10 @@ def compare(
     seed = s.check_seed(starts, seed)
     with gauge() as show:
         given = {"noise": said, "quiet": hushed, "options": options}
-        fitted = [_fitted(plant, records, show, starts, seed, given) for plant in plants]
+        fitted = [_fitted(plants[0], records, show, starts, seed, given)]
+        for names, plant in zip(rivals, plants[1:], strict=True):
+            grown = _grown(fitted[0][0], names, plants[0], show) if starts == 1 else None
+            fitted.append(grown or _fitted(plant, records, show, starts, seed, given))
         black, notes = _boxes(plain, records, at_rest, show)
         show("judging")
         grey = [Named(fit.model.title, fit, seconds) for fit, seconds in fitted]
@@ -137,17 +141,35 @@ def compare(
     _tell(result, folder, records, judges, fits, quiet=silent, json=json)
 
 
-def _extended(model: Model, effects: str) -> list[Model]:
-    """``model`` with each of the comma-separated effects; ``A+B`` are two effects of one model."""
+def _extended(model: Model, names: Sequence[str]) -> Model:
+    """``model`` with these effects of the catalogue."""
     from greybox.effects import effect
 
-    found = []
-    for text in (part.strip() for part in effects.split(",") if part.strip()):
-        extended = model
-        for name in text.split("+"):
-            extended = extended + effect(name.strip())
-        found.append(extended)
-    return found
+    for name in names:
+        model = model + effect(name)
+    return model
+
+
+def _grown(first: Fit, names: Sequence[str], plain: Model, show: Show) -> tuple[Fit, float] | None:
+    """``first`` refitted with these effects, each from where the records would show it, and the seconds it took.
+
+    An effect's own values leave it absent, and a search from there may end anywhere. None where a refit of free runs is not what
+    was asked for, or the extended model overflows from every start.
+    """
+    from greybox.discovery import try_effect
+    from greybox.errors import DataError
+
+    plainly = first.options.get("transcription") == "automatic" and first.solver.get("free_run", True)
+    if not (first.success and plainly) or first.process_noise or first.own or first.loss:
+        return None
+    began, fit = time.perf_counter(), first
+    for name in names:
+        show(f"{fit.model.title} + {name}")
+        try:
+            fit = try_effect(fit, name, nominal=plain).larger
+        except DataError:
+            return None
+    return fit, time.perf_counter() - began
 
 
 def scanned(what: str, share: float, outputs: Sequence[str]) -> float:

@@ -106,7 +106,12 @@ def information_of(variables: Variables, rows: Rows) -> np.ndarray:
 def inverted(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The inverse, zero along directions without information; these directions (n, k), scaled; and the scale (n,) of each entry."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    told = (
+        np.diag(information) > 0
+    )  # a run that has left all bounds may say less than nothing of a constant, by rounding
+    values, vectors = np.linalg.eigh(
+        np.divide(information, np.outer(scale, scale), where=np.outer(told, told), out=np.zeros_like(information))
+    )
     weak = values <= UNDETERMINED * max(values.max(initial=0.0), 1.0)
     inverse = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
     return inverse, vectors[:, weak], scale
