@@ -107,7 +107,7 @@ def section(s: Study) -> list[str]:
 
 def verdict(s: Study) -> None:
     """The input first, then spring, offset and the family of damping; errors within the goal on all three test records."""
-    first = [e.name for e in s.found.best.model.effects][:2]
+    first = [e.name for e in s.deeper.fit.model.effects][:2]
     assert first == ["band_limited_input", "cubic_stiffness"], first
     assert {"quadratic_stiffness"} < s.named, s.named
     assert s.named & {"input_offset", "constant_load"}, s.named

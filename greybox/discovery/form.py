@@ -50,8 +50,8 @@ def _curves(bench: Bench, trial: Trial) -> Iterator[Job]:
     """A curve at the place of every effect, over the variable that its signal depends on most."""
     for m in missing_signals(bench, trial):
         plain: Effect | None = next((e for e in trial.model.effects if e.name == m.effect), None)
-        if plain is None or plain.states:
-            continue  # what remembers is no function of a variable
+        if plain is None or plain.states or plain.hold:
+            continue  # what remembers, or moves the input between samples, is no function of a variable
         place = next(p for p in places(trial.model, [o.name for o in trial.model.outputs]) if str(p) == m.site)
         curve, start = curve_effect(place, m.region, m.variable, m.value - m.modelled, m.std, HEIGHTS)
         model = trial.model + curve

@@ -16,6 +16,7 @@ import numpy as np
 from greybox.discovery import rules
 from greybox.discovery.attempt import judged, scales_along
 from greybox.discovery.bench import Bench, Start, Trial
+from greybox.discovery.form import is_refinement
 from greybox.discovery.starts import candidate_starts
 from greybox.discovery.veto import held_out
 from greybox.effects import Scales, applicable
@@ -30,7 +31,7 @@ FITTED, HELD_OUT = 0.02, 0.05
 # Models whose misfit is within this share of each other explain a measured record alike, whatever their likelihood.
 ALIKE = 0.1
 # Effects added at most, candidates refitted for each, starts of each.
-MOST, PROMISING, KEPT = 4, 8, 2
+MOST, PROMISING, KEPT = 5, 8, 2
 
 Say = Callable[[str], None]
 
@@ -75,14 +76,19 @@ def further(
     ``fit``: of a model that already has its large effects, as `discover` gives them (``found.best``). It is refitted to the same
     records with white noise of the level of its own residual: what is left is structure, and the free run is to follow it.
     ``validation``: records that none of the constants has seen. ``plain``: a model whose catalogue of candidates counts, by default
-    that of ``fit``.
+    that of ``fit``. Curves and second branches that refine the form of an effect are taken out first: here they would stand in the way of a
+    name.
 
     Raises ModelError or DataError as `greybox.fit` does.
     """
     judges, tell = (validation,) if isinstance(validation, Experiment) else tuple(validation), say or _silent
     bench = _white(Bench.of(fit), fit)
     start = bench.at(fit)
-    chosen = bench.best(fit.model, [fit.model.values], keep=1, like=start) or start
+    model = _without_refinements(fit.model)
+    chosen = (
+        bench.best(model, [{n: v for n, v in fit.model.values.items() if n in model.values}], keep=1, like=start)
+        or start
+    )
     scales = scales_along(chosen)
     candidates = applicable(plain or fit.model, scales)
     before, steps = held_out(bench, chosen, judges), list[Further]()
@@ -125,6 +131,12 @@ def _extended(bench: Bench, chosen: Trial, candidates: Sequence[Effect], scales:
     promising = sorted(room, key=lambda e: hopes[e.name])[:PROMISING]
     found = [bench.best(chosen.model + e, starts[e.name], KEPT, like=chosen) for e in promising]
     return [t for t in found if t is not None]
+
+
+def _without_refinements(model: Model) -> Model:
+    for name in [e.name for e in model.effects if is_refinement(e.name)]:
+        model = model.without(name)
+    return model
 
 
 def _starts(chosen: Trial, effect: Effect, scales: Scales) -> list[Start]:
