@@ -105,7 +105,10 @@ def missing(shown: str, printed: str) -> list[str]:
 
 
 def same(one: str, other: str) -> bool:
-    """Whether two lines have the same words, and nearly the same numbers."""
+    """Whether two lines have the same words, and nearly the same numbers; ``one`` may leave the end out, as in ``a, b ...``."""
+    if one.endswith(" ..."):
+        one = one.removesuffix(" ...")
+        other = " ".join(other.split()[: len(one.split())])
     if NUMBER.sub("#", one).split() != NUMBER.sub("#", other).split():
         return False
     pairs = zip(_numbers(one), _numbers(other), strict=True)

@@ -6,12 +6,15 @@ import inspect
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from greybox import FitOptions, fit, simulate
 from greybox.cli.app import app
+from models.micro_actuator import micro_actuator
 
-TALKING = {"models", "init", "export"}  # these compute nothing that is not in the file they write
+TALKING = {"models", "init"}  # these compute nothing
 
 
 def test_every_command_that_computes_has_it() -> None:
@@ -28,3 +31,19 @@ def test_a_simulation_says_what_it_has_written(tmp_path: Path, monkeypatch: pyte
     said = json.loads(done.stdout)
     assert (said["file"], said["rows"], said["outputs"]) == (str(Path("out/a.csv")), 200, ["x", "i"])
     assert Path(said["file"]).exists() and Path(said["report"]).exists()
+
+
+def test_an_export_says_its_matrices_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    data = {"time": 2.5e-4 * np.arange(200), "u": np.random.default_rng(1).normal(0, 1, 200)}
+    rest = FitOptions(at_rest=True)
+    record = simulate(micro_actuator, data).record({"x": 2e-7, "i": 5e-3}, np.random.default_rng(2))
+    fit(micro_actuator.fix("M", "Ra"), record, noise={"x": 2e-7, "i": 5e-3}, options=rest).save("fit.json")
+    done = CliRunner().invoke(app, ["export", "fit.json", "--to", "mat", "--json"])
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert np.shape(said["linear"]["A"]) == (3, 3) and said["linear"]["state_names"] == ["x", "v", "i"]
+    assert [Path(file).suffix for file in said["files"]] == [".mat"] and Path(said["report"]).exists()
+    done = CliRunner().invoke(app, ["export", "fit.json", "--to", "python", "--json", "--no-report"])
+    said = json.loads(done.stdout)
+    assert said["linear"] is None and said["report"] is None and Path(said["files"][0]).exists()

@@ -58,6 +58,8 @@ def _own_commands(block) -> bool:
         ("B 1\nA 2", "A 2\nB 1", 1),  # in another order
         ("note: x lacks", "note: y lacks", 1),
         ("...\nend", "begin\nend", 0),
+        ("a 1, ...", "a 1, b 2, c 3", 0),
+        ("a 1, ...", "a 2, b 2, c 3", 1),
     ],
 )
 def test_what_a_page_shows_is_compared_with_what_is_printed(shown: str, printed: str, lacking: int) -> None:

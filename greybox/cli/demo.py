@@ -10,7 +10,7 @@ import typer
 from greybox.cli import options as o
 from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
 from greybox.cli.progress import search_gauge
-from greybox.cli.reporting import shown, told, write_report
+from greybox.cli.reporting import told, write_report
 
 if TYPE_CHECKING:
     from greybox.demo import Demo
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 def demo(
     output: Annotated[
-        Path, typer.Option("--output", metavar="DIR", help="Folder for records, results, figures and report.html.")
+        Path, typer.Option("--output", metavar="DIR", help="Folder for records, results and figures.")
     ] = Path("results/demo"),
+    open_: Annotated[bool, typer.Option("--open", help="Show the report in the browser at the end.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the discovery as JSON instead of text.")] = False,
 ) -> None:
     """The whole story on a simulated actuator that hides an effect from its model.
 
     Fits the model (it misses the record by a hundred times the noise), finds and names what it lacks, shows the gap before and
     after on a record that was not used, puts black-box models beside it, and writes the state space for a controller design.
-    The rig is simulated by an integrator that the fits do not use. Takes half a minute; the story is in DIR/report.html, which opens
-    where a person sits at a desktop.
+    The rig is simulated by an integrator that the fits do not use. Takes half a minute; the story is in DIR/report.html.
     """
     from greybox.demo import demo as run
 
@@ -41,7 +41,8 @@ def demo(
         typer.echo((folder / "discovery.json").read_text(encoding="utf-8"), nl=False)
     else:
         typer.echo(f"{_told(found, folder)}\n\n{told(page)}")
-        shown(page)
+    if open_:
+        typer.launch(page.resolve().as_uri())
     if not found.fit.success:
         raise typer.Exit(UNSUCCESSFUL)
 

@@ -106,6 +106,7 @@ def export(
         typer.Option("--output", metavar="FILE", help="File to write. [default: results/MODEL-export/MODEL.*]"),
     ] = None,
     no_report: NoReport = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the matrices and what was written as JSON.")] = False,
 ) -> None:
     """Hand a fitted model to a controller design: linear with its uncertainty, or as code.
 
@@ -130,9 +131,21 @@ def export(
         lines, made = _linear(found, to, target, point, dt, method or Sampling.zoh, delay, minimal, samples, seed)
     else:
         lines, made = _code(found, to, target, dt, substeps)
-    typer.echo("\n".join(lines))
-    if not no_report:
-        typer.echo(told(write_report(made, target.with_name(f"{target.name}.html"))))
+    report = None if no_report else write_report(made, target.with_name(f"{target.name}.html"))
+    if json:
+        typer.echo(_in_json(made, to, report))
+    else:
+        typer.echo("\n".join([*lines, *([told(report)] if report else [])]))
+
+
+def _in_json(made: Export, to: Target, report: Path | None) -> str:
+    from greybox.export.files import as_data
+    from greybox.export.plant import plant_of
+    from greybox.result import layout
+
+    linear = as_data(made.linear, plant_of(made.fit), made.family) if made.linear else None
+    files = [str(file) for file in made.files]
+    return layout({"target": to.value, "files": files, "report": str(report) if report else None, "linear": linear})
 
 
 def _linear(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from pathlib import Path
@@ -23,13 +22,6 @@ def write_report(value: Any, target: Path, **more: Any) -> Path:
 def told(path: Path) -> str:
     """The last line of a command that has left a report."""
     return f"report: {path} (open it in a browser; it needs no network)"
-
-
-def shown(path: Path) -> None:
-    """Open the page, where a person sits at a terminal of a desktop; elsewhere it is enough to say where it is."""
-    desktop = sys.platform in ("darwin", "win32") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if sys.stdout.isatty() and desktop:
-        typer.launch(str(path))
 
 
 def typed() -> str:

@@ -23,8 +23,13 @@ def write_json(
     model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: Family | None = None
 ) -> Path:
     """Write ``model`` as JSON, every number to the last digit; ``plant`` adds where it comes from, ``family`` its members."""
+    return _written(Path(path).with_suffix(".json"), (layout(as_data(model, plant, family)) + "\n").encode())
+
+
+def as_data(model: Linearisation, plant: Plant | None = None, family: Family | None = None) -> dict[str, Any]:
+    """What `write_json` writes."""
     data = {"format": FORMAT, **_contents(model), **_channels(model), **_origin(plant), **_members(family)}
-    return _written(Path(path).with_suffix(".json"), (layout(plain(data)) + "\n").encode())
+    return dict(plain(data))
 
 
 def write_npz(
