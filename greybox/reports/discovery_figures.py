@@ -38,7 +38,7 @@ def gap_figure(found: Discovery) -> Figure:
         sizes = [factor * s[1] for s in steps]
         data.append({
             "type": "bar", "orientation": "h", "x": sizes, "y": [s[0] for s in steps], "marker": {"color": [s[2] for s in steps]},
-            "text": [typeset_number(f"{v:.3g} {text} ({v / (factor * gap.floor):.3g} × noise)") for v in sizes],
+            "text": [typeset_number(f"{v / (factor * gap.floor):.3g} × noise") for v in sizes],
             "textposition": "outside", "cliponaxis": False, "hovertemplate": "%{y}: %{x:.4g} " + text + "<extra></extra>",
         })  # fmt: skip
         high, low = np.log10(max(sizes)), np.log10(min(s for s in sizes if s > 0))

@@ -24,7 +24,7 @@ from greybox.reports.repeat import repeat_section
 from greybox.reports.words import counted, listed, number, sentence, typeset_number, unit_text
 from greybox.result.summary import constant_cells
 
-NO_GAP = 1.01  # a misfit up to this many times the noise
+NO_GAP = 1.05  # a misfit up to this many times the noise
 MOST_DRAWN = 8  # judging records with curves
 TONES: dict[str, Tone] = {"complete": "good", "named": "good", "ambiguous": "caution", "unknown": "caution"}
 ANSWERS = {

@@ -46,7 +46,8 @@
         return [key, { ...axis, ...(own[key]?.type === "log" ? { exponentformat: key[0] === "x" ? "none" : "power" } : {}), ...own[key], title, uirevision: key[0] === "x" ? "kept" : String(figure.shown) }];
       }));
     return {
-      margin: { l: narrow() ? 44 : 60, r: 16, t: 16, b: 44 }, hovermode: "x unified", showlegend: true, uirevision: "kept",
+      // Values beside bars need room.
+      margin: { l: narrow() ? 44 : 60, r: figure.data.some((trace) => trace.text) ? (narrow() ? 54 : 30) : 16, t: 16, b: 44 }, hovermode: "x unified", showlegend: true, uirevision: "kept",
       legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 },
       ...own, ...axes,
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
