@@ -35,17 +35,17 @@ def docs_folder(study: str) -> Path:
     return folder
 
 
-def write_section(folder: Path, name: str, text: str) -> Path:
-    """Put ``text`` as the part ``name`` into the page of both papers, in place of what was there."""
+def write_section(folder: Path, name: str, text: str, page: str = PAGE, head: str = TITLE) -> Path:
+    """Put ``text`` as the part ``name`` into a page (that of both papers) below its ``head``, in place of what was there."""
     folder.mkdir(parents=True, exist_ok=True)
-    path, parts = folder / PAGE, {}
+    path, parts = folder / page, {}
     if path.is_file():
         for chunk in path.read_text(encoding="utf-8").split("<!-- part ")[1:]:
             title, _, body = chunk.partition(" -->\n")
             parts[title] = body.strip()
     parts[name] = text.strip()
     chunks = [f"<!-- part {title} -->\n{parts[title]}\n" for title in sorted(parts)]
-    path.write_text("\n".join([TITLE, *chunks]), encoding="utf-8")
+    path.write_text("\n".join([head, *chunks]), encoding="utf-8")
     return path
 
 

@@ -29,7 +29,17 @@ if TYPE_CHECKING:
     )
     from greybox.comparison import Comparison, compare
     from greybox.diagnose import ResidualTests, Scores, diagnose_residuals, scores
-    from greybox.discovery import Attempt, Discovery, Unexplained, discover, drop_effect, try_effect, unexplained
+    from greybox.discovery import (
+        Attempt,
+        Deepened,
+        Discovery,
+        Unexplained,
+        discover,
+        drop_effect,
+        further,
+        try_effect,
+        unexplained,
+    )
     from greybox.effects import CATALOGUE, effect
     from greybox.errors import DataError, FitError, GreyboxError, ModelError, UnitError
     from greybox.experiment import Experiment, read_csv, read_experiments
@@ -85,7 +95,10 @@ _ROOMS = {
     ),
     "comparison": ("Comparison", "compare"),
     "diagnose": ("ResidualTests", "Scores", "diagnose_residuals", "scores"),
-    "discovery": ("Attempt", "Discovery", "Unexplained", "discover", "drop_effect", "try_effect", "unexplained"),
+    "discovery": (
+        *("Attempt", "Deepened", "Discovery", "Unexplained", "discover", "drop_effect", "further", "try_effect"),
+        "unexplained",
+    ),
     "effects": ("CATALOGUE", "effect"),
     "errors": ("DataError", "FitError", "GreyboxError", "ModelError", "UnitError"),
     "experiment": ("Experiment", "read_csv", "read_experiments"),
@@ -114,6 +127,7 @@ __all__ = [
     "Candidate",
     "Comparison",
     "DataError",
+    "Deepened",
     "Discovery",
     "DryFriction",
     "Effect",
@@ -158,6 +172,7 @@ __all__ = [
     "effect",
     "family",
     "fit",
+    "further",
     "hammerstein",
     "linearise",
     "load_fit",

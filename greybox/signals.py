@@ -93,9 +93,10 @@ class Parameter:
             raise ModelError(
                 f"parameter {self.name!r}: value {self.value} is not a finite number; give a rough physical value in {self.unit}"
             )
+        unit = "" if self.unit.strip() in ("", "-", "1") else f" {self.unit}"
         if not low <= self.value <= high:
             raise ModelError(
-                f"parameter {self.name!r}: {self.value:g} {self.unit} lies outside its bounds [{low:g}, {high:g}] {self.unit};"
+                f"parameter {self.name!r}: {self.value:g}{unit} lies outside its bounds [{low:g}, {high:g}]{unit};"
                 f" give a value inside, or widen them with model.bound({self.name}=(low, high))"
             )
 

@@ -29,12 +29,15 @@ Flows = tuple[Terms, Terms]  # kg/s into chamber A, and into chamber B
 
 @dataclass(frozen=True)
 class Valve:
-    """`flows(x, u, p)`: named mass flows into chamber A and into B [kg/s]; `balances(x, u, p)` of its own `states`."""
+    """`flows(x, u, p)`: named mass flows into chamber A and into B [kg/s]; `balances(x, u, p)` of its own `states`;
+    `rules` that its constants must keep.
+    """
 
     flows: Callable[[Named, Named, Named], Flows]
     parameters: tuple[Parameter, ...]
     states: tuple[State, ...] = ()
     balances: Callable[[Named, Named, Named], list[Balance]] | None = None
+    rules: tuple[Rule, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -166,7 +169,7 @@ def pneumatic_chain(
         ],
         parameters=list(dict.fromkeys(everything)),
         balances=balances,
-        rules=(SUPPLY_ABOVE_AMBIENT, *pressure_rules(), *chambers.rules),
+        rules=(SUPPLY_ABOVE_AMBIENT, *pressure_rules(), *valve.rules, *chambers.rules),
         description=description,
         source=source,
         candidates=candidates,

@@ -19,6 +19,7 @@ import casadi as ca
 
 from greybox import Balance, Parameter, State
 from greybox.errors import ModelError, nearest
+from greybox.model import Rule
 from greybox.signals import Expression, Named
 from models.pneumatic_parts import Terms, Valve
 
@@ -98,6 +99,12 @@ K2 = Parameter(
     role="valve_gain",
     description="mass flow of the valve per volt and pascal, eq. 10.2",
 )
+BETWEEN_0_AND_1 = Rule(
+    "critical pressure ratio between 0 and 1",
+    "1",
+    lambda p: min(p.b, 1 - p.b),
+    "valves have 0.1 to 0.5: it is the ratio of absolute pressures below which the flow is choked",
+)
 OPENINGS = ("linear", "power")
 
 
@@ -147,7 +154,7 @@ def iso6358_valve(
         if lag
         else ()
     )
-    return Valve(flows, tuple(parameters), states, balances if lag else None)
+    return Valve(flows, tuple(parameters), states, balances if lag else None, (BETWEEN_0_AND_1,))
 
 
 def flow(conductance: Expression, upstream: Expression, downstream: Expression, p: Named) -> Expression:

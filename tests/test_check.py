@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -143,7 +144,8 @@ def command(*arguments: str) -> str:
     return done.stdout
 
 
-def test_the_command_asks_what_if() -> None:
+def test_the_command_asks_what_if(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # where it writes its results
     page = command("micro_actuator", "--outputs", "x")
     assert "from u to x 4 combinations of the 7 free constants can be determined, 3 directions stay open" in page
     found = json.loads(command("micro_actuator", "--outputs", "x,i", "--fix", "M", "--json"))

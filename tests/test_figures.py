@@ -96,7 +96,7 @@ def test_each_record_has_its_own_misfit() -> None:
 
 def test_titles_carry_the_records_own_misfit_and_no_band_is_drawn_without_noise(monkeypatch, tmp_path) -> None:
     drawn: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: None if self in drawn else drawn.append(self))
     pooled = {"x": Misfit(3e-7, "m", 99.0, 3.0, 200)}
     files = fit_figure(judged([trace("good", x=1e-7, i=0.005), trace("bad", x=5e-7)], pooled), tmp_path)
     assert [f.name for f in files] == ["fit-train.png", "validation-good.png", "validation-bad.png"]

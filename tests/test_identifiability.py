@@ -8,8 +8,21 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox import Balance, DataError, Experiment, Input, Model, ModelError, Output, Parameter, State, effect
-from greybox.identifiability import excitation, identifiability, practical
+from greybox import (
+    Balance,
+    DataError,
+    Experiment,
+    FitOptions,
+    Input,
+    Model,
+    ModelError,
+    Output,
+    Parameter,
+    State,
+    effect,
+    fit,
+)
+from greybox.identifiability import excitation, identifiability, missing_knowledge, practical
 from greybox.identifiability.excitation import order
 from greybox.simulation import multisine, simulate
 from models.cascaded_tanks import cascaded_tanks
@@ -340,3 +353,41 @@ def test_excitation_without_a_model_and_without_the_input() -> None:
     assert found.bands["u"] == pytest.approx(100, rel=0.02)
     with pytest.raises(DataError, match="no input 'u'"):
         excitation(Experiment("drive", np.arange(9.0), {"w": np.ones(9)}, {}), silverbox)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "fixed", "expected"),
+    [
+        (("x", "i"), (), "fix one of M, B, K, Kf"),
+        (("x",), ("Ra",), "measure i as well: 5 of 6 determined; then fix one of M, B, K, Kf"),
+        (("x", "i"), ("M",), ""),
+    ],
+)
+def test_a_fit_that_leaves_constants_open_says_what_would_tell_them(outputs, fixed, expected) -> None:
+    record = actuator_record(600)
+    record = replace(record, outputs={n: record.outputs[n] for n in outputs})
+    found = missing_knowledge(fit(micro_actuator.fix(*fixed), record, noise={n: ACTUATOR_NOISE[n] for n in outputs}))
+    assert expected in found[0] if expected else found == ()
+
+
+def test_a_record_that_is_not_rich_enough_is_told_from_a_model_that_hides_something() -> None:
+    """At rest nothing tells a damping."""
+    record = actuator_record(600)
+    resting = replace(record, inputs={"u": np.zeros(600)}, outputs={"i": record.outputs["i"]})
+    still = fit(
+        micro_actuator.fix("M", "B", "Kf", "Ra", "La", "Kv"),
+        resting,
+        noise={"i": 5e-3},
+        options=FitOptions(at_rest=True),
+    )
+    (said,) = missing_knowledge(still)
+    assert said.endswith("by a record that is rich enough: move u more, and faster and slower")
+
+
+def actuator_record(rows):
+    time = 2.5e-4 * np.arange(rows)
+    run = simulate(micro_actuator, {"time": time, "u": multisine(time, 5, 800, 2, np.random.default_rng(0))})
+    return run.record(ACTUATOR_NOISE, np.random.default_rng(1))
+
+
+ACTUATOR_NOISE = {"x": 2e-7, "i": 5e-3}

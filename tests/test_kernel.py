@@ -8,6 +8,7 @@ import pytest
 from greybox.errors import DataError, GreyboxError
 from greybox.integrators.step import Step
 from greybox.kernel import make_kernel
+from greybox.kernel.protocol import finished
 from greybox.kernel.record import Record
 
 KERNELS = ["compiled", "interpreted"]
@@ -352,8 +353,6 @@ def test_unknown_kernel_is_refused(monkeypatch):
 
 
 def test_sums_that_overflow_only_together_are_no_warning_but_a_failure():
-    from greybox.kernel.protocol import finished
-
     large = np.full(2, 1e308)
     found = finished(large, np.ones(2, int), np.zeros(2), np.diag(large), None, 7)
     assert found.cost == np.inf and found.failed_at == 7

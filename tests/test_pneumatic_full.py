@@ -1,5 +1,7 @@
 """The pneumatic chain and its parts: limits, conservation laws, blocked and vented pistons, refusals."""
 
+import re
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -393,16 +395,23 @@ def test_frictions_are_effects_on_any_chain():
     [
         ({"P_S": 1.3e5, "P_a": 1.4e5}, "supply above ambient: P_S = 130000, P_a = 140000"),
         ({"A_B": 13e-4}, "no area below the rod's side"),
-        ({"b": 1.2}, "'b': 1.2"),
+        ({"b": 1.2}, "'b': 1.2 lies outside its bounds [0.01, 0.9]; give"),
         ({"b": -0.1}, "'b': -0.1"),
         ({"P_a": -1e5}, "'P_a': -100000"),
     ],
 )
 def test_constants_against_physics_are_refused(values, words):
-    with pytest.raises(ModelError, match=words.replace("(", "\\(")):
+    with pytest.raises(ModelError, match=re.escape(words)):
         pneumatic_full.start(**values)
     with pytest.raises(ModelError, match=words.split(":")[0]):
         pneumatic_full.fix(**values)
+
+
+@pytest.mark.parametrize("b", [1.2, -0.1])
+def test_wider_bounds_do_not_let_a_critical_ratio_out_of_0_to_1(b):
+    wide = pneumatic_full.bound(b=(-1.0, 2.0))
+    with pytest.raises(ModelError, match=rf"breaks a rule: critical pressure ratio between 0 and 1: b = {b}"):
+        wide.start(b=b)
 
 
 def test_records_against_physics_are_refused_with_rows():

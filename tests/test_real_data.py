@@ -1,9 +1,15 @@
 """The effects of the benchmark rigs, on records whose answer is known; and the studies on the measured ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from greybox import Experiment, FitOptions, fit, simulate
+from fits import cascaded_tanks_discovery, emps_discovery, silverbox_discovery
+from fits.real_page import arguments
+from greybox import Experiment, FitOptions, fit, further, simulate
+from greybox.discovery import Bench
+from greybox.discovery.veto import held_out, surviving
 from greybox.effects import applicable, effect
 from greybox.signals import Named
 from greybox.transcription import record_of
@@ -17,6 +23,8 @@ NEW = {
     "displacement_damping", "cubic_damping", "directional_damping", "upper_overflow", "lower_overflow", "reading_curve",
     "sensor_saturation", "linear_input", "band_limited_input",
 }  # fmt: skip
+
+NOISE = 2e-5  # V, of simulated records of the circuit
 
 
 def rates(model, x, u, **values):
@@ -103,3 +111,69 @@ def test_friction_that_differs_by_direction_comes_back_from_arcs():
     assert found.parameters["M"].value == pytest.approx(mass, rel=1e-4)
     assert found.parameters["Fv"].value == pytest.approx((forward + backward) / 2, rel=1e-4)
     assert found.parameters["Ba"].value == pytest.approx((forward - backward) / 2, rel=1e-3)
+
+
+def shaken(model, seed, peak=0.3, rows=300):
+    """A record of the circuit under a smooth random input, with noise far below the smallest effect."""
+    generator = np.random.default_rng(seed)
+    u = np.convolve(generator.standard_normal(rows + 6), np.hanning(7), "valid")
+    record = Experiment("shaken", np.arange(rows) * 1e-3, {"u": peak * u / np.abs(u).max()}, {}, hold="first")
+    return simulate(model, record).record({"y": NOISE}, generator)
+
+
+@pytest.fixture(scope="module")
+def hardening():
+    """Records of a circuit with a large and a small effect, and the fit of the large one."""
+    truth = silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")
+    truth = truth.start(K3=7e5, K2=-2e4)
+    records = [shaken(truth, seed) for seed in (1, 2)]
+    few = replace(silverbox, candidates=("cubic_stiffness", "quadratic_stiffness", "constant_load"))
+    return fit(few + effect("cubic_stiffness"), records[0], noise={"y": NOISE}), records, few
+
+
+def test_going_on_finds_the_small_effect_and_stops(hardening):
+    large, (_, judge), plain = hardening
+    found = further(large, judge, plain=plain)
+    assert [step.name for step in found.steps] == ["quadratic_stiffness"]
+    assert found.steps[0].held_out > 0.5
+    assert found.fit.parameters["K2"].value == pytest.approx(-2e4, rel=0.02)
+    assert found.fit.validation["y"].rmse < 1.2 * NOISE
+    assert "quadratic_stiffness: takes" in str(found)
+
+
+def test_a_model_that_fails_on_other_records_gives_way(hardening):
+    large, (record, judge), plain = hardening
+    bench = Bench(plain, (record,), {"y": NOISE}, (), FitOptions())
+    right = bench.best(plain + effect("cubic_stiffness"), [large.model.values])
+    spoilt = plain + effect("constant_load")
+    # as if it had explained the fitted record better than any other
+    wrong = replace(bench.best(spoilt, [spoilt.values]), cost=0.5 * right.cost)
+    assert held_out(bench, right, [judge]) < 0.2 * held_out(bench, wrong, [judge])
+    assert surviving(bench, bench.base, wrong, [wrong, right], [judge]).effects == ("cubic_stiffness",)
+    assert surviving(bench, bench.base, right, [wrong, right], [judge]) is right
+    assert surviving(bench, bench.base, wrong, [wrong], [judge]) is wrong
+
+
+def test_the_studies_say_what_they_need(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["fits", str(tmp_path)])
+    with pytest.raises(SystemExit) as stopped:
+        arguments("emps_discovery", *emps_discovery.FILES)
+    assert stopped.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith("usage: python -m fits.emps_discovery [-h] [--output DOCS] FOLDER\n")
+    assert "has no train.csv, test.csv; give the folder of these records" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("module", "folder", "told"),
+    [
+        (silverbox_discovery, "silverbox", "the family is named, not the member"),
+        (emps_discovery, "emps", "**The classical offset imitated friction that differs by direction.**"),
+        (cascaded_tanks_discovery, "cascaded_tanks", "they form an ambiguity set"),
+    ],
+)
+def test_what_is_missing_is_found_on_measured_records(shared_data, module, folder, told):
+    done = module.study(shared_data / folder)
+    module.verdict(done)
+    assert told in "\n".join(module.section(done))

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.check import check
+from greybox.comparison import compare
 from greybox.reports import page_of, write
 from models.micro_actuator import micro_actuator
 
@@ -18,6 +20,7 @@ BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no browser to look with")
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed to open reports with")
 
+REST = gb.FitOptions(at_rest=True)
 HOSTILE = """<script>window.hurt=1</script></script>"><img src=x onerror="window.hurt=1">&amp;'`${1}"""
 
 
@@ -60,25 +63,57 @@ def report(good_fit, tmp_path_factory) -> Path:
     return write(page_of(good_fit, command=f"greybox fit {HOSTILE}"), tmp_path_factory.mktemp("report") / "fit.html")
 
 
-def test_the_page_draws_every_figure_and_stays_small(browser, report):
+@pytest.fixture(scope="module")
+def page(browser, report):
+    """The page of the fit on a wide screen, opened once: what one test zooms or switches, the next does not mind."""
+    with opened(browser, report) as one:
+        yield one
+
+
+def test_the_page_draws_every_figure_and_stays_small(page, report):
     assert report.stat().st_size < 6_000_000
-    with opened(browser, report) as page:
-        drawn = page.locator("figure.drawn")
-        assert drawn.count() >= 8
-        for k in range(drawn.count()):
-            assert drawn.nth(k).locator("svg.main-svg").count() > 0
-            assert len(drawn.nth(k).locator(".plot").get_attribute("aria-label")) > 20
+    drawn = page.locator("figure.drawn")
+    assert drawn.count() >= 8
+    for k in range(drawn.count()):
+        assert drawn.nth(k).locator("svg.main-svg").count() > 0
+        assert len(drawn.nth(k).locator(".plot").get_attribute("aria-label")) > 20
 
 
-def test_text_from_files_is_text(browser, report):
-    with opened(browser, report) as page:
-        assert page.evaluate("window.hurt") is None
-        assert page.locator("img").count() == 0
-        assert HOSTILE in page.locator("body").inner_text()
+def test_text_from_files_is_text(page):
+    assert page.evaluate("window.hurt") is None
+    assert page.locator("img").count() == 0
+    assert HOSTILE in page.locator("body").inner_text()
 
 
-def test_dark_and_light_follow_the_reader_and_the_button(browser, report):
-    with opened(browser, report, color_scheme="dark") as page:
+def test_a_button_switches_the_output_in_every_figure_of_the_record(page):
+    title = "document.querySelector('#{} .plot').layout.yaxis.title.text"
+    assert page.evaluate(title.format("spectrum-0")).startswith("x")
+    page.focus("#run-0 .choices button:nth-child(2)")
+    page.keyboard.press("Enter")
+    for figure, text in (("run-0", "i ["), ("residual-0", "residual of i"), ("spectrum-0", "i [")):
+        assert page.evaluate(title.format(figure)).startswith(text)
+        assert page.get_attribute(f"#{figure} .choices button:nth-child(2)", "aria-pressed") == "true"
+    page.click("#spectrum-0 .choices button:nth-child(1)")
+    assert page.evaluate(title.format("run-0")).startswith("x")
+
+
+def test_zooming_the_residual_zooms_the_run_and_renews_the_spectrum(page):
+    points = "document.querySelector('#spectrum-0 .plot').data[0].x.length"
+    before = page.evaluate(points)
+    page.evaluate("Plotly.relayout(document.querySelector('#residual-0 .plot'), {'xaxis.range': [0.3, 0.5]})")
+    page.wait_for_function("document.querySelector('#run-0 .plot').layout.xaxis.range[1] === 0.5")
+    page.wait_for_function(f"{points} !== {before}")
+    page.evaluate("Plotly.relayout(document.querySelector('#run-0 .plot'), {'xaxis.autorange': true})")
+    page.wait_for_function(f"{points} === {before}")
+
+
+def test_the_page_prints(page):
+    assert len(page.pdf(format="A4")) > 20_000
+
+
+def test_dark_and_light_follow_the_reader_and_the_button_on_a_phone_too(browser, report):
+    with opened(browser, report, color_scheme="dark", viewport={"width": 390, "height": 800}) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
         paper = "getComputedStyle(document.body).backgroundColor"
         dark = page.evaluate(paper)
         page.click("#theme")
@@ -86,19 +121,30 @@ def test_dark_and_light_follow_the_reader_and_the_button(browser, report):
         assert page.get_attribute("#theme", "aria-pressed") == "false"
 
 
-def test_zooming_the_residual_zooms_the_run_and_renews_the_spectrum(browser, report):
-    with opened(browser, report) as page:
-        before = page.evaluate("document.querySelector('#spectrum-0 .plot').data[0].x.length")
-        page.evaluate("Plotly.relayout(document.querySelector('#residual-0 .plot'), {'xaxis.range': [0.3, 0.5]})")
-        page.wait_for_function("document.querySelector('#run-0 .plot').layout.xaxis.range[1] === 0.5")
-        page.wait_for_function(f"document.querySelector('#spectrum-0 .plot').data[0].x.length !== {before}")
-
-
-def test_a_phone_shows_the_page_without_scrolling_sideways(browser, report):
-    with opened(browser, report, viewport={"width": 390, "height": 800}) as page:
-        assert page.evaluate("document.documentElement.scrollWidth") <= 390
-
-
-def test_the_page_prints(browser, report):
-    with opened(browser, report) as page:
-        assert len(page.pdf(format="A4")) > 20_000
+def test_every_kind_of_page_opens_and_is_drawn(browser, good_fit, tmp_path):
+    """Nothing in the console, nothing fetched, every figure drawn; one page after the other."""
+    t = 5e-4 * np.arange(400)
+    rig = (micro_actuator + gb.effect("cubic_stiffness")).start(K3=5e9)
+    records = [
+        gb.simulate(rig, gb.Experiment(n, t, {"u": s * np.sin((40 + 600 * t) * t)}, {}))
+        for n, s in (("a", 4), ("b", 3))
+    ]
+    noise = {"x": 2e-7, "i": 5e-3}
+    made = [r.record(noise, np.random.default_rng(k)) for k, r in enumerate(records)]
+    known = micro_actuator.fix("M", "Ra", "Kf", "Kv", "La")
+    found = gb.discover(
+        known, made[0], validation=made[1], noise=noise, effects=[gb.effect("cubic_stiffness")], options=REST
+    )
+    black = gb.arx(made[0], output="x", inputs=["u"], na=3, nb=3, nk=1)
+    compared = compare({HOSTILE: found.base, "with it": found.best, "arx": [black]}, made[1], training=made[0])
+    values = {
+        "check": (check(micro_actuator), {}), "discovery": (found, {}), "linear": (gb.linearise(found.best), {}),
+        "comparison": (compared, {"fits": {HOSTILE: found.base}}), "simulation": (records[0], {"model": rig}),
+    }  # fmt: skip
+    for name, (value, more) in values.items():
+        with opened(browser, gb.report(value, tmp_path / f"{name}.html", **more)) as page:
+            undrawn = [f.get_attribute("id") for f in page.locator("figure.drawn:not(:has(svg.main-svg))").all()]
+            assert page.locator("figure.drawn").count() > 0
+            assert not undrawn
+            assert page.evaluate("window.hurt") is None
+            assert page.evaluate("document.documentElement.scrollWidth") <= 1280

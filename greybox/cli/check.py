@@ -58,22 +58,15 @@ def check(
     DATA the model is driven by a random input. Writes DIR/check.json and DIR/report.html.
     """
     from greybox.check import check as check_model
-    from greybox.experiment import read_experiments
     from greybox.fitting import FitOptions
     from greybox.project import resolve
 
     plant = c.constrained(o.changed(resolve(model), effects=effect, fix=fix, start=start, free=free), (), tie)
     columns = o.pairs("--column", column) or None
     o.check_substeps(plant, method, substeps)
-    stated = c.from_files(condition)
-    records = (
-        read_experiments(
-            data, plant, columns=columns, hold=hold.value, conditions=stated, allow_constant_input=free_decay
-        )
-        if data
-        else ()
+    records, _ = c.read_under(
+        condition, plant, data or (), columns=columns, hold=hold.value, allow_constant_input=free_decay
     )
-    records, _ = c.under_conditions(condition, records, ())
     choice = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps)
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-check")
     only = [name for text in outputs for name in text.replace(",", " ").split()] or None

@@ -112,15 +112,9 @@ def compare(
     o.check_substeps(plants[0], method, substeps)
     folder = o.writable_folder(output or Path("results") / f"{plain.name}-compare")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
-    stated = c.from_files(condition)
-    records, judges, hushed = (
-        read_experiments(
-            files, plain, columns=columns, hold=hold.value, conditions=None if files is quiet else stated,
-            allow_constant_input=free_decay or files is quiet,
-        ) if files else ()
-        for files in (train, validate, quiet)
-    )  # fmt: skip
-    records, judges = c.under_conditions(condition, records, judges)
+    how: dict[str, Any] = {"columns": columns, "hold": hold.value}
+    records, judges = c.read_under(condition, plain, train, validate, **how, allow_constant_input=free_decay)
+    hushed = read_experiments(quiet, plain, **how, allow_constant_input=True) if quiet else ()
     o.check_skip(skip, judges)
     refuse_other_steps(records, judges, [q.name for q in plain.outputs])
     if not silent:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -101,21 +102,32 @@ def constrained(model: Model, prior: Iterable[str], tie: Iterable[str]) -> Model
     return model.prior(**priors).with_ties(pairs("--tie", tie))
 
 
-def from_files(condition: Sequence[str]) -> dict[str, None]:
-    """The conditions that each file states itself, for `greybox.experiment.read_experiments`. Raises GreyboxError."""
-    bare = [text.strip() for text in condition if "=" not in text]
-    both = sorted(set(bare) & {text.partition("=")[0].strip() for text in condition if "=" in text})
+def read_under(
+    condition: Sequence[str], model: Model, data: Sequence[Path], validate: Sequence[Path] = (), **how: Any
+) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
+    """The records in ``data`` and those in ``validate``, each with its conditions: from its file, or as the command line has them.
+
+    ``how``: further arguments of `greybox.experiment.read_experiments`. Raises GreyboxError.
+    """
+    from greybox.experiment import read_experiments
+
+    stated = dict.fromkeys(text.strip() for text in condition if "=" not in text)
+    given = pairs("--condition", (text for text in condition if "=" in text))
+    both = [name for name in stated if name in given]
     if both:
         raise GreyboxError(f"--condition {both[0]}: given with values and from the files; keep one")
-    return dict.fromkeys(bare)
+    records, judges = (
+        read_experiments(files, model, conditions=stated, **how) if files else () for files in (data, validate)
+    )
+    return _under(given, records, judges)
 
 
-def under_conditions(
-    condition: Sequence[str], records: Sequence[Experiment], judges: Sequence[Experiment]
+def _under(
+    given: Mapping[str, str], records: Sequence[Experiment], judges: Sequence[Experiment]
 ) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
-    """The records and those for validation, each with the conditions that have values on the command line. Raises GreyboxError."""
+    """The records and those for validation, each with the values ``given`` for it, separated by commas."""
     everything = [*records, *judges]
-    for name, text in pairs("--condition", (one for one in condition if "=" in one)).items():
+    for name, text in given.items():
         values = [numbers("--condition", [f"{name}={one.strip()}"])[name] for one in text.split(",")]
         if len(values) not in (len(records), len(everything)):
             raise GreyboxError(

@@ -73,13 +73,7 @@ def discover(
     plant = o.changed(resolve(model), fix=fix, start=start, free=free)
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-discover")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
-    records, judges = (
-        read_experiments(files, plant, columns=columns, hold=hold.value, conditions=c.from_files(condition))
-        if files
-        else ()
-        for files in (estimation, validate)
-    )
-    records, judges = c.under_conditions(condition, records, judges)
+    records, judges = c.read_under(condition, plant, estimation, validate, columns=columns, hold=hold.value)
     silent = (
         read_experiments(quiet, plant, columns=columns, hold=hold.value, allow_constant_input=True) if quiet else ()
     )

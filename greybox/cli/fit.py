@@ -94,17 +94,10 @@ def fit(
     o.check_substeps(plant, method, substeps)
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-fit")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
-    stated = c.from_files(condition)
-    records, judges = (
-        read_experiments(
-            files, plant, columns=columns, hold=hold.value, conditions=stated, allow_constant_input=free_decay
-        )
-        if files
-        else ()
-        for files in (data, validate)
+    records, judges = c.read_under(
+        condition, plant, data, validate, columns=columns, hold=hold.value, allow_constant_input=free_decay
     )
     hushed = read_experiments(quiet, plant, columns=columns, allow_constant_input=True) if quiet else ()
-    records, judges = c.under_conditions(condition, records, judges)
     o.check_skip(skip, judges)
     if not silent:  # those of the fitted records stand in the result, but for JSON
         tell_notes(*((records, judges) if json else (judges,)))
@@ -124,7 +117,7 @@ def fit(
     with held():
         saved = result.save(folder / "fit.json")
     tests = None if interrupted else _tested(result)
-    more = [] if interrupted or silent or json else i.further(result, profiled, bootstrap)
+    more = [] if interrupted or silent or json else [*i.closing(result), *i.further(result, profiled, bootstrap)]
     ahead = [] if interrupted or silent or json else p.predicted(result, judges, predict, skip)
     _tell(result, tests, [*more, *ahead], saved, skip, quiet=silent, json=json)
     if interrupted or result.status == "interrupted":

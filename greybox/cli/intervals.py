@@ -1,4 +1,6 @@
-"""Options of a fit for intervals that do not lean on the curvature at the optimum: profile likelihood and the block bootstrap."""
+"""Of a fit: what would tell the constants it left open, and the options for intervals that do not lean on the curvature at the optimum,
+profile likelihood and the block bootstrap.
+"""
 
 from __future__ import annotations
 
@@ -49,6 +51,13 @@ def check(model: Model, profiles: Iterable[str], replicates: int) -> tuple[str, 
     if 0 < replicates < FEWEST:
         raise GreyboxError(f"--bootstrap {replicates}: too few replicates for a 95 % interval; give {FEWEST} or more")
     return names
+
+
+def closing(result: Fit) -> list[str]:
+    """Lines on what would determine the constants that the records left open."""
+    from greybox.identifiability import missing_knowledge
+
+    return [f"{'remedy' if k == 0 else 'or'}: {text}" for k, text in enumerate(missing_knowledge(result))]
 
 
 def further(result: Fit, profiles: Iterable[str], replicates: int) -> list[str]:

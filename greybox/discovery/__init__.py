@@ -3,6 +3,7 @@
 from greybox.discovery.attempt import Attempt, drop_effect, try_effect
 from greybox.discovery.bench import Bench, Trial
 from greybox.discovery.find import discover
+from greybox.discovery.further import Deepened, Further, further
 from greybox.discovery.gap import Gap
 from greybox.discovery.look import Signal, Site, Unexplained, unexplained
 from greybox.discovery.missing import Missing
@@ -13,7 +14,7 @@ from greybox.discovery.stand_in import StandIn
 from greybox.discovery.when import Window
 
 __all__ = [
-    "Attempt", "Bench", "Discovery", "Gap", "Missing", "Rank", "Region", "Signal", "Site", "Spectrum", "StandIn", "Trial", "Unexplained",
-    "Window",
-    "discover", "drop_effect", "residual_spectrum", "try_effect", "unexplained",
+    "Attempt", "Bench", "Deepened", "Discovery", "Further", "Gap", "Missing", "Rank", "Region", "Signal", "Site", "Spectrum", "StandIn",
+    "Trial", "Unexplained", "Window",
+    "discover", "drop_effect", "further", "residual_spectrum", "try_effect", "unexplained",
 ]  # fmt: skip

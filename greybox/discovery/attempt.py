@@ -83,7 +83,8 @@ def try_effect(
     scales = scales_along(trial)
     added = tailored(effect(candidate) if isinstance(candidate, str) else candidate, scales)
     model = fit.model + added
-    found = bench.best(model, candidate_starts(model, added, trial, nominal or fit.model, scales), KEPT)
+    starts = [model.values, *candidate_starts(model, added, trial, nominal or fit.model, scales)]
+    found = bench.best(model, starts, KEPT, like=trial)
     if found is None:
         raise DataError(
             f"effect {added.name!r}: the extended model overflows from every start; state the effect's bounds"
@@ -99,7 +100,7 @@ def drop_effect(fit: Fit, name: str, *, validation: Experiment | Sequence[Experi
     bench = Bench.of(fit)
     smaller = fit.model.without(name)
     values = {n: value for n, value in fit.model.values.items() if n in smaller.values}
-    found = bench.best(smaller, [values])
+    found = bench.best(smaller, [values], like=bench.at(fit))
     if found is None:
         raise DataError(f"model {smaller.title!r} overflows from the constants of {fit.model.title!r}")
     return _attempt(name, bench, found, bench.at(fit), validation)

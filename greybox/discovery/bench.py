@@ -118,9 +118,19 @@ class Bench:
         pairs = zip(self.plain.outputs, self._noise.std, strict=True)
         return {o.name: float(std) for o, std in pairs if o.name in measured}
 
-    def best(self, model: Model, starts: Iterable[Start], keep: int = 2, iterations: int = ITERATIONS) -> Trial | None:
-        """``model`` refitted from the most promising ``keep`` of ``starts``; None where none of them can be simulated."""
-        return self.every([Job(model, tuple(starts), keep, iterations)])[0]
+    def best(
+        self,
+        model: Model,
+        starts: Iterable[Start],
+        keep: int = 2,
+        iterations: int = ITERATIONS,
+        like: Trial | None = None,
+    ) -> Trial | None:
+        """``model`` refitted from the most promising ``keep`` of ``starts``; None where none of them can be simulated.
+
+        The records begin as in the trial ``like``, where that has the state.
+        """
+        return self.every([Job(model, tuple(starts), keep, iterations, _beginning(like))])[0]
 
     def every(self, jobs: Sequence[Job]) -> list[Trial | None]:
         """Independent refits, wherever they are done."""
@@ -128,7 +138,7 @@ class Bench:
 
     def refitted(self, job: Job) -> Trial | None:
         """One refit, here and now. Raises KeyboardInterrupt where the user ended it."""
-        problem = self.problem(job.model)
+        problem = _beginning_as(self.problem(job.model), job.beginning)
         ranked = sorted(
             (point for s in job.starts if (point := _promise(problem, s)) is not None), key=lambda point: point[0]
         )
@@ -155,10 +165,28 @@ class Bench:
         """The same for another process: with the noise as it is known here, and without a journal or an executor."""
         return Bench(self.plain, self.experiments, self.known_noise, (), self.options)
 
-    def promise(self, model: Model, starts: Iterable[Start]) -> float:
-        """The lowest cost that a Gauss-Newton step from any of ``starts`` foresees."""
-        problem = self.problem(model)
+    def promise(self, model: Model, starts: Iterable[Start], like: Trial | None = None) -> float:
+        """The lowest cost that a Gauss-Newton step from any of ``starts`` foresees; ``like`` as in `best`."""
+        problem = _beginning_as(self.problem(model), _beginning(like))
         return min((point[0] for s in starts if (point := _promise(problem, s)) is not None), default=np.inf)
+
+
+def _beginning(trial: Trial | None) -> dict[str, tuple[float, ...]]:
+    """The value of each state at the first row of each record, of a finished trial."""
+    if trial is None:
+        return {}
+    columns = trial.variables.initial.guess.T.tolist()
+    return dict(zip(trial.model.system.state_names, map(tuple, columns), strict=True))
+
+
+def _beginning_as(problem: Problem, beginning: Mapping[str, Sequence[float]]) -> Problem:
+    """The same problem with another first guess of some initial states."""
+    guess = problem.variables.initial.guess.copy()
+    for j, name in enumerate(problem.model.system.state_names):
+        if name in beginning:
+            guess[:, j] = beginning[name]
+    initial = replace(problem.variables.initial, guess=guess)
+    return replace(problem, variables=replace(problem.variables, initial=initial))
 
 
 def _trial(model: Model, solution: Solution) -> Trial:

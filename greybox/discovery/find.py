@@ -23,6 +23,7 @@ from greybox.discovery.result import Discovery, Rank
 from greybox.discovery.search import Say, Search
 from greybox.discovery.separate import Separation, separations
 from greybox.discovery.stand_in import StandIn, stand_in
+from greybox.discovery.veto import surviving
 from greybox.discovery.words import story
 from greybox.effects import Scales, applicable, tailored
 from greybox.errors import DataError
@@ -163,6 +164,8 @@ def _evidence(
         chosen = search.run()
     else:
         search, chosen = _with_unknown_noise(search, say)
+    if chosen.effects:
+        chosen = surviving(search.bench, search.base, chosen, list(search.tried.values()), judges, skip)
     rivals = search.rivals(chosen) if chosen.effects else []
     final = search.form.get(frozenset(chosen.effects), chosen)
     base, best = (judged(t, bench, judges, skip) for t in (search.base, final))

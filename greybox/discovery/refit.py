@@ -29,12 +29,16 @@ PAYS = 20.0
 
 @dataclass(frozen=True)
 class Job:
-    """One refit: ``model`` from the ``keep`` most promising of ``starts``, ``iterations`` at most."""
+    """One refit: ``model`` from the ``keep`` most promising of ``starts``, ``iterations`` at most.
+
+    ``beginning``: first guess of states at the first row of each record, by name; of the others as the model and the record say.
+    """
 
     model: Model
     starts: tuple[Mapping[str, float], ...]
     keep: int
     iterations: int
+    beginning: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -167,7 +171,8 @@ def key_of(bench: Bench, job: Job) -> str:
         str(ca.vertcat(*map(ca.vec, system.deterministic))), str(system.diffusion),
         [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in job.model.all_parameters],
         [(s.name, s.bounds) for s in job.model.all_states],
-        [sorted(s.items()) for s in job.starts], job.keep, job.iterations,
+        [sorted(s.items()) for s in job.starts], job.keep, job.iterations, sorted(job.beginning.items()),
+        [e.hold for e in job.model.effects],  # the equations do not show it
         [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in bench.experiments],
         noise.std.tolist(), [c.reflection for c in noise.colour], sorted(asdict(bench.options).items()), sorted(versions().items()),
     ]  # fmt: skip

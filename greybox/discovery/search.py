@@ -10,7 +10,7 @@ from greybox.discovery.bench import ITERATIONS, Bench, Start, Trial
 from greybox.discovery.colour import LEFT_OVER, remainder
 from greybox.discovery.form import refined
 from greybox.discovery.refit import Job
-from greybox.discovery.starts import LADDER, candidate_starts, child_starts
+from greybox.discovery.starts import LADDER, candidate_starts, child_starts, count_shapes
 from greybox.effects import Scales
 from greybox.model import Effect, Model
 
@@ -20,6 +20,8 @@ BEAM, SECONDS, MOST_EFFECTS = 3, 5, 3
 SHORT, LEADING, GENERATIONS = 12, 5, 2
 # Models with a further effect that are refitted to convergence.
 FINISHED = 3
+# Shapes of one effect from which each is refitted.
+MANY_SHAPES = 15
 # Effects put in the place of one that was chosen, refitted.
 SWAPS = 4
 
@@ -139,7 +141,10 @@ class Search:
         jobs = []
         for _, e in new:
             model = trial.model + e
-            jobs.append(Job(model, tuple(self._starts(trial, e, model)), 1, SHORT))
+            starts, shapes = self._starts(trial, e, model), count_shapes(e, self.scales)
+            # Where there are so many shapes (frequencies of a sharp resonance), a step from afar foresees nothing: refit from each.
+            narrow = shapes > MANY_SHAPES and not trial.effects
+            jobs.append(Job(model, tuple(starts), shapes if narrow else 1, SHORT))
         for (key, _), found in zip(new, self.bench.every(jobs), strict=True):
             if found is not None:
                 self.tried[key] = found
@@ -152,7 +157,8 @@ class Search:
         if seed is not None:  # refitted before, with another idea of the noise
             starts = [seed.model.values]
         else:
-            starts = [*more, *candidate_starts(model, effect, trial, self.bench.plain, self.scales)]
+            nominal = trial.model if count_shapes(effect, self.scales) > MANY_SHAPES else self.bench.plain
+            starts = [*more, *candidate_starts(model, effect, trial, nominal, self.scales)]
         for name in effect.parents:
             parent = self.tried.get(frozenset((*trial.effects, name)))
             if parent is not None:

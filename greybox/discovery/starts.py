@@ -49,6 +49,11 @@ def child_starts(model: Model, child: Effect, parent: Trial, parent_effect: Effe
         yield {**kept, **{own[name]: _inside(model, own[name], value) for name, value in start.items()}}
 
 
+def count_shapes(effect: Effect, scales: Scales) -> int:
+    """How many combinations of shape values an effect is begun with."""
+    return len(_shapes(effect, scales))
+
+
 def _shapes(effect: Effect, scales: Scales) -> Sequence[Mapping[str, float]]:
     """Every combination of the effect's shape values; one empty one where it has no shape."""
     grid = effect.grid(scales) if effect.grid else {}

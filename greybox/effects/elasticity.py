@@ -77,7 +77,8 @@ def _second_grid(s: Scales) -> Mapping[str, list[float]]:
     middle = (low * high) ** 0.5
     return {
         "m2": [m2],
-        "k2": [m2 * w**2 for w in spread(low, high, 8)],
+        # Neighbours a quarter apart: a refit finds a sharp resonance only from nearby.
+        "k2": [m2 * w**2 for w in spread(low, high, 16)],
         "c2": [2 * SECOND_DAMPING * m2 * middle],
     }
 

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from greybox.comparison import Comparison, Entry, Run
 from greybox.figures.envelope import envelope
+from greybox.figures.files import save
 from greybox.figures.scale import label, scaled
 
 MEASURED = "#b0b0b0"
@@ -20,14 +21,13 @@ MEASURED = "#b0b0b0"
 GREY = ("#c0392b", "#e67e22", "#b7950b", "#8e44ad")
 BLACK = ("#1f5a8a", "#16a085", "#5d6d7e", "#2e86c1", "#1e8449", "#17202a", "#76448a")
 ZOOM_ROWS = 200
-DPI = 110
 DECADE = 10.0  # ratio of the largest to the smallest error, from which bars have a logarithmic axis
 BEYOND = 1e100  # size from which a run is no longer drawn
 FAR = 2.0  # ranges of the measured signal, beyond which a run is cut off
 
 
 def comparison_figure(comparison: Comparison, directory: str | Path) -> list[Path]:
-    """Draw each validation record (each training record where there is no other) as ``comparison-<record>.png``.
+    """Draw each validation record (each training record where there is no other) as ``comparison-<record>.png``, with an SVG beside it.
 
     For each output: measured and every model's free run around its liveliest stretch, the free-run errors over the whole record, and
     bars of the free-run and the one-step error, best first. Returns the files.
@@ -39,7 +39,7 @@ def comparison_figure(comparison: Comparison, directory: str | Path) -> list[Pat
         file = folder / f"comparison-{re.sub(r'[^A-Za-z0-9_.-]+', '_', record)}.png"
         if file in files:
             file = file.with_stem(f"{file.stem}-{len(files) + 1}")
-        _draw(comparison, record).savefig(file, dpi=DPI)
+        save(_draw(comparison, record), file)
         files.append(file)
     return files
 

@@ -12,22 +12,22 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from greybox.figures.envelope import envelope
+from greybox.figures.files import save
 from greybox.figures.scale import label, scaled
 from greybox.fitting.traces import misfit
 from greybox.result import Fit, Misfit, Trace
 
 MEASURED, SIMULATED, RESIDUAL, BAND = "#9a9a9a", "#c0392b", "#1f5a8a", "#dcdcdc"
 ZOOM_ROWS = 200  # rows of the closer look
-DPI = 110
 
 
 def fit_figure(fit: Fit, directory: str | Path, *, skip: int = 0) -> list[Path]:
-    """Draw each record of ``fit`` into ``directory`` as PNG: ``fit-<record>.png`` and ``validation-<record>.png``.
+    """Draw each record of ``fit`` into ``directory`` as PNG, ``fit-<record>.png`` and ``validation-<record>.png``, with SVGs beside.
 
     For each output: measured and simulated over the whole record, a closer look at its liveliest stretch, and below
     both the residual (measured minus simulated) with a band of two standard deviations of the noise, where that is
     known. The title has the record's own misfit, for validation records without their first ``skip`` rows. Returns the
-    files, in the order of the records.
+    PNG files, in the order of the records.
     """
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
@@ -38,7 +38,7 @@ def fit_figure(fit: Fit, directory: str | Path, *, skip: int = 0) -> list[Path]:
             if file in files:
                 file = file.with_stem(f"{file.stem}-{len(files) + 1}")
             own = misfits_of(fit, trace, skip if kind == "validation" else 0)
-            _draw(fit, trace, own, kind).savefig(file, dpi=DPI)
+            save(_draw(fit, trace, own, kind), file)
             files.append(file)
     return files
 

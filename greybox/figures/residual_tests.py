@@ -15,7 +15,8 @@ from scipy.stats import norm, probplot
 
 from greybox.diagnose import ResidualSeries, ResidualTest, ResidualTests
 from greybox.figures.envelope import envelope
-from greybox.figures.of_fit import BAND, DPI, RESIDUAL, SIMULATED
+from greybox.figures.files import save
+from greybox.figures.of_fit import BAND, RESIDUAL, SIMULATED
 from greybox.figures.scale import written
 from greybox.noise import AutoRegression
 
@@ -27,7 +28,7 @@ TITLE_WIDTH = 85  # characters of a title above one panel
 
 
 def residual_figure(tests: ResidualTests, directory: str | Path, *, title: str = "") -> list[Path]:
-    """Draw the tests of each output into ``directory`` as PNG, ``residual-<output>.png``; returns the files.
+    """Draw the tests of each output into ``directory`` as PNG, ``residual-<output>.png``, with an SVG beside it; returns the PNG files.
 
     Panels: the autocorrelation with the band that white noise stays in (95 %); the correlation with each input that moves, later
     and earlier, with a band that the residual's own colour widens; the residual against a normal one; and its mean and spread along
@@ -39,7 +40,7 @@ def residual_figure(tests: ResidualTests, directory: str | Path, *, title: str =
     for output, series in tests.residuals.items():
         file = folder / f"residual-{re.sub(r'[^A-Za-z0-9_.-]+', '_', output)}.png"
         own = [t for t in tests.tests if t.output == output]
-        _draw(output, series, own, title).savefig(file, dpi=DPI)
+        save(_draw(output, series, own, title), file)
         files.append(file)
     return files
 

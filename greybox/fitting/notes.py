@@ -91,7 +91,7 @@ def notes(
     result += _excess(solution, misfit)
     result += not_constant(moves)
     coloured = [n for n, m in misfit.items() if m.noise_ratio > LITTLE and correlation(runs, n) > COLOURED]
-    if found.kind == SANDWICH and coloured and found.inflation is not None and len(found.inflation):
+    if found.kind == SANDWICH and coloured and found.inflation is not None and np.isfinite(found.inflation).any():
         result.append(
             f"the residual of {', '.join(coloured)} is correlated from sample to sample: the intervals allow for it, and are up to"
             f" {np.nanmax(found.inflation):.2g} times as wide as white noise would make them"

@@ -64,7 +64,7 @@ def notes(
     result += not_constant(moves)
     result += [told(model, problem, i, estimates[i.name]) for i in intensities]
     kind, inflation = spread.constants.kind, spread.constants.inflation
-    if kind == SANDWICH and inflation is not None and len(inflation):
+    if kind == SANDWICH and inflation is not None and np.isfinite(inflation).any():
         result.append(
             "the innovations are correlated from sample to sample: the model and its noise lack something still; the intervals"
             f" allow for it, and are up to {np.nanmax(inflation):.2g} times as wide as white innovations would make them"

@@ -12,11 +12,13 @@ from greybox.experiment import Experiment
 from greybox.fitting.choose import choose
 from greybox.fitting.options import FitOptions, options_given
 from greybox.fitting.problem import Problem, initial_states, prepare
+from greybox.fitting.refine import HALVINGS, finer
 from greybox.fitting.robust import robustly
 from greybox.fitting.solve import solve
 from greybox.fitting.traces import misfits, traces
 from greybox.model import Model
 from greybox.result import Misfit, Trace
+from greybox.transcription import Variables
 
 # Rows from which the initial state of a validation record is estimated, if `skip` does not say.
 FIRST_ROWS = 50
@@ -68,9 +70,21 @@ def validate(
                 replace(options, transcription="single", progressive=False),
             )
             variables = robustly(solve(beginning, single), single, None).variables
+        problem = _fine_enough(problem, variables, options)
         runs = tuple(problem.shooting(variables).simulate(np.zeros(variables.size)))
     found = traces(problem, runs)
     return Validation(misfits(problem, found, skip), found)
+
+
+def _fine_enough(problem: Problem, variables: Variables, options: FitOptions) -> Problem:
+    """The same problem with a step that is as small for these records as a fit to them would have made it."""
+    for _ in range(HALVINGS):
+        evaluation = problem.shooting(variables).evaluate(np.zeros(variables.size))
+        smaller, _ = finer(problem, variables, evaluation, options)
+        if smaller is None:
+            break
+        problem = smaller
+    return problem
 
 
 def _beginning(problem: Problem, rows: int) -> Problem:

@@ -19,6 +19,7 @@ GREEK = {
 }  # fmt: skip
 KNOWN_TO_LATEX = {"exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh", "min", "max"}
 RELATIONS = {ca.OP_LT: "<", ca.OP_LE: r"\le", ca.OP_EQ: "=", ca.OP_NE: r"\ne", ca.OP_AND: r"\wedge", ca.OP_OR: r"\vee"}
+SQUARE = re.compile(r"\{([^{}]+)\}\^\{2\}$")
 PARTS = re.compile(r"([A-Za-z]+?)_?(\d+|(?<=[A-Z])[a-z]+)?$")
 
 
@@ -97,6 +98,10 @@ def _add(values: list[Piece]) -> Piece:
 
 def _times(values: list[Piece]) -> Piece:
     first, second = (v.within(PRODUCT) for v in values)
+    square = SQUARE.match(second)
+    if square and (first == square.group(1) or first.endswith(rf"\,{square.group(1)}")):  # x x^2
+        base = square.group(1)
+        return Piece(f"{first.removesuffix(base)}{{{base}}}^{{3}}", PRODUCT)
     between = r"\cdot " if second[0].isdigit() else r"\,"
     return Piece(first + between + second, PRODUCT)
 

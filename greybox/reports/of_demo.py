@@ -28,11 +28,11 @@ def report_of_demo(demo: Demo, *, command: str = "") -> Page:
     found = demo.discovery
     best = found.best
     sections = [
-        Section("fit", "1. The model as it was", list(_plain(demo))),
+        Section("fit", "The model as it was", list(_plain(demo))),
         *discovery_sections(found),
         Section("constants", "The constants beside the truth", [_constants(demo)]),
         Section("model", "The extended model", [typeset(best.model)]),
-        Section("errors", "3. Beside black boxes", list(_beside(demo))),
+        Section("errors", "Beside black boxes", list(_beside(demo))),
         *linear_sections(demo.plant, None),
         records_section([*best.traces], [*best.validation_traces], best),
         repeat_section(best, command),

@@ -6,6 +6,7 @@ import gzip
 import json
 from base64 import b64encode
 from functools import cache
+from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from latex2mathml.converter import convert
 from markupsafe import Markup
 
 from greybox.errors import DataError
-from greybox.reports.page import Block, Figure, Folded, Page
+from greybox.reports.page import Block, Figure, Folded, Page, View
 
 LARGEST = 6_000_000  # bytes of a page: what an e-mail still carries
 PACKING = 1  # of Plotly: higher levels save 200 kB and cost a quarter of a second on every page
@@ -67,21 +68,32 @@ def mathml(latex: str) -> Markup:
 def embedded(figure: Figure) -> Markup:
     """What the page's script needs of a figure, as JSON that cannot end the script element it stands in."""
     content = {
-        "data": _plain(figure.data), "layout": _plain(figure.layout), "group": figure.group,
-        "switch": figure.switch, "views": [{"name": name, **_plain(vars(view))} for name, view in figure.views.items()],
+        "data": _plain(figure.data, shown=True), "layout": _plain(figure.layout, shown=True), "group": figure.group,
+        "switch": figure.switch, "views": [{"name": name, **_view(view)} for name, view in figure.views.items()],
     }  # fmt: skip
     text = json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=True)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
-def _plain(value: Any) -> Any:
-    """Arrays as lists, numbers in six digits, what is not finite as null (a gap in a curve)."""
+def _view(view: View) -> dict[str, Any]:
+    return {
+        "traces": list(view.traces), "layout": _plain(view.layout, shown=True), "signals": _plain(view.signals)
+    }  # fmt: skip
+
+
+def _plain(value: Any, *, shown: bool = False) -> Any:
+    """Arrays as lists, numbers in six digits, what is not finite as null (a gap in a curve).
+
+    ``shown``: texts are for Plotly, which takes some tags in them as markup; they are escaped, but for the templates of ours.
+    """
     if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): _plain(v, shown=shown and k != "hovertemplate") for k, v in value.items()}
+    if isinstance(value, str):
+        return escape(value, quote=False) if shown else value
     if isinstance(value, np.ndarray):
         return _short(value) if value.dtype.kind == "f" else value.tolist()
     if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
+        return [_plain(v, shown=shown) for v in value]
     if isinstance(value, (float, np.floating)):
         return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
     return int(value) if isinstance(value, np.integer) else value

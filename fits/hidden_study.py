@@ -1,0 +1,94 @@
+"""How often is the hidden effect named? Cases that the program was not tuned to, each answered by `greybox.discover` and two baselines.
+
+    python -m fits.hidden_study FOLDER [--cases 200] [--first 1000] [--rows 1200] [--page]
+
+Six of ten cases hide one effect, one each two effects, none, one that the catalogue does not have, and a relative of one whose form
+differs (`fits.hidden_cases`, simulated without greybox). Every case leaves FOLDER/NNNN.json, so the study goes on where it was
+stopped. ``--page`` writes docs/discovery_study.md and its figure from what FOLDER holds, bad results included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import greybox as gb
+from fits.hidden_baselines import by_correlation, by_sparse_regression
+from fits.hidden_cases import Case, make
+from fits.hidden_page import write
+from greybox.project import resolve
+
+# Kinds of ten cases in a row.
+KINDS = ("single", "single", "pair", "single", "complete", "single", "relative", "single", "outside", "single")
+CASES, FIRST, ROWS = 200, 1000, 1200
+
+
+def study(folder: Path, cases: int, first: int, rows: int) -> None:
+    """Every case that FOLDER does not have yet, one after the other."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed in range(first, first + cases):
+        file = folder / f"{seed:04d}.json"
+        if file.exists():
+            continue
+        try:
+            case = make(seed, KINDS[seed % len(KINDS)], rows)
+        except OverflowError:  # drawn so strong that the rig flies apart: no case
+            continue
+        text = json.dumps(answered(case), indent=1) + "\n"
+        part = file.with_suffix(".part")
+        part.write_text(text, encoding="utf-8")
+        part.rename(file)
+
+
+def answered(case: Case) -> dict[str, Any]:
+    """What `discover` and the baselines say to one case, beside the truth."""
+    model = resolve(case.model).fix(**case.known).start(**case.start)
+    options = gb.FitOptions(at_rest=True)
+    began = time.process_time()
+    found = gb.discover(
+        model, case.estimation, validation=case.validation, noise=case.noise, quiet=case.quiet or (), options=options
+    )
+    seconds = time.process_time() - began
+    worst = max(found.gap.values(), key=lambda g: g.before / g.floor)
+    return {
+        "name": case.name, "kind": case.kind, "rig": case.model, "truth": {n: dict(v) for n, v in case.effects.items()},
+        "right": case.right, "verdict": found.verdict, "said": [e["name"] for e in found.effects],
+        "alternatives": found.alternatives, "sites": list(found.sites),
+        "base": max(g.before / case.sigma[o] for o, g in found.gap.items()), "closed": worst.closed,
+        "curve": found.stand_in.closed if found.stand_in else None, "constants": _constants(case, found.effects),
+        "seconds": seconds, "colour": case.colour, "correlation": by_correlation(found.base, model, case),
+        "sparse": by_sparse_regression(model, case),
+    }  # fmt: skip
+
+
+def _constants(case: Case, effects: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Estimate, standard deviation and truth of every constant of the effects that were named rightly."""
+    return [
+        {"effect": e["name"], "name": q, "truth": case.effects[e["name"]][q], **c}
+        for e in effects
+        if e["name"] in case.effects
+        for q, c in e["parameters"].items()
+        if q in case.effects[e["name"]]
+    ]
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("folder", type=Path)
+    arguments.add_argument("--cases", type=int, default=CASES)
+    arguments.add_argument("--first", type=int, default=FIRST)
+    arguments.add_argument("--rows", type=int, default=ROWS)
+    arguments.add_argument("--page", action="store_true", help="write the page from what the folder holds")
+    chosen = arguments.parse_args()
+    if not chosen.page:
+        study(chosen.folder, chosen.cases, chosen.first, chosen.rows)
+    rows = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(chosen.folder.glob("*.json"))]
+    write(rows, Path(__file__).resolve().parents[1] / "docs", chosen.rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,52 @@
+"""What the studies on measured records share: their command line, and the page `real_data.md` that they write."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from fits.paper_page import write_section
+from greybox import Discovery
+from greybox.discovery import Deepened
+
+PAGE = "real_data.md"
+TITLE = """# What is missing, on measured records
+
+Three public benchmarks (nonlinearbenchmark.org), each begun from the plain model with nothing told. The records are not part of this
+project. Every number was computed by `python -m fits.real_data FOLDER`, with the folders `silverbox`, `emps` and `cascaded_tanks`
+below FOLDER; one part by `python -m fits.silverbox_discovery`, `fits.emps_discovery` or `fits.cascaded_tanks_discovery`. Constants and
+choices come from the training record alone, part of which is kept back to choose by; the test records are looked at once, at the end.
+All errors are those of free runs, as root mean squares.
+
+The verdict is *unknown* on each of the three: the large effects are found and close most of the gap, but what is left stays above the
+sensors' noise, so that no model is complete, and that is what the word says.
+"""
+
+
+def arguments(study: str, *files: str) -> tuple[Path, Path]:
+    """The folder of the records and the folder of the page from the command line; without the files a usage line and exit code 2."""
+    parser = argparse.ArgumentParser(prog=f"python -m fits.{study}")
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help=f"folder with {', '.join(files)}")
+    parser.add_argument("--output", metavar="DOCS", type=Path, default=Path("docs"), help="folder of the page (docs)")
+    given = parser.parse_args()
+    missing = [name for name in files if not (given.folder / name).is_file()]
+    if missing:
+        parser.error(f"{given.folder} has no {', '.join(missing)}; give the folder of these records")
+    return given.folder, given.output
+
+
+def write(folder: Path, name: str, parts: Sequence[str]) -> Path:
+    """Put the paragraphs ``parts`` as the part ``name`` into the page."""
+    return write_section(folder, name, "\n\n".join(parts), PAGE, TITLE)
+
+
+def told(found: Discovery, deeper: Deepened | None = None) -> str:
+    """The finding in its own words, then each further effect, as a list."""
+    lines = [f"`greybox discover` (verdict *{found.verdict}*): {found.story}"]
+    if deeper is not None:
+        lines += [f"- {step}" for step in deeper.steps] or [
+            "- `further`: no other effect gains on records not used for it"
+        ]
+        lines.insert(1, "")
+    return "\n".join(lines)

@@ -1,0 +1,149 @@
+"""Going on: further effects on measured records, where each may be small beside the first and nothing ever reaches the noise.
+
+A search over simulated rigs ends at the noise. Measured records hardly do: what an electronic circuit or a tank does beyond its
+first two effects lies a hundred times below the first misfit and still above the noise. Here an effect is demanded if it takes a
+share of what is *left* on the records that are fitted, and on validation records, which none of its constants has seen. Where
+several do, the validation records decide. They are thereby used for the choice: the figure to quote comes from a third record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.discovery import rules
+from greybox.discovery.attempt import judged, scales_along
+from greybox.discovery.bench import Bench, Start, Trial
+from greybox.discovery.starts import candidate_starts
+from greybox.discovery.veto import held_out
+from greybox.effects import Scales, applicable
+from greybox.experiment import Experiment
+from greybox.model import Effect, Model
+from greybox.noise import AutoRegression
+from greybox.result import Fit
+from greybox.result.frozen import ReadOnly
+
+# Share of the rms misfit that is left which a further effect must take away, on the fitted and on the validation records.
+FITTED, HELD_OUT = 0.02, 0.05
+# Models whose misfit is within this share of each other explain a measured record alike, whatever their likelihood.
+ALIKE = 0.1
+# Effects added at most, candidates refitted for each, starts of each.
+MOST, PROMISING, KEPT = 4, 8, 2
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Further:
+    """One further effect: its name, the share of the rms misfit that it takes away on the fitted and on the validation records, and
+    what does nearly as well in its place (``alike``: with what share on the validation records)."""
+
+    name: str
+    fitted: float
+    held_out: float
+    alike: Mapping[str, float]
+
+    def __str__(self) -> str:
+        also = ", ".join(f"{name} {100 * share:.0f} %" for name, share in self.alike.items())
+        text = f"{self.name}: takes {100 * self.fitted:.0f} % of the misfit, {100 * self.held_out:.0f} % of that on the validation records"
+        return text + (f" (nearly as well: {also})" if also else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Deepened(ReadOnly):
+    """What `further` found: the fit with all effects, its misfit on the validation records, and each step there."""
+
+    fit: Fit
+    steps: tuple[Further, ...]
+
+    def __str__(self) -> str:
+        return "\n".join([*map(str, self.steps), str(self.fit)]) if self.steps else f"nothing further\n{self.fit}"
+
+
+def further(
+    fit: Fit,
+    validation: Experiment | Sequence[Experiment],
+    *,
+    plain: Model | None = None,
+    most: int = MOST,
+    say: Say | None = None,
+) -> Deepened:
+    """Effects that the model of ``fit`` still lacks, one at a time, ``most`` at most.
+
+    ``fit``: of a model that already has its large effects, as `discover` gives them (``found.best``). It is refitted to the same
+    records with white noise of the level of its own residual: what is left is structure, and the free run is to follow it.
+    ``validation``: records that none of the constants has seen. ``plain``: a model whose catalogue of candidates counts, by default
+    that of ``fit``.
+
+    Raises ModelError or DataError as `greybox.fit` does.
+    """
+    judges, tell = (validation,) if isinstance(validation, Experiment) else tuple(validation), say or _silent
+    bench = _white(Bench.of(fit), fit)
+    start = bench.at(fit)
+    chosen = bench.best(fit.model, [fit.model.values], keep=1, like=start) or start
+    scales = scales_along(chosen)
+    candidates = applicable(plain or fit.model, scales)
+    before, steps = held_out(bench, chosen, judges), list[Further]()
+    tell(f"{chosen.model.title}: misfit on the validation records {before:.3g} times that of the fit")
+    while len(steps) < most:
+        gains = [
+            g for t in _extended(bench, chosen, candidates, scales) if (g := _gain(bench, chosen, t, judges, before))
+        ]
+        if not gains:
+            break
+        least = min(t.per_sample for t, _, _ in gains) ** 0.5
+        alike = sorted((g for g in gains if g[0].per_sample ** 0.5 <= (1 + ALIKE) * least), key=lambda g: g[1])
+        best, after, share = alike[0]
+        near = {_added(chosen, t): 1 - m / before for t, m, _ in alike[1:] if m <= (1 + ALIKE) * after}
+        steps.append(Further(_added(chosen, best), share, 1 - after / before, near))
+        tell(str(steps[-1]))
+        chosen, before = best, after
+    return Deepened(judged(chosen, bench, judges), tuple(steps))
+
+
+Gain = tuple[Trial, float, float]
+
+
+def _gain(bench: Bench, smaller: Trial, larger: Trial, judges: Sequence[Experiment], before: float) -> Gain | None:
+    """The larger model, its misfit on the judging records, and its share of the fitted misfit; None where it is not demanded."""
+    share = 1 - (larger.cost / smaller.cost) ** 0.5
+    if rules.gain(smaller, larger) <= rules.STRONG or share < FITTED:
+        return None
+    after = held_out(bench, larger, judges)
+    return (larger, after, share) if after <= (1 - HELD_OUT) * before else None
+
+
+def _extended(bench: Bench, chosen: Trial, candidates: Sequence[Effect], scales: Scales) -> list[Trial]:
+    """``chosen`` with each of the most promising further effects."""
+    names = set(chosen.effects)
+    inside = {parent for b in chosen.model.bound_effects for parent in b.effect.parents}
+    room = [e for e in candidates if e.name not in names | inside and not names & set(e.parents)]
+    starts = {e.name: _starts(chosen, e, scales) for e in room}
+    hopes = {e.name: bench.promise(chosen.model + e, starts[e.name], chosen) for e in room}
+    promising = sorted(room, key=lambda e: hopes[e.name])[:PROMISING]
+    found = [bench.best(chosen.model + e, starts[e.name], KEPT, like=chosen) for e in promising]
+    return [t for t in found if t is not None]
+
+
+def _starts(chosen: Trial, effect: Effect, scales: Scales) -> list[Start]:
+    """Where the refit with a further effect begins: with nothing of it, and at the usual amplitudes and shapes."""
+    model = chosen.model + effect
+    return [model.values, *candidate_starts(model, effect, chosen, chosen.model, scales)]
+
+
+def _added(smaller: Trial, larger: Trial) -> str:
+    return next(name for name in larger.effects if name not in smaller.effects)
+
+
+def _white(bench: Bench, fit: Fit) -> Bench:
+    """The same bench with white noise of the level of the residual."""
+    noise = bench.problem(fit.model).noise
+    outputs = [o.name for o in fit.model.outputs]
+    std = np.array([fit.misfit[o].rmse if o in fit.misfit else s for o, s in zip(outputs, noise.std, strict=True)])
+    return replace(bench, noise=replace(noise, std=std, colour=tuple(AutoRegression() for _ in outputs)))
+
+
+def _silent(_: str) -> None:
+    return None
