@@ -129,7 +129,8 @@ def discover(
     judges = _several(validation)
     if not judges:
         raise DataError(
-            "no validation record: a discovery is judged on data that no constant has seen; give at least one"
+            "no validation record: a discovery is judged on data that no constant has seen; give at least one, another run or the"
+            " end of this one (shell: --validate FILE)"
         )
     refits = Refits(executor, workers, Journal(Path(journal)) if journal else None, report)
     with refits.open():
