@@ -83,8 +83,10 @@ def try_effect(
     scales = scales_along(trial)
     added = tailored(effect(candidate) if isinstance(candidate, str) else candidate, scales)
     model = fit.model + added
-    starts = [model.values, *candidate_starts(model, added, trial, nominal or fit.model, scales)]
-    found = bench.best(model, starts, KEPT, like=trial)
+    starts = list(candidate_starts(model, added, trial, nominal or fit.model, scales))
+    # Begun absent as well: an effect that is not there must not make the fit worse.
+    tried = (bench.best(model, starts, KEPT, like=trial), bench.best(model, [model.values], 1, like=trial))
+    found = min((t for t in tried if t is not None), key=lambda t: t.cost, default=None)
     if found is None:
         raise DataError(
             f"effect {added.name!r}: the extended model overflows from every start; state the effect's bounds"
