@@ -255,8 +255,9 @@ def test_the_command_compares_writes_and_draws(run, tmp_path):
     assert saved["models"]["mass"]["validation"]["y"]["rmse"] == pytest.approx(NOISE, rel=0.2)
     assert saved["validation"] == ["first", "second"] and set(saved["data"]) == {"train", "first", "second"}
     names = sorted(p.name for p in (tmp_path / "out").iterdir())
-    assert names == ["compare.json", "comparison-first.png", "comparison-second.png"]
-    assert all((tmp_path / "out" / n).read_bytes().startswith(b"\x89PNG") for n in names[1:])
+    figures = [f"comparison-{record}.{kind}" for record in ("first", "second") for kind in ("png", "svg")]
+    assert names == ["compare.json", *figures]
+    assert all((tmp_path / "out" / n).read_bytes().startswith(b"\x89PNG") for n in figures[::2])
     assert "y, free run on the validation records: mass (grey box, 2 numbers)" in done.stdout
     assert "5 ahead" in done.stdout and "written: " in done.stdout
 
