@@ -61,10 +61,11 @@ def off(rig):
     return rig.fix(**known).start(K2=4.5e-10, f_v=33.0)
 
 
-def found(rig, effects, noise, told=True, colour=0.0, rows=0):
+def found(rig, effects, noise, told=True, colour=0.0, rows=0, among=()):
     train, test = records(rig, effects, noise, colour, rows)
     given = dict(zip((o.name for o in rig.outputs), noise, strict=False)) if told else None
-    return discover(off(rig), train, validation=test, noise=given, options=OPTIONS)
+    chosen = [effect(name) for name in among] or None
+    return discover(off(rig), train, validation=test, noise=given, options=OPTIONS, effects=chosen)
 
 
 WELL, POOR = (2e-7, 5e-3), (2e-7,)
@@ -142,15 +143,15 @@ def test_a_single_effect_is_named_out_of_the_whole_catalogue(rig, name, constant
     assert worst.closed > 0.9
 
 
-def left_alone(told, colour, rows):
-    d = found(micro_actuator, {}, WELL, told, colour, rows)
+def left_alone(told, colour, rows, among=()):
+    d = found(micro_actuator, {}, WELL, told, colour, rows, among)
     assert d.verdict == "complete", str(d)
     assert d.effects == []
     return d
 
 
 def test_a_complete_model_says_what_could_still_hide():
-    d = left_alone(True, 0.0, 700)
+    d = left_alone(True, 0.0, 700, ("cubic_stiffness", "coulomb_friction"))
     assert any(n.startswith("cubic_stiffness could still hide below K3") for n in d.notes)
 
 
@@ -161,7 +162,13 @@ def test_a_complete_model_is_left_alone_whatever_the_noise(told, colour):
 
 
 def test_an_offset_and_a_load_without_the_current_are_called_a_tie():
-    d = found(micro_actuator, {"input_offset": {"u0": 0.02}}, POOR, rows=700)
+    d = found(
+        micro_actuator,
+        {"input_offset": {"u0": 0.02}},
+        POOR,
+        rows=700,
+        among=("input_offset", "constant_load", "sensor_lag"),
+    )
     assert d.verdict == "ambiguous", str(d)
     assert {d.effects[0]["name"], *(n for a in d.alternatives for n in a)} == {"input_offset", "constant_load"}
     assert any("x, i measured, would tell" in n for n in d.notes), d.notes
