@@ -52,11 +52,19 @@ def minimise(
     else:
         with interruptible(search):
             word, count = _run(search, start, low, high, tolerance, iterations)
-            if search.lost and not search.stop and not descend(search, low, high) and not search.stop:
-                search.done = search_around(search, low, high) if thorough else Status.STUCK
+            if search.lost and not search.stop:
+                _go_on(search, low, high, thorough)
         status = search.done or (Status.INTERRUPTED if search.stop else IPOPT_STATUS.get(word, Status.FAILED))
     z, seconds = np.clip(search.best, low, high), time.perf_counter() - began
     return Outcome(z, search.best_cost, status, count, search.evaluations, seconds, word, search.best_value)
+
+
+def _go_on(search: Search, low: np.ndarray, high: np.ndarray, thorough: bool) -> None:
+    """Where steps were shortened for nothing: either the search strayed from a smooth optimum, or the cost has a kink."""
+    if not thorough:
+        search.done = Status.STUCK
+    elif not descend(search, low, high) and not search.stop:
+        search.done = search_around(search, low, high)
 
 
 class _Callback(ca.Callback):

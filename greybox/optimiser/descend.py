@@ -10,6 +10,8 @@ from greybox.optimiser.search import Search
 # Damping begins at this share of the curvature, falls after a step that gains and grows after one that does not.
 DAMPING, EASIER, HARDER = 1e-6, 0.1, 10.0
 STEPS, REFUSED = 50, 8
+# Along a kink a step gains much less than it promises: so many such steps in a row are enough.
+POOR, POORLY = 0.1, 4
 # A step that promises to lower the cost by less than this share of it is lost in rounding errors.
 NOTHING = 1e-13
 
@@ -19,20 +21,24 @@ def descend(search: Search, low: np.ndarray, high: np.ndarray) -> bool:
 
     An interior-point method that begins close to the optimum may follow its barrier away from it for many iterations, and that
     looks like a step that is shortened for nothing. Where the gradient is right, one of these steps gains at once. False
-    where none does: the cost has a kink there.
+    where none does, or several gain little: the cost has a kink there.
     """
-    damping, refused = DAMPING, 0
+    damping, refused, poor = DAMPING, 0, 0
     for _ in range(STEPS):
         before, step = search.best_cost, _step(search, damping, low, high)
-        if -0.5 * float(search.best_value.gradient @ step) <= NOTHING * before:  # type: ignore[union-attr]
+        promised = -0.5 * float(search.best_value.gradient @ step)  # type: ignore[union-attr]
+        if promised <= NOTHING * before:
             search.done = Status.CONVERGED
             return True
         search.shortenings = 0
         search(np.clip(search.best + step, low, high))
         if search.best_cost < before:
             damping, refused = damping * EASIER, 0
+            poor = 0 if before - search.best_cost > POOR * promised else poor + 1
             if search.iterated():
                 return search.done is not None or search.stop
+            if poor == POORLY:
+                return False
         else:
             damping, refused = max(damping, DAMPING) * HARDER, refused + 1
             if refused == REFUSED:
