@@ -98,7 +98,7 @@ def section(s: Study) -> list[str]:
     return [
         "## Silverbox: an electronic circuit",
         told(s.found, s.deeper),
-        "Errors on the test records, which took no part in any choice:",
+        "Errors on the test records, which took no part in choosing effects or constants:",
         markdown(head, rows),
         "What the input does between samples was the first pick of the search. The members of the damping family differ by less than the"
         " spread between the records: the family is named, not the member. Offset of the input and constant load are exchangeable exactly.",
