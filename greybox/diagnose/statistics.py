@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2, f_oneway, jarque_bera, levene
+from scipy.special import chdtrc
 
 from greybox.fitting.sandwich import toeplitz_form
 from greybox.noise import AutoRegression
@@ -30,7 +30,7 @@ def ljung_box(series: np.ndarray, lags: int) -> tuple[float, float]:
         pairs = int((there[k:] & there[:-k]).sum())
         if pairs:
             figure += n * (n + 2) * (float(r[k:] @ r[:-k]) / square) ** 2 / pairs
-    return figure, float(chi2.sf(figure, lags))
+    return figure, float(chdtrc(lags, figure))
 
 
 def lagged(signal: np.ndarray, lags: int) -> np.ndarray:
@@ -65,7 +65,7 @@ def input_independence(
     if not kept.any():
         return 0.0, 1.0
     figure = float(np.sum((vectors[:, kept].T @ (c / scale)) ** 2 / values[kept]))
-    return figure, float(chi2.sf(figure, int(kept.sum())))
+    return figure, float(chdtrc(int(kept.sum()), figure))
 
 
 def normality(series: np.ndarray) -> tuple[float, float]:
@@ -73,6 +73,8 @@ def normality(series: np.ndarray) -> tuple[float, float]:
     usable = series[np.isfinite(series)]
     if len(usable) < 8 or np.ptp(usable) == 0:
         return 0.0, 1.0
+    from scipy.stats import jarque_bera  # half a second to import
+
     found = jarque_bera(usable)
     return float(found.statistic), float(found.pvalue)
 
@@ -81,6 +83,8 @@ def equal_spread(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
     """Levene's statistic of equal variance over blocks, about the medians (Brown and Forsythe 1974): robust to heavy tails."""
     if len(blocks) < 2 or all(np.ptp(b) == 0 for b in blocks):
         return 0.0, 1.0
+    from scipy.stats import levene  # half a second to import
+
     found = levene(*blocks, center="median")
     return float(found.statistic), float(found.pvalue)
 
@@ -89,6 +93,8 @@ def equal_mean(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
     """The F statistic of equal means over blocks."""
     if len(blocks) < 2 or all(np.ptp(b) == 0 for b in blocks):
         return 0.0, 1.0
+    from scipy.stats import f_oneway  # half a second to import
+
     found = f_oneway(*blocks)
     return float(found.statistic), float(found.pvalue)
 

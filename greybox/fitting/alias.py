@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtri
 
 from greybox.fitting.sandwich import Colour, colour_of, score_covariance
@@ -126,6 +125,8 @@ def _amplitudes(judged: Judged) -> list[Part]:
     spread = np.nanstd(everything, axis=0)
     if not np.isfinite(spread).all() or not spread.any():
         return []
+    from scipy.ndimage import uniform_filter1d  # half a second to import
+
     moving = spread > 0
     time = max((t for t, _ in colour.times), default=1.0)
     size = {}

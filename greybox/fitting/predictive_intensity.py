@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from greybox.fitting.options import FitOptions
 from greybox.fitting.predictive_cost import PredictionError
@@ -21,7 +21,7 @@ FLOOR = 1e-8
 # Zero does as well where it costs less than this in -2 log L.
 NOTHING = 0.1
 # One-sided 95 % and 99 % points of the likelihood ratio of an intensity, which is zero in half of all cases without any noise.
-LIMIT, SIGNIFICANT = float(chi2.isf(0.1, 1)), 0.01
+LIMIT, SIGNIFICANT = float(chdtri(1, 0.1)), 0.01
 GROWTH, STEPS, CLOSE = 2.0, 40, 0.02
 
 
@@ -105,7 +105,7 @@ def tested(
             continue
         rest = maximise(levelled(zeroed(found.cost, name)), options)
         ratio = max(rest.evaluation.cost - found.evaluation.cost, 0.0)
-        p_value = 0.5 * float(chi2.sf(ratio, 1))
+        p_value = 0.5 * float(chdtrc(1, ratio))
         limits = (0.0, upper_limit(found, name, values[name])) if ratio < LIMIT else None
         result.append(Intensity(name, values[name], ratio, p_value, limits))
     return tuple(result)
