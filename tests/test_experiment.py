@@ -131,6 +131,29 @@ def test_gaps_of_outputs_stay_and_are_counted():
     assert experiment.notes == ("output 'y' has 2 gaps in 40 rows",)
 
 
+@pytest.mark.parametrize("reading", [0.0, 0.731])
+def test_a_sensor_that_stands_still_while_the_input_moves_is_named(reading):
+    time = 0.01 * np.arange(200)
+    answer = np.cos(7 * time) + 1e-3 * np.sin(900 * time)
+    answer[60:100] = reading
+    drive = {"u": np.sin(5 * time)}
+    (note,) = make(time=time, inputs=drive, outputs={"y": answer}).notes
+    assert note.startswith(f"output 'y' stands still at exactly {reading:g} for 40 rows, from 0.6 to 0.99 s, while the")
+    assert note.endswith("leave these fields empty")
+
+
+def test_a_coarse_sensor_an_end_stop_and_a_plant_at_rest_are_no_dead_sensors():
+    time = 0.01 * np.arange(200)
+    smooth, drive = np.cos(2 * time), np.sin(5 * time)
+    resting, silent = smooth.copy(), drive.copy()
+    resting[:60], silent[:60] = smooth[60], 0.0
+    coarse, stopped = np.round(smooth, 1), np.minimum(smooth, 0.8)
+    assert np.diff(np.flatnonzero(np.diff(coarse))).max() >= 10  # it does repeat itself for long
+    for answer in (coarse, stopped):
+        assert make(time=time, inputs={"u": drive}, outputs={"y": answer}).notes == ()
+    assert make(time=time, inputs={"u": silent}, outputs={"y": resting}).notes == ()
+
+
 def test_split_covers_every_row_once_and_keeps_the_times():
     experiment = make(conditions={"T": 293.0}, hold="first", source="run.csv")
     first, second = experiment.split(0.7)

@@ -130,6 +130,17 @@ def test_differences_tell_white_noise():
     assert difference_noise(slow + 0.01 * rng.normal(size=5000)) == pytest.approx(0.01, rel=0.05)
 
 
+def test_a_hole_in_time_is_no_noise():
+    record = noisy(clean_record(), np.random.default_rng(8))
+    kept = np.delete(np.arange(record.rows), slice(400, 470))
+    cut = Experiment(
+        "cut", record.time[kept], *({n: v[kept] for n, v in s.items()} for s in (record.inputs, record.outputs))
+    )
+    whole, broken = (noise_of(TRUTH, [r], {}) for r in (record, cut))
+    assert broken.sources == whole.sources
+    assert broken.std == pytest.approx(whole.std, rel=0.05)
+
+
 def test_a_handful_of_samples_takes_the_noise_from_the_residual():
     record = noisy(clean_record(), np.random.default_rng(9))
     sparse = replace(

@@ -486,6 +486,10 @@ HEADERS = [
     ),
     (["T", "u", "x"], "no column for time [s]; "),
     (
+        ["time", "x", "i"],
+        "no column for input 'u' [V]; every other column is in use; add a column for it, or say columns={'u': <header>}",
+    ),
+    (
         ["time", "u", "z"],
         "no column for any output of model 'rig' (output 'x' [m], output 'i' [A]), at least one is needed",
     ),

@@ -178,7 +178,9 @@ def _nearest_headers(signal: Signal, spare: Sequence[Column]) -> str:
     close = difflib.get_close_matches(wanted, [c.name.lower() for c in spare], n=3, cutoff=0.5)
     near = [repr(c.header) for c in spare if c.name.lower() in close or wanted in re.split(r"[\W_]+", c.name.lower())]
     guess = f"did you mean {' or '.join(near[:3])}? " if near else ""
-    listing = ", ".join(_listed(spare)) or "none"
+    listing = ", ".join(_listed(spare))
+    if not listing:
+        return f"every other column is in use; add a column for it, or {_say(signal)}"
     return f"{guess}unused headers: {listing}; rename one, or {_say(signal)}"
 
 

@@ -102,9 +102,8 @@ class Experiment:
         """
         bare = cls(name, time, inputs, outputs, hold, source, conditions or {})  # type: ignore[arg-type]
         refuse(f"experiment {name!r}", measured(bare.inputs, bare.outputs, bare.rows, allow_constant_input))
-        return replace(
-            bare, notes=(*notes, *remarks(bare.inputs, bare.outputs), *timing(bare.time, bare.sampling_time))
-        )
+        said = (*remarks(bare.time, bare.inputs, bare.outputs), *timing(bare.time, bare.sampling_time))
+        return replace(bare, notes=(*notes, *said))
 
     @property
     def rows(self) -> int:

@@ -66,15 +66,22 @@ def timing(time: np.ndarray, sampling_time: float | None) -> list[str]:
             f"time looks rounded: {spread} differ by no more than a printed unit; taken as every {sampling_time:.6g} s"
         ]
     usual = float(np.median(step))
-    holes = np.flatnonzero(step > HOLE * usual)
-    if 0 < len(holes) <= max(1, FEW_HOLES * len(step)):
-        longest = holes[np.argmax(step[holes])]
-        found = f"{len(holes)} holes, the longest" if len(holes) > 1 else "a hole"
+    where_long = holes(time)
+    if len(where_long):
+        longest = where_long[np.argmax(step[where_long])]
+        found = f"{len(where_long)} holes, the longest" if len(where_long) > 1 else "a hole"
         where = f"from {time[longest]:.6g} to {time[longest + 1]:.6g} s"
         return [
             f"time has {found} {where} (usual step {usual:.6g} s): the input is taken to go on through it; cut the record there"
         ]
     return [f"time is irregular: {spread}; each interval is taken as long as it is"]
+
+
+def holes(time: np.ndarray) -> np.ndarray:
+    """Rows (from 0) after which the stamps ``time`` (N,) leave a hole; none where there is no usual step."""
+    step = np.diff(time)
+    found = np.flatnonzero(step > HOLE * float(np.median(step)))
+    return found if len(found) <= max(1, FEW_HOLES * len(step)) else found[:0]
 
 
 def resolution(time: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.errors import DataError, ModelError, nearest
 from greybox.experiment import Experiment
+from greybox.experiment.timebase import holes
 from greybox.model import Model
 from greybox.noise.autoregression import AutoRegression, autoregression, segments
 from greybox.noise.differences import record_noise, spread, still
@@ -117,9 +118,10 @@ def _level(
             # K repeats less their mean hold the information of K - 1
             copies = sum(map(len, groups)) / sum(len(group) - 1 for group in groups)
             return _Level(spread(everything, robust=robust), source, autoregression(everything, copies=copies))
-    columns = [e.outputs[name] for e in experiments if name in e.outputs]
-    values = np.concatenate(columns)
+    values = np.concatenate([e.outputs[name] for e in experiments if name in e.outputs])
     movement = float(np.nanstd(values)) or float(np.nanmax(np.abs(values))) or 1.0
+    # the signal jumps across a hole in time: no difference may reach over it
+    columns = [np.insert(e.outputs[name], holes(e.time) + 1, np.nan) for e in experiments if name in e.outputs]
     estimate = record_noise(columns, robust=robust)
     if not np.isfinite(estimate):
         return _Level(movement, RESIDUAL)
