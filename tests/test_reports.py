@@ -165,6 +165,13 @@ def test_the_spectrum_is_that_of_scipy() -> None:
     assert few.max() == amplitude.max()
 
 
+def test_a_gap_does_not_lower_the_spectrum() -> None:
+    values = 3.0 * np.random.default_rng(2).normal(size=4000)
+    values[1500:2500] = np.nan  # where the window weighs most
+    _, amplitude = density(values, 1e-3)
+    assert np.sqrt(np.mean(amplitude**2)) == pytest.approx(3.0 * np.sqrt(2e-3), rel=0.05)
+
+
 def test_numbers_travel_in_six_digits_and_gaps_as_gaps() -> None:
     given = np.array([0.1234567891, -1.987654321e-9, 12345678.9, 0.0, np.nan, np.inf])
     figure = Figure("a", "caption", "a description of the figure", [{"y": given}], {})

@@ -44,7 +44,10 @@ def stretches(curves: int) -> int:
 
 
 def density(values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies in Hz and one-sided amplitude density of evenly sampled ``values`` (N,) by a Hann window; gaps count as their mean."""
+    """Frequencies in Hz and one-sided amplitude density of evenly sampled ``values`` (N,) by a Hann window.
+
+    Gaps count as the mean of the rest, and not as rows: white noise has the same density with gaps and without.
+    """
     known = np.isfinite(values)
     if len(values) < 4 or not known.any():
         return np.array([]), np.array([])
@@ -52,7 +55,7 @@ def density(values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     centred = np.where(known, values - values[known].mean(), 0.0)
     spectrum = np.fft.rfft(window * centred)
     frequency = np.fft.rfftfreq(len(values), step)
-    return frequency[1:], np.sqrt(2 * step * np.abs(spectrum[1:]) ** 2 / np.sum(window**2))
+    return frequency[1:], np.sqrt(2 * step * np.abs(spectrum[1:]) ** 2 / np.sum(window[known] ** 2))
 
 
 def thinned(f: np.ndarray, values: np.ndarray, most: int = STRETCHES) -> tuple[np.ndarray, np.ndarray]:

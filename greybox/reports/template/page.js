@@ -66,7 +66,7 @@
     return Plotly.react(figure.plot, data, styled(figure), { responsive: !paper, displaylogo: false, displayModeBar: narrow() ? false : "hover" });
   };
 
-  // Amplitude density of a stretch: Hann window, gaps as the mean, as the page's own spectra.
+  // Amplitude density of a stretch: Hann window, gaps as the mean and not as rows, as the page's own spectra.
   const spectrum = (values, step) => {
     const rows = values.length, known = values.filter((v) => v !== null);
     if (rows < 16 || !known.length) return null;
@@ -77,7 +77,7 @@
     let power = 0;
     for (let k = 0; k < rows; k++) {
       const w = 0.5 - 0.5 * Math.cos((2 * Math.PI * k) / rows);
-      power += w * w;
+      if (values[k] !== null) power += w * w;
       re[k] = w * ((values[k] ?? mean) - mean);
     }
     transform(re, im);
