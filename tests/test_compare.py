@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import greybox as gb
 from greybox.cli.app import app
 from greybox.comparison import black_contestants
+from greybox.comparison.verdict import verdict
 from greybox.figures import comparison_figure
 from greybox.simulation import write_csv
 
@@ -163,6 +164,18 @@ def test_criteria_stability_and_feed_through(records, compared):
     assert "unstable: unstable" in text and "feed-through within one sample: unstable" in text
     for head in ("validation: y [m]", "training: y [m]", "best fit [%], y", "3 ahead", "BIC"):
         assert head in text
+
+
+def test_criteria_over_different_outputs_are_not_compared():
+    rng = np.random.default_rng(0)
+    time, u = 0.1 * np.arange(80), rng.normal(size=80)
+    twin = gb.Experiment(
+        "twin", time, {"u": u}, {n: lfilter([0.3], [1, -0.6], u) + 0.01 * rng.normal(size=80) for n in "yz"}
+    )
+    first, second = (gb.arx(twin, na=1, nb=1, output=n) for n in "yz")
+    (said,) = [v for v in verdict(gb.compare({"a": first, "b": second}, twin, training=twin)) if "BIC" in v]
+    assert said == "BIC is a sum over different outputs (a y; b z): compare it only between models of the same ones"
+    assert not any("BIC" in v for v in verdict(gb.compare({"a": first, "c": first}, twin, training=twin)))
 
 
 def test_the_file_has_the_promised_form(compared, tmp_path):

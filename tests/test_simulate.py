@@ -172,3 +172,5 @@ def test_a_chirp_sweeps_evenly() -> None:
     # Two crossings a period, and (5 + 105) / 2 Hz over 2 s are 110 periods; half of the first and last may be missing.
     assert abs(len(crossings) - 220) <= 2
     assert (crossings < 10000).sum() == pytest.approx(2 * (5 + 55) / 2, abs=2)
+    with pytest.raises(DataError, match="a chirp up to 5000 Hz: samples every 0"):
+        chirp(time, 5, 5000, 3.0)

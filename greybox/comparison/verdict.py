@@ -70,6 +70,10 @@ def _remarks(comparison: Comparison) -> Iterator[str]:
             f"feed-through within one sample: {', '.join(direct)}; nothing with a mass or a volume does that, it stands for a delay"
             " or for what the input does between samples"
         )
+    counted = {e.name: ", ".join(sorted(e.training)) for e in comparison.entries if np.isfinite(e.bic)}
+    if len(set(counted.values())) > 1:
+        told = "; ".join(f"{name} {outputs}" for name, outputs in counted.items())
+        yield f"BIC is a sum over different outputs ({told}): compare it only between models of the same ones"
     failed = [e.name for e in comparison.entries if any(n.startswith("the fit did not succeed") for n in e.notes)]
     if failed:
         yield f"the fit did not succeed: {', '.join(failed)}; their errors say nothing about the model"

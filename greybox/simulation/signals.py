@@ -29,7 +29,16 @@ def multisine(time: np.ndarray, low: float, high: float, rms: float, generator: 
 
 
 def chirp(time: np.ndarray, low: float, high: float, amplitude: float) -> np.ndarray:
-    """A sine whose frequency runs evenly from ``low`` to ``high`` (Hz) over ``time`` (N,), starting at zero."""
+    """A sine whose frequency runs evenly from ``low`` to ``high`` (Hz) over ``time`` (N,), starting at zero.
+
+    Raises DataError where ``high`` reaches half the sampling frequency: beyond, the samples show a lower frequency.
+    """
     t = time - time[0]
+    fastest = 0.5 / float(time[1] - time[0])
+    if high >= fastest:
+        raise DataError(
+            f"a chirp up to {high:g} Hz: samples every {0.5 / fastest:g} s show frequencies below {fastest:g} Hz alone;"
+            " end it lower, or sample faster"
+        )
     sweep = (high - low) / (2 * t[-1])
     return amplitude * np.sin(2 * np.pi * (low * t + sweep * t**2))
