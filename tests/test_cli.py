@@ -121,8 +121,8 @@ def test_quiet_means_silent(run: Run, data: Path, tmp_path: Path) -> None:
 
 def test_notes_of_the_records_go_to_stderr_once(run: Run, data: Path, tmp_path: Path) -> None:
     _, *rows = (data / "train.csv").read_text().splitlines()
-    for name in ("a.csv", "b.csv"):
-        (tmp_path / name).write_text("\n".join(["time,u,x,temp", *(row.rpartition(",")[0] + ",20" for row in rows)]))
+    for name, used in (("a.csv", rows), ("b.csv", rows[:-1])):
+        (tmp_path / name).write_text("\n".join(["time,u,x,temp", *(row.rpartition(",")[0] + ",20" for row in used)]))
     arguments = ["fit", "micro_actuator", "a.csv", "--validate", "b.csv", *KNOWN, "--fix", "Kf", "--noise", "x=2e-7"]
     result = run(*arguments, "--json")
     assert result.exit_code == 0, result.output

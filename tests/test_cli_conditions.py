@@ -78,6 +78,13 @@ def test_values_on_the_command_line_go_to_the_records_in_their_order(folder):
         read_under(["P_S=7e5", "P_S"], pneumatic_cylinder, [low])
 
 
+def test_a_record_that_judges_its_own_fit_is_named(folder):
+    low, high = folder / "low.csv", folder / "high.csv"
+    _, (other, same) = read_under([], pneumatic_cylinder, [low], [high, low])
+    assert not any("which is fitted" in note for note in other.notes)
+    assert "the same data as low.csv, which is fitted" in same.notes[-1]
+
+
 @pytest.mark.parametrize("command", ["check", "discover"])
 def test_other_commands_know_conditions_too(run: Run, folder, command):
     result = run(command, "pneumatic_cylinder", folder / "low.csv", *NOISE, "--condition", "P_S=7e5,8e5,9e5")

@@ -119,7 +119,17 @@ def read_under(
     records, judges = (
         read_experiments(files, model, conditions=stated, **how) if files else () for files in (data, validate)
     )
-    return _under(given, records, judges)
+    return _under(given, records, [_known_as(judge, records) for judge in judges])
+
+
+def _known_as(judge: Experiment, records: Sequence[Experiment]) -> Experiment:
+    """A record for validation, with a note where it is one of those that are fitted."""
+    same = next((r for r in records if r.fingerprint == judge.fingerprint), None)
+    if same is None:
+        return judge
+    name = same.source or same.name
+    note = f"the same data as {name}, which is fitted: it says nothing of records that were not used; judge by another"
+    return replace(judge, notes=(*judge.notes, note))
 
 
 def _under(
