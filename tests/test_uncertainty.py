@@ -1,5 +1,6 @@
 """Intervals against closed forms, published numbers, refits and each other; constants that move; the step's share."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -196,6 +197,16 @@ def test_a_constant_that_imitates_a_missing_effect_is_named():
     assert "Fv goes from 200" in note and "to 215" in note and "'day 1' and experiment 'day 2'" in note
     same = fit(emps, [first, replace(first, name="again")], noise=noise)
     assert not any("not constant" in n for n in same.notes)
+
+
+def test_a_constant_held_by_its_bound_in_both_parts_does_not_move():
+    """A record off by a factor of 1000 drives constants into their bounds."""
+    rng = np.random.default_rng(0)
+    clean = linear_record(TRUTH, multisine(np.random.default_rng(1), 200, 2.5e-4, 5, 400, 2.0), 2.5e-4)
+    x, i = (clean.outputs[n] + LEVEL[n] * rng.normal(size=200) for n in ("x", "i"))
+    note = next(n for n in fit(TRUTH, replace(clean, outputs={"x": 1e-3 * x, "i": i})).notes if "not constant" in n)
+    moves = re.findall(r"goes from (\S+) to (\S+)", note)
+    assert moves and all(before != after for before, after in moves)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])

@@ -99,7 +99,8 @@ def moves_of(judged: Judged, rows: Rows) -> list[Move]:
             if k not in farthest or deviations[k] > farthest[k].deviations:
                 between = f"{one} and {other}"
                 farthest[k] = _move(variables, inside[k], step_a[k], step_b[k], float(deviations[k]), between)
-    return sorted(farthest.values(), key=lambda m: -m.deviations)
+    seen = [m for m in farthest.values() if m.before != m.after]  # both beyond the same bound: nowhere to move
+    return sorted(seen, key=lambda m: -m.deviations)
 
 
 def _experiments(judged: Judged, rows: Rows) -> list[Part]:
