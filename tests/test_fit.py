@@ -164,6 +164,15 @@ def test_a_wrong_model_says_so_beside_its_status():
     assert any("correlated" in n for n in bad.notes)
 
 
+def test_a_column_in_another_unit_or_of_the_other_sign_is_no_plant_of_this_model():
+    record = linear_record(micro_actuator, actuator_input(3), 2.5e-4, noise={"x": 1e-7, "i": 1e-3}, seed=3)
+    free = micro_actuator.fix("M", "Ra")
+    assert not any("do not use" in note for note in fit(free, record).notes)
+    for wrong in (1e6, -1.0):
+        other = replace(record, outputs={"x": wrong * record.outputs["x"], "i": record.outputs["i"]})
+        assert any("do not use these constants" in note for note in fit(free, other).notes)
+
+
 def test_validation_estimates_only_the_initial_state_from_the_first_rows():
     truth = micro_actuator.fix("M", "Ra")
     noise = {"x": 2e-7, "i": 5e-3}

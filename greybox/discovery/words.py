@@ -21,7 +21,7 @@ def story(
     """What was found, how sure it is, and what it closes."""
     name = " + ".join(chosen.effects)
     worst = max(gap, key=lambda o: gap[o].before / gap[o].floor)
-    closed = f"it closes {100 * gap[worst].closed:.1f} % of the gap in {worst} on records not used for it"
+    closed = f"it closes {100 * min(gap[worst].closed, 1.0):.1f} % of the gap in {worst} on records not used for it"
     if verdict == "complete":
         return "Nothing is missing beyond the noise: the plain model explains the records."
     if verdict == "unknown":

@@ -22,6 +22,8 @@ WORSE = 1.5
 
 # Sample-to-sample correlation of the residual from which it is worth a remark, if there is a residual at all.
 COLOURED, LITTLE = 0.3, 0.1
+# A model that follows less than this per cent of an output, with a misfit above so many times the noise, describes another plant.
+FOLLOWS, FAR = 50.0, 3.0
 # Constants that move are listed up to this number.
 MOST_MOVES = 3
 # Share of a standard deviation that half the step may move a constant; nobody asks for more digits than this share of its value.
@@ -77,7 +79,7 @@ def notes(
     shift: np.ndarray | None = None,
 ) -> tuple[str, ...]:
     """Sentences in order of importance."""
-    result = []
+    result = _another_plant(misfit)
     for direction in found.open_directions:
         result.append(f"not determined by these data: {describe(direction)}")
     at_bound = [name for name, e in estimates.items() if e.at_bound]
@@ -110,6 +112,18 @@ def notes(
             " raise the number of substeps"
         )
     return tuple(result)
+
+
+def _another_plant(misfit: Mapping[str, Misfit]) -> list[str]:
+    """A warning where the model follows little of an output: then its constants mean nothing."""
+    lost = {n: m.best_fit_percent for n, m in misfit.items() if m.best_fit_percent < FOLLOWS and m.noise_ratio > FAR}
+    if not lost:
+        return []
+    listed = ", ".join(f"{max(percent, 0.0):.2g} % of {name}" for name, percent in lost.items())
+    return [
+        f"the model follows only {listed} (best fit, 100 % is all): do not use these constants. Check the units and the signs of the"
+        " columns, the fixed constants, and whether this is the plant's model"
+    ]
 
 
 def _moved_by_step(variables: Variables, found: Uncertainty, shift: np.ndarray) -> list[tuple[str, float]]:

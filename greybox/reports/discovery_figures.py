@@ -49,7 +49,7 @@ def gap_figure(found: Discovery) -> Figure:
         )
         words.append(
             f"{output}: from {gap.before / gap.floor:.3g} to {gap.after / gap.floor:.3g} times the noise,"
-            f" {100 * gap.closed:.1f} % of the gap is closed"
+            f" {100 * min(gap.closed, 1.0):.1f} % of the gap is closed"
         )
     layout = axes("", "", logarithmic="x") | {"showlegend": False, "hovermode": "closest"}
     layout["yaxis"] |= {"type": "category"}
