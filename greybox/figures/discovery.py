@@ -12,11 +12,10 @@ from matplotlib.figure import Figure
 
 from greybox.discovery import Discovery, Missing
 from greybox.figures.discovery_residual import draw_residuals
+from greybox.figures.files import save
 from greybox.figures.scale import label, scaled
 
 DATA, EFFECT, BEFORE, AFTER, FLOOR = "#8a8a8a", "#c0392b", "#b7950b", "#1f5a8a", "#dcdcdc"
-KINDS = ("png", "svg")
-DPI = 110
 CANDIDATES = 12  # of the ranking that are shown
 
 
@@ -38,10 +37,9 @@ def discovery_figures(found: Discovery, directory: str | Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for name, figure in drawn.items():
-        for kind in KINDS:
-            file = folder / f"{name}.{kind}"
-            figure.savefig(file, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
-            files.append(file)
+        file = folder / f"{name}.png"
+        save(figure, file)
+        files += [file, file.with_suffix(".svg")]
     return files
 
 

@@ -11,12 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from greybox.figures.envelope import envelope
+from greybox.figures.files import save
 from greybox.figures.scale import label, scaled
 from greybox.result import Trace
 
 MEASURED, BEFORE, AFTER, OTHER, BAND = "#8a8a8a", "#c0392b", "#1f6f43", "#5d6d7e", "#dcdcdc"
-DPI = 110
-SUFFIXES = (".png", ".svg")
 
 
 def gap_figure(
@@ -41,10 +40,9 @@ def gap_figure(
     figure.align_ylabels([signal, residual])
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    files = [target.with_name(f"{target.name}{suffix}") for suffix in SUFFIXES]
-    for file in files:
-        figure.savefig(file, dpi=DPI, metadata={"Date": None} if file.suffix == ".svg" else None)
-    return files
+    file = target.with_name(f"{target.name}.png")
+    save(figure, file)
+    return [file, file.with_suffix(".svg")]
 
 
 def _signal(axis: Axes, before: Trace, after: Trace, output: str, unit: str, names: tuple[str, str]) -> None:
