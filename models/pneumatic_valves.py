@@ -102,7 +102,7 @@ K2 = Parameter(
 BETWEEN_0_AND_1 = Rule(
     "critical pressure ratio between 0 and 1",
     "1",
-    lambda p: min(p.b, 1 - p.b),
+    lambda p: p.b * (1 - p.b),
     "valves have 0.1 to 0.5: it is the ratio of absolute pressures below which the flow is choked",
 )
 OPENINGS = ("linear", "power")
