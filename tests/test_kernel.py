@@ -353,6 +353,6 @@ def test_unknown_kernel_is_refused(monkeypatch):
 
 
 def test_sums_that_overflow_only_together_are_no_warning_but_a_failure():
-    large = np.full(2, 1e308)
-    found = finished(large, np.ones(2, int), np.zeros(2), np.diag(large), None, 7)
-    assert found.cost == np.inf and found.failed_at == 7
+    for large in (np.full(2, 1e308), np.array([1e308, 0.0])):  # a cost and its slopes are twice the sums
+        found = finished(large, np.ones(2, int), np.zeros(2), np.diag(large), None, 7)
+        assert found.cost == np.inf and found.failed_at == 7

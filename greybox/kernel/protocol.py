@@ -94,7 +94,7 @@ def finished(
     with np.errstate(over="ignore", invalid="ignore"):  # that is what is looked for
         cost, size = float(squares.sum()), float(gauss_newton.trace())
     # |J'r|^2 is at most J'J r'r, and an entry of J'J at most the product of two on its diagonal.
-    if failed_at is None and not math.isfinite(cost + size):
+    if failed_at is None and not math.isfinite(2 * (cost + size)):  # both are doubled later
         failed_at = samples
     if failed_at is not None:
         zero = np.zeros_like
