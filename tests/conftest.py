@@ -1,12 +1,15 @@
-"""What every test shares: one BLAS thread, repeatable random examples, public records, an empty cache on request."""
+"""What every test shares: one BLAS thread, repeatable random examples, public records, the command, an empty cache on request."""
 
 from __future__ import annotations
 
 import os
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from typer.testing import CliRunner, Result
 
 # Before anything imports numpy: a pool of threads on 4x4 matrices costs a hundred times the arithmetic.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -37,6 +40,20 @@ def shared_data() -> Path:
 def shared_blind() -> Path:
     """The folder of simulated cases with known answers, `../shared/blind`; skipped where it is missing."""
     return _folder("blind", "simulated cases with known answers")
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Result]]:
+    """Runs the command in an empty folder; imports of models are as before afterwards."""
+    from greybox.cli.app import app
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "models"}
+    yield lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
+    for name in [n for n in sys.modules if n.split(".")[0] == "models" or n.startswith("_greybox_file_")]:
+        del sys.modules[name]
+    sys.modules.update(before)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from typer.main import get_command
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
 from greybox import Experiment, FitOptions, fit, load_fit, read_csv
 from greybox.cli import fit as fit_command
@@ -42,18 +42,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_csv(record(1500, 1), micro_actuator, folder / "train.csv")
     write_csv(record(600, 2), micro_actuator, folder / "test.csv")
     return folder
-
-
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
-    """Runs the command in an empty folder; imports of models are as before afterwards."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "models"}
-    yield lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
-    for name in [n for n in sys.modules if n.split(".")[0] == "models" or n.startswith("_greybox_file_")]:
-        del sys.modules[name]
-    sys.modules.update(before)
 
 
 def everything(folder: Path) -> list[str]:

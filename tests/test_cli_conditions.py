@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
 from greybox import DataError, read_csv
-from greybox.cli.app import app
 from greybox.cli.constraints import read_under
 from greybox.errors import GreyboxError
 from greybox.simulation import write_csv
@@ -44,17 +42,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "\n".join([f"{header},P_S [kPa]", *(f"{row},{600 + k}" for k, row in enumerate(rows))])
     )
     return made
-
-
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "models"}
-    yield lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
-    for name in [n for n in sys.modules if n.split(".")[0] == "models"]:
-        del sys.modules[name]
-    sys.modules.update(before)
 
 
 def test_records_at_two_supply_pressures_are_fitted_with_the_conditions_that_they_state(run: Run, folder, tmp_path):

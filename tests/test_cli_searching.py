@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
-from greybox.cli.app import app
 from greybox.simulation import simulate, write_csv
 from models.micro_actuator import micro_actuator
 from tests.independent import multisine
@@ -29,17 +27,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     record = simulate(micro_actuator, inputs).record({"x": 2e-7, "i": 5e-3}, rng)
     write_csv(record, micro_actuator, folder / "train.csv")
     return folder / "train.csv"
-
-
-@pytest.fixture
-def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Run]:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "models"}
-    yield lambda *arguments: CliRunner().invoke(app, [str(a) for a in arguments])
-    for name in [n for n in sys.modules if n.split(".")[0] == "models"]:
-        del sys.modules[name]
-    sys.modules.update(before)
 
 
 def test_many_starts_print_and_save_where_each_ended(run: Run, data: Path, tmp_path: Path) -> None:

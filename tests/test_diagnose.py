@@ -71,8 +71,8 @@ def test_input_independence_has_its_size_under_coloured_noise(rho):
 def test_false_alarms_on_white_noise_are_one_in_a_hundred():
     rng = np.random.default_rng(5)
     alarms = {}
-    u = multisine(rng, 600, 1.0, 0.01, 0.3, 1.0, lines=20)
-    for _ in range(500):
+    for _ in range(1000):
+        u = multisine(rng, 600, 1.0, 0.01, 0.3, 1.0, lines=20)
         for test in residual_tests("y", [rng.normal(size=600)], {"u": [u]}):
             alarms.setdefault(test.test, []).append(test.alarm)
     rates = {name: np.mean(found) for name, found in alarms.items()}
@@ -80,7 +80,7 @@ def test_false_alarms_on_white_noise_are_one_in_a_hundred():
         "whiteness, 5 lags", "whiteness, 10 lags", "whiteness, 20 lags", "independence of u", "normality", "equal variance", "equal mean",
     }  # fmt: skip
     # Jarque and Bera's statistic has heavier tails than chi-square at this length.
-    assert all(0.002 <= rate <= (0.03 if name == "normality" else 0.024) for name, rate in rates.items()), rates
+    assert all(0.002 <= rate <= (0.03 if name == "normality" else 0.02) for name, rate in rates.items()), rates
     assert 0.006 < np.mean(list(rates.values())) < 0.016, rates
 
 
@@ -141,13 +141,13 @@ def test_known_colour_is_whitened_before_the_tests():
 
 
 def test_predictions_beat_the_free_run_by_what_the_colour_allows():
-    found = fit(TRUTH, record(1, 0.9, 8000))
+    found = fit(TRUTH, record(1, 0.9, 20000))
     table = scores(found, steps=(1, 5, 50))
     for output in ("x", "i"):
         score = table.outputs[output]
         assert score.free_run == found.misfit[output].rmse
         for ahead, rmse in score.prediction.items():
-            assert rmse / score.free_run == pytest.approx(np.sqrt(1 - 0.81**ahead), rel=0.08)
+            assert rmse / score.free_run == pytest.approx(np.sqrt(1 - 0.81**ahead), rel=0.06)
     assert "1 step ahead" in str(table) and "free run" in str(table)
 
 

@@ -127,9 +127,14 @@ WHOLE = [
 ]
 
 
-@pytest.mark.slow
+# One of each rig in the ordinary run.
+ORDINARY = ((micro_actuator, "coulomb_friction"), (pneumatic_cylinder, "valve_lag"))
+
+
 @pytest.mark.parametrize(
-    ("rig", "name", "constants", "noise"), WHOLE, ids=lambda v: getattr(v, "name", v if isinstance(v, str) else "")
+    ("rig", "name", "constants", "noise"),
+    [pytest.param(*case, marks=() if case[:2] in ORDINARY else pytest.mark.slow) for case in WHOLE],
+    ids=lambda v: getattr(v, "name", v if isinstance(v, str) else ""),
 )
 def test_a_single_effect_is_named_out_of_the_whole_catalogue(rig, name, constants, noise):
     d = found(rig, {name: constants}, noise)

@@ -295,7 +295,8 @@ def test_start_values_for_a_search_are_finite_within_bounds_and_complete(model):
             low, high = own[name].bounds
             assert np.isfinite(value) and low <= value <= high, (entry.name, name, value)
         assert all(value != 0 for value in probe.values())
-        assert all(1 <= len(values) <= 16 and len(set(values)) == len(values) for values in grid.values())
+        most = 16 if entry.name == "second_mode" else 8  # a resonance is narrow: a coarser grid steps over it
+        assert all(1 <= len(values) <= most and len(set(values)) == len(values) for values in grid.values())
         (model + entry).system  # noqa: B018
 
 

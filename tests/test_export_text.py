@@ -15,6 +15,7 @@ from scipy.signal import StateSpace, dstep, step
 import greybox as gb
 from greybox.effects import applicable
 from greybox.export.files import write_control
+from greybox.model import Rule
 from greybox.project.find import resolve
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
@@ -95,6 +96,16 @@ def test_a_python_file_is_the_model_again(tmp_path, model):
     assert [vars(q) for q in back.all_parameters] == [vars(q) for q in model.all_parameters]
     assert [r.name for r in back.rules] == [r.name for r in model.rules]
     same_run(model, back)
+
+
+def test_a_python_file_says_which_rule_it_leaves_out(tmp_path):
+    odd = Rule("damping below stiffness", "1", lambda p: 1.0 if p.B < p.K else -1.0, "raise K")
+    model = replace(micro_actuator, rules=(*micro_actuator.rules, odd))
+    path = gb.to_python(model, tmp_path / "rig.py")
+    assert (
+        "Left out, because its function cannot be written out: the rule 'damping below stiffness'" in path.read_text()
+    )
+    assert [r.name for r in resolve(str(path)).rules] == [r.name for r in micro_actuator.rules]
 
 
 def test_a_python_file_keeps_catalogue_effects_by_name(tmp_path):

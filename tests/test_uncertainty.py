@@ -211,8 +211,8 @@ def test_a_constant_held_by_its_bound_in_both_parts_does_not_move():
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])
 def test_constant_constants_raise_no_alarm(rho):
-    alarms = [any("not constant" in n for n in fit(TRUTH, actuator_record(seed, rho)).notes) for seed in range(25)]
-    assert sum(alarms) <= 2
+    alarms = [any("not constant" in n for n in fit(TRUTH, actuator_record(seed, rho)).notes) for seed in range(60)]
+    assert sum(alarms) <= 3
 
 
 def test_emps_intervals_admit_both_estimators_and_the_alias_is_raised(shared_data):

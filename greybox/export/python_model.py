@@ -71,7 +71,11 @@ def _docstring(plant: Plant) -> list[str]:
     model = plant.model
     title = f"{model.title}: {model.description}" if model.description else model.title
     source = [f"Source: {model.source}"] if model.source else []
-    return docstring(f"{title}.", [equations(model).splitlines(), source, [*plant.origin(), *plant.notes]])
+    left_out = [
+        f"Left out, because its function cannot be written out: the rule {rule.name!r}. It only refuses values."
+        for rule in model.rules if not _rule(rule, model)
+    ]  # fmt: skip
+    return docstring(f"{title}.", [equations(model).splitlines(), source, [*plant.origin(), *plant.notes, *left_out]])
 
 
 def _balances(model: Model) -> list[str]:
@@ -131,7 +135,7 @@ def _sourced(plant: Plant, q: Parameter) -> Parameter:
 
 
 def _rule(rule: Rule, model: Model) -> str:
-    """A rule as the call that makes it; one whose function cannot be written out is left out, as it only refuses bad input."""
+    """A rule as the call that makes it; empty for one whose function cannot be written out (it only refuses values)."""
     _, _, p = named(model)
     symbols = symbols_of(model) | {OUTPUT_VALUE: "value"}
     value = ca.SX.sym(OUTPUT_VALUE)
