@@ -30,6 +30,8 @@ SET = ("input_offset", "input_dead_zone", "backlash", "sensor_saturation", "sens
 GOAL, PUBLISHED = 0.23, 0.18  # V
 # Models whose error on the training record is within this share of the best one's cannot be told apart.
 ALIKE = 0.1
+# A model that holds another one follows the training record at least as well: this many times its error is no optimum.
+STUCK = 1.01
 Say = Callable[[str], object]
 
 
@@ -82,9 +84,11 @@ def section(s: Study) -> list[str]:
     rows = [["Torricelli alone", *_shown(_errors(s.base))]]
     rows += [[f"**{', '.join(f'`{e.name}`' for e in s.refitted.model.effects)}**", *_shown(_errors(s.refitted))]]
     rows += [[f"without `{name}`", *_shown(e)] for name, e in s.without.items()]
-    rows += [[f"with `{name}` besides", *_shown(e)] for name, e in s.beside.items()]
-    rows += [["*published, best*", "", f"{PUBLISHED:.2f}"]]
     own = _errors(s.refitted)[0]
+    for name, e in s.beside.items():
+        stuck = e[0] > STUCK * own
+        rows += [[f"with `{name}` besides" + stuck * " (the refit got stuck)", *(("-", "-") if stuck else _shown(e))]]
+    rows += [["*published, best*", "", f"{PUBLISHED:.2f}"]]
     like = [f"`{n}`" for n, e in s.beside.items() if (1 - ALIKE) * own <= e[0] <= (1 + ALIKE) * own]
     constants = [
         [f"`{name}`", f"{q.value:.4g}", "" if q.interval is None else "{:.3g} to {:.3g}".format(*q.interval), q.unit]
