@@ -1,5 +1,6 @@
 """The plants against their papers: matrices derived by hand, printed numbers, identities for any constants."""
 
+import copy
 import dataclasses
 import math
 
@@ -9,6 +10,9 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
+from greybox import ModelError
+from greybox.discovery.places import places
+from greybox.effects import effect
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance
@@ -280,3 +284,23 @@ def test_an_empty_tank_has_finite_slopes(level):
     assert np.array(system.rhs_function([level, level], [1.0], p))[0] == pytest.approx(
         cascaded_tanks.values["k4"], rel=1e-3
     )
+
+
+def test_other_values_keep_the_equations_and_other_bounds_of_a_delay_do_not():
+    heated = micro_actuator + effect("winding_heating")
+    assert heated.start(K=5000.0).fix(M=0.02).system is heated.system
+    with pytest.raises(ModelError, match="finite"):
+        micro_actuator.with_process_noise(v=0.1).start(B=math.nan)
+    late = (micro_actuator + effect("transport_delay")).bound(delay=(0.0, 1e-3))
+    assert late.bound(delay=(0.0, 2e-3)).system.delays[0].longest == 2e-3
+    assert late.fix(delay=5e-4).system.delays[0].longest == 5e-4
+
+
+def test_a_copy_writes_out_its_own_equations():
+    copied = copy.deepcopy(micro_actuator)
+    assert copied.system is not micro_actuator.system and str(copied.system.rhs) == str(micro_actuator.system.rhs)
+
+
+def test_something_is_missing_in_the_plant_and_not_in_the_balance_of_an_effect():
+    names = [p.name for p in places(micro_actuator + effect("winding_heating"), ["x", "i"])]
+    assert names == ["force", "voltage", "u", "x", "i"]

@@ -62,12 +62,12 @@ class Linearised:
 
 
 def places(model: Model, measured: Sequence[str]) -> list[Place]:
-    """Every balance in which something can be missing, every input, and the sensor of every output in ``measured``."""
-    system = model.system
+    """Every balance of the plant in which something can be missing, every input, and the sensor of every output in ``measured``."""
+    system, plant = model.system, {s.name for s in model.states}
     found = [
         Place(b.name, BALANCE, b.unit, system.state_names.index(b.state))
         for b in system.balances
-        if not _is_definition(system, b.state)
+        if b.state in plant and not _is_definition(system, b.state)
     ]
     found += [Place(i.name, INPUT, i.unit, k) for k, i in enumerate(model.inputs)]
     return found + [Place(o.name, SENSOR, o.unit, k) for k, o in enumerate(model.outputs) if o.name in measured]

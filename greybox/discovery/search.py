@@ -41,6 +41,7 @@ class Search:
     singles: list[Trial] = field(init=False, default_factory=list)
     tried: dict[frozenset[str], Trial] = field(init=False, default_factory=dict)
     form: dict[frozenset[str], Trial] = field(init=False, default_factory=dict)
+    extended: dict[tuple[str, ...], Model] = field(init=False, default_factory=dict)
     hopes: dict[frozenset[str], dict[tuple[str, float], float]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -127,7 +128,7 @@ class Search:
         """``trial`` with one more effect, refitted from the ``keep`` best starts (once for each set of effects)."""
         key = frozenset((*trial.effects, effect.name))
         if key not in self.tried:
-            model = trial.model + effect
+            model = self._with(trial, effect)
             found = self.bench.best(model, self._starts(trial, effect, model, more), keep, iterations)
             if found is None:
                 return None
@@ -140,7 +141,7 @@ class Search:
         new = [(key, e) for key, e in zip(keys, effects, strict=True) if key not in self.tried]
         jobs = []
         for _, e in new:
-            model = trial.model + e
+            model = self._with(trial, e)
             starts, shapes = self._starts(trial, e, model), count_shapes(e, self.scales)
             # Where there are so many shapes (frequencies of a sharp resonance), a step from afar foresees nothing: refit from each.
             narrow = shapes > MANY_SHAPES and not trial.effects
@@ -149,6 +150,13 @@ class Search:
             if found is not None:
                 self.tried[key] = found
         return [self.tried[key] for key in keys if key in self.tried]
+
+    def _with(self, trial: Trial, effect: Effect) -> Model:
+        """``trial.model + effect``; the equations are written out once for every set of effects."""
+        key = (*trial.effects, effect.name)
+        if key not in self.extended:
+            self.extended[key] = trial.model + effect
+        return self.extended[key].start(**trial.model.values)
 
     def _starts(self, trial: Trial, effect: Effect, model: Model, more: Sequence[Start] = ()) -> list[Start]:
         """Where the refit of ``model``, which is ``trial`` with ``effect``, begins."""
@@ -219,7 +227,7 @@ class Search:
         return best
 
     def _hope(self, first: Trial, effect: Effect, rung: float) -> float:
-        model = first.model + effect
+        model = self._with(first, effect)
         return self.bench.promise(model, candidate_starts(model, effect, first, first.model, self.scales, (rung,)))
 
     def _pruned(self, chosen: Trial) -> Trial:

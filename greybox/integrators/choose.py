@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from greybox.errors import ModelError, nearest
@@ -11,13 +13,15 @@ from greybox.integrators.implicit import midpoint, radau
 from greybox.integrators.past import past_of
 from greybox.integrators.relaxing import fast_relaxation, mixed
 from greybox.integrators.rk4 import rk4
-from greybox.integrators.step import Step
+from greybox.integrators.step import Past, Step
 from greybox.model.system import System
 
 METHODS = ("automatic", "exact", "rk4", "mixed", "midpoint", "radau")
 IMPLICIT = {"midpoint": midpoint, "radau": radau}
 # The exact hold needs one matrix exponential for each distinct interval length.
 MOST_LENGTHS = 200
+# Steps that are kept, for the next fit of the same equations at other values.
+KEPT = 64
 
 
 def discretise(
@@ -50,16 +54,26 @@ def discretise(
     past = past_of(system, lengths)
     few = len(lengths) <= MOST_LENGTHS
     if method == "exact" or (method == "automatic" and system.linear and few):
-        return exact_hold(system, past)
+        return _exact(system, past)
     longest = float(np.max(lengths, initial=0.0))
     fast = fast_relaxation(system, p, x) if method == "mixed" else system.relaxing
     n = substeps or (1 if method in IMPLICIT else substeps_for(system, p, x, longest, relaxing=fast))
 
     def make(count: int) -> Step:
-        if method == "mixed":
-            return mixed(system, fast, count, past)
-        return IMPLICIT.get(method, rk4)(system, count, past)
+        return _stepped(method, system, tuple(fast), count, past)
 
     if target <= 0 or inputs is None or substeps:
         return make(n)
     return substeps_within(target, make, n, p, x[0], inputs, longest)
+
+
+@lru_cache(maxsize=KEPT)
+def _exact(system: System, past: Past | None) -> Step:
+    return exact_hold(system, past)
+
+
+@lru_cache(maxsize=KEPT)
+def _stepped(method: str, system: System, fast: tuple[int, ...], substeps: int, past: Past | None) -> Step:
+    if method == "mixed":
+        return mixed(system, fast, substeps, past)
+    return IMPLICIT.get(method, rk4)(system, substeps, past)

@@ -26,7 +26,7 @@ class Past(NamedTuple):
     rows: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Step:
     """One discrete step of a model.
 

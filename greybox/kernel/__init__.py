@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from functools import lru_cache
 
 from greybox.errors import GreyboxError
 from greybox.integrators.step import Step
@@ -16,6 +17,9 @@ from greybox.kernel.record import Record
 from greybox.kernel.tape import UnsupportedOperationError
 
 __all__ = ["CompilerError", "GreyboxWarning", "Kernel", "Record", "Sums", "UnsupportedOperationError", "make_kernel"]
+
+# Kernels that are kept, for the next fit with the same step.
+KEPT = 64
 
 _warned: set[str] = set()
 
@@ -34,7 +38,7 @@ def make_kernel(step: Step) -> Kernel:
     if wanted == "interpreted":
         return InterpretedKernel(step, "GREYBOX_KERNEL=interpreted")
     try:
-        return CompiledKernel(step)
+        return _compiled(step)
     except (CompilerError, UnsupportedOperationError) as error:
         if wanted == "compiled":
             raise
@@ -43,3 +47,8 @@ def make_kernel(step: Step) -> Kernel:
         _warned.add(reason)
         warnings.warn(f"{reason}; fits run without compiled code, many times slower", GreyboxWarning, stacklevel=2)
     return InterpretedKernel(step, reason)
+
+
+@lru_cache(maxsize=KEPT)
+def _compiled(step: Step) -> CompiledKernel:
+    return CompiledKernel(step)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -287,7 +288,25 @@ class Model:
                 for own, outer in zip(b.effect.parameters, b.parameters, strict=True)
             ]
             effects.append(replace(b.effect, parameters=tuple(inner)))
-        return replace(self, parameters=base, effects=tuple(effects))
+        if any("bounds" in change for change in changes.values()):
+            return replace(self, parameters=base, effects=tuple(effects))
+        return self._with_numbers(base, tuple(effects))
+
+    def _with_numbers(self, parameters: tuple[Parameter, ...], effects: tuple[Effect, ...]) -> Model:
+        """The same equations, names and units at other values: what was checked and written out once holds still."""
+        found = copy.copy(self)
+        object.__setattr__(found, "parameters", parameters)
+        object.__setattr__(found, "effects", effects)
+        system = self.__dict__.get("system")
+        if system is not None and not system.delays:  # a delay is as long as its fixed constants say
+            found.__dict__["system"] = system
+        check_noise(found)
+        check_constants(found.title, found.rules, found._constants)
+        return found
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields alone: a copy, here or in another process, writes out its own equations."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def __str__(self) -> str:
         return show(self)

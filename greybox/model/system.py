@@ -58,7 +58,7 @@ class Dry:
     static: ca.SX
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class System:
     """A model as expressions: ``dx/dt = rhs(x, u, p)``, ``y = outputs(x, u, p)``.
 
