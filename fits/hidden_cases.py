@@ -61,7 +61,7 @@ FAMILY: Mapping[str, tuple[str, ...]] = {
     "creeping_friction": ("coulomb_friction", "stribeck_friction", "lugre_friction"),
     "quintic_stiffness": ("cubic_stiffness",),
     "cubic_damping": ("quadratic_damping",),
-    "soft_saturation": ("input_saturation",),
+    "soft_saturation": ("soft_saturation", "input_saturation"),
     "soft_dead_zone": ("input_dead_zone", "valve_dead_zone"),
 }
 RELATIVES = {

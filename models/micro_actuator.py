@@ -31,7 +31,7 @@ CANDIDATES = (
     *("coulomb_friction", "stribeck_friction", "lugre_friction", "quadratic_damping"),
     *("cubic_stiffness", "quadratic_stiffness", "viscoelastic_creep", "bouc_wen_hysteresis", "second_mode"),
     *("force_constant_droop", "winding_heating", "eddy_current", "constant_load"),
-    *("input_saturation", "input_dead_zone", "transport_delay", "input_offset"),
+    *("input_saturation", "soft_saturation", "input_dead_zone", "transport_delay", "input_offset"),
     *("sensor_drift", "sensor_lag"),
 )
 FITTED = "derived: eq. 16.1 with gain and poles of section 4.2, the assumed M, Ra, La, and Kf = Kv"

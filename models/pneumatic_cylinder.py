@@ -40,7 +40,7 @@ pneumatic_cylinder = pneumatic_chain(
         *("coulomb_friction", "stribeck_friction", "lugre_friction", "quadratic_damping"),
         *("constant_load", "return_spring"),
         *("chamber_leakage", "choked_flow", "supply_droop", "position_dependent_volume"),
-        *("valve_dead_zone", "input_saturation", "valve_lag", "transport_delay", "input_offset"),
+        *("valve_dead_zone", "input_saturation", "soft_saturation", "valve_lag", "transport_delay", "input_offset"),
         *("backlash", "sensor_lag"),
     ),
 )

@@ -188,13 +188,13 @@ def test_tanks_have_no_force_and_say_so(name):
 
 ON_ACTUATOR = """
     coulomb_friction stribeck_friction lugre_friction quadratic_damping cubic_stiffness quadratic_stiffness viscoelastic_creep
-    bouc_wen_hysteresis constant_load second_mode force_constant_droop winding_heating eddy_current input_saturation
+    bouc_wen_hysteresis constant_load second_mode force_constant_droop winding_heating eddy_current input_saturation soft_saturation
     input_dead_zone transport_delay input_offset sensor_drift sensor_lag
 """
 ON_CYLINDER = """
     coulomb_friction stribeck_friction lugre_friction quadratic_damping constant_load return_spring chamber_leakage choked_flow
-    supply_droop position_dependent_volume valve_dead_zone input_saturation valve_lag transport_delay input_offset backlash
-    sensor_lag
+    supply_droop position_dependent_volume valve_dead_zone input_saturation soft_saturation valve_lag transport_delay input_offset
+    backlash sensor_lag
 """
 
 

@@ -71,28 +71,33 @@ class Evidence:
         if not chosen.effects:
             seen = base.per_sample > rules.threshold(base.count) or self.shows_elsewhere
             return "unknown" if seen else "complete"
-        visible = self.worst.before / self.worst.floor > rules.VISIBLE
-        if (
-            not rules.clean(base, chosen)
-            or remainder(chosen) > LEFT_OVER
-            or (visible and self.worst.closed < rules.HELD_OUT)
-        ):
+        if not rules.clean(base, chosen) or remainder(chosen) > LEFT_OVER or not self.closes:
             return "unknown"
         return "ambiguous" if self.rivals else "named"
+
+    @property
+    def closes(self) -> bool:
+        """Whether the chosen model closes the gap on the judging records, if there is one: all but a tenth, or down to what noise
+        of this level and colour may leave by chance."""
+        name, worst = max(self.gap.items(), key=lambda item: item[1].before / item[1].floor)
+        if worst.before / worst.floor <= rules.VISIBLE or worst.closed >= rules.HELD_OUT:
+            return True
+        return worst.closed >= rules.PARTLY and worst.after / worst.floor <= self._chance(name)
+
+    def _chance(self, output: str) -> float:
+        """Rms over noise that the noise of an output hardly ever exceeds on the judging records."""
+        noise = self.search.base.problem.noise
+        number = [o.name for o in self.base.model.outputs].index(output)
+        return rules.visible(self.base.validation[output].samples, noise.colour[number])
 
     @property
     def shows_elsewhere(self) -> bool:
         """Whether the plain model fails on the judging records only."""
         if self.chosen.effects:
             return False
-        noise = self.search.base.problem.noise
-        outputs = [o.name for o in self.base.model.outputs]
         if self.worst.before / self.worst.floor - 1 < ELSEWHERE * (self.search.base.per_sample**0.5 - 1):
             return False
-        return any(
-            g.before / g.floor > rules.visible(self.base.validation[name].samples, noise.colour[outputs.index(name)])
-            for name, g in self.gap.items()
-        )
+        return any(g.before / g.floor > self._chance(name) for name, g in self.gap.items())
 
 
 def discover(

@@ -16,6 +16,8 @@ from greybox.model import Effect, Model
 
 # First picks that are carried on in parallel, second effects refitted for each, and effects at most.
 BEAM, SECONDS, MOST_EFFECTS = 3, 5, 3
+# Amplitude at which an effect is nearly absent, as a multiple of its probe: what a first effect left over may be that small.
+FAINT = 0.01
 # Iterations of a first, short refit; effects that are then refitted thoroughly; generations of children (Coulomb, Stribeck, LuGre).
 SHORT, LEADING, GENERATIONS = 12, 5, 2
 # Models with a further effect that are refitted to convergence.
@@ -209,10 +211,11 @@ class Search:
         return self._added_all(first, promising)
 
     def _promising(self, first: Trial, room: Sequence[Effect], most: int) -> list[Effect]:
-        """The ``most`` effects that promise most beside ``first``: all at a small amplitude, the better half at a large one too."""
+        """The ``most`` effects that promise most beside ``first``: all nearly absent and at a small amplitude, the better half at a
+        large one too."""
         known = self.hopes.setdefault(frozenset(first.effects), {})
-        for rung, few in zip(LADDER, (len(room), 2 * most), strict=True):
-            leading = sorted(room, key=lambda e: known.get((e.name, LADDER[0]), 0.0))[:few]
+        for rung, few in zip((FAINT, *LADDER), (len(room), len(room), 2 * most), strict=True):
+            leading = sorted(room, key=lambda e: min(known.get((e.name, r), 0.0) for r in (FAINT, LADDER[0])))[:few]
             for e in leading:
                 if (e.name, rung) not in known:
                     known[e.name, rung] = self._hope(first, e, rung)
@@ -236,8 +239,7 @@ class Search:
             if len(chosen.effects) == 1:
                 break
             smaller = self._refitted(chosen, name)
-            need = max(rules.STRONG, rules.FURTHER_SHARE * rules.excess(self.base))
-            if smaller is not None and smaller.cost - chosen.cost < need:
+            if smaller is not None and not rules.accepted(self.base, smaller, chosen):
                 chosen = smaller
         return chosen
 

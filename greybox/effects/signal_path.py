@@ -24,6 +24,15 @@ def _clipped(value: Expression, x: Named, u: Named, p: Named) -> Expression:
     return ca.fmin(ca.fmax(value, -p.u_max), p.u_max)
 
 
+def _softly_clipped(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+    return p.u_max * ca.tanh(value / p.u_max)
+
+
+def _softer(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    # tanh leaves off long before its limit: the same loss at the peak takes a limit that is higher.
+    return [{"u_max": factor * min(values["u_max"], s.input)} for factor in (1.0, 1.5, 3.0)]
+
+
 def _dead_zone(value: Expression, x: Named, u: Named, p: Named) -> Expression:
     return value - ca.fmin(ca.fmax(value, -p.d), p.d)
 
@@ -85,6 +94,25 @@ input_saturation = Effect(
     amplitudes=("u_max",),
     neutral={"u_max": 1e6},
     grid=_levels,
+)
+
+soft_saturation = Effect(
+    "soft_saturation",
+    site="input",
+    parameters=[shape("u_max", "{input}", 1e6, (1e-9, 1e9), "input that is never exceeded")],
+    on_input=_softly_clipped,
+    equation="u_max tanh(u / u_max)",
+    parents=("input_saturation",),
+    parity="odd",
+    tells_apart=(
+        "Drive with a slow ramp: the response bends from the start, where a hard limit leaves it straight and then stops it; a"
+        " hardening spring bends with displacement instead, and winding heat takes its time."
+    ),
+    source="amplifier or valve driver that limits gradually",
+    amplitudes=("u_max",),
+    neutral={"u_max": 1e6},
+    grid=lambda s: {"u_max": [share * s.input for share in (3.0, 1.5, 0.7)]},
+    from_parent=_softer,
 )
 
 input_dead_zone = Effect(
@@ -230,6 +258,7 @@ backlash = Effect(
 
 SIGNAL_PATH: tuple[Effect, ...] = (
     input_saturation,
+    soft_saturation,
     input_dead_zone,
     valve_dead_zone,
     valve_lag,

@@ -14,6 +14,9 @@ from greybox.optimiser.kink import search_around
 from greybox.optimiser.outcome import IPOPT_STATUS, Finished, Iteration, Outcome, Quadratic, Status
 from greybox.optimiser.search import Search, interruptible
 
+# Where IPOPT gives up, another method may not.
+ASTRAY = (Status.STUCK, Status.FAILED)
+
 
 def minimise(
     evaluate: Callable[[np.ndarray], Quadratic],
@@ -33,10 +36,10 @@ def minimise(
 
     ``scale`` divides the cost. ``first`` is ``evaluate(start)`` where the caller has it already. ``finished(z, value)`` is asked at the
     start and after every iteration about the best point so far, and may end the search with a status: a statistical rule knows
-    better than a gradient norm when nothing is left to gain. Where a step is shortened again and again for nothing, damped
-    Gauss-Newton steps go on from the best point; where they gain nothing either, the cost has a kink and its gradient misleads:
-    the search goes on without it (``thorough``) or ends. Ctrl-C ends it too; the best point so far is kept. What ``evaluate``
-    raises is raised here.
+    better than a gradient norm when nothing is left to gain. Where a step is shortened again and again for nothing, or IPOPT finds
+    none, damped Gauss-Newton steps go on from the best point; where they gain nothing either, the cost has a kink and its gradient
+    misleads: the search goes on without it (``thorough``) or ends. Ctrl-C ends it too; the best point so far is kept. What
+    ``evaluate`` raises is raised here.
     """
     began = time.perf_counter()
     search = Search(evaluate, scale, finished, progress)
@@ -52,7 +55,7 @@ def minimise(
     else:
         with interruptible(search):
             word, count = _run(search, start, low, high, tolerance, iterations)
-            if search.lost and not search.stop:
+            if (search.lost or IPOPT_STATUS.get(word, Status.FAILED) in ASTRAY) and not (search.stop or search.done):
                 _go_on(search, low, high, thorough)
         status = search.done or (Status.INTERRUPTED if search.stop else IPOPT_STATUS.get(word, Status.FAILED))
     z, seconds = np.clip(search.best, low, high), time.perf_counter() - began
@@ -61,10 +64,9 @@ def minimise(
 
 def _go_on(search: Search, low: np.ndarray, high: np.ndarray, thorough: bool) -> None:
     """Where steps were shortened for nothing: either the search strayed from a smooth optimum, or the cost has a kink."""
-    if not thorough:
-        search.done = Status.STUCK
-    elif not descend(search, low, high) and not search.stop:
-        search.done = search_around(search, low, high)
+    if descend(search, low, high) or search.stop:
+        return
+    search.done = search_around(search, low, high) if thorough else Status.STUCK
 
 
 class _Callback(ca.Callback):

@@ -7,11 +7,13 @@ import numpy as np
 from greybox.optimiser.outcome import Status
 from greybox.optimiser.search import Search
 
-# Damping begins at this share of the curvature, falls after a step that gains and grows after one that does not.
+# Damping begins at this share of the curvature; it falls after a step that gains nearly what its quadratic model says, and grows after
+# one that gains little of it or nothing.
 DAMPING, EASIER, HARDER = 1e-6, 0.1, 10.0
+NEARLY, LITTLE = 0.75, 0.25
 STEPS, REFUSED = 50, 8
-# Along a kink a step gains much less than it promises: so many such steps in a row are enough.
-POOR, POORLY = 0.1, 4
+# Along a kink even a short step gains much less than it promises: so many such steps in a row are enough.
+POOR, POORLY = 0.1, 6
 # A step that promises to lower the cost by less than this share of it is lost in rounding errors.
 NOTHING = 1e-13
 
@@ -19,31 +21,44 @@ NOTHING = 1e-13
 def descend(search: Search, low: np.ndarray, high: np.ndarray) -> bool:
     """Levenberg and Marquardt's steps from the best point, until the rule of ``search`` ends it; whether it did.
 
-    An interior-point method that begins close to the optimum may follow its barrier away from it for many iterations, and that
-    looks like a step that is shortened for nothing. Where the gradient is right, one of these steps gains at once. False
-    where none does, or several gain little: the cost has a kink there.
+    An interior-point method that begins close to the optimum may follow its barrier away from it for many iterations, and one that
+    begins far away on a nearly singular curvature may find no step at all: both look like steps that are shortened for nothing.
+    Where the gradient is right, a damped step gains at once. False where none does, or several gain little: the cost has a kink there.
     """
     damping, refused, poor = DAMPING, 0, 0
     for _ in range(STEPS):
+        if not np.isfinite(search.best_value.hessian).all():  # type: ignore[union-attr]
+            return False  # sensitivities overflow: there is no direction to go
         before, step = search.best_cost, _step(search, damping, low, high)
-        promised = -0.5 * float(search.best_value.gradient @ step)  # type: ignore[union-attr]
+        promised = _promised(search, step)
         if promised <= NOTHING * before:
             search.done = Status.CONVERGED
             return True
         search.shortenings = 0
         search(np.clip(search.best + step, low, high))
+        share = (before - search.best_cost) / promised
+        if share > NEARLY:
+            damping *= EASIER
+        elif share < LITTLE:
+            damping = max(damping, DAMPING) * HARDER
         if search.best_cost < before:
-            damping, refused = damping * EASIER, 0
-            poor = 0 if before - search.best_cost > POOR * promised else poor + 1
+            refused, poor = 0, 0 if share > POOR else poor + 1
             if search.iterated():
                 return search.done is not None or search.stop
             if poor == POORLY:
                 return False
         else:
-            damping, refused = max(damping, DAMPING) * HARDER, refused + 1
+            refused += 1
             if refused == REFUSED:
                 return False
     return False
+
+
+def _promised(search: Search, step: np.ndarray) -> float:
+    """By how much the quadratic model at the best point falls along ``step``."""
+    value = search.best_value
+    assert value is not None  # a search keeps its start
+    return -float(value.gradient @ step) - 0.5 * float(step @ value.hessian @ step)
 
 
 def _step(search: Search, damping: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
