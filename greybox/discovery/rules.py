@@ -11,8 +11,6 @@ from greybox.noise import AutoRegression
 STRONG = 20.0
 # It must close this share of the excess over the noise; a further one this share of the first excess.
 FIRST_SHARE, FURTHER_SHARE = 0.1, 0.01
-# ... or nearly all of what was left: beside a strong effect a weak one is a small share of the whole, and yet plain to see.
-LAST_SHARE = 0.8
 # A child effect must beat its parent by this much, or by this share of what the parent gained.
 CHILD, CHILD_SHARE = 10.0, 0.003
 # Rivals within this much cost explain the data as well.
@@ -57,13 +55,17 @@ def gain(smaller: Trial, larger: Trial) -> float:
 
 
 def accepted(base: Trial, smaller: Trial, larger: Trial) -> bool:
-    """Whether the effect that leads from ``smaller`` to ``larger`` is in the data."""
+    """Whether the effect that leads from ``smaller`` to ``larger`` is in the data.
+
+    Beside a strong effect a weak one is a small share of the whole, and yet plain to see: it is accepted if only noise is left.
+    """
     closed = smaller.cost - larger.cost
     if gain(smaller, larger) <= STRONG:
         return False
     if smaller is base:
         return closed >= FIRST_SHARE * excess(base)
-    return closed >= FURTHER_SHARE * excess(base) or closed >= LAST_SHARE * excess(smaller)
+    last = larger.per_sample <= chance(larger.count) < smaller.per_sample
+    return last or closed >= FURTHER_SHARE * excess(base)
 
 
 def clean(base: Trial, trial: Trial) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import casadi as ca
@@ -12,9 +13,12 @@ from greybox.model import Balance, Effect
 from greybox.signals import Expression, Named, State
 
 # Of the moving mass: a second mass this heavy is visible but small.
-SECOND_MASS = 0.02
+SECOND_MASS = 0.04
 # Of critical, to start from: structures of metal have 0.002 to 0.03.
 SECOND_DAMPING = 0.02
+# Stiffness and damping between two bodies that do not feel each other; positive, so that a refit sees a change of mass, stiffness and
+# damping by the same factor as a straight line.
+NO_COUPLING, COUPLED = 1e-9, 1e-12
 
 
 def _cubic(x: Named, u: Named, p: Named) -> Expression:
@@ -80,6 +84,17 @@ def _second_grid(s: Scales) -> Mapping[str, list[float]]:
         # Neighbours a quarter apart: a refit finds a sharp resonance only from nearby.
         "k2": [m2 * w**2 for w in spread(low, high, 16)],
         "c2": [2 * SECOND_DAMPING * m2 * middle],
+    }
+
+
+def _second_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
+    """A body between a three-hundredth of the moving mass and all of it, on a spring that rings below half the sampling rate: what
+    is faster shows as nothing but a stiffer or a delayed plant, at the price of a thousand substeps."""
+    fastest = math.pi / s.period
+    return {
+        "m2": (0.003 * s.storage, s.storage),
+        "k2": (COUPLED, s.storage * fastest**2),
+        "c2": (COUPLED, s.storage * fastest),
     }
 
 
@@ -175,8 +190,17 @@ second_mode = Effect(
     site="force",
     parameters=[
         shape("m2", "{force}*s/{velocity}", 1e-9, (1e-15, 1e9), "mass that swings on the body", "small, until fitted"),
-        amplitude("k2", "{force}/{displacement}", "stiffness between the two", low=0.0),
-        amplitude("c2", "{force}/{velocity}", "damping between the two", low=0.0),
+        shape(
+            "k2",
+            "{force}/{displacement}",
+            NO_COUPLING,
+            (1e-12, 1e15),
+            "stiffness between the two",
+            "small, until fitted",
+        ),
+        shape(
+            "c2", "{force}/{velocity}", NO_COUPLING, (COUPLED, 1e12), "damping between the two", "small, until fitted"
+        ),
     ],
     states=[
         State("z1", "{displacement}", lambda p: p.sensor, description="position of the second mass"),
@@ -192,7 +216,9 @@ second_mode = Effect(
     ),
     source="two masses and a spring (Rayleigh, The Theory of Sound)",
     amplitudes=("k2", "c2"),
+    neutral={"k2": NO_COUPLING, "c2": NO_COUPLING},
     grid=_second_grid,
+    limits=_second_limits,
 )
 
 return_spring = Effect(

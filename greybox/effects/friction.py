@@ -88,6 +88,11 @@ def _lugre_grid(s: Scales) -> Mapping[str, list[float]]:
     }
 
 
+def _lugre_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
+    """Bristles damped beyond this stick to the body within a third of a sampling period: no record shows more of them."""
+    return {"s1": (0.0, 3 * s.storage / s.period)}
+
+
 def _quadratic_damping(x: Named, u: Named, p: Named) -> Expression:
     return -p.B2 * ca.fabs(x.velocity) * x.velocity
 
@@ -148,6 +153,7 @@ lugre_friction = Effect(
     amplitudes=("Fc", "Fs"),
     probe=lambda s: {"Fc": s.share, "Fs": RATIOS[1] * s.share},
     grid=_lugre_grid,
+    limits=_lugre_limits,
     from_parent=_lugre_from_parent,
 )
 

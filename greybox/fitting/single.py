@@ -26,6 +26,8 @@ PERFECT = 1e-7
 PATIENCE, LITTLE_GAIN = 12, 1e-5
 # A scaled variable this close to its bound, and pushed against it, is held there.
 AT_BOUND = 1e-6
+# Growth of the number of substeps that a fit which is not thorough follows.
+COSTLY = 16
 NO_RESULT = (Status.INTERRUPTED, Status.NO_START)
 
 
@@ -40,7 +42,7 @@ def solve_single(problem: Problem, options: FitOptions, report: Report | None = 
         if run.over:
             break
         better, error = finer(run.problem, run.variables, run.evaluation, options)
-        if better is None or halving == HALVINGS:
+        if better is None or halving == HALVINGS or run.costly(better):
             break
         run.problem, run.known = better, None
         run.fit(1.0)
@@ -58,7 +60,7 @@ class _Run:
 
     def __init__(self, problem: Problem, options: FitOptions, report: Report | None) -> None:
         self.problem, self.options, self.report = problem, options, report
-        self.variables = problem.variables
+        self.variables, self.first = problem.variables, problem.step.substeps
         self.status, self.word = Status.CONVERGED, ""
         self.iterations = self.passes = 0
         self.seconds = 0.0
@@ -69,6 +71,10 @@ class _Run:
     def over(self) -> bool:
         """Whether there is nothing to go on from."""
         return self.status in NO_RESULT
+
+    def costly(self, better: Problem) -> bool:
+        """Whether one of many candidates has strayed to constants so stiff that to follow it would take all the time."""
+        return not self.options.thorough and better.step.substeps > COSTLY * self.first
 
     @property
     def evaluation(self) -> Evaluation:
