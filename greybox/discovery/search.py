@@ -211,11 +211,10 @@ class Search:
         return self._added_all(first, promising)
 
     def _promising(self, first: Trial, room: Sequence[Effect], most: int) -> list[Effect]:
-        """The ``most`` effects that promise most beside ``first``: all nearly absent and at a small amplitude, the better half at a
-        large one too."""
+        """The ``most`` effects that promise most beside ``first``: all nearly absent, the better half at larger amplitudes too."""
         known = self.hopes.setdefault(frozenset(first.effects), {})
-        for rung, few in zip((FAINT, *LADDER), (len(room), len(room), 2 * most), strict=True):
-            leading = sorted(room, key=lambda e: min(known.get((e.name, r), 0.0) for r in (FAINT, LADDER[0])))[:few]
+        for rung, few in zip((FAINT, *LADDER), (len(room), 2 * most, 2 * most), strict=True):
+            leading = sorted(room, key=lambda e: known.get((e.name, FAINT), 0.0))[:few]
             for e in leading:
                 if (e.name, rung) not in known:
                     known[e.name, rung] = self._hope(first, e, rung)
