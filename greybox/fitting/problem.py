@@ -162,7 +162,9 @@ def begun_at(model: Model, beginning: InitialStates, initial: Sequence[Mapping[s
                 raise ModelError(f"initial states: {model.title} has no state {name!r}; {nearest(name, names)}")
             (low, high), unit = bounds[name]
             if not (np.isfinite(value) and low <= value <= high):
-                wrong.append(f"{name} = {value:g} {unit}".rstrip() + f" of experiment {e + 1} (bounds [{low:g}, {high:g}])")
+                wrong.append(
+                    f"{name} = {value:g} {unit}".rstrip() + f" of experiment {e + 1} (bounds [{low:g}, {high:g}])"
+                )
             guess[e, names.index(name)] = value
     if wrong:
         raise ModelError(f"initial states: {'; '.join(wrong)}: give finite values within the states' bounds")
