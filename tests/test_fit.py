@@ -149,7 +149,7 @@ def test_a_fit_begins_at_the_initial_states_it_is_given():
         ({"x": 1.0}, FitOptions(), "a bare mapping for 1 experiment: give a sequence"),
         ([{"x": 7.0}], FitOptions(), r"x = 7 m of experiment 1 \(bounds \[-5, 5\]\): give finite values within"),
         ([{"x": np.nan}], FitOptions(), "x = nan m of experiment 1"),
-        ([{"x": 1.0}], REST, "at_rest=True begins every record at the states that the model declares"),
+        ([{"x": 1.0}], REST, "at_rest=True begins 'x' at the value that the model declares; leave out one"),
     ],
 )
 def test_initial_states_that_do_not_go_with_the_model_are_refused(initial, options, said):

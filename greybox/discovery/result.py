@@ -34,7 +34,7 @@ class Discovery:
     ``base`` and ``best`` are fits of the plain and of the extended model; ``gap`` by output; ``ranking`` of the candidates;
     ``look``: where, when and in which region the plain model falls short; ``story`` one paragraph; ``notes`` what to know before
     believing it; ``missing``: for each effect its signal as the data and as the extended model have it; ``stand_in``: a smooth curve
-    in the place of an unknown effect; ``deeper``: what `further` found beyond, where it was asked.
+    or a tone in the place of an unknown effect; ``deeper``: what `further` found beyond, where it was asked.
     """
 
     verdict: str
@@ -125,6 +125,7 @@ class Discovery:
         return {
             "site": found.site, "variable": found.variable, "variable_unit": found.variable_unit, "unit": found.unit,
             "closed": found.closed, "gap": found.gap, "values": found.values, "curve": found.curve,
+            "tone": found.tone,
         }  # fmt: skip
 
     def __str__(self) -> str:

@@ -135,19 +135,15 @@ def initial_states(
                     if np.isfinite(first).any():
                         guess[e, names.index(state.name())] = first[np.isfinite(first)][0]
     scale = np.where(declared != 0, declared, 1.0)
-    return InitialStates(guess, np.full(len(names), not at_rest), scale)
+    return InitialStates(guess, np.array([not at_rest or s.free_start for s in model.all_states], bool), scale)
 
 
 def begun_at(model: Model, beginning: InitialStates, initial: Sequence[Mapping[str, float]]) -> InitialStates:
     """``beginning`` with the first guesses of ``initial``: one mapping from state to value for each record, in their order.
 
     States that a mapping leaves out keep their guess. Raises ModelError for states that the model does not have, values that are not
-    finite or lie outside the state's bounds, a wrong number of mappings, and where no initial state is estimated.
+    finite or lie outside the state's bounds, a wrong number of mappings, and states that are not estimated.
     """
-    if not beginning.free.any():
-        raise ModelError(
-            "initial states: at_rest=True begins every record at the states that the model declares; leave out one of the two"
-        )
     if isinstance(initial, Mapping) or len(initial) != len(beginning.guess):
         given = "a bare mapping" if isinstance(initial, Mapping) else _several(len(initial), "mapping")
         raise ModelError(
@@ -160,6 +156,10 @@ def begun_at(model: Model, beginning: InitialStates, initial: Sequence[Mapping[s
         for name, value in values.items():
             if name not in names:
                 raise ModelError(f"initial states: {model.title} has no state {name!r}; {nearest(name, names)}")
+            if not beginning.free[names.index(name)]:
+                raise ModelError(
+                    f"initial states: at_rest=True begins {name!r} at the value that the model declares; leave out one of the two"
+                )
             (low, high), unit = bounds[name]
             if not (np.isfinite(value) and low <= value <= high):
                 wrong.append(

@@ -66,7 +66,7 @@ def discovery_sections(found: Discovery) -> Iterator[Section]:
     yield Section("gap", "The gap", list(_gap(found)))
     signal: list[Block] = [missing_figure(m, f"missing-{k}") for k, m in enumerate(found.missing)]
     if found.stand_in is not None:
-        signal += [Text([sentence(str(found.stand_in))]), stand_in_figure(found.stand_in, found.look)]
+        signal += [Text([sentence(str(found.stand_in))]), stand_in_figure(found.stand_in)]
     if signal:
         yield Section("signal", "The missing signal", signal)
     if found.deeper is not None:
