@@ -307,12 +307,15 @@ class Cylinder(Rig):
         """Rate of the pressure in a chamber that a positive ``opening`` fills and a negative one vents."""
         f = self.e["choked_flow"]
 
-        def phi(r):
-            return 1.0 if r <= f["b"] else sqrt(max(0.0, 1 - ((r - f["b"]) / (1 - f["b"])) ** 2))
+        def orifice(upstream, downstream):
+            if upstream < downstream:
+                return -orifice(downstream, upstream)
+            r = downstream / upstream
+            return upstream * (1.0 if r <= f["b"] else sqrt(max(0.0, 1 - ((r - f["b"]) / (1 - f["b"])) ** 2)))
 
         if opening > 0:
-            return gain * opening * phi(p / self.base["P_S"])
-        return f["ce"] * gain * opening * (p / self.base["P_S"]) * phi(self.base["P_a"] / p)
+            return gain * opening * orifice(self.base["P_S"], p) / self.base["P_S"]
+        return f["ce"] * gain * opening * orifice(p, self.base["P_a"]) / self.base["P_S"]
 
     def outputs(self, t, x, u):
         return self.shown(t, x), x[2], x[3]

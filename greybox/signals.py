@@ -32,6 +32,9 @@ class State:
     in the state's unit over sqrt(s): a number, the name of a parameter (bounded from 0 up; where it is free it is estimated), or a
     function of the parameters (``lambda p: p.sigma / p.M`` for a random force). A model with some of it is fitted by the error of
     its predictions from sample to sample; a free run leaves it out.
+
+    ``free_start``: the initial value is estimated for every record, also with ``at_rest=True``: a disturbance from outside does not
+    begin when the record does.
     """
 
     name: str
@@ -42,6 +45,7 @@ class State:
     description: str = ""
     relaxing: bool = False
     noise: float | str | Callable[[Named], Expression] = 0.0
+    free_start: bool = False
 
 
 @dataclass(frozen=True)

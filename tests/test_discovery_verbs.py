@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.discovery.attempt import judged
+from greybox.discovery.bench import Bench
+from greybox.discovery.refit import Outcome
 from greybox.discovery.region import regions
 from greybox.discovery.when import windows
 from greybox.fitting import FitOptions
 from models.micro_actuator import micro_actuator
 from tests.test_discover import off, records
+from tests.test_fit import SQUARED, decaying
 
 NOISE = (2e-7, 5e-3)
 GIVEN = {"x": 2e-7, "i": 5e-3}
@@ -96,3 +100,14 @@ def test_windows_share_out_the_misfit():
     r[200:300] = 10.0
     found = windows(["a"], [np.arange(1000) * 0.01], [r])
     assert sum(w.share for w in found if 1.99 < w.start < 3) == pytest.approx(1, abs=0.01)
+
+
+def test_a_trial_is_judged_from_the_initial_states_it_ended_with():
+    """A sign that the record cannot show: the fit stays on the side that the trial is on, and the declared start is not."""
+    records = decaying(2.0)
+    bench = Bench(SQUARED, tuple(records), {"y": 1e-3}, (), FitOptions())
+    trial = bench.placed(SQUARED, Outcome({"k": 2.9}, ((-1.9,),)))
+    found = judged(trial, bench, ())
+    assert found.traces[0].initial_state["x"] == pytest.approx(-2.0, rel=1e-6)
+    assert found.parameters["k"].value == pytest.approx(3.0, rel=1e-6)
+    assert judged(bench.base, bench, ()).traces[0].initial_state["x"] == pytest.approx(2.0, rel=1e-6)

@@ -361,6 +361,58 @@ def test_storage_is_scaled_under_every_term():
     np.testing.assert_allclose(rates(micro_actuator + heavy, x, u), expected)
 
 
+def iso6358(upstream, downstream, b):
+    """Flow of ISO 6358-1 over conductance and density, written out for flow in both directions."""
+    if downstream > upstream:
+        return -iso6358(downstream, upstream, b)
+    ratio = downstream / upstream
+    return upstream if ratio <= b else upstream * np.sqrt(1 - ((ratio - b) / (1 - b)) ** 2)
+
+
+def filling_and_venting(pressure, b=0.3, ce=1.4):
+    """Rates of the pressures of both chambers at ``pressure``, by flow alone, for the valve open one way and the other."""
+    model = pneumatic_cylinder + effect("choked_flow")
+    x = (0.0, 0.0, pressure, pressure)
+    return np.array([rates(model, x, [u], b=b, ce=ce)[2:] for u in (2.0, -2.0)])
+
+
+def test_choked_flow_is_iso_6358_in_both_directions():
+    c, b, ce = pneumatic_cylinder.values, 0.3, 1.4
+    gain = c["P_a"] * c["K2"] * c["P_S"] / (c["rho_a"] * c["V_total"])
+    # below the atmosphere, between it and the supply, beyond the supply (a load pushes the piston)
+    for pressure in (0.2e5, 0.9e5, 1.1e5, 3e5, 6.9e5, 7.1e5, 9e5, 30e5):
+        fill, vent = iso6358(c["P_S"], pressure, b), ce * iso6358(pressure, c["P_a"], b)
+        expected = 2 * gain / c["P_S"] * np.array([[fill, -vent], [-vent, fill]])
+        np.testing.assert_allclose(filling_and_venting(pressure, b, ce), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("equal", ["P_S", "P_a"])
+def test_choked_flow_turns_round_smoothly_where_the_pressures_are_equal(equal):
+    at = pneumatic_cylinder.values[equal]
+    column = 0 if equal == "P_S" else 1
+    near = {step: filling_and_venting(at + step)[0, column] for step in (-2.0, -1.0, 0.0, 1.0, 2.0)}
+    assert near[0.0] == 0
+    assert near[1.0] < 0 < near[-1.0]
+    assert near[1.0] == pytest.approx(-near[-1.0], rel=1e-4)
+    slopes = [(near[k + 1.0] - near[k]) for k in (-2.0, -1.0, 0.0, 1.0)]
+    assert slopes == pytest.approx([slopes[0]] * 4, rel=1e-4)
+
+
+def test_choked_flow_is_near_that_of_an_ideal_nozzle():
+    """St. Venant and Wantzel: isentropic flow of air chokes at a ratio of 0.528; the ellipse of ISO 6358 is within 2 % of it."""
+    k, supply = 1.4, pneumatic_cylinder.values["P_S"]
+    choked = (2 / (k + 1)) ** (k / (k - 1))
+
+    def nozzle(ratio):
+        return np.sqrt(ratio ** (2 / k) - ratio ** ((k + 1) / k))
+
+    full = filling_and_venting(0.3 * supply, choked)[0, 0]
+    for ratio in (0.55, 0.7, 0.9, 0.98):
+        assert filling_and_venting(ratio * supply, choked)[0, 0] / full == pytest.approx(
+            nozzle(ratio) / nozzle(choked), rel=0.02
+        )
+
+
 def test_effects_at_the_sensor_start_where_it_is_and_see_one_another_in_the_order_they_were_added():
     lagging = cascaded_tanks + effect("sensor_lag")
     start, _ = lagging.system.start_function(list(lagging.values.values()))

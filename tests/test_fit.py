@@ -8,6 +8,7 @@ import pytest
 
 from greybox import DataError, FitError, ModelError
 from greybox.effects import effect
+from greybox.experiment import Experiment
 from greybox.fitting import FitOptions, fit, validate
 from greybox.model import Balance, Model
 from greybox.result import load_fit
@@ -103,6 +104,57 @@ def test_several_experiments_have_their_own_initial_states():
     assert all(
         abs(found.parameters[q.name].value - q.value) < 3 * found.parameters[q.name].std for q in truth.free_parameters
     )
+
+
+SQUARED = Model(
+    "squared",
+    states=[State("x", "m", 1.0, (-5.0, 5.0))],
+    inputs=[Input("u", "m/s")],
+    outputs=[Output("y", "m**2", lambda x, u, p: x.x**2)],
+    parameters=[Parameter("k", "1/s", 2.0, (0.1, 10.0), source="a test")],
+    balances=lambda x, u, p: [Balance("rate", "m/s", 1, "x", decay=-p.k * x.x, drive=u.u)],
+)
+
+
+def decaying(*starts):
+    """Records of y = x^2, x = x0 exp(-3 t), in closed form: the sign of x0 cannot be seen."""
+    t = np.arange(120) * 0.01
+    return [
+        Experiment.from_arrays(t, {"u": 0 * t}, {"y": (x0 * np.exp(-3 * t)) ** 2}, allow_constant_input=True)
+        for x0 in starts
+    ]
+
+
+def test_a_fit_begins_at_the_initial_states_it_is_given():
+    records, noise = decaying(2.0, 0.5), {"y": 1e-3}
+    declared = fit(SQUARED, records, noise=noise)
+    given = fit(SQUARED, records, noise=noise, initial=[{"x": -1.0}, {}])
+    for found, signs in ((declared, (1, 1)), (given, (-1, 1))):
+        assert found.parameters["k"].value == pytest.approx(3.0, rel=1e-8)
+        begins = [t.initial_state["x"] for t in found.traces]
+        assert begins == pytest.approx([2.0 * signs[0], 0.5 * signs[1]], rel=1e-8)
+    again = fit(
+        given.model, records, noise=noise, initial=[t.initial_state for t in given.traces],
+        options=FitOptions(progressive=False),
+    )  # fmt: skip
+    assert again.traces[0].initial_state["x"] == pytest.approx(-2.0, rel=1e-8)
+    assert again.solver["passes"] < given.solver["passes"]
+
+
+@pytest.mark.parametrize(
+    ("initial", "options", "said"),
+    [
+        ([{"z": 1.0}], FitOptions(), r"squared has no state 'z'; known: x"),
+        ([{"x": 1.0}] * 2, FitOptions(), "2 mappings for 1 experiment: give a sequence with one mapping"),
+        ({"x": 1.0}, FitOptions(), "a bare mapping for 1 experiment: give a sequence"),
+        ([{"x": 7.0}], FitOptions(), r"x = 7 m of experiment 1 \(bounds \[-5, 5\]\): give finite values within"),
+        ([{"x": np.nan}], FitOptions(), "x = nan m of experiment 1"),
+        ([{"x": 1.0}], REST, "at_rest=True begins 'x' at the value that the model declares; leave out one"),
+    ],
+)
+def test_initial_states_that_do_not_go_with_the_model_are_refused(initial, options, said):
+    with pytest.raises(ModelError, match=said):
+        fit(SQUARED, decaying(2.0), noise={"y": 1e-3}, initial=initial, options=options)
 
 
 def test_gaps_and_irregular_time_do_not_move_the_constants():

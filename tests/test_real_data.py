@@ -1,17 +1,23 @@
 """The effects of the benchmark rigs, on records whose answer is known; and the studies on the measured ones."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from fits import cascaded_tanks_discovery, emps_discovery, silverbox_discovery
 from fits.real_page import arguments
 from greybox import Experiment, FitOptions, fit, further, simulate
+from greybox.cli.app import app
 from greybox.discovery import Bench
 from greybox.discovery.veto import held_out, surviving
 from greybox.effects import applicable, effect
+from greybox.project import resolve
 from greybox.signals import Named
+from greybox.simulation.write import write_csv
 from greybox.transcription import record_of
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
@@ -139,6 +145,25 @@ def test_going_on_finds_the_small_effect_and_stops(hardening):
     assert found.fit.parameters["K2"].value == pytest.approx(-2e4, rel=0.02)
     assert found.fit.validation["y"].rmse < 1.2 * NOISE
     assert "quadratic_stiffness: takes" in str(found)
+
+
+def test_the_command_goes_on_after_its_answer(tmp_path, monkeypatch):
+    truth = (silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")).start(K3=7e5, K2=-4e3)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("greybox.figures.discovery_figures", lambda *_: [])  # they are drawn in another test
+    for seed, name in ((1, "train"), (2, "test")):
+        write_csv(shaken(truth, seed), silverbox, Path(f"{name}.csv"))
+    command = "discover silverbox train.csv --validate test.csv --hold first --noise y=2e-5 --further --output out"
+    result = CliRunner().invoke(app, [*command.split(), "--effects", "cubic_stiffness,quadratic_stiffness"])
+    assert result.exit_code == 0, result.output
+    assert "Further, of what is left: quadratic_stiffness: takes 9" in result.output
+    answer = json.loads(Path("out/discovery.json").read_text())
+    assert [e["name"] for e in answer["effects"]] == ["cubic_stiffness"]
+    assert [s["name"] for s in answer["further"]["steps"]] == ["quadratic_stiffness"]
+    assert answer["further"]["validation"]["y"]["rmse"] < 1.2 * NOISE
+    # the extended model that was written has both, and the page tells it
+    assert resolve("out/model.py").values["K2"] == pytest.approx(-4e3, rel=0.02)
+    assert "What comes after" in Path("out/report.html").read_text()
 
 
 def test_a_model_that_fails_on_other_records_gives_way(hardening):

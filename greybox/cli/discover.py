@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,6 +48,14 @@ def discover(
             help="Only these effects of the catalogue. [default: all]",
         ),
     ] = "",
+    further: Annotated[
+        bool,
+        typer.Option(
+            "--further",
+            help="Go on after the answer: effects that take a share of what is left, however small. For measured records, which"
+            " hardly ever reach the noise.",
+        ),
+    ] = False,
     output: Annotated[
         Path | None,
         typer.Option("--output", metavar="DIR", help="Folder for what is found. [default: results/MODEL-discover]"),
@@ -58,13 +67,16 @@ def discover(
 
     Refits the model with each effect of the catalogue, keeps what the ESTIMATION records demand, and judges it on the
     --validate records. Says "complete" when nothing is missing, "ambiguous" when the records cannot tell, "unknown" when
-    the catalogue does not explain what is missing (a fitted curve stands in for it). Writes DIR/discovery.json, the extended model as
-    DIR/model.py (greybox fit DIR/model.py ... goes on with it), figures as PNG and SVG, and DIR/report.html, a page with the whole
-    story. Every finished refit is kept in DIR/journal.jsonl: after Ctrl-C the same command goes on where it was.
+    the catalogue does not explain what is missing (a fitted curve, or a tone, stands in for it). --further looks for what
+    comes after the answer and chooses it by the --validate records: quote the misfit on a third record then. Writes
+    DIR/discovery.json, the extended model as DIR/model.py (greybox fit DIR/model.py ... goes on with it), figures as PNG
+    and SVG, and DIR/report.html, a page with the whole story. Every finished refit is kept in DIR/journal.jsonl: after
+    Ctrl-C the same command goes on where it was.
 
     Exit code 0: there is an answer. 2: bad input, nothing was written. 130: interrupted.
     """
     from greybox.discovery import discover as find
+    from greybox.discovery import further as go_on
     from greybox.effects import effect
     from greybox.experiment import read_experiments
     from greybox.fitting import FitOptions
@@ -86,6 +98,9 @@ def discover(
                 plant, records, validation=judges, noise=said, quiet=silent, effects=chosen,
                 options=FitOptions(at_rest=at_rest), say=say, journal=journal, report=report,
             )  # fmt: skip
+            if further:
+                deeper = go_on(found.best, judges, plain=plant, effects=chosen, say=say, journal=journal, report=report)
+                found = replace(found, deeper=deeper)
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command goes on from there" if journal.exists() else ""
         stop(f"interrupted{kept}", INTERRUPTED)

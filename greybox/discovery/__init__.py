@@ -10,11 +10,11 @@ from greybox.discovery.missing import Missing
 from greybox.discovery.region import Region
 from greybox.discovery.result import Discovery, Rank
 from greybox.discovery.spectrum import Spectrum, residual_spectrum
-from greybox.discovery.stand_in import StandIn
+from greybox.discovery.stand_in import StandIn, Tone
 from greybox.discovery.when import Window
 
 __all__ = [
     "Attempt", "Bench", "Deepened", "Discovery", "Further", "Gap", "Missing", "Rank", "Region", "Signal", "Site", "Spectrum", "StandIn",
-    "Trial", "Unexplained", "Window",
+    "Tone", "Trial", "Unexplained", "Window",
     "discover", "drop_effect", "further", "residual_spectrum", "try_effect", "unexplained",
 ]  # fmt: skip

@@ -115,10 +115,17 @@ def scales_along(trial: Trial) -> Scales:
     return scales_of(trial.model, states, record.u, float(np.median(record.h)))
 
 
+def beginnings(trial: Trial) -> list[dict[str, float]]:
+    """The estimated initial states of each record where a trial ended."""
+    initial, names = trial.variables.initial, np.array(trial.model.system.state_names)
+    return [dict(zip(names[initial.free].tolist(), row[initial.free].tolist(), strict=True)) for row in initial.guess]
+
+
 def judged(trial: Trial, bench: Bench, judges: Sequence[Experiment], skip: int = 0) -> Fit:
-    """The trial as a fit with intervals, judged on other records without their first ``skip`` rows."""
+    """The trial as a fit with intervals, from its own constants and initial states, judged on other records without their first
+    ``skip`` rows."""
     quick = replace(bench.options, progressive=False, thorough=False)
-    result = fitted(trial.model, bench.experiments, noise=trial.problem.noise, options=quick)
+    result = fitted(trial.model, bench.experiments, noise=trial.problem.noise, initial=beginnings(trial), options=quick)
     if not judges:
         return result
     seen = validate(result.model, judges, noise=result.noise, skip=skip, options=quick)

@@ -23,6 +23,7 @@ from greybox.discovery.result import Discovery, Rank
 from greybox.discovery.search import Say, Search
 from greybox.discovery.separate import Separation, separations
 from greybox.discovery.stand_in import StandIn, stand_in
+from greybox.discovery.tone import tone_in_place
 from greybox.discovery.veto import surviving
 from greybox.discovery.words import story
 from greybox.effects import Scales, applicable, tailored
@@ -43,7 +44,10 @@ ELSEWHERE = 2.0
 
 @dataclass(frozen=True)
 class Evidence:
-    """A finished search: what was chosen, what explains the records as well, and both fits judged on other records."""
+    """A finished search: what was chosen, what explains the records as well, and both fits judged on other records.
+
+    ``plain``: the model as the user came with it.
+    """
 
     search: Search
     chosen: Trial
@@ -53,6 +57,7 @@ class Evidence:
     gap: Mapping[str, Gap]
     judges: tuple[Experiment, ...]
     skip: int
+    plain: Model
 
     @property
     def refined(self) -> Trial:
@@ -174,7 +179,7 @@ def _evidence(
     rivals = search.rivals(chosen) if chosen.effects else []
     final = search.form.get(frozenset(chosen.effects), chosen)
     base, best = (judged(t, bench, judges, skip) for t in (search.base, final))
-    return Evidence(search, chosen, rivals, base, best, gaps(base, best), judges, skip)
+    return Evidence(search, chosen, rivals, base, best, gaps(base, best), judges, skip, bench.plain)
 
 
 def _with_unknown_noise(search: Search, say: Say) -> tuple[Search, Trial]:
@@ -233,11 +238,12 @@ def _discovery(found: Evidence, notes: Sequence[str], seconds: float) -> Discove
 
 
 def _curve(found: Evidence) -> StandIn | None:
-    """A smooth curve for what the nearest look-alike leaves over, if that explains the larger part, or else for all of it."""
+    """A tone or a smooth curve for what the nearest look-alike leaves over, if that explains the larger part, or else for all of it."""
     search, chosen = found.search, found.chosen
     helps = found.worst.closed > rules.PARTLY and chosen.effects
     trial = chosen if helps else search.base
-    return stand_in(search.bench, trial, looked(trial), found.judges, found.base, found.skip)
+    given = (replace(search.bench, plain=found.plain), trial, looked(trial), found.judges, found.base, found.skip)
+    return tone_in_place(*given) or stand_in(*given)
 
 
 def _told(test: Separation) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -17,9 +18,10 @@ from greybox.discovery import rules
 from greybox.discovery.attempt import judged, scales_along
 from greybox.discovery.bench import Bench, Start, Trial
 from greybox.discovery.form import is_refinement
+from greybox.discovery.refit import Journal, Refits
 from greybox.discovery.starts import candidate_starts
 from greybox.discovery.veto import held_out
-from greybox.effects import Scales, applicable
+from greybox.effects import Scales, applicable, tailored
 from greybox.experiment import Experiment
 from greybox.model import Effect, Model
 from greybox.noise import AutoRegression
@@ -59,6 +61,16 @@ class Deepened(ReadOnly):
     fit: Fit
     steps: tuple[Further, ...]
 
+    @property
+    def story(self) -> str:
+        """What comes after the named effects, in one sentence, and what the validation records are worth then."""
+        if not self.steps:
+            return "Nothing further: no other effect takes a share of what is left on records that its constants have not seen."
+        return (
+            f"Further, of what is left: {'; '.join(map(str, self.steps))}. The validation records have chosen them: quote the"
+            " misfit on another record."
+        )
+
     def __str__(self) -> str:
         return "\n".join([*map(str, self.steps), str(self.fit)]) if self.steps else f"nothing further\n{self.fit}"
 
@@ -68,21 +80,25 @@ def further(
     validation: Experiment | Sequence[Experiment],
     *,
     plain: Model | None = None,
+    effects: Sequence[Effect] | None = None,
     most: int = MOST,
     say: Say | None = None,
+    journal: str | Path | None = None,
+    report: Callable[[int], None] | None = None,
 ) -> Deepened:
     """Effects that the model of ``fit`` still lacks, one at a time, ``most`` at most.
 
     ``fit``: of a model that already has its large effects, as `discover` gives them (``found.best``). It is refitted to the same
     records with white noise of the level of its own residual: what is left is structure, and the free run is to follow it.
     ``validation``: records that none of the constants has seen. ``plain``: a model whose catalogue of candidates counts, by default
-    that of ``fit``. Curves and second branches that refine the form of an effect are taken out first: here they would stand in the way of a
-    name.
+    that of ``fit``; or ``effects``, the only candidates. Curves and second branches that refine the form of an effect are taken out first:
+    here they would stand in the way of a name. ``say``, ``journal`` and ``report`` as in `discover`.
 
-    Raises ModelError or DataError as `greybox.fit` does.
+    Raises ModelError or DataError as `greybox.fit` does, DataError for a file that is no journal.
     """
     judges, tell = (validation,) if isinstance(validation, Experiment) else tuple(validation), say or _silent
-    bench = _white(Bench.of(fit), fit)
+    refits = Refits(journal=Journal(Path(journal)) if journal else None, report=report)
+    bench = replace(_white(Bench.of(fit), fit), refits=refits)
     start = bench.at(fit)
     model = _without_refinements(fit.model)
     chosen = (
@@ -90,7 +106,7 @@ def further(
         or start
     )
     scales = scales_along(chosen)
-    candidates = applicable(plain or fit.model, scales)
+    candidates = [tailored(e, scales) for e in effects] if effects else applicable(plain or fit.model, scales)
     before, steps = held_out(bench, chosen, judges), list[Further]()
     tell(f"{chosen.model.title}: misfit on the validation records {before:.3g} times that of the fit")
     while len(steps) < most:

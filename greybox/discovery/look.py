@@ -146,6 +146,12 @@ def looked(trial: Trial) -> Unexplained:
     )
 
 
+def signals(trial: Trial) -> dict[str, Signal]:
+    """The unexplained signal as it would be at each place of the model, in the stretch with the largest misfit; likeliest first."""
+    line = linearised(trial, *stretch_of(plain_residuals(trial)))
+    return {str(place): _signal(trial, line, place, smoothed) for place, smoothed in _ranked(trial, line)}
+
+
 def plain_residuals(trial: Trial) -> list[np.ndarray]:
     """Residual over noise (N, ny) of each record."""
     return [r for r, _ in plain_shooting(trial).residuals(np.zeros(trial.variables.size))]

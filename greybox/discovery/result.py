@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.discovery.form import is_refinement
+from greybox.discovery.further import Deepened
 from greybox.discovery.gap import Gap
 from greybox.discovery.look import Unexplained
 from greybox.discovery.missing import Missing
@@ -33,7 +34,7 @@ class Discovery:
     ``base`` and ``best`` are fits of the plain and of the extended model; ``gap`` by output; ``ranking`` of the candidates;
     ``look``: where, when and in which region the plain model falls short; ``story`` one paragraph; ``notes`` what to know before
     believing it; ``missing``: for each effect its signal as the data and as the extended model have it; ``stand_in``: a smooth curve
-    in the place of an unknown effect.
+    or a tone in the place of an unknown effect; ``deeper``: what `further` found beyond, where it was asked.
     """
 
     verdict: str
@@ -48,6 +49,7 @@ class Discovery:
     seconds: float = 0.0
     missing: tuple[Missing, ...] = ()
     stand_in: StandIn | None = None
+    deeper: Deepened | None = None
 
     @property
     def sites(self) -> tuple[str, ...]:
@@ -56,7 +58,10 @@ class Discovery:
 
     @property
     def extended(self) -> Fit:
-        """The fit to go on with: that with the named effects; the plain one where it is complete; with the curve where it is unknown."""
+        """The fit to go on with: that with the named effects, and what was found beyond them; the plain one where it is complete; with
+        the stand-in where it is unknown."""
+        if self.deeper is not None and self.deeper.steps:
+            return self.deeper.fit
         return self.stand_in.fit if self.verdict == "unknown" and self.stand_in is not None else self.best
 
     @property
@@ -86,6 +91,7 @@ class Discovery:
         data = {
             "verdict": self.verdict, "effects": self.effects, "form": self.form, "alternatives": self.alternatives, "sites": self._sites(),
             "when": self.look.windows, "regions": self.look.regions, "stand_in": self._stand_in(),
+            "further": self._further(),
             "parameters": self.best.parameters, "gap": self.gap, "ranking": self.ranking, "story": self.story,
             "notes": self.notes, "seconds": self.seconds, "model": self.best.model.name, "equations": self.best.equations,
             "noise": self.best.noise, "noise_source": self.best.noise_source, "versions": self.best.versions,
@@ -103,6 +109,15 @@ class Discovery:
             for s in self.look.sites
         ]
 
+    def _further(self) -> dict[str, Any] | None:
+        if self.deeper is None:
+            return None
+        fit = self.deeper.fit
+        return {
+            "steps": self.deeper.steps, "effects": [e.name for e in fit.model.effects], "parameters": fit.parameters,
+            "misfit": fit.misfit, "validation": fit.validation,
+        }  # fmt: skip
+
     def _stand_in(self) -> dict[str, Any] | None:
         found = self.stand_in
         if found is None:
@@ -110,10 +125,11 @@ class Discovery:
         return {
             "site": found.site, "variable": found.variable, "variable_unit": found.variable_unit, "unit": found.unit,
             "closed": found.closed, "gap": found.gap, "values": found.values, "curve": found.curve,
+            "tone": found.tone,
         }  # fmt: skip
 
     def __str__(self) -> str:
-        lines = [self.story, ""]
+        lines = [self.story, *([self.deeper.story] if self.deeper is not None else []), ""]
         if self.look.missing:
             lines += [f"  the plain model: {line}" for line in str(self.look).splitlines()]
         for effect in self.effects:
@@ -121,6 +137,9 @@ class Discovery:
             lines.append(f"  {effect['name']} -> {effect['site']}: {values}")
         for output, gap in self.gap.items():
             lines.append(f"  {output}: rms misfit on the validation records {gap}")
+        if self.deeper is not None and self.deeper.steps:
+            after = self.deeper.fit.validation.items()
+            lines += [f"  {o}: {m.rmse:.4g} {m.unit}".rstrip() + " with the further effects" for o, m in after]
         if self.stand_in is not None:
             lines.append(f"  stand-in: {self.stand_in}")
         if self.ranking:

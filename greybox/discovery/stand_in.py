@@ -16,7 +16,7 @@ import numpy as np
 from greybox.discovery.attempt import judged
 from greybox.discovery.bench import Bench, Trial
 from greybox.discovery.gap import Gap, gaps
-from greybox.discovery.look import Unexplained
+from greybox.discovery.look import Signal, Unexplained
 from greybox.discovery.places import INPUT, SENSOR, Place, places
 from greybox.discovery.region import TIME, WORTH, Region
 from greybox.experiment import Experiment
@@ -31,34 +31,84 @@ INTERVALS, MARGIN, LOOSE = 20, 0.15, 5.0
 ITERATIONS = 30
 
 
+@dataclass(frozen=True)
+class Tone:
+    """A sinusoid from outside: ``frequency`` and its standard deviation ``std`` (None: not known) in Hz, ``amplitude`` by record.
+
+    ``beginning``: seconds of each validation record from which its amplitude and phase are read there; ``alike``: places at which it
+    would explain the records as well.
+    """
+
+    frequency: float
+    std: float | None
+    amplitude: Mapping[str, float]
+    beginning: float
+    alike: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"a tone of {f'{self.frequency:#.4g}'.rstrip('.')} Hz"
+
+
 @dataclass(frozen=True, eq=False)
 class StandIn(ReadOnly):
-    """A curve fitted in the place of an unknown effect: at ``site``, a function of ``variable``.
+    """What was fitted in the place of an unknown effect at ``site``: a curve over the variable of ``region``, or a ``tone`` in time.
 
-    ``fit`` is the extended model with the curve as an effect; ``gap`` by output on the validation records. ``values`` (M,) of the
-    variable and the ``curve`` (M,) there, in ``variable_unit`` and ``unit``. A straight line is shared with the model's own constants (a
-    damper, a spring) in a way that no data decide: the ``curve`` has the one that the unexplained signal has.
+    ``fit`` is the extended model with it as an effect; ``gap`` by output on the validation records. ``values`` (M,) of the
+    variable and the ``curve`` (M,) there, in ``variable_unit`` and ``unit``, through the unexplained ``signal``. A straight line is shared
+    with the model's own constants (a damper, a spring) in a way that no data decide: the ``curve`` has the one that the signal has.
     """
 
     site: str
-    variable: str
-    variable_unit: str
     unit: str
     fit: Fit
     gap: Mapping[str, Gap]
     values: np.ndarray
     curve: np.ndarray
+    signal: Signal
+    region: Region
+    tone: Tone | None = None
+
+    @property
+    def variable(self) -> str:
+        """Name of the state or input that the curve is over, or ``time``."""
+        return self.region.variable
+
+    @property
+    def variable_unit(self) -> str:
+        """Unit of the variable."""
+        return self.region.unit
 
     @property
     def closed(self) -> float:
         """Share of the gap that it closes, in the output that the plain model misses most."""
         return max(self.gap.values(), key=lambda g: g.before / g.floor).closed
 
+    @property
+    def title(self) -> str:
+        """``a curve over x`` or ``a tone of 50.00 Hz``."""
+        return f"a curve over {self.variable}" if self.tone is None else str(self.tone)
+
+    @property
+    def seen(self) -> np.ndarray:
+        """The values (K,) of the variable along the signal."""
+        return self.signal.time if self.variable == TIME else self.signal.variables[self.variable]
+
     def __str__(self) -> str:
+        if self.tone is None:
+            return f"a smooth curve over {self.variable} at the {self.site} {closing(self.closed)} on the validation records"
+        sizes = sorted(self.tone.amplitude.values())
+        size = f"{sizes[0]:.3g}" if sizes[-1] <= 1.05 * sizes[0] else f"{sizes[0]:.3g} to {sizes[-1]:.3g}"
+        also = f" (or the {', the '.join(self.tone.alike)}: these records cannot tell)" if self.tone.alike else ""
         return (
-            f"a smooth curve over {self.variable} at the {self.site} closes {100 * self.closed:.3g} % of the gap"
-            " on the validation records"
+            f"{self.tone} at the {self.site}{also}, of amplitude {size} {self.unit}".rstrip()
+            + f", {closing(self.closed)} on the validation records (amplitude and phase there from the first"
+            f" {self.tone.beginning:.2g} s)"
         )
+
+
+def closing(share: float) -> str:
+    """``closes 98.8 % of the gap``; a model that is farther off than the plain one closes nothing."""
+    return f"closes {100 * min(share, 1.0):.3g} % of the gap" if share > 0 else "closes nothing of the gap"
 
 
 def stand_in(
@@ -87,8 +137,8 @@ def stand_in(
     z = np.linspace(seen.min(), seen.max(), 101)
     values = {n: better.model.values[there] for n, there in names.items()}
     return StandIn(
-        signal.site, region.variable, region.unit, place.unit, fitted, gaps(base, fitted), z,
-        curve_at(values, z) + np.polyval(np.polyfit(seen, signal.value - curve_at(values, seen), 1), z),
+        signal.site, place.unit, fitted, gaps(base, fitted), z,
+        curve_at(values, z) + np.polyval(np.polyfit(seen, signal.value - curve_at(values, seen), 1), z), signal, region,
     )  # fmt: skip
 
 

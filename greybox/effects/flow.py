@@ -21,10 +21,13 @@ def _leakage(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
     return {"pressure_a": -across, "pressure_b": across}
 
 
-def _phi(ratio: Expression, b: Expression) -> Expression:
-    """Flow over choked flow (ISO 6358); it turns round where the downstream pressure is the higher one."""
-    square = 1 - (ca.fmax(ratio - b, 0) / (1 - b)) ** 2
-    return square / ca.sqrt(ca.fmax(ca.fabs(square), LAMINAR))
+def _orifice(upstream: Expression, downstream: Expression, b: Expression) -> Expression:
+    """``p_1 phi(p_2 / p_1)`` (ISO 6358) from the higher pressure to the lower one, negative where that is upwards."""
+    high = ca.fmax(upstream, downstream)
+    # 1 - (r - b)/(1 - b) between -1 and 1, with the sign of the flow: phi^2 is this times (2 - its size)
+    fall = ca.fmin(ca.fmax((upstream - downstream) / ((1 - b) * high), -1), 1)
+    square = fall * (2 - ca.fabs(fall))
+    return high * square / ca.sqrt(ca.fmax(ca.fabs(square), LAMINAR))
 
 
 def _flow(u: Expression, p: Named) -> Expression:
@@ -35,7 +38,7 @@ def _flow(u: Expression, p: Named) -> Expression:
 
 def _filling(x: Named, u: Named, p: Named) -> Mapping[str, Mapping[str, Expression]]:
     def filled(opening: Expression, pressure: Expression) -> Mapping[str, Expression]:
-        return {"valve_flow": _flow(opening, p) * _phi(pressure / p.supply_pressure, p.b)}
+        return {"valve_flow": _flow(opening, p) * _orifice(p.supply_pressure, pressure, p.b) / p.supply_pressure}
 
     return {"pressure_a": filled(u.valve, x.chamber_a), "pressure_b": filled(-u.valve, x.chamber_b)}
 
@@ -43,7 +46,7 @@ def _filling(x: Named, u: Named, p: Named) -> Mapping[str, Mapping[str, Expressi
 def _venting(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
     def vented(opening: Expression, pressure: Expression) -> Expression:
         inside = ca.fmax(pressure, LEAST_PRESSURE * p.ambient_pressure)
-        return -p.ce * _flow(opening, p) * (inside / p.supply_pressure) * _phi(p.ambient_pressure / inside, p.b)
+        return -p.ce * _flow(opening, p) * _orifice(inside, p.ambient_pressure, p.b) / p.supply_pressure
 
     return {"pressure_a": vented(-u.valve, x.chamber_a), "pressure_b": vented(u.valve, x.chamber_b)}
 
@@ -93,7 +96,7 @@ choked_flow = Effect(
     terms=_venting,
     equation=(
         "filling: G abs(u) phi(p/P_S, b), venting: -ce G abs(u) (p/P_S) phi(P_a/p, b) in the place of G u;"
-        " phi(r, b) = 1 for r <= b, else sqrt(1 - ((r - b)/(1 - b))^2)"
+        " phi(r, b) = 1 for r <= b, else sqrt(1 - ((r - b)/(1 - b))^2); where the flow turns round the two pressures change places"
     ),
     parity="odd",
     tells_apart=(

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from greybox.discovery import Discovery, Missing
+from greybox.discovery import Discovery, Missing, StandIn
+from greybox.discovery.stand_in import closing
 from greybox.figures.discovery_residual import draw_residuals
 from greybox.figures.files import save
 from greybox.figures.scale import label, scaled
@@ -27,8 +28,8 @@ def discovery_figures(found: Discovery, directory: str | Path) -> list[Path]:
     ``candidates``: misfit over noise of the refitted candidates. ``gap``: rms misfit before and after beside the noise floor.
     """
     drawn = {f"missing-{_file(m.effect)}": _missing(m) for m in found.missing}
-    if found.look.signal is not None and found.stand_in is not None:
-        drawn["missing-unknown"] = _unknown(found)
+    if found.stand_in is not None:
+        drawn["missing-unknown"] = _unknown(found.stand_in)
     drawn["residuals"] = draw_residuals(found)
     if found.ranking:
         drawn["candidates"] = _candidates(found)
@@ -75,21 +76,18 @@ def _missing(m: Missing) -> Figure:
     return figure
 
 
-def _unknown(found: Discovery) -> Figure:
-    signal, curve = found.look.signal, found.stand_in
-    assert signal is not None and curve is not None
+def _unknown(curve: StandIn) -> Figure:
     figure = _figure(7, 4.2)
     axis = figure.subplots()
-    z = signal.variables[curve.variable]
-    factor, unit = scaled(curve.unit, signal.value)
-    across, variable_unit = scaled(curve.variable_unit, z)
-    region = next(r for r in found.look.regions if r.variable == curve.variable)
-    axis.plot(across * z, factor * signal.value, ".", color=DATA, ms=3, label="unexplained by the plain model")
-    _bins(axis, across, factor, region.centres, region.mean, region.std)
-    axis.plot(across * curve.values, factor * curve.curve, color=EFFECT, lw=1.6, label="fitted curve (stand-in)")
+    factor, unit = scaled(curve.unit, curve.signal.value)
+    across, variable_unit = scaled(curve.variable_unit, curve.seen)
+    axis.plot(across * curve.seen, factor * curve.signal.value, ".", color=DATA, ms=3, label="unexplained by the model")
+    if curve.tone is None:
+        _bins(axis, across, factor, curve.region.centres, curve.region.mean, curve.region.std)
+    axis.plot(across * curve.values, factor * curve.curve, color=EFFECT, lw=1.6, label=f"{curve.title} (stand-in)")
     axis.set_xlabel(label(curve.variable, variable_unit))
     axis.set_ylabel(label(f"missing at the {curve.site}", unit))
-    figure.suptitle(f"unknown effect; the curve closes {100 * curve.closed:.1f} % of the gap", fontsize=11)
+    figure.suptitle(f"unknown effect; {curve.title} {closing(curve.closed)}", fontsize=11)
     _dress(axis)
     return figure
 
@@ -126,7 +124,7 @@ def _gap(found: Discovery) -> Figure:
     for axis, (output, gap) in zip(axes, found.gap.items(), strict=True):
         bars = {"before": (gap.before, BEFORE), "after": (gap.after, AFTER)}
         if found.stand_in is not None:
-            bars["with the curve"] = (found.stand_in.gap[output].after, EFFECT)
+            bars["stand-in"] = (found.stand_in.gap[output].after, EFFECT)
         factor, unit = scaled(gap.unit, np.array([v for v, _ in bars.values()]))
         axis.bar(list(bars), [factor * v for v, _ in bars.values()], color=[c for _, c in bars.values()], width=0.6)
         axis.axhline(factor * gap.floor, color="black", lw=1, ls=":", label="noise")

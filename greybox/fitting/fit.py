@@ -52,6 +52,7 @@ def fit(
     validation: Experiment | Sequence[Experiment] = (),
     skip: int = 0,
     own: Sequence[str] = (),
+    initial: Sequence[Mapping[str, float]] = (),
     options: FitOptions | None = None,
     report: Report | None = None,
     raise_on_failure: bool = False,
@@ -73,11 +74,15 @@ def fit(
     ``own``: constants of which each experiment has a value of its own (``own=["B"]``): `Fit.own` has them all, ``parameters`` and the
     fitted model their mean, which is what a validation uses. Priors of constants (`Model.prior`) are weighed as measurements.
     ``options.loss`` makes the fit robust against outliers; the noise is then estimated so that they do not pass for it.
+    The constants begin at the values of ``model`` (`Model.start`), each record's estimated initial state at the declared values, or at
+    the first readings of an output that is a state. ``initial`` begins it elsewhere: one mapping from state to value for each
+    experiment, in their order; states left out begin as without it. Where a former fit ended: ``fit(former.model, experiments,
+    initial=[t.initial_state for t in former.traces])``, with ``FitOptions(progressive=False)`` so that nothing leads away from there.
     A model with process noise (`State`) is fitted by its likelihood through a Kalman filter instead (`Fit.process_noise`).
     ``validation``: records that are only judged (`validate`), without their first ``skip`` rows. ``report`` is called as the
     fit goes on. ``raise_on_failure`` raises FitError where the fit does not succeed.
 
-    Raises DataError and ModelError for records that do not go with the model.
+    Raises DataError and ModelError for records, or initial states, that do not go with the model.
     """
     options = options_given(options)
     options = replace(options, own=(*options.own, *((own,) if isinstance(own, str) else own)))
@@ -93,11 +98,11 @@ def fit(
                 f"transcription {options.transcription!r}: a model with process noise is fitted by its one-step predictions, which have"
                 " none; leave out transcription and arc_length, or the process noise"
             )
-        result = fit_by_prediction(model, experiments, noise, quiet, options, report)
+        result = fit_by_prediction(model, experiments, noise, quiet, options, report, initial)
         return _judged(result, validation, skip, options, raise_on_failure)
     problem = prepare(
         model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet,
-        own=options.own, robust=options.robust,
+        own=options.own, robust=options.robust, initial=initial,
     )  # fmt: skip
     if colour == "white":
         problem = problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in model.outputs)))

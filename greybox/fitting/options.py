@@ -31,7 +31,8 @@ Report = Callable[[Progress], None]
 class FitOptions:
     """Choices of a fit, kept with its result.
 
-    ``at_rest``: every record starts at the states the model declares, instead of estimated ones. ``method``: ``automatic``,
+    ``at_rest``: every record starts at the states the model declares, instead of estimated ones (but for states with `State.free_start`).
+    ``method``: ``automatic``,
     ``exact`` or ``rk4``. ``substeps`` of RK4 a sample, 0 to choose. ``progressive``: fit a growing part of the record, so that a start
     far off does not lock onto a wrong oscillation. ``iterations`` at most in each stage; ``tolerance`` of IPOPT; as a rule the
     search ends earlier, when a further step would change nothing that matters. ``thorough``: where the cost has a kink (dry

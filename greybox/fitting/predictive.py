@@ -47,17 +47,19 @@ def fit_by_prediction(
     quiet: Experiment | Sequence[Experiment],
     options: FitOptions,
     report: Report | None = None,
+    initial: Sequence[Mapping[str, float]] = (),
 ) -> Fit:
     """The most likely constants, intensities of process noise, measurement noise and first states of ``model``.
 
     The likelihood is that of the innovations of a Kalman filter, exact for a linear model, extended otherwise (Astrom 1970; Kristensen,
     Madsen, Jorgensen, Automatica 40, 2004). Noise of the outputs that is given, or known from a quiet record, is taken as it is,
     other noise is estimated with the rest. The search starts from the free-run fit, or from the start values where those are more
-    likely. An intensity for which zero is as likely becomes zero; with all at zero the fit is the free-run one.
+    likely; ``initial`` as in `greybox.fit`. An intensity for which zero is as likely becomes zero; with all at zero the fit is the
+    free-run one.
 
     Raises ModelError for a robust loss or a transcription, which have no meaning here.
     """
-    likely = most_likely(model, experiments, noise, quiet, options, report)
+    likely = most_likely(model, experiments, noise, quiet, options, report, initial)
     judged = (
         tested(likely.found, likely.names, likely.zero, likely.sizes, options) if likely.found.status.success else ()
     )

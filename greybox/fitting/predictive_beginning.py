@@ -56,7 +56,7 @@ def likelihood_of(
         model, experiments, given.noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps,
         own=options.own if free else (),
     )  # fmt: skip
-    kalman = KalmanFilter.of(model.system, problem.step, known_start=options.at_rest)
+    kalman = KalmanFilter.of(model.system, problem.step, known_start=not problem.variables.initial.free.any())
     return PredictionError(unknowns_of(problem, problem.variables), kalman, problem.records)
 
 

@@ -43,13 +43,15 @@ def most_likely(
     quiet: Experiment | Sequence[Experiment],
     options: FitOptions,
     report: Report | None = None,
+    initial: Sequence[Mapping[str, float]] = (),
 ) -> Likely:
     """Search the unknowns of ``model`` from its free-run fit, or from its start values where those are more likely."""
     _check(options)
     names = tuple(q.name for q in model.free_parameters if q.name in model.noise_parameters)
     still = model.fix(*names)  # a free run knows nothing of them
     problem = prepare(
-        still, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet, own=options.own
+        still, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet,
+        own=options.own, initial=initial,
     )  # fmt: skip
     solution = solve(problem, options, report)
     sizes = largest(model, _steps(solution))

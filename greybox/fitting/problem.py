@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greybox.errors import ModelError, nearest
 from greybox.experiment import Experiment
 from greybox.integrators import Step, discretise
 from greybox.kernel import Kernel, Record, make_kernel
@@ -76,12 +77,14 @@ def prepare(
     quiet: Experiment | Sequence[Experiment] = (),
     own: Sequence[str] = (),
     robust: bool = False,
+    initial: Sequence[Mapping[str, float]] = (),
 ) -> Problem:
     """Check model and data against each other and lay out the problem; ``quiet`` records tell the noise (`greybox.noise`).
 
     ``noise`` as `greybox.noise.noise_of` takes it, or a `Noise` that is known from an earlier fit. ``own``: constants of which each
-    experiment has a value of its own. ``robust``: outliers must not pass for noise. An output that reads the same in every row, and
-    whose noise nothing tells, is left out (`Problem.still`).
+    experiment has a value of its own. ``robust``: outliers must not pass for noise. ``initial``: the first guess of each record's
+    initial state, see `begun_at`. An output that reads the same in every row, and whose noise nothing tells, is left out
+    (`Problem.still`).
 
     Raises DataError or ModelError with what is wrong and what to do.
     """
@@ -93,11 +96,13 @@ def prepare(
     )
     resting = _resting(model, group, deviation)
     records = tuple(_without(record_of(model, e), [o.name in resting for o in model.outputs]) for e in group)
-    initial = initial_states(model, records, at_rest, [e.conditions for e in group])
+    beginning = initial_states(model, records, at_rest, [e.conditions for e in group])
+    if initial:
+        beginning = begun_at(model, beginning, initial)
     p = np.array(list(model.values.values()))
-    step = _discretise(model, records, p, initial.guess, method, substeps)
+    step = _discretise(model, records, p, beginning.guess, method, substeps)
     conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
-    variables = Variables.of(model, initial, conditions, own, [e.name for e in group])
+    variables = Variables.of(model, beginning, conditions, own, [e.name for e in group])
     return Problem(model, group, records, deviation, variables, step, make_kernel(step), method, still=resting)
 
 
@@ -130,7 +135,44 @@ def initial_states(
                     if np.isfinite(first).any():
                         guess[e, names.index(state.name())] = first[np.isfinite(first)][0]
     scale = np.where(declared != 0, declared, 1.0)
-    return InitialStates(guess, np.full(len(names), not at_rest), scale)
+    return InitialStates(guess, np.array([not at_rest or s.free_start for s in model.all_states], bool), scale)
+
+
+def begun_at(model: Model, beginning: InitialStates, initial: Sequence[Mapping[str, float]]) -> InitialStates:
+    """``beginning`` with the first guesses of ``initial``: one mapping from state to value for each record, in their order.
+
+    States that a mapping leaves out keep their guess. Raises ModelError for states that the model does not have, values that are not
+    finite or lie outside the state's bounds, a wrong number of mappings, and states that are not estimated.
+    """
+    if isinstance(initial, Mapping) or len(initial) != len(beginning.guess):
+        given = "a bare mapping" if isinstance(initial, Mapping) else _several(len(initial), "mapping")
+        raise ModelError(
+            f"initial states: {given} for {_several(len(beginning.guess), 'experiment')}: give a sequence with one mapping from state to"
+            " value for each experiment, in their order"
+        )
+    names, guess, wrong = model.system.state_names, beginning.guess.copy(), []
+    bounds = {s.name: (s.bounds, s.unit) for s in model.all_states}
+    for e, values in enumerate(initial):
+        for name, value in values.items():
+            if name not in names:
+                raise ModelError(f"initial states: {model.title} has no state {name!r}; {nearest(name, names)}")
+            if not beginning.free[names.index(name)]:
+                raise ModelError(
+                    f"initial states: at_rest=True begins {name!r} at the value that the model declares; leave out one of the two"
+                )
+            (low, high), unit = bounds[name]
+            if not (np.isfinite(value) and low <= value <= high):
+                wrong.append(
+                    f"{name} = {value:g} {unit}".rstrip() + f" of experiment {e + 1} (bounds [{low:g}, {high:g}])"
+                )
+            guess[e, names.index(name)] = value
+    if wrong:
+        raise ModelError(f"initial states: {'; '.join(wrong)}: give finite values within the states' bounds")
+    return replace(beginning, guess=guess)
+
+
+def _several(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _discretise(

@@ -38,14 +38,17 @@ def validate(
     *,
     noise: Mapping[str, float] | None = None,
     skip: int = 0,
+    beginning: int = 0,
     options: FitOptions | None = None,
 ) -> Validation:
     """Run ``model`` freely over each experiment and measure the error.
 
-    The initial state is the declared one (``options.at_rest``), or estimated from the first rows: the ``skip`` rows that are left
-    out of the errors, or the first 50. The constants are not touched. An unstable model cannot run freely for long: there the
-    initial state is estimated from the whole record, ``at_rest`` or not, and the run is that of segments that meet. With a robust
-    ``options.loss`` outliers among the first rows do not spoil it.
+    The initial state is the declared one (``options.at_rest``), or estimated from the first rows: the first ``beginning`` rows, or by
+    default the ``skip`` rows that are left out of the errors, or the first 50. The constants are not touched. An unstable model cannot
+    run freely for long: there the initial state is estimated from the whole record, ``at_rest`` or not, and the run is that of segments
+    that meet. With a robust ``options.loss`` outliers among the first rows do not spoil it.
+
+    Raises DataError for more rows than the shortest record has.
     """
     options = replace(options_given(options), transcription="automatic", arc_length=0.0, hessian="gauss-newton")
     frozen = model.fix(*model.values)
@@ -55,6 +58,10 @@ def validate(
     shortest = min(len(r.u) for r in problem.records)
     if skip < 0 or skip >= shortest:
         raise DataError(f"skip: {skip} rows, but the shortest validation record has {shortest}; leave out fewer rows")
+    if beginning < 0 or beginning > shortest:
+        raise DataError(
+            f"beginning: {beginning} rows, but the shortest validation record has {shortest}; take fewer rows"
+        )
     choice = choose(problem, replace(options, progressive=False))
     problem = choice.problem
     if choice.transcription == "multiple":
@@ -64,12 +71,10 @@ def validate(
         runs = solve(problem, replace(options, transcription="multiple")).simulate()
     else:
         variables = problem.variables
-        if not options.at_rest:
-            beginning, single = (
-                _beginning(problem, skip or FIRST_ROWS),
-                replace(options, transcription="single", progressive=False),
-            )
-            variables = robustly(solve(beginning, single), single, None).variables
+        if variables.initial.free.any():
+            first = _beginning(problem, beginning or skip or FIRST_ROWS)
+            single = replace(options, transcription="single", progressive=False)
+            variables = robustly(solve(first, single), single, None).variables
         problem = _fine_enough(problem, variables, options)
         runs = tuple(problem.shooting(variables).simulate(np.zeros(variables.size)))
     found = traces(problem, runs)

@@ -31,7 +31,7 @@ def gap_figure(found: Discovery) -> Figure:
         steps = [("plain model", gap.before, BEFORE), (f"with {extended}", gap.after, AFTER)]
         curve = found.stand_in
         if curve is not None and output in curve.gap:
-            steps.append((f"with a curve over {curve.variable}", curve.gap[output].after, "--third"))
+            steps.append((f"with {curve.title}", curve.gap[output].after, "--third"))
         steps.append(("noise", gap.floor, "--measured"))
         steps = steps[::-1]
         factor, text = scaled(gap.unit, np.array([s[1] for s in steps]))
@@ -173,25 +173,19 @@ def _through(variable: np.ndarray, values: np.ndarray, *, ordered: bool) -> tupl
     return np.add.reduceat(variable[order], edges) / count, np.add.reduceat(values[order], edges) / count
 
 
-def stand_in_figure(found: StandIn, look: Unexplained) -> Figure:
-    """The curve that stands in for an unknown effect, over the signal that the data show."""
+def stand_in_figure(found: StandIn) -> Figure:
+    """The curve or tone that stands in for an unknown effect, over the signal that the data show."""
     x, across = scaled(found.variable_unit, found.values)
-    signal = look.signal
-    known = signal is not None and signal.site == found.site and found.variable in signal.variables
-    y, unit = scaled(found.unit, found.curve, signal.value if known and signal is not None else found.curve)
-    data = []
-    if known and signal is not None:
-        data.append(_cloud(x * signal.variables[found.variable], y * signal.value, "from the data"))
-    data.append(line(x * found.values, y * found.curve, "fitted curve", "--third", width=2.6))
+    y, unit = scaled(found.unit, found.curve, found.signal.value)
+    data = [
+        _cloud(x * found.seen, y * found.signal.value, "from the data"),
+        line(x * found.values, y * found.curve, found.title.removeprefix("a "), "--third", width=2.6),
+    ]
     layout = axes(label(found.variable, across), label("missing signal", unit)) | {"hovermode": "closest"}
+    what = "A smooth curve" if found.tone is None else "A tone, whatever the motion,"
     return Figure(
-        "stand-in",
-        "A smooth curve stands in for the effect that the catalogue does not have.",
-        f"{found}.",
-        data,
-        layout,
-        height=360,
-    )
+        "stand-in", f"{what} stands in for the effect that the catalogue does not have.", f"{found}.", data, layout, height=360
+    )  # fmt: skip
 
 
 def signal_figure(look: Unexplained) -> Figure | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from greybox.discovery import Discovery, Gap
+from greybox.discovery import Deepened, Discovery, Gap
 from greybox.reports.axes import stretches
 from greybox.reports.discovery_figures import (
     before_after_figures,
@@ -66,9 +66,11 @@ def discovery_sections(found: Discovery) -> Iterator[Section]:
     yield Section("gap", "The gap", list(_gap(found)))
     signal: list[Block] = [missing_figure(m, f"missing-{k}") for k, m in enumerate(found.missing)]
     if found.stand_in is not None:
-        signal += [Text([sentence(str(found.stand_in))]), stand_in_figure(found.stand_in, found.look)]
+        signal += [Text([sentence(str(found.stand_in))]), stand_in_figure(found.stand_in)]
     if signal:
         yield Section("signal", "The missing signal", signal)
+    if found.deeper is not None:
+        yield Section("further", "What comes after", list(_further(found.deeper)))
     if found.look.missing:
         yield Section("where", "Where, when and in which region", list(_where(found)))
     if found.ranking:
@@ -111,6 +113,24 @@ def _closed(gap: Gap) -> str:
 def extended_name(found: Discovery) -> str:
     """What to call the extended model."""
     return "with the nearest look-alike" if found.verdict == "unknown" else "with what was found"
+
+
+def _further(deeper: Deepened) -> Iterator[Block]:
+    """The steps beyond the answer, and what they leave."""
+    yield Text([deeper.story])
+    if not deeper.steps:
+        return
+    steps = [
+        [s.name, _percent(s.fitted), _percent(s.held_out), ", ".join(f"{n} {_percent(v)}" for n, v in s.alike.items())]
+        for s in deeper.steps
+    ]
+    head = ["effect", "of the misfit fitted", "of that on the validation records", "nearly as well"]
+    yield Table("Further effects, each with the share of the rms misfit that it takes away", head, steps)
+    yield constants_table(deeper.fit)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
 
 
 def _where(found: Discovery) -> Iterator[Block]:
