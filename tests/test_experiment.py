@@ -142,6 +142,21 @@ def test_a_sensor_that_stands_still_while_the_input_moves_is_named(reading):
     assert note.endswith("leave these fields empty")
 
 
+def test_a_sensor_that_dies_without_a_jump_is_named_while_the_input_goes_on():
+    time = 0.01 * np.arange(200)
+    drive, answer = np.sin(5 * time), np.cos(7 * time) + 1e-3 * np.sin(900 * time)
+    answer[150:] = answer[149]
+    (note,) = make(time=time, inputs={"u": drive}, outputs={"y": answer}).notes
+    assert note.startswith(
+        f"output 'y' stands still at exactly {answer[149]:g} from 1.49 s to the end (51 rows), while the input"
+    )
+    silent = np.where(time > 1.4, drive[140], drive)
+    assert make(time=time, inputs={"u": silent}, outputs={"y": answer}).notes == ()
+    stopped = np.minimum(np.cos(time / 2 + np.pi), -0.8)  # comes smoothly to the end of its range
+    assert np.all(np.diff(stopped[-40:]) == 0)
+    assert make(time=time, inputs={"u": drive}, outputs={"y": stopped}).notes == ()
+
+
 def test_a_coarse_sensor_an_end_stop_and_a_plant_at_rest_are_no_dead_sensors():
     time = 0.01 * np.arange(200)
     smooth, drive = np.cos(2 * time), np.sin(5 * time)

@@ -12,6 +12,7 @@ import typer
 
 from greybox.cli import complete
 from greybox.cli.options import Names, numbers, pairs
+from greybox.cli.records import in_pieces
 from greybox.errors import GreyboxError, ModelError
 
 if TYPE_CHECKING:
@@ -103,13 +104,16 @@ def constrained(model: Model, prior: Iterable[str], tie: Iterable[str]) -> Model
 
 
 def read_under(
-    condition: Sequence[str], model: Model, data: Sequence[Path], validate: Sequence[Path] = (), **how: Any
-) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
+    condition: Sequence[str], model: Model, data: Sequence[Path], validate: Sequence[Path] = (),
+    *, split: bool = False, at_rest: bool = False, **how: Any,
+) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:  # fmt: skip
     """The records in ``data`` and those in ``validate``, each with its conditions: from its file, or as the command line has them.
 
-    ``how``: further arguments of `greybox.experiment.read_experiments`. Raises GreyboxError.
+    ``split``: cut at the holes in their time; if not, a long hole is refused. ``at_rest``: whether each begins at rest. ``how``:
+    further arguments of `greybox.experiment.read_experiments`. Raises GreyboxError.
     """
     from greybox.experiment import read_experiments
+    from greybox.experiment.holes import refuse_guessed_input
 
     stated = dict.fromkeys(text.strip() for text in condition if "=" not in text)
     given = pairs("--condition", (text for text in condition if "=" in text))
@@ -119,7 +123,12 @@ def read_under(
     records, judges = (
         read_experiments(files, model, conditions=stated, **how) if files else () for files in (data, validate)
     )
-    return _under(given, records, [_known_as(judge, records) for judge in judges])
+    under = _under(given, records, [_known_as(judge, records) for judge in judges])
+    if not split:
+        refuse_guessed_input([*under[0], *under[1]])
+        return under
+    records, judges = in_pieces(at_rest, *under)
+    return records, judges
 
 
 def _known_as(judge: Experiment, records: Sequence[Experiment]) -> Experiment:

@@ -15,7 +15,7 @@ from greybox.cli import searching as s
 from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
 from greybox.cli.interrupt import held
 from greybox.cli.progress import meter
-from greybox.cli.records import by_record, tell_notes
+from greybox.cli.records import SplitHoles, by_record, tell_notes
 from greybox.cli.reporting import NoReport, told, write_report
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ def fit(
     hold: o.Hold = o.HoldName.zero,
     at_rest: o.AtRest = False,
     free_decay: o.FreeDecay = False,
+    split_holes: SplitHoles = False,
     column: o.Columns,
     method: o.Method = o.MethodName.automatic,
     substeps: o.Substeps = 0,
@@ -95,8 +96,9 @@ def fit(
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-fit")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
     records, judges = c.read_under(
-        condition, plant, data, validate, columns=columns, hold=hold.value, allow_constant_input=free_decay
-    )
+        condition, plant, data, validate, split=split_holes, at_rest=at_rest, columns=columns, hold=hold.value,
+        allow_constant_input=free_decay,
+    )  # fmt: skip
     hushed = read_experiments(quiet, plant, columns=columns, allow_constant_input=True) if quiet else ()
     o.check_skip(skip, judges)
     if not silent:  # those of the fitted records stand in the result, but for JSON

@@ -111,6 +111,7 @@ def simulate(
     """
     import numpy as np
 
+    from greybox.experiment.timebase import hole_named
     from greybox.project import resolve
     from greybox.simulation import read_inputs, write_csv
     from greybox.simulation import simulate as run_model
@@ -125,6 +126,9 @@ def simulate(
     chosen = _one_drive(plant, inputs, shapes, shaping, column)
     if inputs is not None:
         experiment = read_inputs(inputs, plant, columns=o.pairs("--column", column), hold=hold.value)
+        hole = hole_named(experiment.time)
+        if hole:
+            note(f"note: {experiment.source}: {hole}")
     else:
         experiment = _signal(plant, chosen, band, offset, duration, sampling_time, hold.value, generator)
     run = run_model(plant, experiment, initial=o.numbers("--initial", initial), method=method.value, substeps=substeps)

@@ -11,6 +11,7 @@ from greybox.errors import DataError
 
 FEWEST_ROWS = 10  # of a measured record
 FROZEN_ROWS = 20  # of a sensor that stands still
+AS_EVER = 0.5  # of an input's range before: one that goes on so far is still moving the plant
 SELDOM = 0.05  # of the steps elsewhere; a sensor that repeats its values more often is coarse or rests
 SHOWN = 5  # rows named in a message before "and 40 more"
 
@@ -117,6 +118,11 @@ def remarks(time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Mapping
                 f" {time[last]:.6g} s, while the input moves, and comes or goes with a jump: if the sensor or the"
                 " logger failed there, leave these fields empty"
             )
+        elif (dead := _died(values, inputs)) is not None:
+            yield (
+                f"output {name!r} stands still at exactly {values[dead]:g} from {time[dead]:.6g} s to the end ({len(time) - dead}"
+                " rows), while the input goes on moving: if the sensor or the logger failed there, leave these fields empty"
+            )
         gaps = int(np.isnan(values).sum())
         if gaps:
             yield f"output {name!r} has {gaps} gap{'s' if gaps > 1 else ''} in {len(values)} rows"
@@ -151,6 +157,22 @@ def _frozen(values: np.ndarray, inputs: Mapping[str, np.ndarray]) -> tuple[int, 
     if not np.any(jumps > np.quantile(moves, 1.0 if at_limit else 1 - SELDOM)):
         return None
     return None if all(constant(u[first:last]) for u in inputs.values()) else (first, last)
+
+
+def _died(values: np.ndarray, inputs: Mapping[str, np.ndarray]) -> int | None:
+    """Row from which an output repeats one value to the end of the record, while an input moves about as far as before.
+
+    None for a short stretch, for a sensor that repeats its values elsewhere too, and at the end of its range (an end stop, an overflow).
+    """
+    first = len(values) - int(np.argmax(np.append(values[::-1] != values[-1], True)))
+    steps = np.diff(values[: first + 1])
+    moves = steps[np.isfinite(steps)]
+    if len(values) - first < FROZEN_ROWS or not len(moves) or np.mean(moves == 0) > SELDOM:
+        return None
+    if values[-1] in (np.nanmin(values), np.nanmax(values)):
+        return None
+    on = any(np.ptp(u[first:-1]) > AS_EVER * np.ptp(u[: first + 1]) for u in inputs.values())
+    return first if on else None
 
 
 def _time_problems(time: np.ndarray, places: Places) -> list[str]:

@@ -65,16 +65,23 @@ def timing(time: np.ndarray, sampling_time: float | None) -> list[str]:
         return [
             f"time looks rounded: {spread} differ by no more than a printed unit; taken as every {sampling_time:.6g} s"
         ]
-    usual = float(np.median(step))
-    where_long = holes(time)
-    if len(where_long):
-        longest = where_long[np.argmax(step[where_long])]
-        found = f"{len(where_long)} holes, the longest" if len(where_long) > 1 else "a hole"
-        where = f"from {time[longest]:.6g} to {time[longest + 1]:.6g} s"
-        return [
-            f"time has {found} {where} (usual step {usual:.6g} s): the input is taken to go on through it; cut the record there"
-        ]
+    hole = hole_named(time)
+    if hole:
+        return [f"{hole}; split the record there with split_at_holes() (shell: --split-holes)"]
     return [f"time is irregular: {spread}; each interval is taken as long as it is"]
+
+
+def hole_named(time: np.ndarray) -> str:
+    """The longest hole in the stamps ``time`` (N,) in words, with what a simulation makes of it; "" where there is none."""
+    after, step = holes(time), np.diff(time)
+    if not len(after):
+        return ""
+    longest = after[np.argmax(step[after])]
+    found = f"{len(after)} holes, the longest" if len(after) > 1 else "a hole"
+    return (
+        f"time has {found} from {time[longest]:.6g} to {time[longest + 1]:.6g} s (usual step {np.median(step):.6g} s): the input is"
+        " taken to go on through it"
+    )
 
 
 def holes(time: np.ndarray) -> np.ndarray:
