@@ -204,7 +204,7 @@ BAD_FITS = [
     (["micro_actuator", "DATA", "--fix", "M=ten"], "--fix M=ten: 'ten' is not a number"),
     (["micro_actuator", "DATA", "--fix", "M=nan"], "must be finite"),
     (["micro_actuator", "DATA", "--fix", "M=5"], "'M': 5 kg lies outside its bounds [0.0001, 1] kg"),
-    (["micro_actuator", "DATA", "--start", "M"], "--start M: write --start NAME=VALUE"),
+    (["micro_actuator", "DATA", "--start", "M"], "--start M: it has no '='; write --start NAME=VALUE"),
     (["micro_actuator", "DATA", "--fix", "M=1", "--fix", "M=0.5"], "--fix M: given twice"),
     (["micro_actuator", "DATA", "--fix", "M=0.1", "--start", "M=0.2"], "M: --fix and --start contradict each other"),
     (["micro_actuator", "DATA", "--fix", "M", "--free", "M"], "M: --fix and --free contradict each other"),
@@ -240,10 +240,10 @@ def test_bad_input_is_told_in_one_message_and_nothing_is_written(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["ft"], "Did you mean 'fit'"),
+        (["ft"], "did you mean 'fit'"),
         (["fit", "m", "d.csv", "--fxi", "M=1"], "--fix"),
-        (["fit", "m", "d.csv", "--hold", "second"], "'zero', 'first'"),
-        (["fit", "m"], "Missing argument"),
+        (["fit", "m", "d.csv", "--hold", "second"], "known: zero, first"),
+        (["fit", "m"], "DATA is missing"),
         (["fit", "m", "d.csv", "--skip", "-1"], "--skip"),
     ],
 )

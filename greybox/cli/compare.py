@@ -120,6 +120,7 @@ def compare(
     )
     hushed = read_experiments(quiet, plain, **how, allow_constant_input=True) if quiet else ()
     o.check_skip(skip, judges)
+    p.check_steps(predict, records, judges)
     refuse_other_steps(records, judges, [q.name for q in plain.outputs])
     if not silent:
         tell_notes(records, judges)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from greybox.cli import complete
-from greybox.cli.options import Names, numbers, pairs
+from greybox.cli.options import Names, as_number, numbers, pairs
 from greybox.cli.records import in_pieces
 from greybox.errors import GreyboxError, ModelError
 
@@ -86,8 +86,10 @@ def scheduled(model: Model, schedule: Iterable[str]) -> Model:
     """``model`` with constants that follow a condition. Raises GreyboxError."""
     for name, text in pairs("--schedule", schedule).items():
         by, at, value = (part.strip() for part in text.partition("@"))
-        about = numbers("--schedule", [f"{by}={value}"])[by] if at else None
-        model = model.schedule(name, by=by, about=about)
+        said, example = f"--schedule {name}={text}", f"--schedule {name}={by}@2"
+        if not at and by in [i.name for i in model.inputs]:
+            raise GreyboxError(f"{said}: {by} is an input; say at which value of it {name} holds, as in {example}")
+        model = model.schedule(name, by=by, about=as_number(said, value, example) if at else None)
     return model
 
 
@@ -170,5 +172,6 @@ def _mean_and_std(name: str, text: str) -> tuple[float, float]:
         raise GreyboxError(
             f"--prior {name}={text}: write mean and standard deviation, as in --prior {name}=0.0100+-0.0001"
         )
-    mean, std = (numbers("--prior", [f"{name}={part.strip()}"])[name] for part in parts)
+    example = f"--prior {name}=0.0100+-0.0001"
+    mean, std = (as_number(f"--prior {name}={text}", part.strip(), example) for part in parts)
     return mean, std

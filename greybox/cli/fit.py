@@ -101,6 +101,7 @@ def fit(
     )  # fmt: skip
     hushed = read_experiments(quiet, plant, columns=columns, allow_constant_input=True) if quiet else ()
     o.check_skip(skip, judges)
+    p.check_steps(predict, records, judges)
     if not silent:  # those of the fitted records stand in the result, but for JSON
         tell_notes(*((records, judges) if json else (judges,)))
     choice = FitOptions(
