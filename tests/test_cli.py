@@ -293,9 +293,13 @@ def test_ctrl_c_saves_the_best_point(run: Run, data: Path, tmp_path: Path, monke
         yield lambda _: signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(fit_command, "meter", impatient)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "report.html").write_text("of an earlier fit")
     result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, "--start", "K=4000", "--output", "out")
     assert result.exit_code == 130
-    assert f"the best point so far is in {Path('out') / 'fit.json'}" in result.stderr
+    assert (
+        f"the best point so far is in {Path('out') / 'fit.json'} (no figures, no report, those there" in result.stderr
+    )
     saved = json.loads((tmp_path / "out" / "fit.json").read_text())
     assert saved["status"] == "interrupted"
     assert saved["success"] is False

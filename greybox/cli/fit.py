@@ -124,7 +124,8 @@ def fit(
     ahead = [] if interrupted or silent or json else p.predicted(result, judges, predict, skip)
     _tell(result, tests, [*more, *ahead], saved, skip, quiet=silent, json=json)
     if interrupted or result.status == "interrupted":
-        stop(f"interrupted; the best point so far is in {saved}", INTERRUPTED)
+        older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
+        stop(f"interrupted; the best point so far is in {saved} (no figures, no report{older})", INTERRUPTED)
     _draw(result, tests, saved, skip, quiet=silent or json, page=not no_report)
     if not result.success:
         stop(f"no success: {result.meaning}", UNSUCCESSFUL)

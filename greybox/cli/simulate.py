@@ -115,6 +115,7 @@ def simulate(
     from greybox.project import resolve
     from greybox.simulation import read_inputs, write_csv
     from greybox.simulation import simulate as run_model
+    from greybox.units import tidy
 
     plant = o.changed(resolve(model), effects=effect, start=set_)
     target = _target(output or Path("results") / f"{plant.name}-simulated.csv", inputs)
@@ -143,7 +144,8 @@ def simulate(
         note(f"note: {target} was there already; it has been overwritten")
     report = None
     if output is not None and not no_report:
-        added = ", ".join(f"{name} {std:g}" for name, std in said.items())
+        units = {q.name: tidy(q.unit) for q in plant.outputs}
+        added = ", ".join(f"{name} {std:g} {units[name]}".rstrip() for name, std in said.items())
         report = write_report(run, target.with_suffix(".html"), model=plant, noise=added)
     typer.echo(_in_json(run, target, report) if json else _in_words(run, target, report))
 
