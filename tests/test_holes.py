@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from greybox import DataError, Experiment, fit
+from greybox import DataError, Experiment, FitOptions, fit
 from greybox.experiment.holes import refuse_guessed_input
 from greybox.simulation import write_csv
 from models.micro_actuator import micro_actuator
@@ -68,6 +68,16 @@ def test_a_short_hole_a_still_drive_and_a_slow_input_are_noted_only():
         refuse_guessed_input([record])
         (note,) = record.notes
         assert note.startswith("time has a hole from 0.19975 to") and "split_at_holes()" in note
+
+
+def test_a_long_hole_is_refused_of_every_model_that_is_integrated_in_steps():
+    pause = np.where(np.arange(2000) // 500 == 1, 0.0, driven().inputs["u"])
+    record = without(linear_record(micro_actuator, pause, PERIOD), slice(600, 900))
+    assert fit(PLANT, record, noise={"x": 1e-9, "i": 1e-6}).success  # the exact hold goes through the pause
+    with pytest.raises(
+        DataError, match=re.escape("a hole from 0.14975 to 0.225 s: 300 rows are missing, and a model that is")
+    ):
+        fit(PLANT, record, options=FitOptions(method="rk4"))
 
 
 @pytest.fixture

@@ -2,7 +2,8 @@
 
 In a hole nobody knows the input: it is taken to go on. That does little harm over a few rows, or where the drive stood still.
 A simulation through a long hole of a moving input answers an input that was never there, so that whatever follows the hole
-contradicts the model. There the record is two records.
+contradicts the model. There the record is two records. So it is where the equations are integrated in steps, whatever the
+input does: every interval of a record takes as many of them as its longest.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from greybox.experiment.checks import FEWEST_ROWS, SHOWN, constant, enumerated, refuse
-from greybox.experiment.timebase import GRID_TOLERANCE, holes, timing
+from greybox.experiment.timebase import GRID_TOLERANCE, SPLIT, holes, timing
 
 if TYPE_CHECKING:
     from greybox.experiment.experiment import Experiment
 
-LONG = 20  # usual steps: a shorter hole is a few missing rows
+LONG = 20  # missing rows; fewer do little harm
 NEARBY = 20  # rows before and after a hole in which a drive that is off shows itself
 TRIED = 12  # times up to the length of a hole, over which the input's change is looked at
 # Of the input's standard deviation: what has changed so much (rms) is known no better than by its mean.
@@ -66,37 +67,53 @@ def common_step(parts: Iterable[Experiment]) -> float | None:
 
 
 def refuse_guessed_input(records: Iterable[Experiment]) -> None:
-    """Raise DataError for records with a long hole in which an input moves on, unknown: each with its worst hole."""
+    """Raise DataError for a record with a long hole in which an input moves on, unknown; it names the longest."""
     for record in records:
         guessed = _guessed(record)
         if guessed:
             worst = max(guessed, key=lambda guess: guess.rows)
             more = f" (and {len(guessed) - 1} more)" if len(guessed) > 1 else ""
-            refuse(
-                f"experiment {record.name!r}",
-                [
-                    f"time has a hole from {worst.start:.6g} to {worst.stop:.6g} s{more}: {worst.rows} rows are missing, and in as"
-                    f" long a time input {worst.name!r} changes by {worst.change:.2g} times its standard deviation, so that a"
-                    " simulation through the hole says nothing; split the record there with split_at_holes() (shell: --split-holes),"
-                    " or fill in the missing rows of the input and leave the outputs empty"
-                ],
+            why = (
+                f"{worst.rows} rows are missing, and in as long a time input {worst.name!r} changes by {worst.change:.2g} times its"
+                " standard deviation, so that a simulation through the hole says nothing"
             )
+            remedy = f"{SPLIT}, or fill in the missing rows of the input and leave the outputs empty"
+            _refuse_hole(record, worst.start, worst.stop, more, f"{why}; {remedy}")
+
+
+def refuse_long_holes(records: Iterable[Experiment]) -> None:
+    """Raise DataError for a record with a long hole: of a model that is integrated in steps."""
+    for record in records:
+        longest = max(_long(record), key=lambda hole: hole[1], default=None)
+        if longest:
+            k, rows = longest
+            why = (
+                f"{rows} rows are missing, and a model that is integrated in steps takes as many of them in every interval as in the"
+                " longest"
+            )
+            _refuse_hole(record, float(record.time[k]), float(record.time[k + 1]), "", f"{why}; {SPLIT}")
+
+
+def _refuse_hole(record: Experiment, start: float, stop: float, more: str, said: str) -> None:
+    refuse(f"experiment {record.name!r}", [f"time has a hole from {start:.6g} to {stop:.6g} s{more}: {said}"])
+
+
+def _long(record: Experiment) -> list[tuple[int, int]]:
+    """Each long hole of ``record``: the row before it, and how many are missing."""
+    usual = float(np.median(np.diff(record.time)))
+    missing = [(int(k), round(float(record.time[k + 1] - record.time[k]) / usual) - 1) for k in holes(record.time)]
+    return [(k, rows) for k, rows in missing if rows >= LONG]
 
 
 def _guessed(record: Experiment) -> list[Guess]:
     """The holes of ``record`` through which no simulation means anything."""
-    after = holes(record.time)
-    if not len(after) or not record.inputs:
-        return []
-    usual = float(np.median(np.diff(record.time)))
-    found: list[Guess] = []
-    for k in after:
-        missing = round(float(record.time[k + 1] - record.time[k]) / usual) - 1
-        moving = [n for n, u in record.inputs.items() if not constant(u[max(0, k + 1 - NEARBY) : k + 1 + NEARBY])]
-        changes = {n: _change(record.inputs[n], after, missing) for n in moving} if missing >= LONG else {}
+    after, found = holes(record.time), []
+    for k, rows in _long(record):
+        around = slice(max(0, k + 1 - NEARBY), k + 1 + NEARBY)
+        changes = {n: _change(u, after, rows) for n, u in record.inputs.items() if not constant(u[around])}
         lost = max(changes, key=lambda n: changes[n], default="")
         if lost and changes[lost] >= LOST:
-            found.append(Guess(float(record.time[k]), float(record.time[k + 1]), missing, lost, changes[lost]))
+            found.append(Guess(float(record.time[k]), float(record.time[k + 1]), rows, lost, changes[lost]))
     return found
 
 

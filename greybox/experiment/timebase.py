@@ -26,6 +26,7 @@ MOST_DECIMALS = 12  # printed places looked for
 ROUNDING_UNITS = 1.2
 COARSEST = 0.45  # printed unit over step: beyond, a missing row could pass for two roundings
 HOLE = 1.5  # usual steps from which a step is a hole
+SPLIT = "split the record there with split_at_holes() (shell: --split-holes)"
 FEW_HOLES = 0.05  # of the steps; with more of them there is no usual step
 
 
@@ -67,7 +68,7 @@ def timing(time: np.ndarray, sampling_time: float | None) -> list[str]:
         ]
     hole = hole_named(time)
     if hole:
-        return [f"{hole}; split the record there with split_at_holes() (shell: --split-holes)"]
+        return [f"{hole}; {SPLIT}"]
     return [f"time is irregular: {spread}; each interval is taken as long as it is"]
 
 

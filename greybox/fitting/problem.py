@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.experiment import Experiment
+from greybox.experiment.holes import refuse_long_holes
 from greybox.integrators import Step, discretise
 from greybox.kernel import Kernel, Record, make_kernel
 from greybox.model import Model
@@ -96,6 +97,8 @@ def prepare(
     initial = initial_states(model, records, at_rest, [e.conditions for e in group])
     p = np.array(list(model.values.values()))
     step = _discretise(model, records, p, initial.guess, method, substeps)
+    if not step.per_interval:
+        refuse_long_holes(group)
     conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
     variables = Variables.of(model, initial, conditions, own, [e.name for e in group])
     return Problem(model, group, records, deviation, variables, step, make_kernel(step), method, still=resting)
