@@ -80,6 +80,16 @@ def test_a_long_hole_is_refused_of_every_model_that_is_integrated_in_steps():
         fit(PLANT, record, options=FitOptions(method="rk4"))
 
 
+def test_a_sensor_in_doubt_is_the_first_thing_that_a_fit_says():
+    record = driven(400)
+    frozen = {name: values.copy() for name, values in record.outputs.items()}
+    frozen["x"][300:] = frozen["x"][299]
+    doubted = Experiment.from_arrays(record.time, record.inputs, frozen, name="run")
+    result = fit(PLANT, doubted, noise={"x": 2e-7, "i": 5e-3})
+    assert result.notes[0].startswith("run: output 'x' stands still at exactly")
+    assert len(result.notes) > 1
+
+
 @pytest.fixture
 def torn(tmp_path):
     path = tmp_path / "run.csv"

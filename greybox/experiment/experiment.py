@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 
 from greybox.errors import DataError
 from greybox.experiment.arrays import extent, fingerprint, read_only
-from greybox.experiment.checks import FEWEST_ROWS, Places, invariants, measured, refuse, remarks
+from greybox.experiment.checks import FEWEST_ROWS, Places, invariants, measured, refuse
 from greybox.experiment.holes import common_step, pieces
+from greybox.experiment.sensors import remarks
 from greybox.experiment.timebase import timing, uniform_step
 
 Hold = Literal["zero", "first", "band-limited"]

@@ -66,9 +66,15 @@ def timing(time: np.ndarray, sampling_time: float | None) -> list[str]:
         return [
             f"time looks rounded: {spread} differ by no more than a printed unit; taken as every {sampling_time:.6g} s"
         ]
-    hole = hole_named(time)
+    hole, usual = hole_named(time), float(np.median(step))
     if hole:
         return [f"{hole}; {SPLIT}"]
+    missing = np.round(step / usual) - 1
+    if np.all(np.abs(step / usual - 1 - missing) <= GRID_TOLERANCE) and missing.any():
+        return [
+            f"time lacks {missing.sum():.0f} rows in {np.count_nonzero(missing)} places (usual step {usual:.6g} s): the input is taken to"
+            " go on through each, and where it moved the fit cannot know"
+        ]
     return [f"time is irregular: {spread}; each interval is taken as long as it is"]
 
 

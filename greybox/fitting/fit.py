@@ -21,7 +21,7 @@ from greybox.fitting.estimates import (
     tied_estimates,
 )
 from greybox.fitting.halving import discretisation_shift, polished
-from greybox.fitting.notes import elsewhere, meaning, notes, of_records
+from greybox.fitting.notes import elsewhere, meaning, notes, with_records
 from greybox.fitting.options import FitOptions, Report, options_given
 from greybox.fitting.predictive import fit_by_prediction
 from greybox.fitting.problem import prepare
@@ -159,7 +159,7 @@ def _result(model: Model, solution: Solution, options: FitOptions) -> Fit:
     own, tied = own_estimates(variables, found), tied_estimates(variables, found)
     shift = discretisation_shift(solution, np.sqrt(np.diag(found.covariance)))
     remarks = notes(solution, found, constants, misfit, runs, moves(solution, rows), shift)
-    remarks = (*remarks, *asked(problem, constants, tied, own, priors, robust), *of_records(problem.experiments))
+    remarks = with_records((*remarks, *asked(problem, constants, tied, own, priors, robust)), problem.experiments)
     measured = [j for j, o in enumerate(model.outputs) if o.name in misfit]
     widened = np.ones(len(variables.names)) if found.inflation is None else found.inflation
     return Fit(
