@@ -103,6 +103,21 @@ def test_what_would_determine_the_open_constants_stands_beside_them(good: gb.Fit
     assert "What would determine the rest" not in render(page_of(good))
 
 
+def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
+    sound = bench()
+    dead = {name: values.copy() for name, values in sound.outputs.items()}
+    dead["i"][400:] = dead["i"][400]
+    record = gb.Experiment.from_arrays(sound.time, sound.inputs, dead, name="bench")
+    found = check(micro_actuator.fix("M", "Ra"), record, noise={"x": 2e-7, "i": 5e-3})
+    page = page_of(found)
+    assert page.verdict.tone == "caution"
+    assert page.verdict.paragraphs[0].startswith("Record bench: output 'i' stands still at exactly")
+    html = render(page)
+    assert html.count("stands still") == 1
+    assert "Record bench: output &#39;x&#39; has 40 gaps" in html
+    assert found.as_dict()["records"][0]["notes"] == list(record.notes)
+
+
 def test_errors_further_ahead_stand_on_the_page_of_a_comparison(good: gb.Fit) -> None:
     other = bench(400)
     compared = gb.compare([good, gb.arx(other, output="x", na=2, nb=2, nk=1)], other, steps=[7])
