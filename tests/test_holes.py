@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from greybox import DataError, Experiment, FitOptions, fit
+from greybox.experiment import read_experiments
 from greybox.experiment.holes import refuse_guessed_input
 from greybox.simulation import write_csv
 from models.micro_actuator import micro_actuator
@@ -111,6 +112,31 @@ def test_the_option_splits_and_says_so(run, torn):
     assert "run[0:200]: 200 rows every 0.00025 s" in result.stdout and "run[200:470]: 270 rows" in result.stdout
     assert "run.csv was cut at the holes in its time: 2 pieces" in result.stderr
     assert "each piece is taken to begin at rest" in result.stderr
+
+
+def test_runs_in_one_file_are_read_apart_where_time_starts_anew(run, tmp_path):
+    first, second = driven(200), driven(300, seed=1)
+    for record, name in ((first, "a.csv"), (second, "b.csv")):
+        write_csv(record, micro_actuator, tmp_path / name)
+    rows = (tmp_path / "a.csv").read_text() + (tmp_path / "b.csv").read_text().partition("\n")[2]
+    (tmp_path / "both.csv").write_text(rows)
+    with pytest.raises(DataError, match=r"time goes back at line 202 .* split there \(shell: --split-holes\)"):
+        read_experiments(tmp_path / "both.csv", micro_actuator)
+    one, two = read_experiments(tmp_path / "both.csv", micro_actuator, split=True)
+    assert (one.name, two.name) == ("both[0:200]", "both[200:500]")
+    assert (one.fingerprint, two.fingerprint) == tuple(
+        read_experiments(tmp_path / name, micro_actuator)[0].fingerprint for name in ("a.csv", "b.csv")
+    )
+    assert one.notes == two.notes == ("one of 2 runs in its file, in which time starts anew",)
+    (tmp_path / "both.csv").write_text(rows.replace("\n0.01,", "\nten,"))
+    with pytest.raises(DataError, match=r"lines 42, 242: 'ten', 'ten' are not numbers"):
+        read_experiments(tmp_path / "both.csv", micro_actuator, split=True)
+    (tmp_path / "both.csv").write_text(rows.replace("\n0.0125,", "\n0.01225,"))
+    with pytest.raises(DataError, match=r"(?s)time is repeated at line 52.*time is repeated at line 252"):
+        read_experiments(tmp_path / "both.csv", micro_actuator, split=True)
+    (tmp_path / "both.csv").write_text(rows)
+    checked = run("check", "micro_actuator", "both.csv", "--fix", "Ra=8", "--split-holes", "--no-report")
+    assert checked.exit_code == 0 and "both[200:500]: 300 rows" in checked.stdout and "no effect" not in checked.stderr
 
 
 def test_without_a_hole_the_option_is_idle_and_a_simulation_goes_on_through_one(run, torn, tmp_path):

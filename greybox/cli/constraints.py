@@ -111,8 +111,8 @@ def read_under(
 ) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:  # fmt: skip
     """The records in ``data`` and those in ``validate``, each with its conditions: from its file, or as the command line has them.
 
-    ``split``: cut at the holes in their time; if not, a long hole is refused. ``at_rest``: whether each begins at rest. ``how``:
-    further arguments of `greybox.experiment.read_experiments`. Raises GreyboxError.
+    ``split``: cut where their time starts anew and at its holes; if not, a long hole is refused. ``at_rest``: whether each begins at
+    rest. ``how``: further arguments of `greybox.experiment.read_experiments`. Raises GreyboxError.
     """
     from greybox.experiment import read_experiments
     from greybox.experiment.holes import refuse_guessed_input
@@ -123,13 +123,14 @@ def read_under(
     if both:
         raise GreyboxError(f"--condition {both[0]}: given with values and from the files; keep one")
     records, judges = (
-        read_experiments(files, model, conditions=stated, **how) if files else () for files in (data, validate)
+        read_experiments(files, model, conditions=stated, split=split, **how) if files else ()
+        for files in (data, validate)
     )
     under = _under(given, records, [_known_as(judge, records) for judge in judges])
     if not split:
         refuse_guessed_input([*under[0], *under[1]])
         return under
-    records, judges = in_pieces(at_rest, *under)
+    records, judges = in_pieces(at_rest, *under, runs=len(records) + len(judges) - len(data) - len(validate))
     return records, judges
 
 

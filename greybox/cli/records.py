@@ -17,7 +17,7 @@ SplitHoles = Annotated[
     bool,
     typer.Option(
         "--split-holes",
-        help="Cut records at holes in their time (the logger dropped out, two runs in one file); each piece then is a record.",
+        help="Cut records where their time has a hole or starts anew (the logger dropped out, two runs in one file).",
     ),
 ]
 
@@ -32,8 +32,8 @@ def tell_notes(*groups: Iterable[Experiment]) -> None:
         note(f"note: {', '.join(dict.fromkeys(names))}: {text}")
 
 
-def in_pieces(at_rest: bool, *groups: Sequence[Experiment]) -> list[tuple[Experiment, ...]]:
-    """Each group with its records cut at the holes in their time, and a word on what was done."""
+def in_pieces(at_rest: bool, *groups: Sequence[Experiment], runs: int = 0) -> list[tuple[Experiment, ...]]:
+    """Each group with its records cut at the holes in their time, and a word on what was done; ``runs``: cuts made before."""
     parts = [[record.split_at_holes() for record in group] for group in groups]
     pairs = [
         (record.source or record.name, len(cut))
@@ -41,8 +41,8 @@ def in_pieces(at_rest: bool, *groups: Sequence[Experiment]) -> list[tuple[Experi
         for record, cut in zip(group, cuts, strict=True)
         if cut != (record,)
     ]
-    if not pairs:
-        note("note: --split-holes has no effect: no record has a hole in its time")
+    if not pairs and not runs:
+        note("note: --split-holes has no effect: no record has a hole in its time, and none starts anew")
     for name, number in pairs:
         note(
             f"note: {name} was cut at the holes in its time: {number} piece{'s' * (number != 1)}, each a record of its own"

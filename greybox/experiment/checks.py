@@ -20,6 +20,11 @@ class Places:
     word: str = "row"
     numbers: np.ndarray | None = None
 
+    def of(self, rows: slice) -> Places:
+        """The same for these rows alone, which are counted from 0 again."""
+        numbers = np.arange(1, (rows.stop or 0) + 1) if self.numbers is None else self.numbers
+        return Places(self.word, numbers[rows])
+
     def say(self, rows: Sequence[int] | np.ndarray) -> str:
         """Name the rows (counted from 0): ``line 17`` or ``lines 17, 18, 19, 20, 21 and 40 more``."""
         named = [str(int(r) + 1 if self.numbers is None else int(self.numbers[r])) for r in rows[:SHOWN]]
@@ -116,7 +121,7 @@ def _time_problems(time: np.ndarray, places: Places) -> list[str]:
         "time goes back",
         np.append(False, step < 0),
         places,
-        "time must increase from row to row; read separate runs from separate files",
+        "time must increase from row to row; read separate runs from separate files, or split there (shell: --split-holes)",
         time,
     )
     return found
