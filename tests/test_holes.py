@@ -71,6 +71,12 @@ def test_a_short_hole_a_still_drive_and_a_slow_input_are_noted_only():
         assert note.startswith("time has a hole from 0.19975 to") and "split_at_holes()" in note
 
 
+def test_a_step_that_falls_into_a_hole_is_refused():
+    stepped = np.where(np.arange(2000) < 1000, 0.0, 1.0)
+    with pytest.raises(DataError, match=r"a hole from 0.22475 to 0.275 s: 200 rows are missing.* changes by 2 times"):
+        fit(PLANT, without(linear_record(micro_actuator, stepped, PERIOD), slice(900, 1100)))
+
+
 def test_a_long_hole_is_refused_of_every_model_that_is_integrated_in_steps():
     pause = np.where(np.arange(2000) // 500 == 1, 0.0, driven().inputs["u"])
     record = without(linear_record(micro_actuator, pause, PERIOD), slice(600, 900))

@@ -110,21 +110,23 @@ def _guessed(record: Experiment) -> list[Guess]:
     after, found = holes(record.time), []
     for k, rows in _long(record):
         around = slice(max(0, k + 1 - NEARBY), k + 1 + NEARBY)
-        changes = {n: _change(u, after, rows) for n, u in record.inputs.items() if not constant(u[around])}
+        changes = {n: _change(u, after, k, rows) for n, u in record.inputs.items() if not constant(u[around])}
         lost = max(changes, key=lambda n: changes[n], default="")
         if lost and changes[lost] >= LOST:
             found.append(Guess(float(record.time[k]), float(record.time[k + 1]), rows, lost, changes[lost]))
     return found
 
 
-def _change(u: np.ndarray, after: np.ndarray, rows: int) -> float:
-    """How much the input ``u`` (N,) changes in up to ``rows`` rows (rms), in its standard deviations; no pair is across a hole."""
+def _change(u: np.ndarray, after: np.ndarray, k: int, rows: int) -> float:
+    """How much the input ``u`` (N,) changes in a hole of ``rows`` rows after row ``k``, in its standard deviations.
+
+    The larger of what it does elsewhere in up to as many rows (rms, no pair is across a hole) and of the jump across this one.
+    """
     parts = np.split(u, after + 1)
     spans = np.unique(np.geomspace(1, rows, TRIED).astype(int))
-    moves = [
-        np.concatenate([part[span:] - part[:-span] for part in parts if len(part) > span] or [[]]) for span in spans
-    ]
-    return max((float(np.sqrt(np.mean(m**2))) for m in moves if len(m)), default=0.0) / float(np.std(u))
+    moves = [np.concatenate([p[span:] - p[:-span] for p in parts if len(p) > span] or [[]]) for span in spans]
+    elsewhere = max((float(np.sqrt(np.mean(m**2))) for m in moves if len(m)), default=0.0)
+    return max(elsewhere, float(abs(u[k + 1] - u[k]))) / float(np.std(u))
 
 
 def _measures(record: Experiment, a: int, b: int) -> bool:
