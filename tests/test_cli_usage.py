@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import Result
+from typer.testing import CliRunner, Result
 
 from greybox import DataError, FitOptions, compare, fit, linearise, scores
+from greybox.cli.app import app
 from greybox.simulation import multisine, write_csv
 from models.micro_actuator import micro_actuator
 from tests.independent import linear_record
@@ -111,3 +112,9 @@ def test_an_operating_point_far_outside_the_records_is_named_with_their_range(fi
         "the operating point lies far outside the fitted records, u = 1e+09 V (records: -2 to 2 V), x = "
     )
     assert linearise(fitted, {"u": 1.5}).notes == linearise(fitted).notes == linearise(RIG, {"u": 1e9}).notes == ()
+
+
+def test_completion_is_silent_about_an_unknown_command() -> None:
+    words = {"_GREYBOX_COMPLETE": "complete_bash", "COMP_WORDS": "greybox chek ", "COMP_CWORD": "2"}
+    result = CliRunner().invoke(app, [], env=words, prog_name="greybox")
+    assert "no such command" not in result.output

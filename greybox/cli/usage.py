@@ -61,7 +61,7 @@ class Front(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The sub-command that the first of ``args`` names; ends with exit code 2 where there is none."""
         name = args[0]
-        if self.get_command(ctx, name) is None:
+        if self.get_command(ctx, name) is None and not ctx.resilient_parsing:  # while Tab completes, nothing is told
             stop(f"{name}: there is no such command; {nearest(name, self.list_commands(ctx))}", BAD_INPUT)
         return super().resolve_command(ctx, args)
 
