@@ -71,6 +71,13 @@ def test_a_short_hole_a_still_drive_and_a_slow_input_are_noted_only():
         assert note.startswith("time has a hole from 0.19975 to") and "split_at_holes()" in note
 
 
+def test_a_torn_record_for_validation_is_refused_before_the_fit():
+    reports = []
+    with pytest.raises(DataError, match="400 rows are missing"):
+        fit(PLANT, driven(400), validation=without(driven(), slice(800, 1200)), report=reports.append)
+    assert not reports
+
+
 def test_a_step_that_falls_into_a_hole_is_refused():
     stepped = np.where(np.arange(2000) < 1000, 0.0, 1.0)
     with pytest.raises(DataError, match=r"a hole from 0.22475 to 0.275 s: 200 rows are missing.* changes by 2 times"):

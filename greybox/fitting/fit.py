@@ -10,6 +10,7 @@ import numpy as np
 
 from greybox.errors import FitError, ModelError, nearest
 from greybox.experiment import Experiment
+from greybox.experiment.holes import refuse_long_holes
 from greybox.fitting.alias import moves
 from greybox.fitting.asked import asked
 from greybox.fitting.estimates import (
@@ -37,6 +38,7 @@ from greybox.model.show import equations
 from greybox.noise import AutoRegression, Noise
 from greybox.noise.hierarchy import LEAST_NOISE, RESIDUAL
 from greybox.result import Fit
+from greybox.transcription.records import experiments_of
 
 Colouring = Literal["known", "residual", "white"]
 COLOURINGS = ("known", "residual", "white")
@@ -83,6 +85,7 @@ def fit(
     options = replace(options, own=(*options.own, *((own,) if isinstance(own, str) else own)))
     if colour not in COLOURINGS:
         raise ModelError(f"unknown colour {colour!r}; {nearest(colour, COLOURINGS)}")
+    judges = experiments_of(validation) if validation else ()  # refused before the work is done, and not after it
     if model.noisy_states:
         if colour == "residual":
             raise ModelError(
@@ -94,11 +97,13 @@ def fit(
                 " none; leave out transcription and arc_length, or the process noise"
             )
         result = fit_by_prediction(model, experiments, noise, quiet, options, report)
-        return _judged(result, validation, skip, options, raise_on_failure)
+        return _judged(result, judges, skip, options, raise_on_failure)
     problem = prepare(
         model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet,
         own=options.own, robust=options.robust,
     )  # fmt: skip
+    if not problem.step.per_interval:
+        refuse_long_holes(judges)
     if colour == "white":
         problem = problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in model.outputs)))
     solution = solve(problem, options, report)
@@ -108,7 +113,7 @@ def fit(
     if colour == "residual" and solution.status.success:
         solution = robustly(_coloured_by_residual(solution, options, report), options, report)
     solution = polished(solution)
-    return _judged(_result(model, solution, options), validation, skip, options, raise_on_failure)
+    return _judged(_result(model, solution, options), judges, skip, options, raise_on_failure)
 
 
 def _judged(
