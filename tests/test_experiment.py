@@ -184,7 +184,7 @@ def test_spikes_of_one_row_are_counted_and_placed():
     time, drive, answer = shaken()
     answer[[40, 41 + 100, 300]] += [0.3, -0.2, 0.15]
     (note,) = notes_of(time, drive, answer)
-    assert note.startswith("output 'y' jumps away and back within one row, 3 times (at 0.4, 1.41, 3 s)")
+    assert note.startswith("output 'y' jumps away and back within one row, 3 times (at 0.4 s, 1.41 s, 3 s)")
     assert "--loss huber" in note
 
 

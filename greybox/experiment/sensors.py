@@ -57,9 +57,9 @@ def _doubts(time: np.ndarray, values: np.ndarray, inputs: Sequence[np.ndarray]) 
             " sensor or the logger failed there, leave these fields empty"
         )
     elif len(found := _spikes(values, inputs)):
-        places = enumerated([f"{time[k]:.6g}" for k in found[:SHOWN]], len(found))
+        places = enumerated([f"{time[k]:.6g} s" for k in found[:SHOWN]], len(found))
         yield (
-            f"{JUMPS}, {len(found)} time{'s' * (len(found) > 1)} (at {places} s): if the sensor did that and not the plant, leave these"
+            f"{JUMPS}, {len(found)} time{'s' * (len(found) > 1)} (at {places}): if the sensor did that and not the plant, leave these"
             " fields empty, or fit with a robust loss (shell: --loss huber)"
         )
     for word, rows, times in _ends(values):
