@@ -204,7 +204,7 @@ BAD_FITS = [
     (["micro_actuator", "DATA", "--fix", "M=ten"], "--fix M=ten: 'ten' is not a number"),
     (["micro_actuator", "DATA", "--fix", "M=nan"], "must be finite"),
     (["micro_actuator", "DATA", "--fix", "M=5"], "'M': 5 kg lies outside its bounds [0.0001, 1] kg"),
-    (["micro_actuator", "DATA", "--start", "M"], "--start M: write --start NAME=VALUE"),
+    (["micro_actuator", "DATA", "--start", "M"], "--start M: it has no '='; write --start NAME=VALUE"),
     (["micro_actuator", "DATA", "--fix", "M=1", "--fix", "M=0.5"], "--fix M: given twice"),
     (["micro_actuator", "DATA", "--fix", "M=0.1", "--start", "M=0.2"], "M: --fix and --start contradict each other"),
     (["micro_actuator", "DATA", "--fix", "M", "--free", "M"], "M: --fix and --free contradict each other"),
@@ -240,10 +240,10 @@ def test_bad_input_is_told_in_one_message_and_nothing_is_written(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["ft"], "Did you mean 'fit'"),
+        (["ft"], "did you mean 'fit'"),
         (["fit", "m", "d.csv", "--fxi", "M=1"], "--fix"),
-        (["fit", "m", "d.csv", "--hold", "second"], "'zero', 'first'"),
-        (["fit", "m"], "Missing argument"),
+        (["fit", "m", "d.csv", "--hold", "second"], "known: zero, first"),
+        (["fit", "m"], "DATA is missing"),
         (["fit", "m", "d.csv", "--skip", "-1"], "--skip"),
     ],
 )
@@ -293,9 +293,13 @@ def test_ctrl_c_saves_the_best_point(run: Run, data: Path, tmp_path: Path, monke
         yield lambda _: signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(fit_command, "meter", impatient)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "report.html").write_text("of an earlier fit")
     result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, "--start", "K=4000", "--output", "out")
     assert result.exit_code == 130
-    assert f"the best point so far is in {Path('out') / 'fit.json'}" in result.stderr
+    assert (
+        f"the best point so far is in {Path('out') / 'fit.json'} (no figures, no report, those there" in result.stderr
+    )
     saved = json.loads((tmp_path / "out" / "fit.json").read_text())
     assert saved["status"] == "interrupted"
     assert saved["success"] is False

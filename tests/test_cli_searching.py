@@ -65,8 +65,8 @@ def test_the_transcription_is_chosen_and_said(run: Run, data: Path, options: lis
         (["--transcription", "arcs"], "transcription 'arcs' needs their length"),
         (["--transcription", "single", "--arc-length", "1"], "transcription 'single' has no arcs"),
         (["--arc-length", "1e-4"], "give at least 0.00075 s"),
-        (["--transcription", "lifted"], "'lifted' is not one of"),
-        (["--starts", "0"], "greater than or equal to 1"),
+        (["--transcription", "lifted"], "--transcription lifted: there is no such choice"),
+        (["--starts", "0"], "--starts 0: give 1 or more"),
     ],
 )
 def test_bad_choices_end_with_2_and_nothing_is_written(

@@ -90,6 +90,15 @@ def test_the_story_is_told_in_order(found: Demo, told: list[str]) -> None:
     assert places == sorted(places)
 
 
+def test_the_command_leaves_out_the_page_if_told(run, found: Demo, monkeypatch: pytest.MonkeyPatch) -> None:
+    contradiction = run("demo", "--open", "--no-report")
+    assert contradiction.exit_code == 2 and "leave out one of the two" in contradiction.stderr
+    monkeypatch.setattr("greybox.demo.demo", lambda *_, **__: found)
+    result = run("demo", "--no-report", "--output", "there")
+    assert result.exit_code == 0 and "report:" not in result.stdout
+    assert not Path("there", "report.html").exists()
+
+
 def test_the_page_tells_the_same_story(found: Demo, tmp_path: Path) -> None:
     file = report(found, tmp_path, command="greybox demo --output here")
     text = file.read_text(encoding="utf-8")

@@ -142,6 +142,21 @@ def test_a_sensor_that_stands_still_while_the_input_moves_is_named(reading):
     assert note.endswith("leave these fields empty")
 
 
+def test_a_sensor_that_dies_without_a_jump_is_named_while_the_input_goes_on():
+    time = 0.01 * np.arange(200)
+    drive, answer = np.sin(5 * time), np.cos(7 * time) + 1e-3 * np.sin(900 * time)
+    answer[150:] = answer[149]
+    (note,) = make(time=time, inputs={"u": drive}, outputs={"y": answer}).notes
+    assert note.startswith(
+        f"output 'y' stands still at exactly {answer[149]:g} from 1.49 s to the end (51 rows), while the input"
+    )
+    silent = np.where(time > 1.4, drive[140], drive)
+    assert make(time=time, inputs={"u": silent}, outputs={"y": answer}).notes == ()
+    stopped = np.minimum(np.cos(time / 2 + np.pi), -0.8)  # comes smoothly to the end of its range
+    assert np.all(np.diff(stopped[-40:]) == 0)
+    assert make(time=time, inputs={"u": drive}, outputs={"y": stopped}).notes == ()
+
+
 def test_a_coarse_sensor_an_end_stop_and_a_plant_at_rest_are_no_dead_sensors():
     time = 0.01 * np.arange(200)
     smooth, drive = np.cos(2 * time), np.sin(5 * time)
@@ -152,6 +167,50 @@ def test_a_coarse_sensor_an_end_stop_and_a_plant_at_rest_are_no_dead_sensors():
     for answer in (coarse, stopped):
         assert make(time=time, inputs={"u": drive}, outputs={"y": answer}).notes == ()
     assert make(time=time, inputs={"u": silent}, outputs={"y": resting}).notes == ()
+
+
+def shaken(rows=400, seed=0):
+    """Time, a smooth input, and a smooth answer with white noise: what a sound sensor reads."""
+    time = 0.01 * np.arange(rows)
+    drive = np.sin(5 * time) + 0.5 * np.sin(31 * time)
+    return time, drive, np.cos(5 * time) + 1e-3 * np.random.default_rng(seed).normal(size=rows)
+
+
+def notes_of(time, drive, answer):
+    return make(time=time, inputs={"u": drive}, outputs={"y": answer}).notes
+
+
+def test_spikes_of_one_row_are_counted_and_placed():
+    time, drive, answer = shaken()
+    answer[[40, 41 + 100, 300]] += [0.3, -0.2, 0.15]
+    (note,) = notes_of(time, drive, answer)
+    assert note.startswith("output 'y' jumps away and back within one row, 3 times (at 0.4 s, 1.41 s, 3 s)")
+    assert "--loss huber" in note
+
+
+def test_what_the_plant_does_itself_is_no_spike():
+    time, drive, answer = shaken()
+    assert notes_of(time, drive, answer) == ()
+    stepped = answer + 3.0 * (time > 1.2)  # a level that stays
+    assert notes_of(time, drive, stepped) == ()
+    hammer = drive.copy()
+    hammer[[60, 200]] += 5.0
+    followed = answer.copy()
+    followed[[61, 201]] += 0.4  # one row after the input's own pulse
+    assert notes_of(time, hammer, followed) == ()
+    assert notes_of(time, np.where(time < 2, 1.0, -1.0), np.random.default_rng(1).normal(size=len(time))) == ()
+    often = answer.copy()
+    often[::20] += 0.3  # one row in twenty: the noise is such
+    assert notes_of(time, drive, often) == ()
+
+
+def test_a_sensor_that_ends_before_the_motion_does_is_named_at_either_end():
+    time, drive, answer = shaken()
+    clipped = np.clip(answer, -0.8, 0.9)
+    upper, lower = notes_of(time, drive, clipped)
+    assert upper.startswith("output 'y' reads exactly its largest value, 0.9, in ")
+    assert lower.startswith("output 'y' reads exactly its smallest value, -0.8, in ")
+    assert notes_of(time, drive, np.round(clipped, 1)) == ()  # a coarse sensor repeats itself anyway
 
 
 def test_split_covers_every_row_once_and_keeps_the_times():
@@ -313,6 +372,13 @@ def test_a_hole_is_named_with_its_place():
     late = 0.5 * np.arange(100) + 30 * (np.arange(100) > 20) + 5 * (np.arange(100) > 60)
     (note,) = make(time=late, inputs={"u": np.sin(late)}, outputs={"y": np.cos(late)}).notes
     assert note.startswith("time has 2 holes, the longest from 10 to 40.5 s")
+
+
+def test_lost_rows_are_counted_where_the_others_keep_the_pace():
+    time, drive, answer = shaken()
+    kept = np.setdiff1d(np.arange(400), np.arange(7, 390, 10))
+    (note,) = notes_of(time[kept], drive[kept], answer[kept])
+    assert note.startswith("time lacks 39 rows in 39 places (usual step 0.01 s)")
 
 
 def test_a_drifting_clock_is_irregular():

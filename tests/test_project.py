@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 
 from greybox import GreyboxError, Model, ModelError
 from greybox.project import init, listing, project_root, resolve, shipped, template_root
+from greybox.project.template import STUDIES
 
 RIG = """
 from greybox import Balance, Input, Model, Output, Parameter, State
@@ -191,7 +193,11 @@ def test_a_model_made_of_a_neighbours_parts_is_found(folder: Path, write: Write)
 def test_init_writes_a_project_that_works_by_itself(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written = init(folder / "rig")
     assert {p.relative_to(folder / "rig").parts[0] for p in written} >= {"models", "README.md"}
-    assert (folder / "rig" / "fits").is_dir()
+    assert {p.name for p in written if p.parent.name == "fits"} == set(STUDIES)
+    studies = [p.read_text(encoding="utf-8") for p in written if p.parent.name == "fits"]
+    needed = {name for text in studies for name in re.findall(r"(?:from|import) fits\.(\w+)", text)}
+    assert {f"{name}.py" for name in needed} <= set(STUDIES)
+    assert len(written) <= 20  # a project to read, and not the library's own workshop
     assert not list((folder / "rig").rglob("__pycache__"))
     for path in written:
         if path.name != "README.md":

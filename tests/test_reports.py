@@ -92,6 +92,40 @@ def test_a_fit_that_failed_says_so_and_tests_nothing() -> None:
     html = render(page)
     assert "tests of its residual would say nothing" in html
     assert "speaks up" not in html
+    many = replace(failed, notes=tuple(f"remark number {k} of five" for k in range(5)))
+    assert [render(page_of(many)).count(f"emark number {k} of five") for k in range(5)] == [1] * 5
+
+
+def test_what_would_determine_the_open_constants_stands_beside_them(good: gb.Fit) -> None:
+    found = gb.fit(micro_actuator, bench(), noise={"x": 2e-7, "i": 5e-3}, options=gb.FitOptions(progressive=False))
+    html = render(page_of(found))
+    assert "What would determine the rest" in html and "Fix one of M, B, K, Kf" in html
+    assert "What would determine the rest" not in render(page_of(good))
+
+
+def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
+    sound = bench()
+    dead = {name: values.copy() for name, values in sound.outputs.items()}
+    dead["i"][400:] = dead["i"][400]
+    record = gb.Experiment.from_arrays(sound.time, sound.inputs, dead, name="bench")
+    found = check(micro_actuator.fix("M", "Ra"), record, noise={"x": 2e-7, "i": 5e-3})
+    page = page_of(found)
+    assert page.verdict.tone == "caution"
+    assert page.verdict.paragraphs[0].startswith("Record bench: output 'i' stands still at exactly")
+    html = render(page)
+    assert html.count("stands still") == 1
+    assert "Record bench: output &#39;x&#39; has 40 gaps" in html
+    assert found.as_dict()["records"][0]["notes"] == list(record.notes)
+
+
+def test_errors_further_ahead_stand_on_the_page_of_a_comparison(good: gb.Fit) -> None:
+    other = bench(400)
+    compared = gb.compare([good, gb.arx(other, output="x", na=2, nb=2, nk=1)], other, steps=[7])
+    html = render(page_of(compared))
+    assert "7 samples ahead (rms)" in html
+    ahead = compared["arx"].validation["x"].ahead_rmse[7]
+    digits = f"{ahead:.4g}".partition("e")[0]
+    assert f"{digits}·10" in html
 
 
 @pytest.mark.parametrize("kind", ["fit", "check", "simulation", "linear model"])
@@ -232,3 +266,5 @@ def test_commands_leave_their_page_and_say_where(tmp_path: Path, monkeypatch: py
     CliRunner().invoke(app, ["simulate", "micro_actuator", *pace, "--output", "run.csv"])
     CliRunner().invoke(app, ["simulate", "micro_actuator", *pace, "--output", "bare.csv", "--no-report"])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bare.csv", "out", "run.csv", "run.html"]
+    CliRunner().invoke(app, ["simulate", "micro_actuator", *pace, "--noise", "x=2e-7", "--output", "run.csv"])
+    assert "White noise was added to what was written: x 2·10⁻⁷ m." in Path("run.html").read_text(encoding="utf-8")

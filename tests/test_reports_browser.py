@@ -111,9 +111,20 @@ def test_the_page_prints(page):
     assert len(page.pdf(format="A4")) > 20_000
 
 
+def test_paper_shows_every_output_with_its_name_and_the_screen_is_as_before(page):
+    names = "[...document.querySelectorAll('#run-0 .name.printed')].map(e => e.textContent)"
+    axes = "[...document.querySelectorAll('#run-0 .plot')].map(e => e.layout.yaxis.title.text[0])"
+    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    assert page.evaluate(names) == page.evaluate(axes) == ["x", "i"]
+    page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert page.evaluate(names) == [] and page.evaluate(axes) == ["x"]
+
+
 def test_dark_and_light_follow_the_reader_and_the_button_on_a_phone_too(browser, report):
     with opened(browser, report, color_scheme="dark", viewport={"width": 390, "height": 800}) as page:
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        tests = page.locator(".wide[aria-label='Tests of the residual']")
+        assert tests.evaluate("e => e.scrollWidth <= e.clientWidth")
         paper = "getComputedStyle(document.body).backgroundColor"
         dark = page.evaluate(paper)
         page.click("#theme")

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from greybox.project.template import STUDIES
+
 ROOT = Path(__file__).resolve().parents[1]
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -140,7 +142,10 @@ def test_wheel_installs_one_package_with_the_project_as_its_template(tmp_path: P
     names = set(zipfile.ZipFile(built).namelist())
     assert {name.partition("/")[0] for name in names} == {"greybox", f"greybox_sysid-{project['version']}.dist-info"}
     ours = [path.relative_to(ROOT) for path in files()]
-    template = [Path("greybox/_template") / path for path in ours if path.parts[0] in ("models", "fits", "notebooks")]
+    given = {Path("fits", study) for study in STUDIES}
+    template = [
+        Path("greybox/_template") / path for path in ours if path.parts[0] in ("models", "notebooks") or path in given
+    ]
     library = [path for path in ours if path.parts[0] == "greybox"]
     carried = {name for name in names if name.startswith("greybox/")}
     assert carried == {path.as_posix() for path in (*library, *template)}

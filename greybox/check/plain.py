@@ -24,6 +24,7 @@ def plain(check: Check) -> dict[str, Any]:
                 "duration": e.duration,
                 "sampling_time": e.sampling_time,
                 "data": e.fingerprint,
+                "notes": list(e.notes),
             }
             for e in check.experiments
         ],

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperArgument, TyperCommand, TyperOption
 
 from greybox.cli.check import check
 from greybox.cli.compare import compare
@@ -18,22 +17,11 @@ from greybox.cli.guard import guarded
 from greybox.cli.init import init
 from greybox.cli.models import models
 from greybox.cli.simulate import simulate
-
-
-class Plain(TyperCommand):
-    """A command whose help names no types of Python: what a value is for stands in its own line."""
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
-        for parameter in self.params:
-            if isinstance(parameter, TyperArgument):
-                vars(parameter)["display_type_rich"] = lambda ctx: None
-            elif isinstance(parameter, TyperOption) and callable(parameter.default):  # an empty list
-                parameter.show_default = False
-
+from greybox.cli.usage import Front, Plain
 
 app = typer.Typer(
     name="greybox",
+    cls=Front,
     help="Physics-based grey-box identification: from a record to physical constants with intervals.",
     epilog="Start with:\n\n\b\n  greybox demo\n  greybox models\n  greybox fit --help",
     no_args_is_help=True,

@@ -10,6 +10,7 @@ import typer
 
 from greybox.cli import constraints as c
 from greybox.cli import options as o
+from greybox.cli.records import SplitHoles
 from greybox.cli.reporting import NoReport, told, write_report
 
 
@@ -38,6 +39,7 @@ def check(
     hold: o.Hold = o.HoldName.zero,
     at_rest: o.AtRest = False,
     free_decay: o.FreeDecay = False,
+    split_holes: SplitHoles = False,
     column: o.Columns,
     method: o.Method = o.MethodName.automatic,
     substeps: o.Substeps = 0,
@@ -65,8 +67,9 @@ def check(
     columns = o.pairs("--column", column) or None
     o.check_substeps(plant, method, substeps)
     records, _ = c.read_under(
-        condition, plant, data or (), columns=columns, hold=hold.value, allow_constant_input=free_decay
-    )
+        condition, plant, data or (), split=split_holes, at_rest=at_rest, columns=columns, hold=hold.value,
+        allow_constant_input=free_decay,
+    )  # fmt: skip
     choice = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps)
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-check")
     only = [name for text in outputs for name in text.replace(",", " ").split()] or None

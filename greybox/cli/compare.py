@@ -16,7 +16,7 @@ from greybox.cli import predicted as p
 from greybox.cli import searching as s
 from greybox.cli.guard import INTERRUPTED, stop
 from greybox.cli.progress import Show, gauge, in_words, share_done
-from greybox.cli.records import tell_notes
+from greybox.cli.records import SplitHoles, tell_notes
 from greybox.cli.reporting import NoReport, told, write_report
 
 if TYPE_CHECKING:
@@ -72,6 +72,7 @@ def compare(
     hold: o.Hold = o.HoldName.zero,
     at_rest: o.AtRest = False,
     free_decay: o.FreeDecay = False,
+    split_holes: SplitHoles = False,
     column: o.Columns,
     method: o.Method = o.MethodName.automatic,
     substeps: o.Substeps = 0,
@@ -114,9 +115,12 @@ def compare(
     folder = o.writable_folder(output or Path("results") / f"{plain.name}-compare")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
     how: dict[str, Any] = {"columns": columns, "hold": hold.value}
-    records, judges = c.read_under(condition, plain, train, validate, **how, allow_constant_input=free_decay)
+    records, judges = c.read_under(
+        condition, plain, train, validate, split=split_holes, at_rest=at_rest, **how, allow_constant_input=free_decay
+    )
     hushed = read_experiments(quiet, plain, **how, allow_constant_input=True) if quiet else ()
     o.check_skip(skip, judges)
+    p.check_steps(predict, records, judges)
     refuse_other_steps(records, judges, [q.name for q in plain.outputs])
     if not silent:
         tell_notes(records, judges)

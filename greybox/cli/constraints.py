@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from greybox.cli import complete
-from greybox.cli.options import Names, numbers, pairs
+from greybox.cli.options import Names, as_number, numbers, pairs
+from greybox.cli.records import in_pieces
 from greybox.errors import GreyboxError, ModelError
 
 if TYPE_CHECKING:
@@ -85,8 +86,10 @@ def scheduled(model: Model, schedule: Iterable[str]) -> Model:
     """``model`` with constants that follow a condition. Raises GreyboxError."""
     for name, text in pairs("--schedule", schedule).items():
         by, at, value = (part.strip() for part in text.partition("@"))
-        about = numbers("--schedule", [f"{by}={value}"])[by] if at else None
-        model = model.schedule(name, by=by, about=about)
+        said, example = f"--schedule {name}={text}", f"--schedule {name}={by}@2"
+        if not at and by in [i.name for i in model.inputs]:
+            raise GreyboxError(f"{said}: {by} is an input; say at which value of it {name} holds, as in {example}")
+        model = model.schedule(name, by=by, about=as_number(said, value, example) if at else None)
     return model
 
 
@@ -103,13 +106,16 @@ def constrained(model: Model, prior: Iterable[str], tie: Iterable[str]) -> Model
 
 
 def read_under(
-    condition: Sequence[str], model: Model, data: Sequence[Path], validate: Sequence[Path] = (), **how: Any
-) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
+    condition: Sequence[str], model: Model, data: Sequence[Path], validate: Sequence[Path] = (),
+    *, split: bool = False, at_rest: bool = False, **how: Any,
+) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:  # fmt: skip
     """The records in ``data`` and those in ``validate``, each with its conditions: from its file, or as the command line has them.
 
-    ``how``: further arguments of `greybox.experiment.read_experiments`. Raises GreyboxError.
+    ``split``: cut where their time starts anew and at its holes; if not, a long hole is refused. ``at_rest``: whether each begins at
+    rest. ``how``: further arguments of `greybox.experiment.read_experiments`. Raises GreyboxError.
     """
     from greybox.experiment import read_experiments
+    from greybox.experiment.holes import refuse_guessed_input
 
     stated = dict.fromkeys(text.strip() for text in condition if "=" not in text)
     given = pairs("--condition", (text for text in condition if "=" in text))
@@ -117,9 +123,15 @@ def read_under(
     if both:
         raise GreyboxError(f"--condition {both[0]}: given with values and from the files; keep one")
     records, judges = (
-        read_experiments(files, model, conditions=stated, **how) if files else () for files in (data, validate)
+        read_experiments(files, model, conditions=stated, split=split, **how) if files else ()
+        for files in (data, validate)
     )
-    return _under(given, records, [_known_as(judge, records) for judge in judges])
+    under = _under(given, records, [_known_as(judge, records) for judge in judges])
+    if not split:
+        refuse_guessed_input([*under[0], *under[1]])
+        return under
+    records, judges = in_pieces(at_rest, *under, runs=len(records) + len(judges) - len(data) - len(validate))
+    return records, judges
 
 
 def _known_as(judge: Experiment, records: Sequence[Experiment]) -> Experiment:
@@ -161,5 +173,6 @@ def _mean_and_std(name: str, text: str) -> tuple[float, float]:
         raise GreyboxError(
             f"--prior {name}={text}: write mean and standard deviation, as in --prior {name}=0.0100+-0.0001"
         )
-    mean, std = (numbers("--prior", [f"{name}={part.strip()}"])[name] for part in parts)
+    example = f"--prior {name}=0.0100+-0.0001"
+    mean, std = (as_number(f"--prior {name}={text}", part.strip(), example) for part in parts)
     return mean, std

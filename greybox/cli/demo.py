@@ -10,7 +10,8 @@ import typer
 from greybox.cli import options as o
 from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
 from greybox.cli.progress import search_gauge
-from greybox.cli.reporting import told, write_report
+from greybox.cli.reporting import NoReport, told, write_report
+from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
     from greybox.demo import Demo
@@ -22,6 +23,7 @@ def demo(
     ] = Path("results/demo"),
     open_: Annotated[bool, typer.Option("--open", help="Show the report in the browser at the end.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the discovery as JSON instead of text.")] = False,
+    no_report: NoReport = False,
 ) -> None:
     """The whole story on a simulated actuator that hides an effect from its model.
 
@@ -31,17 +33,19 @@ def demo(
     """
     from greybox.demo import demo as run
 
+    if open_ and no_report:
+        raise GreyboxError("--open shows the report, which --no-report leaves out; leave out one of the two")
     folder = o.writable_folder(output)
     with search_gauge() as (say, report):
         found = run(folder, say=say, report=report)
     if found.plain.status == "interrupted":
         stop(f"interrupted; what was done so far is in {folder}", INTERRUPTED)
-    page = write_report(found, folder / "report.html")
+    page = None if no_report else write_report(found, folder / "report.html")
     if json:
         typer.echo((folder / "discovery.json").read_text(encoding="utf-8"), nl=False)
     else:
-        typer.echo(f"{_told(found, folder)}\n\n{told(page)}")
-    if open_:
+        typer.echo("\n\n".join([_told(found, folder), *([told(page)] if page else [])]))
+    if open_ and page:
         typer.launch(page.resolve().as_uri())
     if not found.fit.success:
         raise typer.Exit(UNSUCCESSFUL)

@@ -13,7 +13,7 @@ from greybox.cli import constraints as c
 from greybox.cli import options as o
 from greybox.cli.guard import INTERRUPTED, stop
 from greybox.cli.progress import search_gauge
-from greybox.cli.records import tell_notes
+from greybox.cli.records import SplitHoles, tell_notes
 from greybox.cli.reporting import NoReport, told, write_report
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def discover(
     quiet: o.Quiet,
     hold: o.Hold = o.HoldName.zero,
     at_rest: o.AtRest = False,
+    split_holes: SplitHoles = False,
     column: o.Columns,
     effects: Annotated[
         str,
@@ -85,7 +86,9 @@ def discover(
     plant = o.changed(resolve(model), fix=fix, start=start, free=free)
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-discover")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
-    records, judges = c.read_under(condition, plant, estimation, validate, columns=columns, hold=hold.value)
+    records, judges = c.read_under(
+        condition, plant, estimation, validate, split=split_holes, at_rest=at_rest, columns=columns, hold=hold.value
+    )
     silent = (
         read_experiments(quiet, plant, columns=columns, hold=hold.value, allow_constant_input=True) if quiet else ()
     )

@@ -15,7 +15,7 @@ from greybox.cli import searching as s
 from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
 from greybox.cli.interrupt import held
 from greybox.cli.progress import meter
-from greybox.cli.records import by_record, tell_notes
+from greybox.cli.records import SplitHoles, by_record, tell_notes
 from greybox.cli.reporting import NoReport, told, write_report
 
 if TYPE_CHECKING:
@@ -55,6 +55,7 @@ def fit(
     hold: o.Hold = o.HoldName.zero,
     at_rest: o.AtRest = False,
     free_decay: o.FreeDecay = False,
+    split_holes: SplitHoles = False,
     column: o.Columns,
     method: o.Method = o.MethodName.automatic,
     substeps: o.Substeps = 0,
@@ -95,10 +96,12 @@ def fit(
     folder = o.writable_folder(output or Path("results") / f"{plant.name}-fit")
     said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
     records, judges = c.read_under(
-        condition, plant, data, validate, columns=columns, hold=hold.value, allow_constant_input=free_decay
-    )
+        condition, plant, data, validate, split=split_holes, at_rest=at_rest, columns=columns, hold=hold.value,
+        allow_constant_input=free_decay,
+    )  # fmt: skip
     hushed = read_experiments(quiet, plant, columns=columns, allow_constant_input=True) if quiet else ()
     o.check_skip(skip, judges)
+    p.check_steps(predict, records, judges)
     if not silent:  # those of the fitted records stand in the result, but for JSON
         tell_notes(*((records, judges) if json else (judges,)))
     choice = FitOptions(
@@ -121,7 +124,8 @@ def fit(
     ahead = [] if interrupted or silent or json else p.predicted(result, judges, predict, skip)
     _tell(result, tests, [*more, *ahead], saved, skip, quiet=silent, json=json)
     if interrupted or result.status == "interrupted":
-        stop(f"interrupted; the best point so far is in {saved}", INTERRUPTED)
+        older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
+        stop(f"interrupted; the best point so far is in {saved} (no figures, no report{older})", INTERRUPTED)
     _draw(result, tests, saved, skip, quiet=silent or json, page=not no_report)
     if not result.success:
         stop(f"no success: {result.meaning}", UNSUCCESSFUL)

@@ -147,13 +147,24 @@ Substeps = Annotated[
 ]
 
 
+# What is written after an option that takes a name and something else, and an example.
+SHAPES = {
+    "--tie": ("NAME=FORMULA", "Kv=Kf"), "--schedule": ("NAME=CONDITION@VALUE", "K=u@2"), "--column": ("NAME=HEADER", "x=Laser"),
+    "--prior": ("NAME=MEAN+-STD", "M=0.0100+-0.0001"), "--noise": ("OUTPUT=STD", "x=2e-7"), "--initial": ("STATE=VALUE", "x=0.001"),
+}  # fmt: skip
+
+
 def pairs(option: str, texts: Iterable[str]) -> dict[str, str]:
     """``["M=1", "K=2"]`` as a dictionary; refuses text without ``=`` and names given twice."""
+    shape, example = SHAPES.get(option, ("NAME=VALUE", "M=0.01"))
     found: dict[str, str] = {}
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not (name and equals and value):
-            raise GreyboxError(f"{option} {text}: write {option} NAME=VALUE, without blanks")
+            lacks = "it has no '='" if not equals else f"nothing stands {'after' if name else 'before'} the '='"
+            raise GreyboxError(
+                f"{option} {text}: {lacks}; write {option} {shape} without blanks, as in {option} {example}"
+            )
         if name in found:
             raise GreyboxError(f"{option} {name}: given twice, as {found[name]} and {value}; keep one")
         found[name] = value
@@ -162,18 +173,21 @@ def pairs(option: str, texts: Iterable[str]) -> dict[str, str]:
 
 def numbers(option: str, texts: Iterable[str]) -> dict[str, float]:
     """`pairs` with finite numbers as values."""
-    found = {}
-    for name, value in pairs(option, texts).items():
-        try:
-            found[name] = float(value)
-        except ValueError:
-            raise GreyboxError(
-                f"{option} {name}={value}: {value!r} is not a number;"
-                f" write it without a unit, as in {option} {name}=0.01"
-            ) from None
-        if not math.isfinite(found[name]):
-            raise GreyboxError(f"{option} {name}={value}: the value must be finite")
-    return found
+    return {
+        name: as_number(f"{option} {name}={value}", value, f"{option} {name}=0.01")
+        for name, value in pairs(option, texts).items()
+    }
+
+
+def as_number(said: str, value: str, example: str) -> float:
+    """``value``, which is part of what was ``said``, as a finite number. Raises GreyboxError."""
+    try:
+        number = float(value)
+    except ValueError:
+        raise GreyboxError(f"{said}: {value!r} is not a number; write it without a unit, as in {example}") from None
+    if not math.isfinite(number):
+        raise GreyboxError(f"{said}: the value must be finite")
+    return number
 
 
 def changed(

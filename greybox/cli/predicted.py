@@ -9,6 +9,7 @@ import typer
 
 from greybox.cli import complete
 from greybox.cli.options import Names, numbers
+from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
     from greybox.experiment import Experiment
@@ -46,6 +47,17 @@ def pushed(model: Model, texts: Sequence[str]) -> Model:
     known = numbers("--process-noise", (t for t in texts if "=" in t))
     estimated = dict.fromkeys(t.strip() for t in texts if "=" not in t)
     return model.with_process_noise(*estimated, **known) if texts else model
+
+
+def check_steps(steps: Sequence[int], *groups: Sequence[Experiment]) -> None:
+    """Refuse, before the fit, predictions so far ahead that the records hold nothing to compare with. Raises GreyboxError."""
+    longest = min((max(e.rows for e in group) for group in groups if group), default=0)
+    for k in steps:
+        if k >= longest > 0:
+            raise GreyboxError(
+                f"--predict {k}: the longest record has {longest} rows, and the first {k} of each have no measurement to predict from;"
+                " look fewer samples ahead"
+            )
 
 
 def predicted(result: Fit, judges: Sequence[Experiment], steps: Sequence[int], skip: int) -> list[str]:

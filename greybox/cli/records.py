@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from greybox.cli.guard import note
 
 if TYPE_CHECKING:
     from greybox.experiment import Experiment
     from greybox.result import Fit
+
+SplitHoles = Annotated[
+    bool,
+    typer.Option(
+        "--split-holes",
+        help="Cut records where their time has a hole or starts anew (the logger dropped out, two runs in one file).",
+    ),
+]
 
 
 def tell_notes(*groups: Iterable[Experiment]) -> None:
@@ -20,6 +30,28 @@ def tell_notes(*groups: Iterable[Experiment]) -> None:
             found.setdefault(text, []).append(record.source or record.name)
     for text, names in found.items():
         note(f"note: {', '.join(dict.fromkeys(names))}: {text}")
+
+
+def in_pieces(at_rest: bool, *groups: Sequence[Experiment], runs: int = 0) -> list[tuple[Experiment, ...]]:
+    """Each group with its records cut at the holes in their time, and a word on what was done; ``runs``: cuts made before."""
+    parts = [[record.split_at_holes() for record in group] for group in groups]
+    pairs = [
+        (record.source or record.name, len(cut))
+        for group, cuts in zip(groups, parts, strict=True)
+        for record, cut in zip(group, cuts, strict=True)
+        if cut != (record,)
+    ]
+    if not pairs and not runs:
+        note("note: --split-holes has no effect: no record has a hole in its time, and none starts anew")
+    for name, number in pairs:
+        note(
+            f"note: {name} was cut at the holes in its time: {number} piece{'s' * (number != 1)}, each a record of its own"
+        )
+    if pairs and at_rest:
+        note(
+            "note: --at-rest: each piece is taken to begin at rest; leave it out if the plant still moved behind a hole"
+        )
+    return [tuple(part for cut in cuts for part in cut) for cuts in parts]
 
 
 def by_record(fit: Fit, skip: int) -> list[str]:

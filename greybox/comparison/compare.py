@@ -10,6 +10,7 @@ import numpy as np
 from greybox.comparison.black import black_runs
 from greybox.comparison.grey import feedthrough, filtered, grey_runs, options_of, stable
 from greybox.comparison.values import BlackBoxModel, Comparison, Entry, Run, Score, score
+from greybox.diagnose.scores import check_steps
 from greybox.errors import DataError
 from greybox.experiment import Experiment
 from greybox.fitting import FitOptions
@@ -87,8 +88,8 @@ def compared(
     shortest = min((e.rows for e in judging), default=skip + FEWEST_JUDGED)
     if skip < 0 or shortest - skip < FEWEST_JUDGED:
         raise DataError(f"skip: {skip} rows, but the shortest record has {shortest}; leave out fewer rows")
-    if any(k < 1 for k in steps):
-        raise DataError(f"steps ahead: {', '.join(map(str, steps))}; give whole numbers from 1")
+    for group in (judging, training):
+        check_steps(steps, group)
     at_rest = options.at_rest if options is not None else any(options_of(f, None).at_rest for f in fits)
     known = _units(entered, units or {})
     further = tuple(sorted({int(k) for k in steps} - {1}))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,14 +64,13 @@ def scores(
     fit's own are estimated from their first rows. Left out of the errors are the first ``skip`` rows, and of a prediction ``k`` samples
     ahead the first ``k``, which have no measurement to go by.
 
-    Raises DataError for steps below one, and where there is no record.
+    Raises DataError for steps below one or beyond every record, and where there is no record.
     """
-    if any(k < 1 for k in steps):
-        raise DataError(f"steps ahead: {', '.join(map(str, steps))}; give whole numbers from 1")
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
     judged = [t.experiment for t in model.traces] if isinstance(model, Fit) and not group else list(group)
     if not judged:
         raise DataError("scores: no record to judge by; give experiments, or a fit, which has its own")
+    check_steps(steps, judged)
     ready = (
         predictor(model, () if isinstance(model, Fit) else group, options=options)
         if isinstance(model, Fit | Model)
@@ -94,6 +93,18 @@ def scores(
                 float(np.nanstd(measured)), words,
             )  # fmt: skip
     return Scores(result)
+
+
+def check_steps(steps: Iterable[int], records: Sequence[Experiment]) -> None:
+    """Refuse predictions of less than one sample, and of so many that not one of ``records`` has a sample to compare with."""
+    wanted, longest = list(steps), max((e.rows for e in records), default=0)
+    if any(k < 1 for k in wanted):
+        raise DataError(f"steps ahead: {', '.join(map(str, wanted))}; give whole numbers from 1")
+    if longest and any(k >= longest for k in wanted):
+        raise DataError(
+            f"steps ahead: {max(wanted)}, but the longest record has {longest} rows, and the first {max(wanted)} of a record have no"
+            " measurement to go by; give fewer"
+        )
 
 
 def _runs(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +10,6 @@ import numpy as np
 from greybox.errors import DataError
 
 FEWEST_ROWS = 10  # of a measured record
-FROZEN_ROWS = 20  # of a sensor that stands still
-SELDOM = 0.05  # of the steps elsewhere; a sensor that repeats its values more often is coarse or rests
 SHOWN = 5  # rows named in a message before "and 40 more"
 
 
@@ -21,6 +19,11 @@ class Places:
 
     word: str = "row"
     numbers: np.ndarray | None = None
+
+    def of(self, rows: slice) -> Places:
+        """The same for these rows alone, which are counted from 0 again."""
+        numbers = np.arange(1, (rows.stop or 0) + 1) if self.numbers is None else self.numbers
+        return Places(self.word, numbers[rows])
 
     def say(self, rows: Sequence[int] | np.ndarray) -> str:
         """Name the rows (counted from 0): ``line 17`` or ``lines 17, 18, 19, 20, 21 and 40 more``."""
@@ -101,56 +104,10 @@ def measured(
     return found
 
 
-def remarks(time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray]) -> Iterator[str]:
-    """What is accepted but should be known: what is constant, sensors that stand still for a while, gaps."""
-    for name, values in inputs.items():
-        if constant(values):
-            yield f"input {name!r} is constant at {values[0]:g}"
-    for name, values in outputs.items():
-        if constant(values):
-            value = values[~np.isnan(values)][0]
-            yield f"output {name!r} is constant at {value:g}: a sensor that never moves tells nothing; leave it out"
-        elif frozen := _frozen(values, inputs):
-            first, last = frozen
-            yield (
-                f"output {name!r} stands still at exactly {values[first]:g} for {last - first + 1} rows, from {time[first]:.6g} to"
-                f" {time[last]:.6g} s, while the input moves, and comes or goes with a jump: if the sensor or the"
-                " logger failed there, leave these fields empty"
-            )
-        gaps = int(np.isnan(values).sum())
-        if gaps:
-            yield f"output {name!r} has {gaps} gap{'s' if gaps > 1 else ''} in {len(values)} rows"
-
-
 def constant(values: np.ndarray) -> bool:
     """Whether every measured value is the same; gaps aside."""
     known = values[~np.isnan(values)]
     return bool(len(known) == 0 or np.all(known == known[0]))
-
-
-def _frozen(values: np.ndarray, inputs: Mapping[str, np.ndarray]) -> tuple[int, int] | None:
-    """First and last row of the longest stretch in which an output repeats one value while an input moves.
-
-    None for short stretches, for a sensor that repeats its values elsewhere too, and where the output comes and goes no
-    faster than it moves elsewhere: as fast as ever at the end of its range (an end stop, an overflow), else as usual. The
-    input of the last row does not count: its answer comes after.
-    """
-    step = np.abs(np.diff(values))
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], step == 0, [False])).astype(int)))
-    if not len(edges):
-        return None
-    longest = int(np.argmax(edges[1::2] - edges[::2]))
-    first, last = int(edges[2 * longest]), int(edges[2 * longest + 1])
-    before = max(first - 1, 0)
-    elsewhere = np.concatenate((step[:before], step[last + 1 :]))
-    moves = elsewhere[np.isfinite(elsewhere)]
-    if last - first + 1 < FROZEN_ROWS or not len(moves) or np.mean(moves == 0) > SELDOM:
-        return None
-    at_limit = values[first] in (np.nanmin(values), np.nanmax(values))
-    jumps = np.concatenate((step[before:first], step[last : last + 1]))
-    if not np.any(jumps > np.quantile(moves, 1.0 if at_limit else 1 - SELDOM)):
-        return None
-    return None if all(constant(u[first:last]) for u in inputs.values()) else (first, last)
 
 
 def _time_problems(time: np.ndarray, places: Places) -> list[str]:
@@ -164,7 +121,7 @@ def _time_problems(time: np.ndarray, places: Places) -> list[str]:
         "time goes back",
         np.append(False, step < 0),
         places,
-        "time must increase from row to row; read separate runs from separate files",
+        "time must increase from row to row; read separate runs from separate files, or split there (shell: --split-holes)",
         time,
     )
     return found

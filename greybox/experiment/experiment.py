@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike
 
 from greybox.errors import DataError
 from greybox.experiment.arrays import extent, fingerprint, read_only
-from greybox.experiment.checks import Places, invariants, measured, refuse, remarks
+from greybox.experiment.checks import FEWEST_ROWS, Places, invariants, measured, refuse
+from greybox.experiment.holes import common_step, pieces
+from greybox.experiment.sensors import remarks
 from greybox.experiment.timebase import timing, uniform_step
 
 Hold = Literal["zero", "first", "band-limited"]
@@ -157,6 +159,18 @@ class Experiment:
                 f" {self.rows - row}; each part needs at least 2, give a fraction nearer to 0.5"
             )
         return self.window(0, row), self.window(row, self.rows)
+
+    def split_at_holes(self, fewest: int = FEWEST_ROWS) -> tuple[Experiment, ...]:
+        """The pieces between holes in time, each a record of its own with an initial state of its own; itself without holes.
+
+        A hole is a step of more than one and a half usual ones (`greybox.experiment.timebase`): the logger dropped out, or two
+        runs were pasted together. In it the input is unknown, and what a fit simulates through it is made up. Pieces of fewer
+        than ``fewest`` rows, or without a measured value, are left out, which ``notes`` say. Pieces that are sampled alike have the
+        same `sampling_time`. Raises DataError where no piece is left.
+        """
+        parts = pieces(self, fewest)
+        step = common_step(parts)
+        return parts if step is None else tuple(_with_step(part, step) for part in parts)
 
     def with_hold(self, hold: Hold) -> Experiment:
         """The same record with another course of the input between samples: ``"zero"``, ``"first"``, ``"band-limited"``."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,15 @@ def read_csv(
 
     Raises DataError with every problem of the file in one message, rows called by their line number in the file.
     """
+    (experiment,) = _runs(path, model, columns, hold, name, conditions, allow_constant_input, split=False)
+    return experiment
+
+
+def _runs(
+    path: str | os.PathLike[str], model: Model, columns: Mapping[str, str] | None, hold: Hold, name: str | None,
+    conditions: Mapping[str, float | None] | None, allow_constant_input: bool, *, split: bool,
+) -> list[Experiment]:  # fmt: skip
+    """The record in a file as `read_csv` gives it; with ``split`` each run of a file in which time starts anew."""
     file = _existing(path)
     table = _opened(file)
     given = {name: value for name, value in (conditions or {}).items() if value is not None}
@@ -63,21 +73,35 @@ def read_csv(
     refuse(file.name, problems)
     time, inputs, outputs, steady = arrays
     read, said = stated(sought, steady, table.comments, problems)
-    # A file of too few rows is called so, and not by what else follows from it.
-    if len(time) > 1:
-        problems += invariants(time, inputs, outputs, table.places)
-    refuse(file.name, problems + measured(inputs, outputs, len(time), allow_constant_input))
-    return Experiment.from_arrays(
-        time,
-        inputs,
-        outputs,
-        name=name or file.stem,
-        hold=hold,
-        source=file.name,
-        conditions=given | read,
-        notes=(*_notes(found), *said),
-        allow_constant_input=allow_constant_input,
-    )
+    found_runs = _cut(time, inputs, outputs, split)
+    for rows, t, u, y in found_runs:
+        # A file of too few rows is called so, and not by what else follows from it.
+        if len(t) > 1:
+            problems += invariants(t, u, y, table.places.of(rows))
+        problems += measured(u, y, len(t), allow_constant_input)
+    refuse(file.name, problems)
+    one, title, notes = len(found_runs) == 1, name or file.stem, (*_notes(found), *said)
+    if not one:
+        notes = (*notes, f"one of {len(found_runs)} runs in its file, in which time starts anew")
+    return [
+        Experiment.from_arrays(
+            t, u, y, name=title if one else f"{title}[{rows.start}:{rows.stop}]", hold=hold, source=file.name,
+            conditions=given | read, notes=notes, allow_constant_input=allow_constant_input,
+        )
+        for rows, t, u, y in found_runs
+    ]  # fmt: skip
+
+
+def _cut(
+    time: np.ndarray, inputs: Arrays, outputs: Arrays, split: bool
+) -> list[tuple[slice, np.ndarray, Arrays, Arrays]]:
+    """The rows of each run with its arrays: with ``split`` a run ends where time goes back, else the whole is one."""
+    starts = [0, *(np.flatnonzero(np.diff(time) < 0) + 1).tolist()] if split else [0]
+    parts = [slice(a, b) for a, b in pairwise([*starts, len(time)])]
+    return [
+        (rows, time[rows], {n: v[rows] for n, v in inputs.items()}, {n: v[rows] for n, v in outputs.items()})
+        for rows in parts
+    ]
 
 
 def read_experiments(
@@ -88,9 +112,10 @@ def read_experiments(
     hold: Hold = "zero",
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
+    split: bool = False,
 ) -> tuple[Experiment, ...]:
     """Read several records for one model, as `read_csv` does each; files of the same name get their folder's name in
-    front.
+    front. ``split``: a file in which time starts anew holds several runs, each a record ``name[first:last]``.
 
     Raises one DataError with the problems of all files.
     """
@@ -103,17 +128,7 @@ def read_experiments(
     for file in files:
         name = file.stem if stems.count(file.stem) == 1 else f"{file.parent.name}/{file.stem}"
         try:
-            experiments.append(
-                read_csv(
-                    file,
-                    model,
-                    columns=columns,
-                    hold=hold,
-                    name=name,
-                    conditions=conditions,
-                    allow_constant_input=allow_constant_input,
-                )
-            )
+            experiments += _runs(file, model, columns, hold, name, conditions, allow_constant_input, split=split)
         except DataError as error:
             problems.append(str(error))
     if problems:

@@ -26,6 +26,7 @@ MOST_DECIMALS = 12  # printed places looked for
 ROUNDING_UNITS = 1.2
 COARSEST = 0.45  # printed unit over step: beyond, a missing row could pass for two roundings
 HOLE = 1.5  # usual steps from which a step is a hole
+SPLIT = "split the record there with split_at_holes() (shell: --split-holes)"
 FEW_HOLES = 0.05  # of the steps; with more of them there is no usual step
 
 
@@ -65,16 +66,29 @@ def timing(time: np.ndarray, sampling_time: float | None) -> list[str]:
         return [
             f"time looks rounded: {spread} differ by no more than a printed unit; taken as every {sampling_time:.6g} s"
         ]
-    usual = float(np.median(step))
-    where_long = holes(time)
-    if len(where_long):
-        longest = where_long[np.argmax(step[where_long])]
-        found = f"{len(where_long)} holes, the longest" if len(where_long) > 1 else "a hole"
-        where = f"from {time[longest]:.6g} to {time[longest + 1]:.6g} s"
+    hole, usual = hole_named(time), float(np.median(step))
+    if hole:
+        return [f"{hole}; {SPLIT}"]
+    missing = np.round(step / usual) - 1
+    if np.all(np.abs(step / usual - 1 - missing) <= GRID_TOLERANCE) and missing.any():
         return [
-            f"time has {found} {where} (usual step {usual:.6g} s): the input is taken to go on through it; cut the record there"
+            f"time lacks {missing.sum():.0f} rows in {np.count_nonzero(missing)} places (usual step {usual:.6g} s): the input is taken to"
+            " go on through each, and where it moved the fit cannot know"
         ]
     return [f"time is irregular: {spread}; each interval is taken as long as it is"]
+
+
+def hole_named(time: np.ndarray) -> str:
+    """The longest hole in the stamps ``time`` (N,) in words, with what a simulation makes of it; "" where there is none."""
+    after, step = holes(time), np.diff(time)
+    if not len(after):
+        return ""
+    longest = after[np.argmax(step[after])]
+    found = f"{len(after)} holes, the longest" if len(after) > 1 else "a hole"
+    return (
+        f"time has {found} from {time[longest]:.6g} to {time[longest + 1]:.6g} s (usual step {np.median(step):.6g} s): the input is"
+        " taken to go on through it"
+    )
 
 
 def holes(time: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,12 +38,17 @@ def linearise(
 
     What has no slope at the point is said in `Linearisation.notes`, with what was used in its place: dry friction at standstill is
     left out (it acts as a disturbance up to its level), play is taken as closed, at a kink (the edge of a dead zone) the side with
-    the larger slope is used.
+    the larger slope is used. So is a point that lies far outside the records of the fit.
 
     Raises ModelError for unknown names, where there is no equilibrium, and where a slope is not finite.
     """
     source = plant_of(plant)
-    return linear_model(source, Equations(source.model), source.p, at, dt, method, delay)
+    linear = linear_model(source, Equations(source.model), source.p, at, dt, method, delay)
+    inputs, outputs = (
+        {n: float(v) for n, v in zip(names, values, strict=True)}
+        for names, values in ((linear.input_names, linear.u0), (linear.output_names, linear.y0))
+    )
+    return replace(linear, notes=(*linear.notes, *source.unseen(inputs, outputs)))
 
 
 def linear_model(

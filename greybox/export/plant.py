@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 
@@ -12,6 +12,9 @@ from greybox.errors import ModelError
 from greybox.model import Model
 from greybox.result import Fit
 from greybox.units import tidy
+
+# Of the range of a signal in the records: a point further out than this is far outside.
+BEYOND = 0.5
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,32 @@ class Plant:
             return "fitted, not determined by the records"
         low, high = estimate.interval
         return f"fitted, 95 % interval [{low:.6g}, {high:.6g}]{', at its bound' if estimate.at_bound else ''}"
+
+    def unseen(self, inputs: Mapping[str, float], outputs: Mapping[str, float]) -> tuple[str, ...]:
+        """What to know of an operating point with these ``inputs`` and ``outputs`` that lies far outside the fitted records."""
+        traces = self.fit.traces if self.fit else ()
+        units = {i.name: i.unit for i in self.model.inputs} | {o.name: o.unit for o in self.model.outputs}
+        found = []
+        for name, value in {**inputs, **outputs}.items():
+            seen = [t.inputs.get(name, t.simulated.get(name)) for t in traces]
+            ranges = [(np.nanmin(values), np.nanmax(values)) for values in seen if values is not None]
+            if not ranges:
+                continue
+            low, high = float(min(r[0] for r in ranges)), float(max(r[1] for r in ranges))
+            margin = BEYOND * (high - low) if high > low else abs(high)
+            if not low - margin <= value <= high + margin:
+                unit = tidy(units[name])
+                found.append(
+                    f"{name} = {value:.6g} {unit}".rstrip()
+                    + f" (records: {low:.4g} to {high:.4g} {unit}".rstrip()
+                    + ")"
+                )
+        if not found:
+            return ()
+        return (
+            f"the operating point lies far outside the fitted records, {', '.join(found)}: nothing was measured there, and the constants"
+            " may not hold",
+        )
 
     def origin(self) -> tuple[str, ...]:
         """Lines that say where the whole comes from: program, model, records, how the fit ended."""

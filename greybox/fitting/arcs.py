@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from greybox.errors import ModelError
+from greybox.errors import DataError, ModelError
 from greybox.fitting.choose import Choice
 from greybox.fitting.freely import plain
 from greybox.fitting.halving import gauss_newton_step
@@ -25,15 +25,19 @@ from greybox.transcription.projected import inverse_of
 
 # Unknowns that a search with other than plain squares can take (its Hessian is dense).
 MOST_UNKNOWNS = 1000
+# Of a record's duration: one sampling interval more than it is still the whole record, and no mistake.
+HAIR = 0.01
 
 
 def solve_arcs(choice: Choice, options: FitOptions, report: Report | None = None) -> Solution:
     """Minimise the cost of every record cut in arcs of ``options.arc_length`` seconds, all their initial states estimated.
 
     Where the cost is plain squares the initial states are eliminated arc by arc, else they are searched for with the constants.
-    Raises ModelError for too many arcs of the second kind, DataError for arcs that are too short (`arcs_of`).
+    Raises ModelError for too many arcs of the second kind, DataError for arcs that are too short (`arcs_of`) or longer than
+    every record.
     """
     whole = choice.problem
+    _check_length(whole, options.arc_length)
     arcs = cut(_shooting(whole), seconds=options.arc_length)
     problem = replace(whole, records=arcs.shooting.records, variables=arcs.shooting.variables)
     if plain(problem):
@@ -45,7 +49,7 @@ def solve_arcs(choice: Choice, options: FitOptions, report: Report | None = None
     variables = _of_records(whole.variables, solved.variables, arcs.begins)
     solution = replace(
         solved, problem=replace(whole, step=problem.step, kernel=problem.kernel), variables=variables, transcription="arcs",
-        strategy=choice.told(f"{len(arcs.begins)} arcs of {options.arc_length:g} s, each from a state of its own"),
+        strategy=choice.told(_told(arcs, options.arc_length)),
     )  # fmt: skip
     if not np.isfinite(solved.evaluation.cost):
         return solution
@@ -64,6 +68,22 @@ def solve_arcs(choice: Choice, options: FitOptions, report: Report | None = None
 
 def _shooting(problem: Problem) -> SingleShooting:
     return SingleShooting(problem.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
+
+
+def _told(arcs: Cut, length: float) -> str:
+    number = len(arcs.begins)
+    if all(arcs.begins):
+        return f"arcs of {length:g} s, which leave every record whole (what is left is less than half an arc)"
+    return f"{number} arcs of {length:g} s, each from a state of its own"
+
+
+def _check_length(problem: Problem, length: float) -> None:
+    longest = max(float(record.h.sum()) for record in problem.records)
+    if length > longest * (1 + HAIR):
+        raise DataError(
+            f"arcs of {length:g} s: the longest record lasts {longest:.6g} s, so no record would be cut; take shorter arcs, or leave"
+            " arc_length out (shell: --arc-length)"
+        )
 
 
 def _check_number(problem: Problem, arcs: int, options: FitOptions) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from greybox.errors import FitError, ModelError, nearest
 from greybox.experiment import Experiment
+from greybox.experiment.holes import refuse_long_holes
 from greybox.fitting.alias import moves
 from greybox.fitting.asked import asked
 from greybox.fitting.estimates import (
@@ -21,7 +22,7 @@ from greybox.fitting.estimates import (
     tied_estimates,
 )
 from greybox.fitting.halving import discretisation_shift, polished
-from greybox.fitting.notes import elsewhere, meaning, notes, of_records
+from greybox.fitting.notes import elsewhere, meaning, notes, with_records
 from greybox.fitting.options import FitOptions, Report, options_given
 from greybox.fitting.predictive import fit_by_prediction
 from greybox.fitting.problem import prepare
@@ -37,6 +38,7 @@ from greybox.model.show import equations
 from greybox.noise import AutoRegression, Noise
 from greybox.noise.hierarchy import LEAST_NOISE, RESIDUAL
 from greybox.result import Fit
+from greybox.transcription.records import experiments_of
 
 Colouring = Literal["known", "residual", "white"]
 COLOURINGS = ("known", "residual", "white")
@@ -88,6 +90,7 @@ def fit(
     options = replace(options, own=(*options.own, *((own,) if isinstance(own, str) else own)))
     if colour not in COLOURINGS:
         raise ModelError(f"unknown colour {colour!r}; {nearest(colour, COLOURINGS)}")
+    judges = experiments_of(validation) if validation else ()  # refused before the work is done, and not after it
     if model.noisy_states:
         if colour == "residual":
             raise ModelError(
@@ -99,11 +102,13 @@ def fit(
                 " none; leave out transcription and arc_length, or the process noise"
             )
         result = fit_by_prediction(model, experiments, noise, quiet, options, report, initial)
-        return _judged(result, validation, skip, options, raise_on_failure)
+        return _judged(result, judges, skip, options, raise_on_failure)
     problem = prepare(
         model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet,
         own=options.own, robust=options.robust, initial=initial,
     )  # fmt: skip
+    if not problem.step.per_interval:
+        refuse_long_holes(judges)
     if colour == "white":
         problem = problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in model.outputs)))
     solution = solve(problem, options, report)
@@ -113,7 +118,7 @@ def fit(
     if colour == "residual" and solution.status.success:
         solution = robustly(_coloured_by_residual(solution, options, report), options, report)
     solution = polished(solution)
-    return _judged(_result(model, solution, options), validation, skip, options, raise_on_failure)
+    return _judged(_result(model, solution, options), judges, skip, options, raise_on_failure)
 
 
 def _judged(
@@ -164,7 +169,7 @@ def _result(model: Model, solution: Solution, options: FitOptions) -> Fit:
     own, tied = own_estimates(variables, found), tied_estimates(variables, found)
     shift = discretisation_shift(solution, np.sqrt(np.diag(found.covariance)))
     remarks = notes(solution, found, constants, misfit, runs, moves(solution, rows), shift)
-    remarks = (*remarks, *asked(problem, constants, tied, own, priors, robust), *of_records(problem.experiments))
+    remarks = with_records((*remarks, *asked(problem, constants, tied, own, priors, robust)), problem.experiments)
     measured = [j for j, o in enumerate(model.outputs) if o.name in misfit]
     widened = np.ones(len(variables.names)) if found.inflation is None else found.inflation
     return Fit(

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from greybox.experiment import Experiment
+from greybox.experiment.sensors import doubtful
 from greybox.fitting.alias import VISIBLE, VISIBLE_BY_DIFFERENCES, Move
 from greybox.fitting.robust import clear_ratio
 from greybox.fitting.solution import Solution
@@ -169,6 +170,12 @@ def of_records(experiments: Sequence[Experiment]) -> tuple[str, ...]:
         for text in experiment.notes:
             found.setdefault(text, []).append(experiment.source or experiment.name)
     return tuple(f"{', '.join(dict.fromkeys(names))}: {text}" for text, names in found.items())
+
+
+def with_records(remarks: Sequence[str], experiments: Sequence[Experiment]) -> tuple[str, ...]:
+    """``remarks`` on a fit and what is to be known about its records: first what casts doubt on a measurement, then the rest."""
+    known = of_records(experiments)
+    return (*filter(doubtful, known), *remarks, *(text for text in known if not doubtful(text)))
 
 
 def describe(direction: Mapping[str, float]) -> str:

@@ -11,7 +11,7 @@ from greybox.experiment import Experiment
 from greybox.fitting.alias import Judged, Move, moves_of
 from greybox.fitting.asked import asked
 from greybox.fitting.estimates import estimates, model_covariance, own_estimates, prior_checks, tied_estimates
-from greybox.fitting.notes import of_records
+from greybox.fitting.notes import with_records
 from greybox.fitting.options import FitOptions, Report
 from greybox.fitting.predictive_again import innovations_of
 from greybox.fitting.predictive_intensity import Intensity, tested
@@ -83,9 +83,7 @@ def _result(model: Model, solution: Solution, found: Found, judged: Sequence[Int
     own, tied = own_estimates(variables, around.constants), tied_estimates(variables, around.constants)
     priors = prior_checks(variables, around.constants)
     remarks = notes(fitted, problem, found, around, constants, judged, shift, _moves(problem, found, free))
-    remarks = (
-        *remarks, *asked(problem, constants, tied, own, priors, Outlying("", {}, {})), *of_records(problem.experiments),
-    )  # fmt: skip
+    remarks = (*remarks, *asked(problem, constants, tied, own, priors, Outlying("", {}, {})))
     return Fit(
         model=fitted, status=found.status.name.lower(), success=found.status.success, meaning=meaning(found, one_step, free_run),
         parameters=constants, misfit=free_run, traces=runs, free=names, covariance=covariance,
@@ -94,7 +92,7 @@ def _result(model: Model, solution: Solution, found: Found, judged: Sequence[Int
         integration_error={n: float(solution.integration_error[j]) for j, n in enumerate(model.system.output_names) if n in free_run},
         cost=float(found.evaluation.cost), solver=_statistics(solution, found), options={**asdict(options), "own": list(options.own)},
         equations=equations(model), versions=versions(),
-        notes=remarks,
+        notes=with_records(remarks, problem.experiments),
         noise_sources={name: _source(problem, cost.unknowns, name) for name in sources}, interval_kind=around.constants.kind,
         noise_colour=dict.fromkeys(free_run, ()), inflation=dict(zip(variables.names, inflation.tolist(), strict=True)),
         discretisation_shift=shift, tied=tied, ties={tie.name: tie.formula for tie in model.ties}, own=own,

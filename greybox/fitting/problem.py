@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.experiment import Experiment
+from greybox.experiment.holes import refuse_long_holes
 from greybox.integrators import Step, discretise
 from greybox.kernel import Kernel, Record, make_kernel
 from greybox.model import Model
@@ -101,6 +102,8 @@ def prepare(
         beginning = begun_at(model, beginning, initial)
     p = np.array(list(model.values.values()))
     step = _discretise(model, records, p, beginning.guess, method, substeps)
+    if not step.per_interval:
+        refuse_long_holes(group)
     conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
     variables = Variables.of(model, beginning, conditions, own, [e.name for e in group])
     return Problem(model, group, records, deviation, variables, step, make_kernel(step), method, still=resting)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from greybox.errors import ModelError, nearest
+from greybox.experiment.read import READERS
 from greybox.model import Model
 from greybox.project.load import load, load_apart, load_named, models_of, shown
 from greybox.project.place import model_files, project_root, template_root
@@ -34,8 +35,13 @@ def resolve(name: str) -> Model:
 
     A name is that of a file in ``models/`` or of a model in one of them. A path (``my/rig.py``) gives the model named
     like the file or the only one in it; ``my/rig.py:name`` picks one. Raises ModelError for an unknown name, with the
-    nearest ones, and for a file that cannot be run, with the line.
+    nearest ones, for the name of a record, and for a file that cannot be run, with the line.
     """
+    if Path(name).suffix.lower() in READERS:
+        names = ", ".join(f.name for f in listing().models)
+        raise ModelError(
+            f"{name}: a record, not a model file; MODEL comes first, as in MODEL {name} (known models: {names})"
+        )
     path, colon, wanted = name.rpartition(".py:")
     if colon:
         return _in_file(Path(f"{path}.py"), wanted)

@@ -9,12 +9,14 @@ from greybox.errors import GreyboxError
 from greybox.project.place import template_root
 
 FOLDERS = ("models", "fits", "notebooks")
+# Of the studies those that show how one is written; the others are about this library, and no user's rig needs them.
+STUDIES = ("__init__.py", "cascaded_tanks_base.py", "emps_dry_friction.py", "silverbox_hardening.py")
 README = """# {name}
 
 A greybox project: from measured records to physical constants with intervals.
 
 - `models/` plants, one a file: balances of named terms, and constants with unit, bounds and source
-- `fits/` studies, one a file: question, data, fit, verdict
+- `fits/` studies to copy from, one a file: question, data (public records), fit, verdict
 - `notebooks/first_hour.ipynb` from a record to what the model lacks, to run in Jupyter
 
 Inside this folder a model is called by its name, and its file is yours to change:
@@ -66,4 +68,10 @@ def _template_files() -> dict[Path, Path]:
     root = template_root()
     files = [path for folder in FOLDERS for path in sorted((root / folder).rglob("*")) if path.is_file()]
     inside = {path.relative_to(root): path for path in files}
-    return {name: path for name, path in inside.items() if "__pycache__" not in name.parts and path.suffix != ".pyc"}
+    return {name: path for name, path in inside.items() if _belongs(name)}
+
+
+def _belongs(name: Path) -> bool:
+    if "__pycache__" in name.parts or name.suffix == ".pyc":
+        return False
+    return name.parts[0] != "fits" or name.parts[1:] in [(study,) for study in STUDIES]

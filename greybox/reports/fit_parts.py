@@ -13,6 +13,8 @@ from greybox.result.summary import constant_rows
 
 # A misfit up to this many times the noise is called good.
 GOOD = 1.2
+# Notes of the fit that stand with the verdict.
+LEADING = 3
 
 
 def verdict(fit: Fit) -> Text:
@@ -22,14 +24,14 @@ def verdict(fit: Fit) -> Text:
             f"This fit did not succeed: {fit.meaning}.",
             "The numbers below are where the search stopped. They are shown to find the reason, not to be used.",
         ]
-        return Text([*said, *(sentence(typeset_number(n)) for n in fit.notes[:3])], "bad")
+        return Text([*said, *(sentence(typeset_number(n)) for n in fit.notes[:LEADING])], "bad")
     worst = max((m.noise_ratio for m in fit.misfit.values() if math.isfinite(m.noise_ratio)), default=math.nan)
     loose = [n for n in fit.free if n in fit.parameters and not fit.parameters[n].determined]
     fine = worst <= GOOD and not loose
     tone: Tone = "good" if fine else "caution"
     said = [_followed(fit, worst), _determined(fit, loose), *_judged(fit)]
     further = [n for n in fit.notes if not n.startswith("not determined")]
-    return Text([*filter(None, said), *(sentence(typeset_number(n)) for n in further[:3])], tone)
+    return Text([*filter(None, said), *(sentence(typeset_number(n)) for n in further[:LEADING])], tone)
 
 
 def _followed(fit: Fit, worst: float) -> str:

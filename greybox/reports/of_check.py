@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 from greybox.check import Check
 from greybox.experiment import Experiment
+from greybox.experiment.sensors import doubtful
+from greybox.fitting.notes import of_records
 from greybox.fitting.versions import versions
 from greybox.identifiability import Expected
 from greybox.reports.axes import stretches
@@ -35,6 +37,11 @@ def report_of_check(check: Check, *, command: str = "") -> Page:
 
 
 def _verdict(check: Check) -> Text:
+    told, doubts = _told(check), [sentence(f"record {n}") for n in of_records(check.experiments) if doubtful(n)]
+    return Text([*doubts, *told.paragraphs], "caution" if doubts and told.tone == "good" else told.tone)
+
+
+def _told(check: Check) -> Text:
     of = "such a record" if check.assumed else "these records"
     if check.doubt:
         return Text([f"Nothing can be said: {sentence(check.doubt)}"], "bad")
@@ -113,6 +120,9 @@ def _data(check: Check) -> Iterator[Block]:
         yield Text([f"No records were given; a simulated one stands in: {sentence(check.assumed)}"])
     head = ["record", "rows", "duration", "sampling time", "fingerprint"]
     yield Table("Records", head, [_record(e) for e in check.experiments], "" if check.assumed else _noise(check))
+    known = [n for n in of_records(check.experiments) if not doubtful(n)]  # those stand above, with the verdict
+    if known:
+        yield Listing([sentence(f"record {n}") for n in known])
     if not check.assumed:
         lines = dict.fromkeys(line for e in check.practical.excitation for line in str(e).splitlines())
         yield Listing([sentence(line) for line in lines])

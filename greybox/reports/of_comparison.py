@@ -77,11 +77,16 @@ def _table(comparison: Comparison, group: str, output: str, title: str) -> Table
             found[e.name] = scores[output]
     ranked = sorted(found.items(), key=lambda item: item[1].rmse if math.isfinite(item[1].rmse) else math.inf)
     unit = unit_text(comparison.outputs[output])
+    further = sorted({k for s in found.values() for k in s.ahead_rmse})
     rows = [
-        [name, comparison[name].kind, _error(s.rmse, unit), _percent(s.best_fit_percent), _error(s.one_step_rmse, unit)]
+        [
+            name, comparison[name].kind, _error(s.rmse, unit), _percent(s.best_fit_percent), _error(s.one_step_rmse, unit),
+            *(_error(s.ahead_rmse.get(k, math.nan), unit) for k in further),
+        ]
         for name, s in ranked
-    ]
-    return Table(f"{title}: {output}", ["model", "box", "free run (rms)", "best fit", "one sample ahead (rms)"], rows)
+    ]  # fmt: skip
+    ahead = ["one sample ahead (rms)", *(f"{k} samples ahead (rms)" for k in further)]
+    return Table(f"{title}: {output}", ["model", "box", "free run (rms)", "best fit", *ahead], rows)
 
 
 def _error(value: float, unit: str) -> str:

@@ -6,10 +6,11 @@ from collections.abc import Iterator, Mapping
 
 from greybox.diagnose import ResidualTests, diagnose_residuals
 from greybox.figures import misfits_of
+from greybox.identifiability import missing_knowledge
 from greybox.reports.axes import stretches
 from greybox.reports.constant_figures import correlation_figure, intervals_figure, tied
 from greybox.reports.equations import typeset
-from greybox.reports.fit_parts import constants_table, verdict
+from greybox.reports.fit_parts import LEADING, constants_table, verdict
 from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text
 from greybox.reports.record_figures import WHOLE, inputs_figure, record_figures
 from greybox.reports.records import records_section, units_of
@@ -55,6 +56,10 @@ def _question(fit: Fit) -> str:
 
 def _constants(fit: Fit) -> Iterator[Block]:
     yield constants_table(fit, _interval_words(fit))
+    missing = missing_knowledge(fit)
+    if missing:
+        yield Heading("What would determine the rest")
+        yield Listing([sentence(m) for m in missing])
     known = intervals_figure(fit)
     if known is not None:
         yield known
@@ -121,8 +126,9 @@ def _misfit_table(title: str, misfit: Mapping[str, Misfit]) -> Table:
 
 
 def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
-    if fit.notes:
-        yield Listing([sentence(n) for n in fit.notes])
+    notes = fit.notes if fit.success else fit.notes[LEADING:]  # of a failure the first stand above, with the verdict
+    if notes:
+        yield Listing([sentence(typeset_number(n)) for n in notes])
     if not fit.success:
         yield Text(["The fit did not succeed: tests of its residual would say nothing about the model."], "caution")
         return
@@ -143,14 +149,14 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
         yield Text([f"None of {count} tests speaks up: what is left looks like noise."], "good")
     rows = [
         [
-            f"{t.output}: {t.test}", t.sentence, typeset_number(f"{t.p_value:.2g}"), typeset_number(f"{t.statistic:.4g}"),
-            "speaks up" if t.alarm else "",
+            f"{t.output}: {t.test}", f"{'speaks up: ' if t.alarm else ''}{t.sentence}", typeset_number(f"{t.p_value:.2g}"),
+            typeset_number(f"{t.statistic:.4g}"),
         ]
         for t in tests.tests
     ]  # fmt: skip
     yield Table(
         "Tests of the residual",
-        ["test", "what it says", "p", "figure", ""],
+        ["test", "what it says", "p", "figure"],
         rows,
         "Each test alone speaks up (p below 0.01) in one good fit of a hundred.",
     )

@@ -50,7 +50,9 @@ def _verdict(run: Simulation, noise: str) -> Text:
         f"A free run over {counted(len(run.time), 'row')}, {run.time[-1] - run.time[0]:.4g} s, one every {pace(run.time)};"
         f" integrated by {run.discretisation}."
     )
-    return Text([said, *([f"White noise was added to what was written: {noise}."] if noise else [])], "good")
+    return Text(
+        [said, *([f"White noise was added to what was written: {typeset_number(noise)}."] if noise else [])], "good"
+    )
 
 
 def _reach(run: Simulation, units: dict[str, str]) -> Table:

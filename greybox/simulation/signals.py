@@ -6,14 +6,17 @@ import numpy as np
 
 from greybox.errors import DataError
 
+ROUNDING = 1e-9  # of half the sampling frequency: a band may end there, whatever the digits of the stamps
+
 
 def multisine(time: np.ndarray, low: float, high: float, rms: float, generator: np.random.Generator) -> np.ndarray:
     """Equal sines at every multiple of one over the record's length from ``low`` to ``high`` (Hz), with random phases.
 
     ``time`` (N,) is uniform; the signal (N,) has the given ``rms`` and no mean. Raises DataError for a band without a
-    line.
+    line, and for one that reaches beyond half the sampling frequency.
     """
     n, step = len(time), float(time[1] - time[0])
+    _check_top("multisine", high, step, high * step > 0.5 * (1 + ROUNDING))
     frequency = np.fft.rfftfreq(n, step)
     lines = (frequency >= low) & (frequency <= high) & (frequency > 0) & (frequency < 0.5 / step)
     if not lines.any():
@@ -34,11 +37,16 @@ def chirp(time: np.ndarray, low: float, high: float, amplitude: float) -> np.nda
     Raises DataError where ``high`` reaches half the sampling frequency: beyond, the samples show a lower frequency.
     """
     t = time - time[0]
-    fastest = 0.5 / float(time[1] - time[0])
-    if high >= fastest:
-        raise DataError(
-            f"a chirp up to {high:g} Hz: samples every {0.5 / fastest:g} s show frequencies below {fastest:g} Hz alone;"
-            " end it lower, or sample faster"
-        )
+    step = float(t[1])
+    _check_top("chirp", high, step, high * step >= 0.5)
     sweep = (high - low) / (2 * t[-1])
     return amplitude * np.sin(2 * np.pi * (low * t + sweep * t**2))
+
+
+def _check_top(signal: str, high: float, step: float, beyond: bool) -> None:
+    """Refuse a band up to ``high`` (Hz) where it is ``beyond`` what samples every ``step`` seconds can show."""
+    if beyond:
+        raise DataError(
+            f"a {signal} up to {high:g} Hz: samples every {step:g} s show frequencies below {0.5 / step:g} Hz alone; end it lower, or"
+            " sample faster"
+        )

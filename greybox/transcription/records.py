@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
+from greybox.experiment.holes import refuse_guessed_input
 from greybox.kernel.record import Record
 from greybox.model import Model
 
@@ -22,7 +23,8 @@ HALF_LENGTH, KAISER = 32, 9.0
 def experiments_of(given: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
     """One or several measured experiments as a tuple.
 
-    Raises DataError for none, for what is no experiment (the path of a file), and for one without a measured output.
+    Raises DataError for none, for what is no experiment (the path of a file), for one without a measured output, and for one with a
+    long hole in time.
     """
     group = (given,) if isinstance(given, Experiment | str | Path) else tuple(given)
     if not group:
@@ -34,6 +36,7 @@ def experiments_of(given: Experiment | Iterable[Experiment]) -> tuple[Experiment
             )
         if not item.outputs:
             raise DataError(f"experiment {item.name!r} has no measured output; there is nothing to compare with")
+    refuse_guessed_input(group)
     return group
 
 

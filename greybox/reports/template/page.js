@@ -36,14 +36,14 @@
   };
 
   const narrow = () => window.innerWidth < 640;
-  const styled = (figure) => {
-    const view = figure.views[figure.shown];
+  const styled = (figure, chosen = figure.shown) => {
+    const view = figure.views[chosen];
     const axis = { gridcolor: colour("--line"), zerolinecolor: colour("--line"), linecolor: colour("--line"), automargin: true };
     const own = painted(view ? merged(figure.layout, view.layout) : figure.layout);
     const axes = Object.fromEntries(
       Object.keys({ xaxis: 0, yaxis: 0, ...own }).filter((key) => /^[xy]axis/.test(key)).map((key) => {
         const title = { standoff: 12, ...own[key]?.title };
-        return [key, { ...axis, ...(own[key]?.type === "log" ? { exponentformat: key[0] === "x" ? "none" : "power" } : {}), ...own[key], title, uirevision: key[0] === "x" ? "kept" : String(figure.shown) }];
+        return [key, { ...axis, ...(own[key]?.type === "log" ? { exponentformat: key[0] === "x" ? "none" : "power" } : {}), ...own[key], title, uirevision: key[0] === "x" ? "kept" : String(chosen) }];
       }));
     return {
       // Values beside bars need room.
@@ -60,10 +60,12 @@
   // Pixels that a sheet of paper is wide, while printing.
   const PAPER = 690;
   let paper = false;
+  const curves = (figure, chosen = figure.shown) => {
+    const shown = figure.views.length && new Set(figure.views[chosen].traces);
+    return figure.data.map((trace, k) => ({ ...painted(trace), ...(shown && { visible: shown.has(k) }) }));
+  };
   const draw = (figure) => {
-    const shown = figure.views.length && new Set(figure.views[figure.shown].traces);
-    const data = figure.data.map((trace, k) => ({ ...painted(trace), ...(shown && { visible: shown.has(k) }) }));
-    return Plotly.react(figure.plot, data, styled(figure), { responsive: !paper, displaylogo: false, displayModeBar: narrow() ? false : "hover" });
+    return Plotly.react(figure.plot, curves(figure), styled(figure), { responsive: !paper, displaylogo: false, displayModeBar: narrow() ? false : "hover" });
   };
 
   // Amplitude density of a stretch: Hann window, gaps as the mean and not as rows, as the page's own spectra.
@@ -194,6 +196,25 @@
       if (fold.open) figures.filter((f) => fold.contains(f.element)).forEach((f) => Plotly.Plots.resize(f.plot));
     });
 
+  // Paper has no buttons: what they choose between stands below one another, each with its name.
+  const spread = (figure) => {
+    if (figure.views.length < 2) return;
+    for (const [k, { name }] of figure.views.entries()) {
+      const title = document.createElement("p");
+      title.className = "name printed";
+      title.textContent = name;
+      if (k === figure.shown) {
+        figure.plot.before(title);
+        continue;
+      }
+      const plot = document.createElement("div");
+      plot.className = "plot printed";
+      plot.style.height = figure.plot.style.height;
+      figure.element.querySelector("figcaption").before(title, plot);
+      Plotly.newPlot(plot, curves(figure, k), { ...styled(figure, k), height: parseFloat(plot.style.height) }, { staticPlot: true });
+    }
+  };
+
   // On paper everything is light, open and as wide as the page.
   let before = [];
   window.addEventListener("beforeprint", () => {
@@ -201,8 +222,10 @@
     before[1].forEach((d) => (d.open = true));
     paper = true;
     dress(false);
+    figures.forEach(spread);
   });
   window.addEventListener("afterprint", () => {
+    document.querySelectorAll(".printed").forEach((extra) => extra.remove());
     before[1].forEach((d) => (d.open = false));
     paper = false;
     dress(before[0]);

@@ -1,0 +1,126 @@
+"""What was typed wrongly, told as the program's other errors are: subject, value, rule, remedy, the nearest name."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import typer
+from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
+
+from greybox.cli.guard import BAD_INPUT, stop
+from greybox.errors import nearest
+
+UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # the common base; typer has no public name for it
+CHOICE = re.compile(r"'(.*)' is not one of (.*?)\.?$")
+# What the reader of options says of a number, and what to do.
+NUMBERS = (
+    (re.compile(r"greater than or equal to (\S+)$|is not in the range x>=(\S+)\.$"), "give {} or more"),
+    (re.compile(r"valid integer"), "write a whole number"),
+    (re.compile(r"valid number|valid float"), "write a number without a unit"),
+)
+
+
+class Plain(TyperCommand):
+    """A command whose help names no types of Python, and whose errors are one line that says what to do."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        for parameter in self.params:
+            if isinstance(parameter, TyperArgument):
+                vars(parameter)["display_type_rich"] = lambda ctx: None
+            elif isinstance(parameter, TyperOption) and callable(parameter.default):  # an empty list
+                parameter.show_default = False
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The arguments by parameter; ends with exit code 2 where they cannot be understood."""
+        typed = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except UsageError as error:
+            stop(told(error, ctx, typed), BAD_INPUT)
+
+
+class Front(TyperGroup):
+    """What stands before the sub-commands; an unknown one is told with the nearest."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The options before the sub-command; ends with exit code 2 where they cannot be understood."""
+        if not args:  # then the help is shown
+            return super().parse_args(ctx, args)
+        typed = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except UsageError as error:
+            stop(told(error, ctx, typed), BAD_INPUT)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The sub-command that the first of ``args`` names; ends with exit code 2 where there is none."""
+        name = args[0]
+        if self.get_command(ctx, name) is None and not ctx.resilient_parsing:  # while Tab completes, nothing is told
+            stop(f"{name}: there is no such command; {nearest(name, self.list_commands(ctx))}", BAD_INPUT)
+        return super().resolve_command(ctx, args)
+
+
+def told(error: Any, ctx: Any, typed: Sequence[str]) -> str:
+    """One line on what cannot be understood of the words ``typed`` after the command of ``ctx``."""
+    command, message = ctx.command_path, error.message
+    parameter, option = getattr(error, "param", None), getattr(error, "option_name", "")
+    if isinstance(parameter, TyperArgument) and not message:
+        return _missing(parameter, ctx, typed)
+    if parameter is not None:
+        name = max(parameter.opts, key=len) if isinstance(parameter, TyperOption) else _place(parameter)
+        return f"{_value(name, message, typed) if message else f'{name} is missing'}; see {command} --help"
+    if "o such option" in message:
+        return f"{option}: {command} has no such option; {_nearest_option(option, ctx)}see {command} --help"
+    if "requires an argument" in message:
+        return f"{option}: a value must follow; see {command} --help"
+    return f"{command}: {message[:1].lower()}{message[1:].rstrip('.')}; see {command} --help"
+
+
+def _nearest_option(option: str, ctx: Any) -> str:
+    known = [name for p in ctx.command.params if isinstance(p, TyperOption) for name in p.opts]
+    close = difflib.get_close_matches(option, known, n=3, cutoff=0.5)
+    return f"did you mean {' or '.join(close)}? Or " if close else ""
+
+
+def _missing(parameter: TyperArgument, ctx: Any, typed: Sequence[str]) -> str:
+    """Which argument is missing, and in which order they come; a record in the place of the model is told as such."""
+    from greybox.experiment.read import READERS
+
+    command = ctx.command_path
+    order = [_place(p) for p in ctx.command.params if isinstance(p, TyperArgument)]
+    usage = f"write {command} {' '.join(order)}; see {command} --help"
+    first = next((word for word in typed if not word.startswith("-")), "")
+    if order[0] == "MODEL" and Path(first).suffix.lower() in READERS:
+        return f"{first}: a record, not a model; MODEL comes first: {usage}"
+    return f"{command}: {_place(parameter)} is missing; {usage}"
+
+
+def _place(argument: TyperArgument) -> str:
+    return str(argument.metavar or argument.name)
+
+
+def _value(name: str, message: str, typed: Sequence[str]) -> str:
+    """What is wrong with the value of an option: the nearest choice, or which number to give."""
+    choice = CHOICE.search(message)
+    if choice:
+        known = re.findall("'(.*?)'", choice[2])
+        return f"{name} {choice[1]}: there is no such choice; {nearest(choice[1], known)}"
+    value = _given(name, typed)
+    for pattern, remedy in NUMBERS:
+        found = pattern.search(message)
+        if found:
+            return f"{name} {value}: {remedy.format(*filter(None, found.groups()))}"
+    return f"{name} {value}: {message[:1].lower()}{message[1:].rstrip('.')}"
+
+
+def _given(name: str, typed: Sequence[str]) -> str:
+    """The value that was typed last for an option."""
+    values = [word.partition("=")[2] for word in typed if word.startswith(f"{name}=")]
+    values += [after for word, after in pairwise(typed) if word == name]
+    return values[-1] if values else "(not given)"
