@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -65,8 +65,12 @@ class Model:
         check_stated(self)
         ordered(self.ties)
         check_units(self)
-        check_noise(self)
         check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
+        self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        """What depends on the values and bounds of the parameters."""
+        check_noise(self)
         check_constants(self.title, self.rules, self._constants)
 
     @cached_property
@@ -163,7 +167,14 @@ class Model:
     def __add__(self, effect: Effect) -> Model:
         if not isinstance(effect, Effect):
             return NotImplemented
-        return replace(self, effects=(*self.effects, effect))
+        effects = (*self.effects, effect)
+        known = next((system for before, system in self.system.extended if before.same_equations(effect)), None)
+        if known is not None:
+            return self._written_as(known, effects=effects)
+        found = replace(self, effects=effects)
+        if not found.system.delays:  # how long these can be is in the bounds
+            self.system.extended.append((effect, found.system))
+        return found
 
     def without(self, effect: str) -> Model:
         """The model without the effect of this name."""
@@ -280,14 +291,25 @@ class Model:
         if problems:
             raise ModelError("; ".join(problems))
         base = tuple(new.get(q.name, q) for q in self.parameters)
-        effects = []
+        bound = []
         for b in self.bound_effects:
             inner = [
                 replace(new[outer.name], name=own.name) if outer.name in new else own
                 for own, outer in zip(b.effect.parameters, b.parameters, strict=True)
             ]
-            effects.append(replace(b.effect, parameters=tuple(inner)))
-        return replace(self, parameters=base, effects=tuple(effects))
+            outer = tuple(new.get(q.name, q) for q in b.parameters)
+            bound.append(replace(b, effect=replace(b.effect, parameters=tuple(inner)), parameters=outer))
+        effects = tuple(b.effect for b in bound)
+        if self.system.delays:  # how long these can be is in the bounds
+            return replace(self, parameters=base, effects=effects)
+        return self._written_as(self.system, parameters=base, effects=effects, bound_effects=tuple(bound))
+
+    def _written_as(self, system: System, **changes: Any) -> Model:
+        """The model with these fields changed, whose equations are ``system``: written out and checked before, with other numbers."""
+        found = object.__new__(type(self))
+        vars(found).update({f.name: getattr(self, f.name) for f in fields(self)} | changes | {"system": system})
+        found._check_numbers()
+        return found
 
     def __str__(self) -> str:
         return show(self)
