@@ -11,7 +11,7 @@ from greybox.discovery import rules
 from greybox.discovery.bench import Bench, Trial
 from greybox.discovery.places import INPUT, Linearised, Place, linearised, places, plain_shooting, same_way
 from greybox.discovery.region import WORTH, Region, regions
-from greybox.discovery.signal import Regression, Smoothed, whitened
+from greybox.discovery.signal import Regression, Smoothed, projected_out, whitened
 from greybox.discovery.when import Window, told, windows
 from greybox.model import Model
 from greybox.result import Fit
@@ -178,18 +178,19 @@ def _ranked(trial: Trial, line: Linearised) -> list[tuple[Place, Smoothed]]:
     noise = trial.problem.noise
     seen = whitened(r[:, :, None], noise.colour, present)[present][:, 0]
     absorbing = whitened(np.nan_to_num(jacobian), noise.colour, present)
+    basis = projected_out(line, 1 / noise.std, noise.colour, absorbing, present)
     measured = [o.name for o, there in zip(trial.model.outputs, present.any(axis=0), strict=True) if there]
     found: list[tuple[Place, Smoothed]] = []
     for place in places(trial.model, measured):
         same = next(((p, t) for p, t in found if same_way(line.gamma[p], line.gamma[place])), None)
         if same is None:
-            signal = Regression.of(line, place, 1 / noise.std, noise.colour, absorbing, present).smooth(seen)
+            signal = Regression.of(line, place, 1 / noise.std, noise.colour, basis, present).smooth(seen)
         else:  # the same signal in another unit
             ratio = float(np.linalg.norm(line.gamma[same[0]]) / np.linalg.norm(line.gamma[place]))
             signal = replace(same[1], value=ratio * same[1].value, std=ratio * same[1].std)
         found.append((place, signal))
-    # Of places that cannot be told apart the balance comes first: that is where most physics is.
-    return sorted(found, key=lambda one: (-one[1].gain, one[0].kind == INPUT))
+    # Of places that cannot be told apart the balance comes first: that is where most physics is. Their gains differ by rounding.
+    return sorted(found, key=lambda one: (-float(f"{one[1].gain:.6g}"), one[0].kind == INPUT))
 
 
 def units_of(model: Model) -> dict[str, str]:

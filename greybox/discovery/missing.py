@@ -15,7 +15,7 @@ from greybox.discovery.bench import Bench, Trial, started
 from greybox.discovery.look import stretch_of, units_of
 from greybox.discovery.places import Linearised, Place, linearised, places, plain_shooting
 from greybox.discovery.region import Region, regions
-from greybox.discovery.signal import Regression, whitened
+from greybox.discovery.signal import Regression, projected_out, whitened
 from greybox.result.frozen import ReadOnly
 
 
@@ -101,8 +101,8 @@ def _both(
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
     """Knots, signal and standard deviation from the data, and the signal from the model's run, by one smoother."""
     noise, present = trial.problem.noise, np.isfinite(seen)
-    nothing = np.zeros((*seen.shape, 0))
-    smoother = Regression.of(line, place, 1 / noise.std, noise.colour, nothing, present)
+    initial = projected_out(line, 1 / noise.std, noise.colour, np.zeros((*seen.shape, 0)), present)
+    smoother = Regression.of(line, place, 1 / noise.std, noise.colour, initial, present)
     data, model = (whitened(r[:, :, None], noise.colour, present)[present][:, 0] for r in (seen, modelled))
     found = smoother.smooth(data)
     return (found.rows, found.value, found.std), smoother.smooth(model, found.intensity).value

@@ -9,6 +9,7 @@ linear regression, whose marginal likelihood picks ``q`` and ranks the places (G
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import eigh
@@ -53,20 +54,17 @@ class Regression:
     @classmethod
     def of(
         cls, line: Linearised, place: Place, weight: np.ndarray, colour: tuple[AutoRegression, ...],
-        absorbing: np.ndarray, present: np.ndarray,
+        basis: np.ndarray, present: np.ndarray,
     ) -> Regression:  # fmt: skip
-        """For one place; ``weight`` (m,): one over the noise; ``absorbing`` (R, m, L): what constants can do; ``present`` (R, m)."""
-        knots = _knots(line.rows)
-        tent = _tent(line.rows, knots)
-        response = whitened(_response(line, place, tent) * weight[:, None], colour, present)
-        initial = whitened(_initial(line) * weight[:, None], colour, present)
-        basis = _basis(np.concatenate([absorbing, initial], axis=2)[present])
-        flat = response[present]
+        """For one place; ``weight`` (m,): one over the noise; ``basis``: as `projected_out` gives it; ``present`` (R, m)."""
+        knots, tent = _tent(line.rows)
+        flat = whitened(_response(line, place, tent) * weight[:, None], colour, present)[present]
         flat = flat - basis @ (basis.T @ flat)
         root = _prior_root(len(knots))
-        size = float(np.linalg.norm(flat @ root)) / np.sqrt(max(len(flat), 1))
-        root = root / size if size > 0 else root
-        gram = (flat @ root).T @ (flat @ root)
+        gram = root.T @ (flat.T @ flat) @ root  # of flat @ root, whose many rows are gone through once
+        size = float(np.sqrt(np.trace(gram) / max(len(flat), 1)))
+        if size > 0:
+            root, gram = root / size, gram / size**2
         values, vectors = eigh(gram)
         return cls(knots, flat, basis, root, np.maximum(values, 0.0), vectors)
 
@@ -85,6 +83,14 @@ class Regression:
         return Smoothed(self.knots, value, std, float(gains[best]), float(tried[best]))
 
 
+def projected_out(
+    line: Linearised, weight: np.ndarray, colour: tuple[AutoRegression, ...], absorbing: np.ndarray, present: np.ndarray
+) -> np.ndarray:
+    """Orthonormal basis (R*m, L) of what constants (``absorbing``, (R, m, n)) and the initial state of the stretch can do."""
+    initial = whitened(_initial(line) * weight[:, None], colour, present)
+    return _basis(np.concatenate([absorbing, initial], axis=2)[present])
+
+
 def whitened(values: np.ndarray, colour: tuple[AutoRegression, ...], present: np.ndarray) -> np.ndarray:
     """Columns (R, m, L) through the noise's whitening filter, output by output; zero where nothing was measured."""
     if not any(c.order for c in colour):
@@ -94,13 +100,14 @@ def whitened(values: np.ndarray, colour: tuple[AutoRegression, ...], present: np
     return np.where(present[:, :, None], found, 0.0)
 
 
-def _knots(rows: int) -> np.ndarray:
-    return np.unique(np.append(np.arange(0, rows, SPACING), rows - 1))
-
-
-def _tent(rows: int, knots: np.ndarray) -> np.ndarray:
-    """Hat functions (rows, K): linear interpolation between the knots."""
-    return np.stack([np.interp(np.arange(rows), knots, row) for row in np.eye(len(knots))], axis=1)
+@lru_cache(maxsize=2)
+def _tent(rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Knots (K,) and hat functions (rows, K): linear interpolation between the knots. Both are shared, and not to be written to."""
+    knots = np.unique(np.append(np.arange(0, rows, SPACING), rows - 1))
+    tent = np.stack([np.interp(np.arange(rows), knots, row) for row in np.eye(len(knots))], axis=1)
+    for values in (knots, tent):
+        values.setflags(write=False)
+    return knots, tent
 
 
 def _prior_root(count: int) -> np.ndarray:

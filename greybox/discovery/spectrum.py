@@ -39,21 +39,33 @@ def residual_spectrum(fit: Fit, output: str, *, coloured: bool = True) -> Spectr
     traces = [t for t in (fit.validation_traces or fit.traces) if output in t.measured]
     if not traces:
         raise DataError(f"spectrum of {output!r}: not measured; {nearest(output, list(fit.misfit))}")
-    from scipy.signal import welch  # half a second to import
-
     period = float(np.median(np.diff(traces[0].time)))
     length = min(SEGMENT, max(min(len(t.time) for t in traces) // STRETCHES * 2, 8))
     length = min(length, min(len(t.time) for t in traces))
     powers = []
     for t in traces:
-        frequency, power = welch(np.nan_to_num(t.residual(output)), 1 / period, nperseg=length, detrend=False)
-        powers.append(power * len(t.time))
+        powers.append(welch(np.nan_to_num(t.residual(output)), period, length) * len(t.time))
     power = sum(powers) / sum(len(t.time) for t in traces)
+    frequency = np.fft.rfftfreq(length, period)
     step = frequency[1] - frequency[0]
     std, reflection = fit.noise.get(output, np.nan), fit.noise_colour.get(output, ()) if coloured else ()
     floor = std**2 * 2 * period * _shape(AutoRegression(tuple(reflection)), frequency * period)
     unit = next(o.unit for o in fit.model.outputs if o.name == output)
     return Spectrum(output, frequency[1:], np.sqrt(power * step)[1:], np.sqrt(floor * step)[1:], unit)
+
+
+def welch(values: np.ndarray, period: float, length: int) -> np.ndarray:
+    """One-sided power density (length // 2 + 1,) of ``values`` (N,), sampled every ``period`` seconds, by Welch's method.
+
+    The mean over stretches of ``length`` samples that overlap by half, each under a Hann window; what is constant stays in.
+    """
+    # As `scipy.signal.welch` without detrending: that one takes half a second to import.
+    stretches = np.lib.stride_tricks.sliding_window_view(values, length)[:: length - length // 2]
+    window = np.hanning(length + 1)[:-1]
+    power = (np.abs(np.fft.rfft(window * stretches)) ** 2).mean(axis=0) * period / (window @ window)
+    # A frequency stands for its negative too, but for zero and half the sampling rate.
+    power[1 : None if length % 2 else -1] *= 2
+    return np.asarray(power)
 
 
 def _shape(colour: AutoRegression, cycles: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import null_space
-from scipy.optimize import brentq
 
 from greybox.export.balance import balanced, scaled
 from greybox.export.linear import Linearisation
@@ -61,6 +60,8 @@ class Channel:
         above = np.flatnonzero(np.abs(self.response(w)) > HALF_POWER * abs(self.gain))
         if not len(above) or above[-1] + 1 >= len(w):
             return np.inf
+        from scipy.optimize import brentq  # slow to import, and code needs no bandwidth
+
         low, high = w[above[-1]], w[above[-1] + 1]
         return float(brentq(lambda x: abs(self.response(np.array([x]))[0]) - HALF_POWER * abs(self.gain), low, high))
 

@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment, minimize
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from greybox.errors import ModelError
 from greybox.export.draws import Cloud, cloud_of
@@ -55,6 +54,8 @@ class Family:
     @property
     def poles(self) -> np.ndarray:
         """Poles (N, nx) of the members, each beside the pole of the nominal model that it belongs to (nearest in sum)."""
+        from scipy.optimize import linear_sum_assignment  # slow to import, and a model alone does not need it
+
         home = self.nominal.poles
         rows = []
         for member in self.members:
@@ -93,7 +94,9 @@ class Family:
         The set is the ellipsoid ``z'z <= chi2(level, n)`` of the constants' covariance (in the logarithm of constants drawn by it), cut
         off at their bounds. It is searched from the worst of random points on its surface.
         """
-        cloud, radius = self._cloud, float(np.sqrt(chi2.ppf(level, self._cloud.dimensions)))
+        from scipy.optimize import minimize  # slow to import, and a model alone does not need it
+
+        cloud, radius = self._cloud, float(np.sqrt(chdtri(self._cloud.dimensions, 1 - level)))
         generator = np.random.default_rng(self.seed)
 
         def at(z: np.ndarray) -> Linearisation:

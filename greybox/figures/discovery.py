@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from greybox.discovery import Discovery, Missing, StandIn
 from greybox.discovery.stand_in import closing
 from greybox.figures.discovery_residual import draw_residuals
 from greybox.figures.files import save
-from greybox.figures.scale import label, scaled
+from greybox.figures.scale import label, raised, scaled
+from greybox.figures.sheet import HEADING, NAMES, NUMBERS, legends, panels, settle
 
 DATA, EFFECT, BEFORE, AFTER, FLOOR = "#8a8a8a", "#c0392b", "#b7950b", "#1f5a8a", "#dcdcdc"
 CANDIDATES = 12  # of the ranking that are shown
@@ -48,47 +48,42 @@ def _file(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]+", "_", name)
 
 
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
 def _missing(m: Missing) -> Figure:
-    figure = _figure(10, 4.2)
-    left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [1.1, 1]})
+    figure, axes = panels(10, 4.2, columns=2)
+    left, right = axes[0]
     factor, unit = scaled(m.unit, m.value)
     across, variable_unit = scaled(m.variable_unit, m.variable)
     left.plot(across * m.variable, factor * m.value, ".", color=DATA, ms=3, label="from the data")
     left.plot(across * m.variable, factor * m.modelled, ".", color=EFFECT, ms=2, label=m.effect)
     _bins(left, across, factor, m.region.centres, m.region.mean, m.region.std)
-    left.set_xlabel(label(m.variable_name, variable_unit))
-    left.set_ylabel(label(f"missing at the {m.site}", unit))
+    left.set_xlabel(label(m.variable_name, variable_unit), fontsize=NAMES)
+    left.set_ylabel(label(f"missing at the {m.site}", unit), fontsize=NAMES)
     few = slice(0, min(len(m.time), 150))
     right.fill_between(
         m.time[few], factor * (m.value - 2 * m.std)[few], factor * (m.value + 2 * m.std)[few], color=FLOOR, lw=0
     )
     right.plot(m.time[few], factor * m.value[few], color=DATA, lw=1.6, label="from the data, ± 2 std")
     right.plot(m.time[few], factor * m.modelled[few], color=EFFECT, lw=0.9, label=m.effect)
-    right.set_xlabel("time [s]")
-    figure.suptitle(f"{m.effect} explains {100 * m.explained:.1f} % of the missing signal in {m.record}", fontsize=11)
-    _dress(left, right)
+    right.set_xlabel("time [s]", fontsize=NAMES)
+    legends(left, right)
+    heading = f"{m.effect} explains {100 * m.explained:.1f} % of the missing signal in {m.record}"
+    settle(figure, axes, heading, widths=(1.1, 1), above=1)
     return figure
 
 
 def _unknown(curve: StandIn) -> Figure:
-    figure = _figure(7, 4.2)
-    axis = figure.subplots()
+    figure, axes = panels(7, 4.2)
+    axis = axes[0, 0]
     factor, unit = scaled(curve.unit, curve.signal.value)
     across, variable_unit = scaled(curve.variable_unit, curve.seen)
     axis.plot(across * curve.seen, factor * curve.signal.value, ".", color=DATA, ms=3, label="unexplained by the model")
     if curve.tone is None:
         _bins(axis, across, factor, curve.region.centres, curve.region.mean, curve.region.std)
     axis.plot(across * curve.values, factor * curve.curve, color=EFFECT, lw=1.6, label=f"{curve.title} (stand-in)")
-    axis.set_xlabel(label(curve.variable, variable_unit))
-    axis.set_ylabel(label(f"missing at the {curve.site}", unit))
-    figure.suptitle(f"unknown effect; {curve.title} {closing(curve.closed)}", fontsize=11)
-    _dress(axis)
+    axis.set_xlabel(label(curve.variable, variable_unit), fontsize=NAMES)
+    axis.set_ylabel(label(f"missing at the {curve.site}", unit), fontsize=NAMES)
+    legends(axis)
+    settle(figure, axes, f"unknown effect; {curve.title} {closing(curve.closed)}", above=1)
     return figure
 
 
@@ -100,45 +95,38 @@ def _bins(axis: Axes, across: float, factor: float, centres: np.ndarray, mean: n
 
 def _candidates(found: Discovery) -> Figure:
     shown = list(found.ranking)[:CANDIDATES]
-    figure = _figure(8.5, 1.2 + 0.32 * len(shown))
-    axis = figure.subplots()
+    figure, axes = panels(8.5, 1.3 + 0.3 * len(shown))
+    axis = axes[0, 0]
     chosen = tuple(found.best.model.effects[k].name for k in range(len(found.best.model.effects)))
     rivals = [tuple(a) for a in found.alternatives]
     for row, rank in enumerate(reversed(shown)):
         colour = EFFECT if rank.effects == chosen else BEFORE if rank.effects in rivals else DATA
         axis.barh(row, rank.misfit, color=colour, height=0.6)
-        axis.annotate(f" +{rank.behind:.3g}" if rank.behind else " best", (rank.misfit, row), va="center", fontsize=8)
+        behind = raised(f" +{rank.behind:.3g}") if rank.behind else " best"
+        axis.annotate(behind, (rank.misfit, row), va="center", fontsize=NUMBERS)
     axis.axvline(1.0, color="black", lw=0.8, ls=":")
-    axis.set_yticks(range(len(shown)), [" + ".join(r.effects) for r in reversed(shown)], fontsize=8)
+    axis.set_yticks(range(len(shown)), [" + ".join(r.effects) for r in reversed(shown)], fontsize=NUMBERS)
     axis.set_xscale("log")
     axis.set_xlim(min(0.8, axis.get_xlim()[0]), axis.get_xlim()[1] * 1.6)
-    axis.set_xlabel("misfit over noise on the estimation records (dotted: noise); numbers: criterion behind the best")
+    axis.set_xlabel("misfit over noise on the estimation records (dotted: noise)", fontsize=NAMES)
     named = "candidates; red: the answer" + ("; yellow: explains as well" if rivals else "")
-    axis.set_title(f"{found.verdict}: {named}", loc="left", fontsize=10)
+    settle(figure, axes, f"{found.verdict}: {named}; numbers: criterion behind the best", grid=False)
     return figure
 
 
 def _gap(found: Discovery) -> Figure:
-    figure = _figure(1.5 + 2.6 * len(found.gap), 3.6)
-    axes = figure.subplots(1, len(found.gap), squeeze=False)[0]
-    for axis, (output, gap) in zip(axes, found.gap.items(), strict=True):
+    figure, axes = panels(1.5 + 2.6 * len(found.gap), 3.6, columns=len(found.gap))
+    for axis, (output, gap) in zip(axes[0], found.gap.items(), strict=True):
         bars = {"before": (gap.before, BEFORE), "after": (gap.after, AFTER)}
         if found.stand_in is not None:
             bars["stand-in"] = (found.stand_in.gap[output].after, EFFECT)
         factor, unit = scaled(gap.unit, np.array([v for v, _ in bars.values()]))
-        axis.bar(list(bars), [factor * v for v, _ in bars.values()], color=[c for _, c in bars.values()], width=0.6)
-        axis.axhline(factor * gap.floor, color="black", lw=1, ls=":", label="noise")
-        axis.set_ylabel(label(f"rms misfit of {output}", unit))
+        for place, (size, colour) in enumerate(bars.values()):
+            axis.bar(place, factor * size, color=colour, width=0.6)
+        axis.set_xticks(range(len(bars)), list(bars))
+        axis.axhline(factor * gap.floor, color="black", lw=1, ls=":")
+        axis.set_ylabel(label(f"rms misfit of {output}", unit), fontsize=NAMES)
         closed = f"{100 * gap.closed:.1f} % closed" if gap.before > 1.02 * gap.floor else "no gap"
-        axis.set_title(f"{output}: {closed}", fontsize=10)
-        axis.legend(fontsize=8, frameon=False)
-        axis.tick_params(labelsize=8)
-    figure.suptitle("validation records, free run", fontsize=10)
+        axis.set_title(f"{output}: {closed}", fontsize=HEADING)
+    settle(figure, axes, "validation records, free run; dotted: noise", above=1, grid=False)
     return figure
-
-
-def _dress(*axes: Axes) -> None:
-    for axis in axes:
-        axis.grid(alpha=0.25, lw=0.5)
-        axis.legend(fontsize=8, frameon=False)
-        axis.tick_params(labelsize=8)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from greybox.discovery import Discovery, residual_spectrum
 from greybox.figures.envelope import envelope
 from greybox.figures.scale import label, scaled
+from greybox.figures.sheet import NAMES, legends, panels, settle
 from greybox.result import Fit
 
 BEFORE, AFTER, BAND = "#b7950b", "#1f5a8a", "#dcdcdc"
@@ -18,18 +18,15 @@ BEFORE, AFTER, BAND = "#b7950b", "#1f5a8a", "#dcdcdc"
 def draw_residuals(found: Discovery) -> Figure:
     """For each output the error of the plain and of the extended model on the first validation record, and their spectra."""
     outputs = list(found.gap)
-    figure = Figure(figsize=(11, 0.8 + 3.0 * len(outputs)), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(len(outputs), 2, squeeze=False, gridspec_kw={"width_ratios": [1.5, 1]})
+    figure, axes = panels(11, 0.8 + 3.0 * len(outputs), rows=len(outputs), columns=2)
     after = found.extended
     for (time, frequency), output in zip(axes, outputs, strict=True):
         unit = found.gap[output].unit
         _time(time, output, unit, found.base, after)
         _frequency(frequency, output, unit, found)
-    axes[0, 0].legend(fontsize=8, frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1))
-    figure.suptitle(
-        f"{found.base.model.name}: error on the validation records, free run; {after.model.title}", fontsize=10
-    )
+    legends(*axes[0])
+    heading = f"{found.base.model.name}: error on the validation records, free run; {after.model.title}"
+    settle(figure, axes, heading, widths=(1.5, 1), above=1)
     return figure
 
 
@@ -41,10 +38,8 @@ def _time(axis: Axes, output: str, unit: str, base: Fit, after: Fit) -> None:
     axis.axhspan(-2 * noise, 2 * noise, color=BAND, lw=0, label="± 2 noise")
     axis.plot(*envelope(before.time, factor * before.residual(output)), color=BEFORE, lw=0.7, label="before")
     axis.plot(*envelope(then.time, factor * then.residual(output)), color=AFTER, lw=0.6, label="after")
-    axis.set_xlabel("time [s]")
-    axis.set_ylabel(label(f"error of {output}", text))
-    axis.grid(alpha=0.25, lw=0.5)
-    axis.tick_params(labelsize=8)
+    axis.set_xlabel("time [s]", fontsize=NAMES)
+    axis.set_ylabel(label(f"error of {output}", text), fontsize=NAMES)
 
 
 def _frequency(axis: Axes, output: str, unit: str, found: Discovery) -> None:
@@ -54,8 +49,5 @@ def _frequency(axis: Axes, output: str, unit: str, found: Discovery) -> None:
     axis.loglog(before.frequency, factor * np.maximum(before.density, 1e-300), color=BEFORE, lw=0.9)
     axis.loglog(then.frequency, factor * np.maximum(then.density, 1e-300), color=AFTER, lw=0.9)
     axis.loglog(before.frequency, factor * before.floor, color="black", lw=0.9, ls=":", label="noise")
-    axis.set_xlabel("frequency [Hz]")
-    axis.set_ylabel(label("amplitude a line", text), fontsize=8)
-    axis.legend(fontsize=8, frameon=False)
-    axis.grid(alpha=0.25, lw=0.5, which="both")
-    axis.tick_params(labelsize=8)
+    axis.set_xlabel("frequency [Hz]", fontsize=NAMES)
+    axis.set_ylabel(label("amplitude a line", text), fontsize=NAMES)

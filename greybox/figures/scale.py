@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from greybox.units import tidy
 # Units that take a prefix as they are; others (m/s**2, rad, bar) are left alone.
 PREFIXED = {"m", "m/s", "s", "V", "V/s", "A", "N", "Pa", "W", "Hz", "H", "F", "T", "N*m", "J"}
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+EXPONENT = re.compile(r"(?<=\d)e([+-])0*(\d+)")
 
 
 def scaled(unit: str, *signals: np.ndarray) -> tuple[float, str]:
@@ -31,3 +34,8 @@ def written(unit: str) -> str:
 def label(name: str, unit: str) -> str:
     """An axis label: ``x [µm]``; without brackets where there is no unit."""
     return f"{name} [{unit}]" if unit else name
+
+
+def raised(text: str) -> str:
+    """Numbers with their powers of ten as print has them: ``5e-04`` is 5·10⁻⁴."""
+    return EXPONENT.sub(lambda found: "·10" + (found[1].replace("+", "") + found[2]).translate(RAISED), text)

@@ -119,6 +119,13 @@ def _halves(rows: Rows) -> list[Part]:
     return [(f"the first {of}", first), (f"the second {of}", {e: ~mask for e, mask in first.items()})]
 
 
+def running_mean(values: np.ndarray, width: int) -> np.ndarray:
+    """Mean (N,) of ``width`` samples around each of ``values`` (N,), which go on beyond their ends as they end."""
+    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
+    sums = np.concatenate([[0.0], np.cumsum(padded)])
+    return np.asarray((sums[width:] - sums[:-width]) / width)
+
+
 def _amplitudes(judged: Judged) -> list[Part]:
     """The rows with small and with large motion, if the motion changes enough; motion is smoothed over some correlation times."""
     outputs, colour = judged.outputs, judged.colour
@@ -126,15 +133,13 @@ def _amplitudes(judged: Judged) -> list[Part]:
     spread = np.nanstd(everything, axis=0)
     if not np.isfinite(spread).all() or not spread.any():
         return []
-    from scipy.ndimage import uniform_filter1d  # half a second to import
-
     moving = spread > 0
     time = max((t for t, _ in colour.times), default=1.0)
     size = {}
     for e, y in enumerate(outputs):
         away = np.square((y - everything.mean(axis=0))[:, moving] / spread[moving]).mean(axis=1)
         width = int(min(max(len(y) / WINDOWS, CORRELATION_TIMES * time), len(y)))
-        size[e] = np.sqrt(uniform_filter1d(away, max(width, 1), mode="nearest"))
+        size[e] = np.sqrt(running_mean(away, max(width, 1)))
     every = np.concatenate(list(size.values()))
     small, middle, large = np.quantile(every, [0.25, 0.5, 0.75])
     if large < DIFFERENT * small:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -66,8 +65,12 @@ class Model:
         check_stated(self)
         ordered(self.ties)
         check_units(self)
-        check_noise(self)
         check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
+        self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        """What depends on the values and bounds of the parameters."""
+        check_noise(self)
         check_constants(self.title, self.rules, self._constants)
 
     @cached_property
@@ -164,7 +167,14 @@ class Model:
     def __add__(self, effect: Effect) -> Model:
         if not isinstance(effect, Effect):
             return NotImplemented
-        return replace(self, effects=(*self.effects, effect))
+        effects = (*self.effects, effect)
+        known = next((system for before, system in self.system.extended if before.same_equations(effect)), None)
+        if known is not None:
+            return self._written_as(known, effects=effects)
+        found = replace(self, effects=effects)
+        if not found.system.delays:  # how long these can be is in the bounds
+            self.system.extended.append((effect, found.system))
+        return found
 
     def without(self, effect: str) -> Model:
         """The model without the effect of this name."""
@@ -281,27 +291,24 @@ class Model:
         if problems:
             raise ModelError("; ".join(problems))
         base = tuple(new.get(q.name, q) for q in self.parameters)
-        effects = []
+        bound = []
         for b in self.bound_effects:
             inner = [
                 replace(new[outer.name], name=own.name) if outer.name in new else own
                 for own, outer in zip(b.effect.parameters, b.parameters, strict=True)
             ]
-            effects.append(replace(b.effect, parameters=tuple(inner)))
-        if any("bounds" in change for change in changes.values()):
-            return replace(self, parameters=base, effects=tuple(effects))
-        return self._with_numbers(base, tuple(effects))
+            outer = tuple(new.get(q.name, q) for q in b.parameters)
+            bound.append(replace(b, effect=replace(b.effect, parameters=tuple(inner)), parameters=outer))
+        effects = tuple(b.effect for b in bound)
+        if self.system.delays:  # how long these can be is in the bounds
+            return replace(self, parameters=base, effects=effects)
+        return self._written_as(self.system, parameters=base, effects=effects, bound_effects=tuple(bound))
 
-    def _with_numbers(self, parameters: tuple[Parameter, ...], effects: tuple[Effect, ...]) -> Model:
-        """The same equations, names and units at other values: what was checked and written out once holds still."""
-        found = copy.copy(self)
-        object.__setattr__(found, "parameters", parameters)
-        object.__setattr__(found, "effects", effects)
-        system = self.__dict__.get("system")
-        if system is not None and not system.delays:  # a delay is as long as its fixed constants say
-            found.__dict__["system"] = system
-        check_noise(found)
-        check_constants(found.title, found.rules, found._constants)
+    def _written_as(self, system: System, **changes: Any) -> Model:
+        """The model with these fields changed, whose equations are ``system``: written out and checked before, with other numbers."""
+        found = object.__new__(type(self))
+        vars(found).update({f.name: getattr(self, f.name) for f in fields(self)} | changes | {"system": system})
+        found._check_numbers()
         return found
 
     def __getstate__(self) -> dict[str, Any]:

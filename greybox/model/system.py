@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 # A state with a physical bound is held this far inside it in the equations, so that sqrt(level) keeps a finite slope.
 BOUND_GUARD = 1e-9
+KEPT = 64  # extended systems, for the next time: more than the catalogue has effects
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,10 @@ class System:
     updates: tuple[Update, ...] = ()
     delays: tuple[Delay, ...] = ()
     relaxing: tuple[int, ...] = ()
+    # What was added last to a model of these equations, and the equations with it.
+    extended: deque[tuple[Effect, System]] = field(
+        default_factory=partial(deque, maxlen=KEPT), compare=False, repr=False
+    )
 
     @cached_property
     def explicit(self) -> ca.SX:

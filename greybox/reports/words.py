@@ -5,23 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from greybox.figures.scale import written
+from greybox.figures.scale import raised, written
 from greybox.result.summary import number
 
 __all__ = ["counted", "listed", "number", "sentence", "typeset_number", "unit_text"]
 
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 WORD = re.compile(r"[a-z]{3,}[ :,-]|(?:no|at|on|in|it|of|is|an?|as|by|if|to)[ :]")
-EXPONENT = re.compile(r"(?<=\d)e([+-])0*(\d+)")
 
 
 def typeset_number(text: str) -> str:
     """A cell of numbers as print has it: ``5.01e-04 +- 3e-06`` is 5.01·10⁻⁴ ± 3·10⁻⁶."""
-    return EXPONENT.sub(_power, text.replace("+-", "±").replace(" x noise", " × noise"))
-
-
-def _power(found: re.Match[str]) -> str:
-    return "·10" + (found.group(1).replace("+", "") + found.group(2)).translate(RAISED)
+    return raised(text.replace("+-", "±").replace(" x noise", " × noise"))
 
 
 def unit_text(unit: str) -> str:
