@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from greybox.discovery import rules
 from greybox.discovery.bench import ITERATIONS, Bench, Start, Trial
 from greybox.discovery.colour import LEFT_OVER, remainder
@@ -14,8 +16,10 @@ from greybox.discovery.starts import LADDER, candidate_starts, child_starts, cou
 from greybox.effects import Scales
 from greybox.model import Effect, Model
 
-# First picks that are carried on in parallel, second effects refitted for each, and effects at most.
-BEAM, SECONDS, MOST_EFFECTS = 3, 5, 3
+# First picks that a second effect is looked for beside: two effects may explain together what neither does alone.
+BEAM = 6
+# Further effects that are refitted beside all of these, and effects at most.
+SECONDS, MOST_EFFECTS = 12, 3
 # Amplitude at which an effect is nearly absent, as a multiple of its probe: what a first effect left over may be that small.
 FAINT = 0.01
 # Iterations of a first, short refit; effects that are then refitted thoroughly; generations of children (Coulomb, Stribeck, LuGre).
@@ -182,7 +186,11 @@ class Search:
             # A family is carried on by its plainest member: the others cost more and say the same.
             ranked = [self._plainest(t) for t in (chosen, *sorted(self.singles, key=lambda t: t.criterion))]
             firsts = list({t.effects: t for t in ranked}.values())[:BEAM]
-        found = sorted((t for first in firsts for t in self._seconds(first)), key=lambda t: t.criterion)
+        promising = self._promising(firsts, SECONDS)
+        grouped = [(first, [e for trial, e in promising if trial is first]) for first in firsts]
+        found = sorted(
+            (t for first, effects in grouped for t in self._added_all(first, effects)), key=lambda t: t.criterion
+        )
         if not found:
             return None
         best = min((self._finished(t) for t in found[:FINISHED]), key=lambda t: t.criterion)
@@ -204,22 +212,19 @@ class Search:
                     break
         return trial
 
-    def _seconds(self, first: Trial) -> list[Trial]:
-        """``first`` with each promising further effect."""
-        room = [e for e in self.candidates if e.name not in first.effects and not self._family(e, first)]
-        promising = self._promising(first, room, SECONDS)
-        return self._added_all(first, promising)
-
-    def _promising(self, first: Trial, room: Sequence[Effect], most: int) -> list[Effect]:
-        """The ``most`` effects that promise most beside ``first``: all nearly absent, the better half at larger amplitudes too."""
-        known = self.hopes.setdefault(frozenset(first.effects), {})
+    def _promising(self, firsts: Sequence[Trial], most: int) -> list[tuple[Trial, Effect]]:
+        """The ``most`` further effects, each beside one of ``firsts``, that promise most: all nearly absent, the better ones at larger
+        amplitudes too."""
+        room = [(t, e) for t in firsts for e in self.candidates if e.name not in t.effects and not self._family(e, t)]
+        best: dict[tuple[str, ...], float] = {}
         for rung, few in zip((FAINT, *LADDER), (len(room), 2 * most, 2 * most), strict=True):
-            leading = sorted(room, key=lambda e: known.get((e.name, FAINT), 0.0))[:few]
-            for e in leading:
-                if (e.name, rung) not in known:
-                    known[e.name, rung] = self._hope(first, e, rung)
-        best = {e.name: min(value for (name, _), value in known.items() if name == e.name) for e in room}
-        return sorted(room, key=lambda e: best[e.name])[:most]
+            for t, e in sorted(room, key=lambda one: self._hope(one[0], one[1], FAINT))[:few]:
+                key = (*t.effects, e.name)
+                best[key] = min(best.get(key, np.inf), self._hope(t, e, rung))
+        once: dict[frozenset[str], tuple[Trial, Effect]] = {}
+        for t, e in sorted(room, key=lambda one: best[*one[0].effects, one[1].name]):
+            once.setdefault(frozenset((*t.effects, e.name)), (t, e))
+        return list(once.values())[:most]
 
     def _finished(self, trial: Trial) -> Trial:
         """A short refit carried on to convergence."""
@@ -229,8 +234,13 @@ class Search:
         return best
 
     def _hope(self, first: Trial, effect: Effect, rung: float) -> float:
-        model = self._with(first, effect)
-        return self.bench.promise(model, candidate_starts(model, effect, first, first.model, self.scales, (rung,)))
+        """The cost that a step from ``first`` with some of ``effect`` foresees."""
+        known = self.hopes.setdefault(frozenset(first.effects), {})
+        if (effect.name, rung) not in known:
+            model = self._with(first, effect)
+            starts = candidate_starts(model, effect, first, first.model, self.scales, (rung,))
+            known[effect.name, rung] = self.bench.promise(model, starts)
+        return known[effect.name, rung]
 
     def _pruned(self, chosen: Trial) -> Trial:
         """Without every effect that the data do not need once the others are there."""
@@ -258,9 +268,10 @@ class Search:
             rest = self._refitted(chosen, name)
             if rest is None:
                 continue
-            room = [e for e in self.candidates if e.name not in chosen.effects and not self._family(e, chosen)]
-            promising = self._promising(rest, room, SWAPS)
-            others = self._added_all(rest, promising)
+            promising = [
+                e for _, e in self._promising([rest], 2 * SWAPS) if e.name != name and not self._family(e, chosen)
+            ]
+            others = self._added_all(rest, promising[:SWAPS])
             better = [t for t in others if t.criterion < chosen.criterion - rules.TIE]
             if better:
                 chosen = self._finished(min(better, key=lambda t: t.criterion))
