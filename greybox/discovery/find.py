@@ -245,12 +245,14 @@ def _discovery(found: Evidence, notes: Sequence[str], seconds: float) -> Discove
 
 
 def _stand_in(found: Evidence) -> StandIn | None:
-    """A tone or a smooth curve for all that the plain model lacks; or for what the nearest look-alike leaves over, if that explains the
-    larger part, and the two together do clearly better."""
+    """A tone or a smooth curve for all that the plain model lacks. Where that is not enough, and the nearest look-alike explains the
+    larger part, one for what this leaves over, if the two together do clearly better."""
     search, chosen = found.search, found.chosen
     helps = found.worst.closed > rules.PARTLY and chosen.effects
     bench, best = replace(search.bench, plain=found.plain), None
     for trial in (search.base, chosen) if helps else (search.base,):
+        if best is not None and best.closed >= rules.HELD_OUT:
+            break
         given = (bench, trial, looked(trial), found.judges, found.base, found.skip)
         made = tone_in_place(*given) or stand_in(*given)
         if made is not None and (best is None or made.closed > best.closed + CLEARLY):
