@@ -58,6 +58,14 @@ def test_a_hum_is_told_as_a_tone_at_its_place_and_closes_the_gap(found):
     )
 
 
+def test_what_to_do_next_is_said(found):
+    said = " ".join(found.next_steps)
+    assert "the mains have 50 Hz and its multiples: look at grounding" in said
+    assert "the model with the generator is what an observer" in said
+    assert "noise" not in said  # it was given
+    assert f"next: {found.next_steps[0]}" in str(found)
+
+
 def test_the_model_with_the_tone_is_fitted_to_records_at_rest_from_its_file(found, rig, tmp_path):
     model = resolve(str(to_python(found.extended, tmp_path / "model.py")))
     assert [s.name for s in model.all_states if s.free_start] == ["z1", "z2"]

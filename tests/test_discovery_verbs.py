@@ -1,5 +1,7 @@
 """The steps of a discovery by hand: look, try an effect, keep or drop it. The rig is simulated without greybox."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -73,18 +75,24 @@ def test_an_effect_that_is_not_there_is_not_kept():
         (lambda z: np.sign(z), "odd", "step"),
         (lambda z: 3 * z**2, "even", "square"),
         (lambda z: 5 * z**3, "odd", "faster"),
+        (lambda z: 4 * np.sign(z) * np.maximum(np.abs(z) - 0.6, 0), "odd", "flat middle (to about 0.6 m)"),
+        (lambda z: 3 * np.maximum(z - 0.5, 0), "neither", "a bend at 0.5 m"),
+        (lambda z: np.cos(2 * np.pi * z / 0.31), "neither", "periodic, every 0.31 m"),
     ],
 )
 def test_a_shape_is_told_by_its_variable(curve, parity, words):
     rng = np.random.default_rng(1)
-    t = np.arange(3000) * 1e-3
+    t = np.arange(1500) * 2e-3
     z = np.cumsum(rng.normal(size=t.size))
     z = z - np.linspace(z[0], z[-1], t.size)
     z = np.sin(37 * t) * (1 + 0.3 * np.sin(5 * t)) + 0.05 * z / np.abs(z).max()
     w = curve(z) + 0.1 * rng.normal(size=t.size)
     best = regions(t, w, {"other": (rng.normal(size=t.size), "V"), "z": (z, "m")})[0]
     assert (best.variable, best.parity) == ("z", parity)
-    assert words in best.shape
+    told, wanted = (re.split(r"([\d.]+)", text) for text in (best.shape, words))
+    assert "".join(wanted[::2]) in "".join(told[::2])
+    assert [float(v) for v in told[1::2]] == pytest.approx([float(v) for v in wanted[1::2]], rel=0.05)
+    assert (best.period is not None) == ("periodic" in words)
 
 
 def test_a_tone_that_the_input_does_not_have_is_told_by_its_frequency():

@@ -12,7 +12,7 @@ from fits import cascaded_tanks_discovery, emps_discovery, silverbox_discovery
 from fits.real_page import arguments
 from greybox import Experiment, FitOptions, fit, further, simulate
 from greybox.cli.app import app
-from greybox.discovery import Bench
+from greybox.discovery import Bench, discover
 from greybox.discovery.veto import held_out, surviving
 from greybox.effects import applicable, effect
 from greybox.project import resolve
@@ -151,6 +151,12 @@ def test_the_command_goes_on_after_its_answer(tmp_path, monkeypatch):
     truth = (silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")).start(K3=7e5, K2=-4e3)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("greybox.figures.discovery_figures", lambda *_: [])  # they are drawn in another test
+
+    def stopping(*given, effects, **more):  # a discovery that stops after the first effect
+        return discover(*given, effects=effects[:1], **more)
+
+    monkeypatch.setattr("greybox.discovery.discover", stopping)
+    monkeypatch.setattr("greybox.discovery.find._stand_in", lambda _: None)
     for seed, name in ((1, "train"), (2, "test")):
         write_csv(shaken(truth, seed), silverbox, Path(f"{name}.csv"))
     command = "discover silverbox train.csv --validate test.csv --hold first --noise y=2e-5 --further --output out"

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.discovery import rules
+from greybox.discovery.advice import advice, doubt
 from greybox.discovery.attempt import judged, scales_along
 from greybox.discovery.bench import Bench, Trial
 from greybox.discovery.colour import KNOWN, LEFT_OVER, colour_known, remainder, renoised
@@ -38,6 +39,8 @@ Records = Experiment | Sequence[Experiment]
 
 # Times that the noise is looked at again, and sets of effects that are refitted then.
 ROUNDS, CARRIED = 2, 8
+# A curve beside a look-alike must close this much more of the gap than one in its place.
+CLEARLY = 0.02
 # A misfit shows elsewhere if it is this many times as far above the noise there.
 ELSEWHERE = 2.0
 
@@ -223,9 +226,12 @@ def _discovery(found: Evidence, notes: Sequence[str], seconds: float) -> Discove
     look = looked(search.base)
     tests = [s[0] for rival in found.rivals if (s := separations(search.bench, chosen, rival))]
     limits = hidden(search.singles) if verdict == "complete" else []
-    curve = _curve(found) if verdict == "unknown" else None
+    curve = _stand_in(found) if verdict == "unknown" else None
+    steps = advice(found.base, look, curve, found.judges) if verdict == "unknown" else ()
+    if verdict == "complete":
+        steps = doubt(found.base)
     signals = missing_signals(search.bench, chosen) if chosen.effects else ()
-    if found.refined is not chosen:
+    if found.refined is not chosen and verdict != "unknown":
         added = " + ".join(e for e in found.refined.effects if e not in chosen.effects)
         notes = (
             *notes,
@@ -234,16 +240,24 @@ def _discovery(found: Evidence, notes: Sequence[str], seconds: float) -> Discove
     return Discovery(
         verdict, found.base, found.best, [t.effects for t in found.rivals], found.gap, ranking, look,
         story(verdict, chosen, found.rivals, found.gap, look, curve), (*notes, *map(_told, tests), *limits), seconds, signals, curve,
+        next_steps=steps,
     )  # fmt: skip
 
 
-def _curve(found: Evidence) -> StandIn | None:
-    """A tone or a smooth curve for what the nearest look-alike leaves over, if that explains the larger part, or else for all of it."""
+def _stand_in(found: Evidence) -> StandIn | None:
+    """A tone or a smooth curve for all that the plain model lacks. Where that is not enough, and the nearest look-alike explains the
+    larger part, one for what this leaves over, if the two together do clearly better."""
     search, chosen = found.search, found.chosen
     helps = found.worst.closed > rules.PARTLY and chosen.effects
-    trial = chosen if helps else search.base
-    given = (replace(search.bench, plain=found.plain), trial, looked(trial), found.judges, found.base, found.skip)
-    return tone_in_place(*given) or stand_in(*given)
+    bench, best = replace(search.bench, plain=found.plain), None
+    for trial in (search.base, chosen) if helps else (search.base,):
+        if best is not None and best.closed >= rules.HELD_OUT:
+            break
+        given = (bench, trial, looked(trial), found.judges, found.base, found.skip)
+        made = tone_in_place(*given) or stand_in(*given)
+        if made is not None and (best is None or made.closed > best.closed + CLEARLY):
+            best = made
+    return best
 
 
 def _told(test: Separation) -> str:

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from greybox.discovery.bench import Bench, Trial
+from greybox.discovery.curve import NAME, curve_effect
 from greybox.discovery.missing import missing_signals
 from greybox.discovery.places import places
 from greybox.discovery.refit import Job
-from greybox.discovery.stand_in import NAME, curve_effect
 from greybox.discovery.starts import candidate_starts
 from greybox.effects import Scales
 from greybox.model import Effect

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.discovery import rules
 from greybox.discovery.bench import Bench, Trial
-from greybox.discovery.places import INPUT, Linearised, Place, linearised, places, plain_shooting, same_way
+from greybox.discovery.places import INPUT, SENSOR, Linearised, Place, linearised, places, plain_shooting, same_way
 from greybox.discovery.region import WORTH, Region, regions
 from greybox.discovery.signal import Regression, Smoothed, projected_out, whitened
 from greybox.discovery.when import Window, told, windows
@@ -21,6 +21,8 @@ from greybox.result.frozen import ReadOnly
 MOST_ROWS = 1200
 # A place leads only if its log-likelihood is this far ahead, or this share of what it gained.
 LEAD, LEAD_SHARE = 10.0, 0.001
+# A reading takes the place of the model's run from so many noise deviations between them.
+READ = 2.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,8 @@ class Site:
 class Signal(ReadOnly):
     """The unexplained signal at ``site`` in a stretch of ``record``: ``time``, ``value`` and ``std`` (K,) in ``unit``.
 
-    ``variables``: name -> values (K,) of every state and input there, ``units`` theirs. What is constant or proportional to what the
+    ``variables``: name -> values (K,) of every state and input there, ``units`` theirs; of a measured state that the model misses the
+    readings. What is constant or proportional to what the
     model's constants already multiply is not in it: the fit has absorbed that.
     """
 
@@ -135,6 +138,7 @@ def looked(trial: Trial) -> Unexplained:
     sites = tuple(Site(p.name, p.kind, s.gain, float(np.sqrt(np.mean(s.value**2))), p.unit) for p, s in ranked)
     signal = _signal(trial, line, *ranked[0])
     variables = {name: (values, signal.units[name]) for name, values in signal.variables.items()}
+    run = np.column_stack([line.x, line.u])[ranked[0][1].rows]
     return Unexplained(
         misfit,
         threshold,
@@ -142,7 +146,7 @@ def looked(trial: Trial) -> Unexplained:
         _sets(sites),
         when,
         signal,
-        tuple(regions(signal.time, signal.value, variables)),
+        tuple(regions(signal.time, signal.value, variables, run)),
     )
 
 
@@ -214,8 +218,25 @@ def _signal(trial: Trial, line: Linearised, place: Place, smoothed: Smoothed) ->
     model, rows = trial.model, smoothed.rows
     names = [*model.system.state_names, *(i.name for i in model.inputs)]
     values = np.column_stack([line.x, line.u])[rows]
+    if place.kind != SENSOR:
+        _as_measured(trial, line, rows, values)
     units = units_of(model)
     return Signal(
         str(place), place.unit, trial.problem.experiments[line.record].name, line.time[rows], smoothed.value, smoothed.std,
         dict(zip(names, values.T, strict=True)), units,
     )  # fmt: skip
+
+
+def _as_measured(trial: Trial, line: Linearised, rows: np.ndarray, values: np.ndarray) -> None:
+    """Put the readings of measured states into ``values`` (K, nx + nu) where the model's run is farther off than they are."""
+    model, experiment = trial.model, trial.problem.experiments[line.record]
+    for j, output in enumerate(model.outputs):
+        equation = model.system.outputs[j]
+        if output.name not in experiment.outputs or not equation.is_symbolic():
+            continue
+        read = experiment.outputs[output.name][line.first + rows]
+        if equation.name() in model.system.state_names and np.isfinite(read).all():
+            column = model.system.state_names.index(equation.name())
+            off = float(np.sqrt(np.mean((read - values[:, column]) ** 2)))
+            if off > READ * trial.problem.noise.std[j]:
+                values[:, column] = read

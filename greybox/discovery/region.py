@@ -1,7 +1,7 @@
 """In which region the unexplained signal lives: as a function of which variable, and of what shape.
 
 The signal is averaged in bins of each variable. The share of its variance that the bins explain ranks the variables; the curve of
-the best one is odd or even about zero, a step, saturating or growing; a difference between the ways up and down is a loop; a line
+the best one is odd or even about zero, a step, bent, growing or periodic; a difference between the ways up and down is a loop; a line
 in its spectrum that neither input nor motion have is a tone. What is proportional to a variable or constant is left out of the shape: the
 fitted constants have absorbed it already.
 """
@@ -13,13 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.discovery.shape import period_of, shape_of
 from greybox.result.frozen import ReadOnly
 
 BINS = 16
 # Shares of the variance: from where a variable counts, from where a loop does, and a tone.
 WORTH, LOOP, TONE, DRIVEN = 0.15, 0.12, 0.5, 0.25
-# Share of an odd (or even) part from which a curve is called odd (or even), and of a shape from which it has a name.
-PARITY, NAMED = 0.75, 0.6
+# A sinusoid over the variable is what it is from so much more than the share of the bins, or from this part of what they leave.
+PERIODIC, LEFT = 0.1, 0.25
 TIME = "time"
 
 
@@ -30,6 +31,7 @@ class Region(ReadOnly):
     ``share`` of its variance that the curve explains (0 to 1); ``shape`` in words; ``parity`` ``odd``, ``even`` or ``neither``; ``loop``
     the further share that the direction of motion explains; ``tone`` in Hz of a spectral line, None without. ``centres``, ``mean``
     and ``std`` (B,) are the averages in bins and their standard deviations, in ``unit`` of the variable and in that of the signal.
+    ``period`` in ``unit`` of a curve that repeats (cogging, a thread, a gear), None for another one.
     """
 
     variable: str
@@ -42,6 +44,7 @@ class Region(ReadOnly):
     centres: np.ndarray
     mean: np.ndarray
     std: np.ndarray
+    period: float | None = None
 
     def __str__(self) -> str:
         if self.tone is not None:
@@ -50,14 +53,20 @@ class Region(ReadOnly):
         return f"a function of {self.variable} ({100 * self.share:.0f} % of it): {self.shape}{looped}"
 
 
-def regions(time: np.ndarray, w: np.ndarray, variables: Mapping[str, tuple[np.ndarray, str]]) -> list[Region]:
-    """The signal ``w`` (K,) as a function of each of ``variables`` (name -> values (K,) and unit), best first; a tone before all."""
+def regions(
+    time: np.ndarray, w: np.ndarray, variables: Mapping[str, tuple[np.ndarray, str]], run: np.ndarray | None = None
+) -> list[Region]:
+    """The signal ``w`` (K,) as a function of each of ``variables`` (name -> values (K,) and unit), best first; a tone before all.
+
+    ``run`` (K, n): states and inputs as they are without the signal, of which a tone must be no part; by default the variables.
+    """
     w = w - w.mean()
     if not w.any():
         return []
     found = [_region(name, unit, z, w) for name, (z, unit) in variables.items() if np.ptp(z) > 0]
     found.sort(key=lambda r: -(r.share + max(r.loop - LOOP, 0.0)))
-    line = tone(time, w, np.stack([z for z, _ in variables.values()], axis=1))
+    driven = np.stack([z for z, _ in variables.values()], axis=1) if run is None else run
+    line = tone(time, w, driven)
     if line is not None and not (found and found[0].share > line[1]):
         frequency, share = line
         found.insert(0, Region(TIME, "s", share, "a tone", "neither", 0.0, frequency, *np.zeros((3, 0))))
@@ -99,8 +108,14 @@ def _region(name: str, unit: str, z: np.ndarray, w: np.ndarray) -> Region:
     share = _adjusted(w, which, len(edges) - 1)
     up = np.gradient(z) > 0
     both = _adjusted(w, 2 * which + up, 2 * (len(edges) - 1))
-    parity, shape = _shape(centres, mean, count[used])
-    return Region(name, unit, max(share, 0.0), shape, parity, max(both - share, 0.0), None, centres, mean, std)
+    both = max(both, share, 0.0)
+    loop = both - max(share, 0.0)
+    repeated, with_line, period = period_of(z, w)
+    if repeated > WORTH and with_line - both > min(PERIODIC, LEFT * (1 - both)):
+        shape = f"periodic, every {period:.3g} {unit}".rstrip()
+        return Region(name, unit, with_line, shape, "neither", 0.0, None, centres, mean, std, period)
+    parity, shape = shape_of(centres, mean, count[used], unit)
+    return Region(name, unit, max(share, 0.0), shape, parity, loop, None, centres, mean, std)
 
 
 def _adjusted(w: np.ndarray, which: np.ndarray, bins: int) -> float:
@@ -111,46 +126,3 @@ def _adjusted(w: np.ndarray, which: np.ndarray, bins: int) -> float:
     between = float(count[used] @ mean**2) / max(float(w @ w), 1e-300)
     free = len(w) - int(used.sum())
     return 1 - (1 - between) * (len(w) - 1) / free if free > 0 else 0.0
-
-
-def _shape(z: np.ndarray, f: np.ndarray, count: np.ndarray) -> tuple[str, str]:
-    """Parity and shape of a curve, with the constant and the proportional part taken away from curve and shapes alike."""
-    reach = float(np.abs(z).max())
-    if len(z) < 6 or reach == 0:
-        return "neither", "too few values to say"
-    s, root = z / reach, np.sqrt(count / count.sum())
-    left = np.linalg.qr(np.stack([root, root * s], axis=1))[0]
-
-    def rest(values: np.ndarray) -> np.ndarray:
-        weighed = root * values
-        return weighed - left @ (left.T @ weighed)
-
-    curve = rest(f)
-    energy = float(curve @ curve)
-    if energy == 0:
-        return "neither", "no shape beyond a straight line"
-    if s.min() > -0.2 or s.max() < 0.2:
-        return "neither", "on one side of zero only"
-    templates = {
-        ("odd", "odd, a step where it passes zero"): np.tanh(s / 0.1),
-        ("odd", "odd, with a flat middle"): np.sign(s) * np.maximum(np.abs(s) - 0.3, 0),
-        ("odd", "odd, growing faster than in proportion"): s**3,
-        ("odd", "odd, growing with the square"): s * np.abs(s),
-        ("even", "even, growing with the square"): s**2,
-        ("even", "even, with a kink at zero"): np.abs(s),
-    }
-    best, likeness, sign = ("neither", ""), 0.0, 1.0
-    for key, template in templates.items():
-        t = rest(template)
-        alike = float(curve @ t) / np.sqrt(energy * max(float(t @ t), 1e-300))
-        if abs(alike) > likeness:
-            best, likeness, sign = key, abs(alike), np.sign(alike)
-    mirrored = np.interp(-s, s, f)
-    shared = np.abs(s) <= min(s.max(), -s.min())
-    odd, even = (rest(np.where(shared, (f + k * mirrored) / 2, 0.0)) for k in (-1, 1))
-    total = float(odd @ odd + even @ even)
-    part = float(odd @ odd) / total if total > 0 else 0.5
-    parity = "odd" if part > PARITY else "even" if part < 1 - PARITY else "neither"
-    if likeness**2 < NAMED or best[0] != parity:
-        return parity, f"{parity} in shape" if parity != "neither" else "neither odd nor even"
-    return parity, best[1] + (", downwards" if sign < 0 else "")

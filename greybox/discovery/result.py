@@ -34,7 +34,9 @@ class Discovery:
     ``base`` and ``best`` are fits of the plain and of the extended model; ``gap`` by output; ``ranking`` of the candidates;
     ``look``: where, when and in which region the plain model falls short; ``story`` one paragraph; ``notes`` what to know before
     believing it; ``missing``: for each effect its signal as the data and as the extended model have it; ``stand_in``: a smooth curve
-    or a tone in the place of an unknown effect; ``deeper``: what `further` found beyond, where it was asked.
+    or a tone in the place of an unknown effect; ``deeper``: what `further` found beyond, where it was asked;
+    ``next_steps``: what to do about something unknown, or before
+    believing that nothing is missing.
     """
 
     verdict: str
@@ -50,6 +52,7 @@ class Discovery:
     missing: tuple[Missing, ...] = ()
     stand_in: StandIn | None = None
     deeper: Deepened | None = None
+    next_steps: tuple[str, ...] = ()
 
     @property
     def sites(self) -> tuple[str, ...]:
@@ -93,7 +96,8 @@ class Discovery:
             "when": self.look.windows, "regions": self.look.regions, "stand_in": self._stand_in(),
             "further": self._further(),
             "parameters": self.best.parameters, "gap": self.gap, "ranking": self.ranking, "story": self.story,
-            "notes": self.notes, "seconds": self.seconds, "model": self.best.model.name, "equations": self.best.equations,
+            "next_steps": self.next_steps, "notes": self.notes, "seconds": self.seconds,
+            "model": self.best.model.name, "equations": self.best.equations,
             "noise": self.best.noise, "noise_source": self.best.noise_source, "versions": self.best.versions,
         }  # fmt: skip
         target = Path(path)
@@ -125,7 +129,7 @@ class Discovery:
         return {
             "site": found.site, "variable": found.variable, "variable_unit": found.variable_unit, "unit": found.unit,
             "closed": found.closed, "gap": found.gap, "values": found.values, "curve": found.curve,
-            "tone": found.tone,
+            "shape": found.shape, "period": found.region.period, "tone": found.tone,
         }  # fmt: skip
 
     def __str__(self) -> str:
@@ -134,7 +138,8 @@ class Discovery:
             lines += [f"  the plain model: {line}" for line in str(self.look).splitlines()]
         for effect in self.effects:
             values = ", ".join(_constant(name, c) for name, c in effect["parameters"].items())
-            lines.append(f"  {effect['name']} -> {effect['site']}: {values}")
+            looks = "the look-alike " if self.verdict == "unknown" else ""
+            lines.append(f"  {looks}{effect['name']} -> {effect['site']}: {values}")
         for output, gap in self.gap.items():
             lines.append(f"  {output}: rms misfit on the validation records {gap}")
         if self.deeper is not None and self.deeper.steps:
@@ -145,6 +150,7 @@ class Discovery:
         if self.ranking:
             lines += ["", "  candidate                                misfit/noise   behind the best"]
             lines += [f"  {' + '.join(r.effects):40s} {r.misfit:12.4g}   {r.behind:15.4g}" for r in self.ranking[:10]]
+        lines += [f"next: {step}" for step in self.next_steps]
         lines += [f"note: {note}" for note in self.notes]
         return "\n".join(lines)
 

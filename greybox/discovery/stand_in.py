@@ -1,34 +1,30 @@
-"""What the catalogue does not explain: a smooth fitted curve in the place of the unknown effect.
-
-``sum c_k exp(-(t - k)^2)``, ``t = (z - lowest) / pitch``: bumps so close that their sum is smooth (equal ones make a constant to 1e-4), and
-short enough to be read in a model file. Outside the range that was seen the curve goes to zero. Weak priors on the heights keep
-apart what a constant of the model could do as well.
-"""
+"""What the catalogue does not explain: a fitted curve, or a tone, in the place of the unknown effect."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 
 from greybox.discovery.attempt import judged
 from greybox.discovery.bench import Bench, Trial
+from greybox.discovery.curve import NAME, curve_at, curve_effect, periodic_effect
 from greybox.discovery.gap import Gap, gaps
 from greybox.discovery.look import Signal, Unexplained
-from greybox.discovery.places import INPUT, SENSOR, Place, places
+from greybox.discovery.places import Place, places
 from greybox.discovery.region import TIME, WORTH, Region
+from greybox.discovery.shape import shape_of
 from greybox.experiment import Experiment
-from greybox.model import Effect
 from greybox.result import Fit
 from greybox.result.frozen import ReadOnly
-from greybox.signals import Expression, Named, Parameter
 
-NAME = "fitted_curve"
-# Intervals of the curve; how far it reaches beyond the stretch that was looked at; prior of a height over the signal's rms.
-INTERVALS, MARGIN, LOOSE = 20, 0.15, 5.0
-ITERATIONS = 30
+# Variables that a curve is tried over; iterations of a refit; starts of it; periods, as shares of the one seen.
+TRIED, ITERATIONS, KEPT, PERIODS = 2, 30, 1, (1.0, 0.985, 1.015)
+# Name of a tone as an effect; share of the gap that a curve must close to stand in for anything.
+TONE, USEFUL = "tone", 0.1
+# Points of a drawn curve; of a period.
+POINTS, FINE = 101, 24
 
 
 @dataclass(frozen=True)
@@ -56,6 +52,7 @@ class StandIn(ReadOnly):
     ``fit`` is the extended model with it as an effect; ``gap`` by output on the validation records. ``values`` (M,) of the
     variable and the ``curve`` (M,) there, in ``variable_unit`` and ``unit``, through the unexplained ``signal``. A straight line is shared
     with the model's own constants (a damper, a spring) in a way that no data decide: the ``curve`` has the one that the signal has.
+    ``shape``: that of the curve in words.
     """
 
     site: str
@@ -66,6 +63,7 @@ class StandIn(ReadOnly):
     curve: np.ndarray
     signal: Signal
     region: Region
+    shape: str = ""
     tone: Tone | None = None
 
     @property
@@ -86,7 +84,14 @@ class StandIn(ReadOnly):
     @property
     def title(self) -> str:
         """``a curve over x`` or ``a tone of 50.00 Hz``."""
-        return f"a curve over {self.variable}" if self.tone is None else str(self.tone)
+        if self.tone is not None:
+            return str(self.tone)
+        return f"a {'curve' if self.region.period is None else 'sinusoid'} over {self.variable}"
+
+    @property
+    def beside(self) -> tuple[str, ...]:
+        """Effects of the catalogue that the model has beside it."""
+        return tuple(e.name for e in self.fit.model.effects if e.name not in (NAME, TONE))
 
     @property
     def seen(self) -> np.ndarray:
@@ -95,7 +100,11 @@ class StandIn(ReadOnly):
 
     def __str__(self) -> str:
         if self.tone is None:
-            return f"a smooth curve over {self.variable} at the {self.site} {closing(self.closed)} on the validation records"
+            smooth = self.title.replace("a curve", "a smooth curve")
+            beside = f", beside {' + '.join(self.beside)}," if self.beside else ""
+            return (
+                f"{smooth} ({self.shape}) at the {self.site}{beside} {closing(self.closed)} on the validation records"
+            )
         sizes = sorted(self.tone.amplitude.values())
         size = f"{sizes[0]:.3g}" if sizes[-1] <= 1.05 * sizes[0] else f"{sizes[0]:.3g} to {sizes[-1]:.3g}"
         also = f" (or the {', the '.join(self.tone.alike)}: these records cannot tell)" if self.tone.alike else ""
@@ -114,88 +123,61 @@ def closing(share: float) -> str:
 def stand_in(
     bench: Bench, trial: Trial, found: Unexplained, judges: Sequence[Experiment], base: Fit, skip: int = 0
 ) -> StandIn | None:
-    """The curve for what ``trial`` leaves over; None where that is no function of any one variable, or cannot be simulated.
+    """The curve for what ``trial`` leaves over; None where that is no function of any one variable, or cannot be simulated, or where it
+    closes nothing worth mentioning on the judging records.
 
-    ``base``: the plain model judged on the same records, which the gap is counted from.
+    ``base``: the plain model judged on the same records, which the gap is counted from. The model is refitted with a curve over each of
+    the likeliest variables, with a sinusoid where the signal repeats over it; what explains the records best by Schwarz's criterion stays.
     """
-    region = next((r for r in found.regions if r.variable != TIME and r.share > WORTH), None)
-    signal = found.signal
-    if region is None or signal is None:
+    worth = [r for r in found.regions if r.variable != TIME and r.share + r.loop > WORTH][:TRIED]
+    if not worth or found.signal is None:
         return None
     measured = [o.name for o in trial.model.outputs]
-    place = next(p for p in places(trial.model, measured) if str(p) == signal.site)
-    effect, start = curve_effect(place, region, signal.variables[region.variable], signal.value, signal.std)
+    place = next(p for p in places(trial.model, measured) if str(p) == found.signal.site)
+    tried = [(r, t) for r in worth if (t := _refitted(bench, trial, place, r, found.signal)) is not None]
+    if not tried:
+        return None
+    region, better = min(tried, key=lambda one: one[1].criterion)
+    drawn = _drawn(bench, better, place, region, found.signal, judges, base, skip)
+    return drawn if drawn.closed >= USEFUL else None
+
+
+def _refitted(bench: Bench, trial: Trial, place: Place, region: Region, signal: Signal) -> Trial | None:
+    """``trial`` with a curve over the variable of ``region``, from its own constants and from those that the user came with."""
+    z = signal.variables[region.variable]
+    if region.period is None:
+        effect, start = curve_effect(place, region, z, signal.value, signal.std)
+        starts = [start, {}]
+    else:
+        effect, _ = periodic_effect(place, region, region.period, z, signal.value)
+        starts = [periodic_effect(place, region, share * region.period, z, signal.value)[1] for share in PERIODS]
     model = trial.model + effect
     names = next(b.own for b in model.bound_effects if b.effect.name == NAME)
-    better = bench.best(
-        model, [{**trial.model.values, **{names[n]: v for n, v in start.items()}}, trial.model.values], 1, ITERATIONS
-    )
-    if better is None:
-        return None
-    fitted = judged(better, bench, judges, skip)
+    nominal = {q.name: q.value for q in bench.plain.free_parameters}
+    begins = [
+        {**trial.model.values, **values, **{names[n]: v for n, v in start.items()}}
+        for start in starts
+        for values in ({}, nominal)
+    ]
+    return bench.best(model, begins, KEPT, ITERATIONS, like=trial)
+
+
+def _drawn(
+    bench: Bench, trial: Trial, place: Place, region: Region, signal: Signal, judges: Sequence[Experiment], base: Fit, skip: int
+) -> StandIn:  # fmt: skip
+    """The stand-in of a refitted ``trial``, judged, with its curve over the range of the ``signal``."""
+    fitted = judged(trial, bench, judges, skip)
+    names = next(b.own for b in trial.model.bound_effects if b.effect.name == NAME)
+    values = {n: trial.model.values[there] for n, there in names.items()}
     seen = signal.variables[region.variable]
-    z = np.linspace(seen.min(), seen.max(), 101)
-    values = {n: better.model.values[there] for n, there in names.items()}
-    return StandIn(
-        signal.site, place.unit, fitted, gaps(base, fitted), z,
-        curve_at(values, z) + np.polyval(np.polyfit(seen, signal.value - curve_at(values, seen), 1), z), signal, region,
-    )  # fmt: skip
-
-
-def curve_effect(
-    place: Place, region: Region, z: np.ndarray, w: np.ndarray, std: np.ndarray, intervals: int = INTERVALS
-) -> tuple[Effect, dict[str, float]]:
-    """A smooth curve over the variable of ``region`` as an effect at ``place``; its heights by regression of ``w`` (K,) on ``z`` (K,)."""
-    low, high = float(z.min()), float(z.max())
-    low, high = low - MARGIN * (high - low), high + MARGIN * (high - low)
-    pitch, size = (high - low) / intervals, float(np.sqrt(np.mean(w**2)))
-    heights = [f"c{k}" for k in range(intervals + 1)]
-    parameters = [
-        Parameter("lowest", region.unit, low, fixed=True, source="range of the record", description=f"least {region.variable}"),
-        Parameter("pitch", region.unit, pitch, fixed=True, source="range of the record", description="distance of the bumps"),
-        *(
-            Parameter(n, place.unit, 0.0, source="zero, until fitted", prior=(0.0, LOOSE * size), description="height")
-            for n in heights
-        ),
-    ]  # fmt: skip
-    variable, is_input = region.variable, place.kind == INPUT
-
-    def curve(x: Named, u: Named, p: Named) -> Expression:
-        seen = x[variable] if variable in x else u[variable]
-        return _bumps((seen - p.lowest) / p.pitch, [p[n] for n in heights])
-
-    def changed(value: Expression, x: Named, u: Named, p: Named) -> Expression:
-        return value + curve(x, u, p)
-
-    basis = _basis((z - low) / pitch, len(heights))
-    weight = 1 / np.maximum(std, 1e-3 * size)
-    held = np.eye(len(heights)) / (LOOSE * size)
-    c = np.linalg.lstsq(
-        np.vstack([basis * weight[:, None], held]), np.append(w * weight, np.zeros(len(heights))), rcond=None
-    )[0]
-    effect = Effect(
-        NAME, place.name, parameters,
-        terms=None if place.kind in (INPUT, SENSOR) else curve,
-        on_input=changed if is_input else None, on_output=changed if place.kind == SENSOR else None,
-        equation=f"smooth curve over {variable}", parity=region.parity, amplitudes=heights,
-        source="fitted to what the model leaves over; no law of its own",
-    )  # fmt: skip
-    return effect, dict(zip(heights, map(float, c), strict=True))
-
-
-def curve_at(values: Mapping[str, float], z: np.ndarray) -> np.ndarray:
-    """The curve with these constants at ``z`` (M,)."""
-    heights = np.array([values[f"c{k}"] for k in range(INTERVALS + 1)])
-    return _basis((z - values["lowest"]) / values["pitch"], len(heights)) @ heights
-
-
-def _basis(t: np.ndarray, count: int) -> np.ndarray:
-    """Bumps (M, count) at ``t``."""
-    return np.exp(-((t[:, None] - np.arange(count)) ** 2))
-
-
-def _bumps(t: Expression, heights: Sequence[Expression]) -> Expression:
-    total: Expression = 0
-    for k, c in enumerate(heights):
-        total = total + c * ca.exp(-((t - k) ** 2))
-    return total
+    points = POINTS if region.period is None else max(int(FINE * np.ptp(seen) / region.period), POINTS)
+    z = np.linspace(seen.min(), seen.max(), points)
+    if region.period is not None:
+        curve, region = curve_at(values, z), replace(region, period=values["pitch"])
+        size = f"{np.hypot(values['cosine'], values['sine']):.3g} {place.unit}".rstrip()
+        told = f"every {values['pitch']:.3g} {region.unit}".rstrip() + f", of {size}"
+        return StandIn(signal.site, place.unit, fitted, gaps(base, fitted), z, curve, signal, region, told)
+    curve = curve_at(values, z) + np.polyval(np.polyfit(seen, signal.value - curve_at(values, seen), 1), z)
+    there = np.histogram(seen, points, (z[0], z[-1]))[0]
+    told = shape_of(z[there > 0], curve[there > 0], there[there > 0], region.unit)[1]
+    return StandIn(signal.site, place.unit, fitted, gaps(base, fitted), z, curve, signal, region, told)

@@ -20,7 +20,7 @@ from greybox.discovery.gap import Gap, gaps
 from greybox.discovery.look import Signal, Unexplained, signals
 from greybox.discovery.places import INPUT, SENSOR, Place, places
 from greybox.discovery.region import Region
-from greybox.discovery.stand_in import StandIn, Tone
+from greybox.discovery.stand_in import TONE, StandIn, Tone
 from greybox.experiment import Experiment
 from greybox.fitting import fit as fitted
 from greybox.fitting import validate
@@ -29,7 +29,6 @@ from greybox.model import Balance, Effect
 from greybox.result import Fit
 from greybox.signals import Expression, Named, Parameter, State
 
-NAME = "tone"
 # Periods of the beginning of a validation record from which amplitude and phase are read there; points of a period that is drawn.
 PERIODS, POINTS = 5, 24
 
@@ -79,7 +78,7 @@ def _fitted(bench: Bench, trial: Trial, place: Place, signal: Signal, frequency:
 
 def _own(fit: Fit) -> tuple[str, str, str]:
     """How the frequency and the two states of the tone are called in the model."""
-    bound = next(b for b in fit.model.bound_effects if b.effect.name == NAME)
+    bound = next(b for b in fit.model.bound_effects if b.effect.name == TONE)
     first, second = (s.name for s in bound.states)
     return bound.own["frequency"], first, second
 
@@ -97,7 +96,7 @@ def _drawn(
     cosine, sine = (trace.initial_state[n] for n in states)
     amplitude = {t.name: math.hypot(*(t.initial_state[n] for n in states)) for t in fit.traces}
     return StandIn(
-        str(place), place.unit, fit, gap, time, cosine * np.cos(turned) + sine * np.sin(turned), signal, region,
+        str(place), place.unit, fit, gap, time, cosine * np.cos(turned) + sine * np.sin(turned), signal, region, "a tone",
         Tone(estimate.value, estimate.std, amplitude, seconds, others),
     )  # fmt: skip
 
@@ -129,7 +128,7 @@ def generator(place: Place, signal: Signal, begins: float, frequency: float) -> 
         return value + x.z1
 
     return Effect(
-        NAME, place.name,
+        TONE, place.name,
         [
             Parameter(
                 "frequency", "Hz", frequency, (0.5 * frequency, 2 * frequency), source="spectral line of what the model leaves over",

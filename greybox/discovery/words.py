@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
+from greybox.discovery import rules
 from greybox.discovery.bench import Trial
 from greybox.discovery.gap import Gap
 from greybox.discovery.look import Unexplained, where_told
+from greybox.discovery.region import WORTH
 from greybox.discovery.stand_in import StandIn
 
 
@@ -25,11 +27,38 @@ def story(
     if verdict == "complete":
         return "Nothing is missing beyond the noise: the plain model explains the records."
     if verdict == "unknown":
-        nearest = f"; the nearest look-alike is {name} ({closed})" if name else ""
-        shape = f" It looks like {look.regions[0]}, at the {where_told(look)}." if look.regions else ""
-        drawn = f" As a stand-in, {curve}." if curve else ""
-        return f"Something is missing that no effect of the catalogue explains{nearest}.{shape}{drawn}"
+        said = ["Something is missing that no effect of the catalogue explains.", _nearest(name, worst, gap[worst])]
+        return " ".join([*filter(None, said), *_unknown(look, curve)])
     if verdict == "ambiguous":
         others = "; ".join(" + ".join(t.effects) for t in rivals)
         return f"The records are consistent with {name} ({closed}), and as well with: {others}. They cannot tell these apart."
     return f"The records are consistent with {name}: {closed}."
+
+
+def _nearest(name: str, output: str, gap: Gap) -> str:
+    """The nearest look-alike and how near that is."""
+    if not name:
+        return ""
+    if gap.closed <= 0:
+        return f"Nothing in it does better than the plain model on records not used for it; the nearest on the others is {name}."
+    share = f"{'only ' if gap.closed < rules.PARTLY else ''}{100 * gap.closed:.3g} %"
+    return f"The nearest look-alike, {name}, closes {share} of the gap in {output} on records not used for it."
+
+
+def _unknown(look: Unexplained, curve: StandIn | None) -> Iterator[str]:
+    """What is missing, where, as a function of what, and what stands in for it."""
+    if not look.missing:
+        yield f"It hardly shows in the estimation records: the plain model's misfit there is {look.misfit:.3g} times the noise."
+    elif look.where:
+        size = f"{look.sites[0].size:.3g} {look.sites[0].unit}".rstrip()
+        yield f"The plain model lacks {size} rms at the {where_told(look)}: {_dependence(look, curve)}."
+    if curve is not None:
+        yield f"As a stand-in, {curve}."
+
+
+def _dependence(look: Unexplained, curve: StandIn | None) -> str:
+    """Of what the missing signal is a function; a curve that explains it says more than the first look."""
+    if curve is not None and curve.tone is None and curve.closed >= rules.HELD_OUT and not curve.beside:
+        return f"a function of {curve.variable}"
+    best = look.regions[0] if look.regions else None
+    return str(best) if best is not None and best.share + best.loop > WORTH else "no function of any one variable"

@@ -57,7 +57,9 @@ def verdict(found: Discovery) -> Text:
             + f" {unit_text(c['unit'])}"
             for name, c in effect["parameters"].items()
         ]
-        said.append(f"{effect['name']} ({effect['site']}): {listed([v.rstrip() for v in values])}.")
+        looks = "The look-alike " if found.verdict == "unknown" else ""
+        said.append(f"{looks}{effect['name']} ({effect['site']}): {listed([v.rstrip() for v in values])}.")
+    said += [f"Next: {sentence(step)[0].lower()}{sentence(step)[1:]}" for step in found.next_steps]
     return Text([*said, *map(sentence, found.notes)], TONES[found.verdict])
 
 

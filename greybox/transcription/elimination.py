@@ -66,18 +66,26 @@ class Reduced:
         return float(sum(r @ r for r in rests) + cost + np.sum(slope * dz + 0.5 * curvature * dz**2))
 
 
-def eliminate(records: list[list[Segment]], n: int) -> Reduced:
+def eliminate(records: list[list[Segment]], n: int) -> Reduced | None:
     """Eliminate the nodes of each record: a constrained least-squares problem, solved for all its nodes at once.
 
     With ``K = [[H, C'], [C, 0]]`` over the nodes and their constraints, ``H = R'R`` block diagonal and the constants on the right:
-    a sparse factorisation with pivoting, which is stable whether errors grow or decay along the record.
+    a sparse factorisation with pivoting, which is stable whether errors grow or decay along the record. None where there is no step,
+    as with slopes of a segment so near to overflow that their squares are beyond it.
     """
     gradient, hessian = np.zeros(n), np.zeros((n, n))
     offsets, slopes = [], []
     for own in records:
         nx = len(own[0].defect)
-        matrix, right = _system(own, n, nx)
-        solved = splu(matrix).solve(right)
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrix, right = _system(own, n, nx)
+        try:
+            factors = splu(matrix)
+        except RuntimeError:  # SuperLU: "Factor is exactly singular"
+            return None
+        solved = factors.solve(right)
+        if not np.isfinite(solved).all():
+            return None
         states = (len(own) + 1) * nx
         nodes = solved[:states].reshape(len(own) + 1, nx, n + 1)
         offset, slope = nodes[:, :, 0], nodes[:, :, 1:]

@@ -195,7 +195,7 @@ class MultipleShooting:
         return _Search(z, nodes, list(state.filter))
 
     def _linearised(self, state: _Search) -> _Linear | None:
-        """Residuals, end states and their slopes of every segment, the nodes eliminated; None where a segment overflows."""
+        """Residuals, end states and their slopes of every segment, the nodes eliminated; None where a segment overflows, or nearly."""
         self.evaluations += 1
         segments, squares, counts = [], np.zeros(self.ny), np.zeros(self.ny, int)
         for e in range(len(self.records)):
@@ -204,6 +204,8 @@ class MultipleShooting:
                 return None
             segments.append(own)
         reduced = eliminate(segments, len(self.variables.which))
+        if reduced is None:
+            return None
         if self.variables.held.any():
             reduced = reduced.with_penalty(*self.variables.penalty(state.z))
         gaps = np.concatenate([np.abs(s.defect) for own in segments for s in own])

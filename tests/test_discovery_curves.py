@@ -1,0 +1,81 @@
+"""What stands in for effects that the catalogue does not have, and what is said then. The rigs are simulated without greybox."""
+
+import re
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.discovery import Bench
+from greybox.discovery.advice import advice, doubt
+from greybox.discovery.look import looked
+from greybox.discovery.stand_in import stand_in
+from greybox.fitting import FitOptions
+from greybox.transcription.elimination import Segment, eliminate
+from models.micro_actuator import micro_actuator
+from models.pneumatic_cylinder import pneumatic_cylinder
+from tests.test_discover import off, records
+
+REST = FitOptions(at_rest=True)
+
+
+def standing_in(rig, effects, noise, rows):
+    """The plain fit, what it leaves over, what stands in for that, and the record to judge by."""
+    train, test = records(rig, effects, tuple(noise.values()), rows=rows)
+    base = gb.fit(off(rig), train, validation=test, noise=noise, options=REST)
+    bench = Bench(off(rig), (train,), noise, (), REST)
+    look = looked(bench.base)
+    return base, look, stand_in(bench, bench.base, look, (test,), base), test
+
+
+def test_a_force_that_repeats_with_the_position_is_told_by_its_period():
+    base, look, found, test = standing_in(
+        pneumatic_cylinder, {"cogging": {"F": 4.0, "pitch": 0.01}}, {"s": 2e-4}, rows=700
+    )
+    assert look.where[0] == "balance force"
+    assert (look.regions[0].variable, look.regions[0].period) == ("s", pytest.approx(0.01, rel=0.02))
+    pitch = found.fit.parameters["pitch"]
+    assert abs(pitch.value - 0.01) < min(4 * pitch.std, 1e-4)
+    assert found.closed > 0.95
+    assert np.abs(found.curve).max() == pytest.approx(4.0, rel=0.05)
+    assert re.match(
+        r"a sinusoid over s \(every 0\.0[01]\d* m, of [34]\.?\d* N\) at the balance force closes", str(found)
+    )
+    said = " ".join(advice(base, look, found, (test,)))
+    assert "what repeats with the position comes from magnets, teeth" in said
+    assert "p_a and p_b" not in said  # enough is known without them
+
+
+def test_a_stop_is_told_by_the_position_where_it_begins():
+    _, _, found, _ = standing_in(
+        micro_actuator, {"end_stop": {"gap": 4e-5, "kc": 6000.0}}, {"x": 2e-7, "i": 5e-3}, rows=600
+    )
+    assert (found.variable, found.closed > 0.9) == ("x", True)
+    assert found.shape.startswith("odd, with a flat middle (to about ")
+    assert float(found.shape.split()[-3 if "downwards" in found.shape else -2]) == pytest.approx(4e-5, rel=0.1)
+
+
+def test_a_record_that_reaches_beyond_what_is_known_is_named():
+    base, look, found, test = standing_in(
+        pneumatic_cylinder, {"cogging": {"F": 4.0, "pitch": 0.01}}, {"s": 2e-4}, rows=300
+    )
+    far = gb.Experiment("far", test.time, test.inputs, {"s": 3 * test.outputs["s"]})
+    assert "learn from records that cover the whole range" in " ".join(advice(base, look, found, (far,)))
+    none = " ".join(advice(base, look, None, (test,)))
+    assert "measure p_a and p_b as well" in none
+
+
+def test_a_noise_that_nobody_told_is_doubted_where_nothing_seems_missing():
+    train, _ = records(pneumatic_cylinder, {}, (2e-4,), rows=300)
+    guessed = gb.fit(off(pneumatic_cylinder), train, options=REST)
+    assert doubt(guessed)[0].startswith("check that the sensors have a noise of ")
+    assert doubt(gb.fit(off(pneumatic_cylinder), train, noise={"s": 2e-4}, options=REST)) == ()
+
+
+def test_segments_next_to_overflow_have_no_step():
+    def reduced(slope):
+        seen = Segment(np.ones(2), np.array([[1.0, slope], [0.5, 1.0]]), np.array([[0.3, 0.9]]), np.zeros(1))
+        return eliminate([[seen, seen]], 1)
+
+    assert np.isfinite(reduced(2.0).hessian).all()
+    assert reduced(1e160) is None  # a number, but its square is none
