@@ -266,6 +266,7 @@ def test_the_command_compares_writes_and_draws(run, tmp_path):
     assert set(saved["models"]) == {"mass", *KINDS}
     assert {n: m["kind"] for n, m in saved["models"].items()} == {"mass": "grey", **dict.fromkeys(KINDS, "black")}
     assert saved["models"]["mass"]["validation"]["y"]["rmse"] == pytest.approx(NOISE, rel=0.2)
+    assert saved["remarks"] == ["second.csv: output 'y' has 3 gaps in 90 rows"]
     assert saved["validation"] == ["first", "second"] and set(saved["data"]) == {"train", "first", "second"}
     names = sorted(p.name for p in (tmp_path / "out").iterdir())
     figures = [f"comparison-{record}.{kind}" for record in ("first", "second") for kind in ("png", "svg")]

@@ -121,7 +121,8 @@ def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
 def test_errors_further_ahead_stand_on_the_page_of_a_comparison(good: gb.Fit) -> None:
     other = bench(400)
     compared = gb.compare([good, gb.arx(other, output="x", na=2, nb=2, nk=1)], other, steps=[7])
-    html = render(page_of(compared))
+    html = render(page_of(compared, known=["bench.csv: output 'x' has 40 gaps"]))
+    assert "Record bench.csv: output &#39;x&#39; has 40 gaps." in html
     assert "7 samples ahead (rms)" in html
     ahead = compared["arx"].validation["x"].ahead_rmse[7]
     digits = f"{ahead:.4g}".partition("e")[0]

@@ -231,16 +231,20 @@ def _tell(
 ) -> None:
     from greybox.figures import comparison_figure
     from greybox.fitting.fit import versions
+    from greybox.fitting.notes import of_records
 
+    known = of_records([*records, *judges])
     prints = {e.name: e.fingerprint for e in (*records, *judges)}
-    saved = result.save(folder / "compare.json", {"data": prints, "versions": versions()})
+    saved = result.save(folder / "compare.json", {"data": prints, "remarks": known, "versions": versions()})
     if json:
         typer.echo(saved.read_text(encoding="utf-8"), nl=False)
     elif not quiet:
         typer.echo(str(result))
     try:
         figures = comparison_figure(result, folder)
-        report = None if fits is None else write_report(result, folder / "report.html", fits=fits, data=prints)
+        report = (
+            None if fits is None else write_report(result, folder / "report.html", fits=fits, data=prints, known=known)
+        )
     except KeyboardInterrupt:
         stop(f"interrupted while drawing; the comparison is in {saved}", INTERRUPTED)
     if not (quiet or json):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from greybox.comparison import Comparison, Entry, Score
 from greybox.fitting.versions import versions
@@ -19,11 +19,13 @@ MOST_DRAWN = 8  # records with curves; the tables have all
 
 
 def report_of_comparison(
-    comparison: Comparison, *, command: str = "", fits: Mapping[str, Fit] | None = None, data: Mapping[str, str] | None = None
+    comparison: Comparison, *, command: str = "", fits: Mapping[str, Fit] | None = None, data: Mapping[str, str] | None = None,
+    known: Sequence[str] = (),
 ) -> Page:  # fmt: skip
     """The page of a comparison.
 
-    ``fits``: the grey boxes' fits by the name of their entry, for their equations and constants; ``data``: fingerprint of each record.
+    ``fits``: the grey boxes' fits by the name of their entry, for their equations and constants; ``data``: fingerprint of each record,
+    ``known``: what is to be known of them.
     """
     sections = [
         Section("errors", "Who is how good", list(errors(comparison))),
@@ -32,7 +34,7 @@ def report_of_comparison(
     ]
     if fits:
         sections.append(Section("physics", "The physical models", list(_physics(fits))))
-    sections.append(_data(comparison, data or {}))
+    sections.append(_data(comparison, data or {}, known))
     sections.append(Section("repeat", "How to repeat it", [*shell(command), named("Versions", versions())]))
     outputs = listed(list(comparison.outputs))
     where = "records that none of them was fitted to" if comparison.validation else "the records they were fitted to"
@@ -143,7 +145,7 @@ def _physics(fits: Mapping[str, Fit]) -> Iterator[Block]:
         yield from blocks if k == 0 else [Folded(name, blocks)]
 
 
-def _data(comparison: Comparison, prints: Mapping[str, str]) -> Section:
+def _data(comparison: Comparison, prints: Mapping[str, str], known: Sequence[str]) -> Section:
     rows = []
     for use, records in (("fitted", comparison.training), ("judged by", comparison.validation)):
         for record in records:
@@ -152,6 +154,6 @@ def _data(comparison: Comparison, prints: Mapping[str, str]) -> Section:
             length = [str(len(run.time)), f"{run.time[-1] - run.time[0]:.6g} s"] if run is not None else ["", ""]
             rows.append([record, use, *length, prints.get(record, "")[:12]])
     left = f"The first {comparison.skip} rows of each judging record do not count." if comparison.skip else ""
-    return Section(
-        "data", "The data", [Table("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, left)]
-    )
+    said = [Listing([sentence(f"record {note}") for note in known])] if known else []
+    table = Table("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, left)
+    return Section("data", "The data", [table, *said])
