@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from itertools import combinations
 from pathlib import Path
 
@@ -109,3 +111,47 @@ def test_each_file_is_drawn_once_and_equal_figures_are_equal_files(tmp_path: Pat
     assert axis.yaxis.label.get_window_extent().x0 > 0  # the layout was worked out, and without drawing
     for kind in ("png", "svg"):
         assert (tmp_path / f"one.{kind}").read_bytes() == (tmp_path / f"two.{kind}").read_bytes()
+
+
+PROGRAM = """
+import os, sys, threading
+from pathlib import Path
+from greybox.figures import several
+
+several.cores = lambda: 2
+here = os.getpid()
+def note(name, fails=False):
+    def job():
+        Path(name).write_text(str(os.getpid()))
+        if fails:
+            raise ValueError(f"{name} by {'us' if os.getpid() == here else 'a copy'}")
+    return job
+
+several.both([note("a"), note("b"), note("c")])
+print([Path(name).read_text() == str(here) for name in "abc"])
+for jobs in ([note("d", True), note("e")], [note("d"), note("e", True)]):
+    try:
+        several.both(jobs)
+    except ValueError as error:
+        print(error, Path("e").read_text() == str(here))
+    Path("e").unlink()
+try:
+    os.wait()
+except ChildProcessError:
+    print("no copy is left")
+wait = threading.Event()
+other = threading.Thread(target=wait.wait)
+other.start()
+several.both([note("f"), note("g")])
+print(Path("g").read_text() == str(here))
+wait.set()
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="a process is copied on Linux only")
+def test_half_of_the_pictures_are_drawn_in_a_copy_whose_failure_is_told_here(tmp_path: Path) -> None:
+    run = subprocess.run([sys.executable, "-c", PROGRAM], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert run.stderr == ""
+    assert run.stdout.splitlines() == [
+        "[True, False, True]", "d by us False", "e by us True", "no copy is left", "True",
+    ]  # fmt: skip

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from greybox.discovery.stand_in import closing
 from greybox.figures.discovery_residual import draw_residuals
 from greybox.figures.files import save
 from greybox.figures.scale import label, raised, scaled
+from greybox.figures.several import both
 from greybox.figures.sheet import HEADING, NAMES, NUMBERS, legends, panels, settle
 
 DATA, EFFECT, BEFORE, AFTER, FLOOR = "#8a8a8a", "#c0392b", "#b7950b", "#1f5a8a", "#dcdcdc"
@@ -27,21 +30,23 @@ def discovery_figures(found: Discovery, directory: str | Path) -> list[Path]:
     (of the stand-in) through it. ``residuals``: the validation error in time and by frequency, before and after, with the noise.
     ``candidates``: misfit over noise of the refitted candidates. ``gap``: rms misfit before and after beside the noise floor.
     """
-    drawn = {f"missing-{_file(m.effect)}": _missing(m) for m in found.missing}
+    drawings: dict[str, Callable[[], Figure]]
+    drawings = {f"missing-{_file(m.effect)}": partial(_missing, m) for m in found.missing}
     if found.stand_in is not None:
-        drawn["missing-unknown"] = _unknown(found.stand_in)
-    drawn["residuals"] = draw_residuals(found)
+        drawings["missing-unknown"] = partial(_unknown, found.stand_in)
+    drawings["residuals"] = partial(draw_residuals, found)
     if found.ranking:
-        drawn["candidates"] = _candidates(found)
-    drawn["gap"] = _gap(found)
+        drawings["candidates"] = partial(_candidates, found)
+    drawings["gap"] = partial(_gap, found)
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    for name, figure in drawn.items():
-        file = folder / f"{name}.png"
-        save(figure, file)
-        files += [file, file.with_suffix(".svg")]
-    return files
+    pictures = [folder / f"{name}.png" for name in drawings]
+    both([partial(_draw, *one) for one in zip(drawings.values(), pictures, strict=True)])
+    return [file for picture in pictures for file in (picture, picture.with_suffix(".svg"))]
+
+
+def _draw(drawing: Callable[[], Figure], picture: Path) -> None:
+    save(drawing(), picture)
 
 
 def _file(name: str) -> str:
