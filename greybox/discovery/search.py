@@ -26,8 +26,9 @@ FAINT = 0.01
 SHORT, LEADING, GENERATIONS = 12, 5, 2
 # Models with a further effect that are refitted to convergence.
 FINISHED = 3
-# Shapes of one effect from which each is refitted.
+# Shapes of one effect from which each is refitted; so many that the leading effect is refitted from more starts, and from how many.
 MANY_SHAPES = 15
+FEW_SHAPES, MANY_STARTS = 4, 5
 # Effects put in the place of one that was chosen, refitted.
 SWAPS = 4
 
@@ -78,9 +79,12 @@ class Search:
 
     def _polish(self) -> None:
         """The leading effects once more, thoroughly: from several starts and to convergence."""
-        for t in sorted(self.singles, key=lambda t: t.criterion)[:LEADING]:
+        for place, t in enumerate(sorted(self.singles, key=lambda t: t.criterion)[:LEADING]):
             del self.tried[frozenset(t.effects)]
-            again = self._added(self.base, self._effect(t.effects[0]), more=[t.model.values])
+            effect = self._effect(t.effects[0])
+            # The cost of an effect of many shapes has many minima, and the name may be right in a wrong one.
+            keep = 2 if place or count_shapes(effect, self.scales) < FEW_SHAPES else MANY_STARTS
+            again = self._added(self.base, effect, keep, more=[t.model.values])
             best = again if again is not None and again.cost < t.cost else t
             self.tried[frozenset(t.effects)] = best
             self.singles[self.singles.index(t)] = best
