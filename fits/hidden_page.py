@@ -49,6 +49,11 @@ def right(row: Row) -> bool:
     return hit and all(any(name in names for names in row["right"]) for name in said)
 
 
+def _part(row: Row) -> bool:
+    """Whether nothing was said that is not true, or nothing was named."""
+    return row["verdict"] != "named" or all(any(name in names for names in row["right"]) for name in row["said"])
+
+
 def tied(row: Row) -> bool:
     """Right, or right within a declared tie of at most four."""
     group = {name for alternative in row["alternatives"] for name in alternative} | set(row["said"])
@@ -62,6 +67,8 @@ def _scores(rows: Sequence[Row]) -> str:
     }
     seen = {kind: [r for r in found if r["base"] >= VISIBLE] for kind, found in kinds.items()}
     effects = [r for r in rows if r["kind"] != "complete"]
+    both = [r for r in kinds["pair"] if all(left >= VISIBLE for left in r["each"])]
+    faint = [r for r in kinds["pair"] if r not in both]
     closed = [r["closed"] for r in seen["single"] + seen["pair"] + seen["relative"] if right(r)]
     constants = [c for r in rows if right(r) for c in r["constants"] if c["truth"]]
     errors = [abs(c["value"] / c["truth"] - 1) for c in constants]
@@ -76,7 +83,8 @@ def _scores(rows: Sequence[Row]) -> str:
         ("wrong or incomplete name with the verdict `named`", _share([r["verdict"] == "named" and not right(r) for r in effects])),
         ("effect outside the catalogue, visible: not falsely named", _share([r["verdict"] != "named" for r in seen["outside"]])),
         ("relative of a catalogued effect, visible: family named and nothing else", _share(map(right, seen["relative"]))),
-        ("two effects, visible: both and nothing else", _share(map(right, seen["pair"]))),
+        ("two effects, each visible beside the other: both and nothing else", _share(map(right, both))),
+        ("two effects, one hardly visible beside the other: nothing named that is not there", _share(map(_part, faint))),
         ("gap closed on the judging record where named rightly: median, tenth percentile", _two(closed)),
         ("constants of effects named rightly: median relative error", f"{np.median(errors):.3f} ({len(errors)})" if errors else "-"),
         ("constants inside their 95 % interval", _share(inside)),

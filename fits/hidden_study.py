@@ -19,7 +19,10 @@ from typing import Any
 import greybox as gb
 from fits.hidden_baselines import by_correlation, by_sparse_regression
 from fits.hidden_cases import Case, make
-from fits.hidden_page import write
+from fits.hidden_page import VISIBLE, write
+from greybox.discovery.attempt import scales_along
+from greybox.discovery.bench import Bench
+from greybox.effects import Scales, tailored
 from greybox.project import resolve
 
 # Kinds of ten cases in a row.
@@ -38,7 +41,11 @@ def study(folder: Path, cases: int, first: int, rows: int) -> None:
             case = make(seed, KINDS[seed % len(KINDS)], rows)
         except OverflowError:  # drawn so strong that the rig flies apart: no case
             continue
-        text = json.dumps(answered(case), indent=1) + "\n"
+        try:
+            answer = answered(case)
+        except gb.GreyboxError as error:  # a defect, which the page has to show
+            answer = failed(case, error)
+        text = json.dumps(answer, indent=1) + "\n"
         part = file.with_suffix(".part")
         part.write_text(text, encoding="utf-8")
         part.rename(file)
@@ -54,15 +61,58 @@ def answered(case: Case) -> dict[str, Any]:
     )
     seconds = time.process_time() - began
     worst = max(found.gap.values(), key=lambda g: g.before / g.floor)
-    return {
-        "name": case.name, "kind": case.kind, "rig": case.model, "truth": {n: dict(v) for n, v in case.effects.items()},
-        "right": case.right, "verdict": found.verdict, "said": [e["name"] for e in found.effects],
+    return hidden(case) | {
+        "verdict": found.verdict, "said": [e["name"] for e in found.effects],
         "alternatives": found.alternatives, "sites": list(found.sites),
         "base": max(g.before / case.sigma[o] for o, g in found.gap.items()), "closed": worst.closed,
         "curve": found.stand_in.closed if found.stand_in else None, "constants": _constants(case, found.effects),
-        "seconds": seconds, "colour": case.colour, "correlation": by_correlation(found.base, model, case),
-        "sparse": by_sparse_regression(model, case),
+        "seconds": seconds, "correlation": by_correlation(found.base, model, case),
+        "sparse": by_sparse_regression(model, case), "each": without_each(case, model),
     }  # fmt: skip
+
+
+def hidden(case: Case) -> dict[str, Any]:
+    """What is true of a case."""
+    truth = {name: dict(values) for name, values in case.effects.items()}
+    return {
+        "name": case.name, "kind": case.kind, "rig": case.model, "truth": truth, "right": case.right, "colour": case.colour,
+    }  # fmt: skip
+
+
+def failed(case: Case, error: gb.GreyboxError) -> dict[str, Any]:
+    """The row of a case that ended with an error."""
+    nothing: dict[str, Any] = {"said": [], "alternatives": [], "sites": [], "constants": [], "each": []}
+    return hidden(case) | nothing | {
+        "verdict": f"error: {error}", "base": VISIBLE, "closed": 0.0, "curve": None, "seconds": 0.0, "correlation": "", "sparse": "",
+    }  # fmt: skip
+
+
+def without_each(case: Case, model: gb.Model) -> list[float]:
+    """Of two effects, the misfit on the judging record without each, over that with both; the larger ratio of all outputs.
+
+    Below `VISIBLE` nothing could name that one. (Noise of a colour leaves more or less than its level on one record.)
+    """
+    if len(case.effects) < 2:
+        return []
+    bench = Bench(model, (case.estimation,), dict(case.sigma), (), gb.FitOptions(at_rest=True))
+    scales = scales_along(bench.base)
+    both = _misfit(case, bench, scales, list(case.effects))
+    one = [_misfit(case, bench, scales, [kept for kept in case.effects if kept != name]) for name in case.effects]
+    return [max(left[o] / both[o] for o in both) for left in one]
+
+
+def _misfit(case: Case, bench: Bench, scales: Scales, names: Sequence[str]) -> dict[str, float]:
+    """Rms misfit on the judging record by output, of the model with these effects, fitted from the true constants."""
+    model = bench.base.model
+    for name in names:
+        model = model + tailored(gb.effect(name), scales)
+    truth = {n: v for n, v in case.base.items() if n in model.values}
+    for bound in model.bound_effects:
+        truth |= {bound.own[n]: v for n, v in case.effects[bound.effect.name].items()}
+    trial = bench.best(model, [truth, model.values])
+    found = model if trial is None else trial.model
+    seen = gb.validate(found, case.validation, noise=case.sigma, options=bench.options)
+    return {name: m.rmse for name, m in seen.misfit.items()}
 
 
 def _constants(case: Case, effects: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
