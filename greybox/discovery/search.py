@@ -16,9 +16,10 @@ from greybox.discovery.starts import LADDER, candidate_starts, child_starts, cou
 from greybox.effects import Scales
 from greybox.model import Effect, Model
 
-# First picks that a second effect is looked for beside: two effects may explain together what neither does alone.
-BEAM = 6
-# Further effects that are refitted beside all of these, and effects at most.
+# First picks that a second effect is looked for beside, and how many of them at a time: two effects may explain together what
+# neither does alone, so the later ones count where the leading ones lead nowhere.
+BEAM, ABREAST = 6, 3
+# Further effects that are refitted beside each group of first picks, and effects at most.
 SECONDS, MOST_EFFECTS = 12, 3
 # Amplitude at which an effect is nearly absent, as a multiple of its probe: what a first effect left over may be that small.
 FAINT = 0.01
@@ -57,8 +58,7 @@ class Search:
     def first(self) -> Trial:
         """The best model with a single effect, whether or not the data demand it."""
         if not self.singles:
-            names = [e.name for e in self.candidates]
-            self._try([e for e in self.candidates if not set(e.parents) & set(names)])
+            self._try([e for e in self.candidates if not self._parents(e)])
             for _ in range(GENERATIONS):  # children of parents that did well, and theirs
                 leading = {t.effects[0] for t in sorted(self.singles, key=lambda t: t.criterion)[:LEADING]}
                 done = {t.effects[0] for t in self.singles}
@@ -190,15 +190,23 @@ class Search:
             # A family is carried on by its plainest member: the others cost more and say the same.
             ranked = [self._plainest(t) for t in (chosen, *sorted(self.singles, key=lambda t: t.criterion))]
             firsts = list({t.effects: t for t in ranked}.values())[:BEAM]
+        best: Trial | None = None
+        for k in range(0, len(firsts), ABREAST):
+            found = self._beside(firsts[k : k + ABREAST])
+            best = min((t for t in (best, found) if t is not None), key=lambda t: t.criterion, default=None)
+            if best is not None and not self._suspicious(best):
+                break
+        return best and self._parsimonious(best, list(self.tried.values()))
+
+    def _beside(self, firsts: Sequence[Trial]) -> Trial | None:
+        """The best model with one effect more than one of ``firsts``."""
         promising = self._promising(firsts, SECONDS)
         grouped = [(first, [e for trial, e in promising if trial is first]) for first in firsts]
-        found = sorted(
-            (t for first, effects in grouped for t in self._added_all(first, effects)), key=lambda t: t.criterion
-        )
+        found = [t for first, effects in grouped for t in self._added_all(first, effects)]
         if not found:
             return None
-        best = min((self._finished(t) for t in found[:FINISHED]), key=lambda t: t.criterion)
-        return self._parsimonious(self._grown(best), list(self.tried.values()))
+        leading = sorted(found, key=lambda t: t.criterion)[:FINISHED]
+        return self._grown(min((self._finished(t) for t in leading), key=lambda t: t.criterion))
 
     def _plainest(self, trial: Trial) -> Trial:
         """The tried parent of a single effect, or its parent's parent."""
@@ -219,7 +227,8 @@ class Search:
     def _promising(self, firsts: Sequence[Trial], most: int) -> list[tuple[Trial, Effect]]:
         """The ``most`` further effects, each beside one of ``firsts``, that promise most: all nearly absent, the better ones at larger
         amplitudes too."""
-        room = [(t, e) for t in firsts for e in self.candidates if e.name not in t.effects and not self._family(e, t)]
+        plain = [e for e in self.candidates if not self._parents(e)]  # a family is represented by its plainest member
+        room = [(t, e) for t in firsts for e in plain if e.name not in t.effects and not self._family(e, t)]
         best: dict[tuple[str, ...], float] = {}
         for rung, few in zip((FAINT, *LADDER), (len(room), 2 * most, 2 * most), strict=True):
             for t, e in sorted(room, key=lambda one: self._hope(one[0], one[1], FAINT))[:few]:
@@ -298,6 +307,10 @@ class Search:
                 if simpler is not None and simpler.cost - best.cost <= need:
                     return self._parsimonious(simpler, among)
         return best
+
+    def _parents(self, effect: Effect) -> set[str]:
+        """The parents of ``effect`` that are candidates."""
+        return set(effect.parents) & {e.name for e in self.candidates}
 
     def _family(self, effect: Effect, trial: Trial) -> bool:
         """Whether ``effect`` is a parent or child of one in ``trial``: a family is represented once."""
