@@ -58,7 +58,7 @@ def _sentences(
         )
     if not look.missing:
         yield "what is missing hardly shows in the estimation records: learn from longer ones, or such that reach as far as the validation"
-    beyond = _beyond(base, look, stand_in, judges)
+    beyond = [] if enough else _beyond(base, look, stand_in, judges)
     yield from beyond
     if stand_in is not None:
         yield from _of_tone(stand_in) if stand_in.tone is not None else _of_curve(stand_in)
