@@ -61,8 +61,13 @@ def test_a_record_that_reaches_beyond_what_is_known_is_named():
     )
     far = gb.Experiment("far", test.time, test.inputs, {"s": 3 * test.outputs["s"]})
     assert "learn from records that cover the whole range" in " ".join(advice(base, look, found, (far,)))
-    none = " ".join(advice(base, look, None, (test,)))
+    same = base.traces[0].experiment
+    none = " ".join(advice(base, look, None, (same,)))
     assert "measure p_a and p_b as well" in none
+    assert "record the same motion slowly and fast" in none
+    near = advice(base, look, None, (same,), "coulomb_friction")
+    assert near[0].startswith("go on with coulomb_friction and look for what takes a share of the rest")
+    assert "slowly and fast" not in " ".join(near)
 
 
 def test_a_noise_that_nobody_told_is_doubted_where_nothing_seems_missing():

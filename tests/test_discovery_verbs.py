@@ -10,6 +10,7 @@ from greybox.discovery.attempt import judged
 from greybox.discovery.bench import Bench
 from greybox.discovery.refit import Outcome
 from greybox.discovery.region import regions
+from greybox.discovery.shape import shape_of
 from greybox.discovery.when import windows
 from greybox.fitting import FitOptions
 from models.micro_actuator import micro_actuator
@@ -77,6 +78,7 @@ def test_an_effect_that_is_not_there_is_not_kept():
         (lambda z: 5 * z**3, "odd", "faster"),
         (lambda z: 4 * np.sign(z) * np.maximum(np.abs(z) - 0.6, 0), "odd", "flat middle (to about 0.6 m)"),
         (lambda z: 3 * np.maximum(z - 0.5, 0), "neither", "a bend at 0.5 m"),
+        (lambda z: -np.sqrt(np.abs(z)), "even", "kink at zero"),
         (lambda z: np.cos(2 * np.pi * z / 0.31), "neither", "periodic, every 0.31 m"),
     ],
 )
@@ -93,6 +95,19 @@ def test_a_shape_is_told_by_its_variable(curve, parity, words):
     assert "".join(wanted[::2]) in "".join(told[::2])
     assert [float(v) for v in told[1::2]] == pytest.approx([float(v) for v in wanted[1::2]], rel=0.05)
     assert (best.period is not None) == ("periodic" in words)
+
+
+@pytest.mark.parametrize(
+    ("curve", "words"),
+    [
+        (lambda z: z**2, "curving upwards"),
+        (lambda z: -(z**2), "curving downwards"),
+        (lambda z: np.maximum(z - 4, 0), "a bend at 4.1"),
+    ],
+)
+def test_a_curve_on_one_side_of_zero_is_told_by_its_bend(curve, words):
+    z = np.linspace(0, 10, 30)
+    assert words in shape_of(z, curve(z), np.ones(30), "V")[1]
 
 
 def test_a_tone_that_the_input_does_not_have_is_told_by_its_frequency():

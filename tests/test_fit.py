@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import cloudpickle
 import numpy as np
 import pytest
@@ -139,6 +140,21 @@ def test_a_fit_begins_at_the_initial_states_it_is_given():
     )  # fmt: skip
     assert again.traces[0].initial_state["x"] == pytest.approx(-2.0, rel=1e-8)
     assert again.solver["passes"] < given.solver["passes"]
+
+
+WIDTH = Parameter("w", "m", 0.1, fixed=True, source="a test")
+
+
+def test_a_constant_that_acts_far_from_the_records_is_not_determined():
+    far = replace(
+        SQUARED, name="far", parameters=[*SQUARED.parameters, Parameter("c", "m/s", 0.1, source="a test"), WIDTH],
+        balances=lambda x, u, p: [
+            Balance("rate", "m/s", 1, "x", decay=-p.k * x.x, drive=u.u, bump=p.c * ca.exp(-((x.x / p.w - 35) ** 2)))
+        ],
+    )  # fmt: skip
+    found = fit(far, decaying(1.6, 1.4), noise={"y": 1e-3})
+    assert found.parameters["k"].value == pytest.approx(3.0, rel=1e-6)
+    assert found.parameters["c"].std is None or found.parameters["c"].std > 1e10
 
 
 @pytest.mark.parametrize(

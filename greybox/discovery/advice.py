@@ -19,9 +19,15 @@ MAINS, NEAR, MULTIPLES = (50.0, 60.0), 0.01, 6
 BEYOND = 0.1
 
 
-def advice(base: Fit, look: Unexplained, stand_in: StandIn | None, judges: Sequence[Experiment]) -> tuple[str, ...]:
-    """Sentences, the most promising first: for the ``base`` model, what it leaves over (``look``), and what stands in for that."""
-    return tuple(_sentences(base, look, stand_in, judges))
+def advice(
+    base: Fit, look: Unexplained, stand_in: StandIn | None, judges: Sequence[Experiment], nearest: str = ""
+) -> tuple[str, ...]:
+    """Sentences, the most promising first: for the ``base`` model, what it leaves over (``look``), and what stands in for that.
+
+    ``nearest``: the look-alike, where it closes the larger part of the gap on the ``judges``.
+    """
+    further = f"go on with {nearest} and look for what takes a share of the rest (greybox discover --further; in Python further)"
+    return (*([further] if nearest else []), *_sentences(base, look, stand_in, judges, bool(nearest)))
 
 
 def doubt(base: Fit) -> tuple[str, ...]:
@@ -42,7 +48,7 @@ def _guessed(base: Fit) -> list[str]:
 
 
 def _sentences(
-    base: Fit, look: Unexplained, stand_in: StandIn | None, judges: Sequence[Experiment]
+    base: Fit, look: Unexplained, stand_in: StandIn | None, judges: Sequence[Experiment], partly: bool
 ) -> Iterator[str]:  # fmt: skip
     enough = stand_in is not None and stand_in.closed >= rules.HELD_OUT
     if _guessed(base) and not enough:
@@ -52,11 +58,11 @@ def _sentences(
         )
     if not look.missing:
         yield "what is missing hardly shows in the estimation records: learn from longer ones, or such that reach as far as the validation"
-    beyond = _beyond(base, look, stand_in, judges)
+    beyond = [] if enough else _beyond(base, look, stand_in, judges)
     yield from beyond
     if stand_in is not None:
         yield from _of_tone(stand_in) if stand_in.tone is not None else _of_curve(stand_in)
-    elif look.missing and not beyond:
+    elif look.missing and not (beyond or partly):
         yield (
             "no curve over one variable explains it: record the same motion slowly and fast, and at two amplitudes; what differs then has"
             " a memory (play, hysteresis, creep, a part that moves by itself)"

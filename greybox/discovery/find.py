@@ -17,7 +17,7 @@ from greybox.discovery.bench import Bench, Trial
 from greybox.discovery.colour import KNOWN, LEFT_OVER, colour_known, remainder, renoised
 from greybox.discovery.gap import Gap, gaps
 from greybox.discovery.hidden import hidden
-from greybox.discovery.look import looked
+from greybox.discovery.look import Unexplained, looked
 from greybox.discovery.missing import missing_signals
 from greybox.discovery.refit import Journal, Refits
 from greybox.discovery.result import Discovery, Rank
@@ -227,9 +227,7 @@ def _discovery(found: Evidence, notes: Sequence[str], seconds: float) -> Discove
     tests = [s[0] for rival in found.rivals if (s := separations(search.bench, chosen, rival))]
     limits = hidden(search.singles) if verdict == "complete" else []
     curve = _stand_in(found) if verdict == "unknown" else None
-    steps = advice(found.base, look, curve, found.judges) if verdict == "unknown" else ()
-    if verdict == "complete":
-        steps = doubt(found.base)
+    steps = _next(found, look, curve) if verdict == "unknown" else doubt(found.base) if verdict == "complete" else ()
     signals = missing_signals(search.bench, chosen) if chosen.effects else ()
     if found.refined is not chosen and verdict != "unknown":
         added = " + ".join(e for e in found.refined.effects if e not in chosen.effects)
@@ -246,7 +244,7 @@ def _discovery(found: Evidence, notes: Sequence[str], seconds: float) -> Discove
 
 def _stand_in(found: Evidence) -> StandIn | None:
     """A tone or a smooth curve for all that the plain model lacks. Where that is not enough, and the nearest look-alike explains the
-    larger part, one for what this leaves over, if the two together do clearly better."""
+    larger part, one for what this leaves over, if the two together do clearly better. Nothing that closes less than the look-alike."""
     search, chosen = found.search, found.chosen
     helps = found.worst.closed > rules.PARTLY and chosen.effects
     bench, best = replace(search.bench, plain=found.plain), None
@@ -255,9 +253,18 @@ def _stand_in(found: Evidence) -> StandIn | None:
             break
         given = (bench, trial, looked(trial), found.judges, found.base, found.skip)
         made = tone_in_place(*given) or stand_in(*given)
-        if made is not None and (best is None or made.closed > best.closed + CLEARLY):
+        if made is None or (helps and made.closed < found.worst.closed):
+            continue
+        if best is None or made.closed > best.closed + CLEARLY:
             best = made
     return best
+
+
+def _next(found: Evidence, look: Unexplained, made: StandIn | None) -> tuple[str, ...]:
+    """What to do next about something unknown; a look-alike is gone on with where nothing that stands in does better."""
+    close = found.worst.closed >= rules.HELD_OUT and (made is None or made.closed < rules.HELD_OUT)
+    nearest = " + ".join(found.chosen.effects) if close else ""
+    return advice(found.base, look, made, found.judges, nearest)
 
 
 def _told(test: Separation) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 # Share of an odd (or even) part from which a curve is called odd (or even), of a shape from which it has a name, and of a bend.
 PARITY, NAMED, BENT = 0.75, 0.6, 0.9
-# Share of zero's neighbours without which a curve lies on one side of it; widths and places of a bend that are tried.
+# Share of the reach below which a curve lies on one side of zero; widths and places of a bend that are tried.
 ONE_SIDE, TRIED = 0.2, 33
 # Half-width of a flat middle over the reach from which it is one: a narrower one is the other side of a step.
 NARROWEST = 0.2
@@ -41,15 +41,24 @@ def shape_of(z: np.ndarray, f: np.ndarray, count: np.ndarray, unit: str = "") ->
         return "neither", "no shape beyond a straight line"
     bend, share = _bend(s, curve, rest)
     bent = f"a bend at {reach * bend:.3g} {unit}".rstrip()
+    parabola = _likeness(curve, rest(s**2))
+    bends = share > BENT and 1 - share < LOWERED * (1 - parabola**2)
     if s.min() > -ONE_SIDE or s.max() < ONE_SIDE:
-        return "neither", bent if share > BENT else "on one side of zero only"
+        return "neither", bent if bends else _curving(parabola)
     parity = _parity(s, f, rest)
     name, likeness = _likest(s, curve, rest, parity, f" (to about {{:.3g}} {unit})".rstrip(), reach)
     if likeness > NAMED:
         return parity, name
-    if share > BENT:
+    if bends:
         return parity, bent
     return parity, f"{parity} in shape" if parity != "neither" else "neither odd nor even"
+
+
+def _curving(likeness: float) -> str:
+    """How a curve on one side of zero goes, by its likeness to a parabola."""
+    if likeness**2 < NAMED:
+        return "of no simple shape"
+    return "curving upwards" if likeness > 0 else "curving downwards"
 
 
 def _parity(s: np.ndarray, f: np.ndarray, rest: Rest) -> str:

@@ -28,6 +28,8 @@ LITTLE = 0.1
 RESIDUALS_PER_UNKNOWN = 10
 # Directions of a part with less than this share of its largest curvature are left alone.
 UNDETERMINED = 1e-10
+# Slopes (in units of the noise) below which a constant does not act in a part.
+FAINT = 1e-100
 
 
 # Small and large motion are told apart in so many windows of a record, over so many correlation times of the residual at least, if
@@ -192,7 +194,7 @@ def _part(
         information[np.ix_(columns, columns)] += slopes.T @ slopes
         score[columns] += slopes.T @ r[there]
     scale = np.sqrt(np.diag(information))
-    scale[scale == 0] = 1.0
+    scale[scale < FAINT] = 1.0  # what hardly acts in this part at all: its square is next to underflow
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     weak = values <= UNDETERMINED * values.max(initial=0.0)
     inverse = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
