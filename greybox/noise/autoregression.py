@@ -58,9 +58,10 @@ class AutoRegression:
             return np.append(rho, np.zeros(count - 1))
         # Yule and Walker: rho[k] - a1 rho[k-1] - ... - ap rho[k-p] = 0 from lag p on, a banded triangle of equations. BLAS solves
         # it as fast as a filter would, and `scipy.signal` takes half a second to import.
-        diagonals = np.append(1.0, -self.coefficients)[:, None].repeat(count, axis=1)
+        row = np.append(1.0, -self.coefficients)
+        diagonals = np.tile(row, (count, 1)).T  # as BLAS has it in memory
         known = np.zeros(count)
-        known[: len(rho)] = np.convolve(diagonals[:, 0], rho)[: len(rho)]
+        known[: len(rho)] = np.convolve(row, rho)[: len(rho)]
         return np.asarray(dtbsv(self.order, diagonals, known, lower=1, diag=1))
 
     def whiten(self, values: np.ndarray) -> np.ndarray:

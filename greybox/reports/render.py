@@ -8,6 +8,7 @@ from base64 import b64encode
 from functools import cache
 from html import escape
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -117,5 +118,8 @@ def _inside(name: str) -> Markup:
 @cache
 def _plotly() -> Markup:
     """Plotly's own script, packed; the page unpacks it. Read as a file: importing plotly takes time, and 5 MB become 2."""
-    script = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
+    home = find_spec("plotly")  # `files` would import it
+    if home is None or not home.submodule_search_locations:
+        raise DataError("a page with figures needs plotly, which is not installed; pip install plotly")
+    script = Path(home.submodule_search_locations[0], "package_data", "plotly.min.js").read_bytes()
     return Markup(b64encode(gzip.compress(script, PACKING, mtime=0)).decode())
