@@ -49,7 +49,6 @@ class Search:
     singles: list[Trial] = field(init=False, default_factory=list)
     tried: dict[frozenset[str], Trial] = field(init=False, default_factory=dict)
     form: dict[frozenset[str], Trial] = field(init=False, default_factory=dict)
-    extended: dict[tuple[str, ...], Model] = field(init=False, default_factory=dict)
     hopes: dict[frozenset[str], dict[tuple[str, float], float]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -138,7 +137,7 @@ class Search:
         """``trial`` with one more effect, refitted from the ``keep`` best starts (once for each set of effects)."""
         key = frozenset((*trial.effects, effect.name))
         if key not in self.tried:
-            model = self._with(trial, effect)
+            model = trial.model + effect
             found = self.bench.best(model, self._starts(trial, effect, model, more), keep, iterations)
             if found is None:
                 return None
@@ -151,7 +150,7 @@ class Search:
         new = [(key, e) for key, e in zip(keys, effects, strict=True) if key not in self.tried]
         jobs = []
         for _, e in new:
-            model = self._with(trial, e)
+            model = trial.model + e
             starts, shapes = self._starts(trial, e, model), count_shapes(e, self.scales)
             # Where there are so many shapes (frequencies of a sharp resonance), a step from afar foresees nothing: refit from each.
             narrow = shapes > MANY_SHAPES and not trial.effects
@@ -160,13 +159,6 @@ class Search:
             if found is not None:
                 self.tried[key] = found
         return [self.tried[key] for key in keys if key in self.tried]
-
-    def _with(self, trial: Trial, effect: Effect) -> Model:
-        """``trial.model + effect``; the equations are written out once for every set of effects."""
-        key = (*trial.effects, effect.name)
-        if key not in self.extended:
-            self.extended[key] = trial.model + effect
-        return self.extended[key].start(**trial.model.values)
 
     def _starts(self, trial: Trial, effect: Effect, model: Model, more: Sequence[Start] = ()) -> list[Start]:
         """Where the refit of ``model``, which is ``trial`` with ``effect``, begins."""
@@ -250,7 +242,7 @@ class Search:
         """The cost that a step from ``first`` with some of ``effect`` foresees."""
         known = self.hopes.setdefault(frozenset(first.effects), {})
         if (effect.name, rung) not in known:
-            model = self._with(first, effect)
+            model = first.model + effect
             starts = candidate_starts(model, effect, first, first.model, self.scales, (rung,))
             known[effect.name, rung] = self.bench.promise(model, starts)
         return known[effect.name, rung]
