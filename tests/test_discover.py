@@ -95,7 +95,7 @@ SHORT = [
     (pneumatic_cylinder, {"valve_lag": {"tau_v": 0.08}}, AIR, ("transport_delay", "sensor_lag")),
     (pneumatic_cylinder, {"backlash": {"gap": 2e-3}}, AIR, ("coulomb_friction", "sensor_lag")),
     # Refits from afar are lost without damped steps, a weak effect beside a strong one unless it is looked for nearly absent.
-    (micro_actuator, {"bouc_wen_hysteresis": {"alpha": 60.0, "beta": 8000.0, "gamma": -3000.0}}, WELL, ("viscoelastic_creep", "second_mode")),
+    (micro_actuator, {"bouc_wen_hysteresis": {"alpha": 60.0, "beta": 8e3, "gamma": -3e3}}, WELL, ("viscoelastic_creep", "second_mode")),
     (micro_actuator, {"lugre_friction": {"Fc": 0.04, "Fs": 0.07, "vs": 0.01, "s0": 9000.0, "s1": 2.0}}, WELL, ("bouc_wen_hysteresis",)),
     (micro_actuator, {"soft_saturation": {"u_max": 5.0}}, WELL, ("input_saturation", "winding_heating")),
     (micro_actuator, {"cubic_stiffness": {"K3": 2e10}, "coulomb_friction": {"Fc": 1e-3}}, WELL, ("input_offset", "sensor_lag")),

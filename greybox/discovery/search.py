@@ -19,8 +19,8 @@ from greybox.model import Effect, Model
 # First picks that a second effect is looked for beside, and how many of them at a time: two effects may explain together what
 # neither does alone, so the later ones count where the leading ones lead nowhere.
 BEAM, ABREAST = 6, 3
-# Further effects that are refitted beside each group of first picks, and effects at most.
-SECONDS, MOST_EFFECTS = 12, 3
+# Further effects that are refitted beside each of the leading first picks, or beside all the later ones; and effects at most.
+SECONDS, MOST_EFFECTS = 4, 3
 # Amplitude at which an effect is nearly absent, as a multiple of its probe: what a first effect left over may be that small.
 FAINT = 0.01
 # Iterations of a first, short refit; effects that are then refitted thoroughly; generations of children (Coulomb, Stribeck, LuGre).
@@ -184,21 +184,22 @@ class Search:
             firsts = list({t.effects: t for t in ranked}.values())[:BEAM]
         best: Trial | None = None
         for k in range(0, len(firsts), ABREAST):
-            found = self._beside(firsts[k : k + ABREAST])
+            found = self._beside(firsts[k : k + ABREAST], leading=k == 0)
             best = min((t for t in (best, found) if t is not None), key=lambda t: t.criterion, default=None)
             if best is not None and not self._suspicious(best):
                 break
         return best and self._parsimonious(best, list(self.tried.values()))
 
-    def _beside(self, firsts: Sequence[Trial]) -> Trial | None:
-        """The best model with one effect more than one of ``firsts``."""
-        promising = self._promising(firsts, SECONDS)
+    def _beside(self, firsts: Sequence[Trial], leading: bool) -> Trial | None:
+        """The best model with one effect more than one of ``firsts``; less is tried where these are not the ``leading`` ones."""
+        rungs, most = (LADDER, SECONDS * len(firsts)) if leading else ((), SECONDS)
+        promising = self._promising(firsts, most, rungs)
         grouped = [(first, [e for trial, e in promising if trial is first]) for first in firsts]
         found = [t for first, effects in grouped for t in self._added_all(first, effects)]
         if not found:
             return None
-        leading = sorted(found, key=lambda t: t.criterion)[:FINISHED]
-        return self._grown(min((self._finished(t) for t in leading), key=lambda t: t.criterion))
+        finished = [self._finished(t) for t in sorted(found, key=lambda t: t.criterion)[:FINISHED]]
+        return self._grown(min(finished, key=lambda t: t.criterion))
 
     def _plainest(self, trial: Trial) -> Trial:
         """The tried parent of a single effect, or its parent's parent."""
@@ -216,13 +217,16 @@ class Search:
                     break
         return trial
 
-    def _promising(self, firsts: Sequence[Trial], most: int) -> list[tuple[Trial, Effect]]:
-        """The ``most`` further effects, each beside one of ``firsts``, that promise most: all nearly absent, the better ones at larger
-        amplitudes too."""
+    def _promising(
+        self, firsts: Sequence[Trial], most: int, rungs: Sequence[float] = LADDER
+    ) -> list[tuple[Trial, Effect]]:
+        """The ``most`` further effects, each beside one of ``firsts``, that promise most: all nearly absent, the better ones at the
+        amplitudes ``rungs`` too."""
         plain = [e for e in self.candidates if not self._parents(e)]  # a family is represented by its plainest member
         room = [(t, e) for t in firsts for e in plain if e.name not in t.effects and not self._family(e, t)]
         best: dict[tuple[str, ...], float] = {}
-        for rung, few in zip((FAINT, *LADDER), (len(room), 2 * most, 2 * most), strict=True):
+        for rung in (FAINT, *rungs):
+            few = len(room) if rung == FAINT else 2 * most
             for t, e in sorted(room, key=lambda one: self._hope(one[0], one[1], FAINT))[:few]:
                 key = (*t.effects, e.name)
                 best[key] = min(best.get(key, np.inf), self._hope(t, e, rung))
@@ -295,10 +299,15 @@ class Search:
             for parent in self._effect(name).parents:
                 wanted = {parent if n == name else n for n in best.effects}
                 simpler = next((t for t in among if set(t.effects) == wanted), None)
-                need = max(rules.CHILD, rules.CHILD_SHARE * (self.base.cost - best.cost))
-                if simpler is not None and simpler.cost - best.cost <= need:
+                if simpler is not None and simpler.cost - best.cost <= self._allowed(simpler, best):
                     return self._parsimonious(simpler, among)
         return best
+
+    def _allowed(self, simpler: Trial, best: Trial) -> float:
+        """By how much the simpler member of a family may do worse: a share of what ``best`` gains, but where only that one leaves noise."""
+        if best.per_sample <= rules.threshold(best.count) < simpler.per_sample:
+            return rules.CHILD
+        return max(rules.CHILD, rules.CHILD_SHARE * (self.base.cost - best.cost))
 
     def _parents(self, effect: Effect) -> set[str]:
         """The parents of ``effect`` that are candidates."""

@@ -19,7 +19,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -57,15 +57,18 @@ class Compiler:
     version: str
 
 
-def load(source: str) -> ctypes.CDLL:
-    """The library compiled from C ``source``, from the cache where it is there already. Raises CompilerError."""
+def load(source: Callable[[], str], key: str) -> ctypes.CDLL:
+    """The library compiled from the C text that ``source()`` writes, from the cache where it is there already.
+
+    ``key`` says what the text is made from: it is not written where a library of that key is there. Raises CompilerError.
+    """
     compiler = find_compiler()
     flags = (*FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
-    key = "\0".join([source, *flags, *compiler.command, compiler.version, machine()])
-    name = f"{hashlib.sha256(key.encode()).hexdigest()}{SUFFIX}"
+    whole = "\0".join([key, writer(), *flags, *compiler.command, compiler.version, machine()])
+    name = f"{hashlib.sha256(whole.encode()).hexdigest()}{SUFFIX}"
     path = cache_folder() / name
     if not _whole(path):
-        _compile(compiler, flags, source, path)
+        _compile(compiler, flags, source(), path)
     try:
         return ctypes.CDLL(str(path))
     except OSError as error:
@@ -82,6 +85,16 @@ def find_compiler() -> Compiler:
 def cache_folder() -> Path:
     """Where compiled libraries are kept; a temporary folder for this process if the usual one cannot be written."""
     return _writable(_usual_cache())
+
+
+@lru_cache
+def writer() -> str:
+    """What distinguishes one version of the program that writes the C text from another: its own text."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.rglob("*")):
+        if file.suffix in (".py", ".c", ".h"):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 @lru_cache

@@ -48,7 +48,20 @@ class CompiledKernel:
         self.description = f"compiled C, {step.label}"
         self.sizes = Sizes.of(step)
         self._libraries: dict[tuple[int, int, bool], Library] = {}
-        self._simulate = _declared(load(self.source()).simulate, None, (ctypes.c_int, ctypes.c_int), 8)
+        self._simulate = _declared(self._load(0, 0, True).simulate, None, (ctypes.c_int, ctypes.c_int), 8)
+
+    def _load(self, width: int, blocks: int, first_order: bool) -> ctypes.CDLL:
+        """The library of `source`. Writing that takes longer than loading one that was compiled before, so it is known by the functions."""
+        return load(
+            lambda: self.source(width, blocks, first_order),
+            f"{self._functions} {width} {blocks} {first_order} {self._once}",
+        )
+
+    @cached_property
+    def _functions(self) -> str:
+        """The functions of the step, as CasADi writes them down."""
+        known = (self.step.advance, self.step.outputs, self.step.generator)
+        return " ".join("" if f is None else f.serialize() for f in known)
 
     @cached_property
     def _tapes(self) -> tuple[Tape, Tape]:
@@ -161,7 +174,7 @@ class CompiledKernel:
         width = vector_width(directions)
         shape = (width, _padded(directions) // width, first_order)
         if shape not in self._libraries:
-            library = load(self.source(*shape))
+            library = self._load(*shape)
             sums = _declared(library.sums, ctypes.c_long, (ctypes.c_int, ctypes.c_int), 14)
             hold = _declared(library.hold, None, (), 5) if self.step.generator is not None else None
             self._libraries[shape] = Library(sums, hold)
