@@ -78,12 +78,14 @@ class Search:
 
     def _polish(self) -> None:
         """The leading effects once more, thoroughly: from several starts and to convergence."""
-        for place, t in enumerate(sorted(self.singles, key=lambda t: t.criterion)[:LEADING]):
-            del self.tried[frozenset(t.effects)]
-            effect = self._effect(t.effects[0])
+        leading = sorted(self.singles, key=lambda t: t.criterion)[:LEADING]
+        jobs = []
+        for place, t in enumerate(leading):
+            effect, model = self._effect(t.effects[0]), self.base.model + self._effect(t.effects[0])
             # The cost of an effect of many shapes has many minima, and the name may be right in a wrong one.
             keep = 2 if place or count_shapes(effect, self.scales) < FEW_SHAPES else MANY_STARTS
-            again = self._added(self.base, effect, keep, more=[t.model.values])
+            jobs.append(Job(model, tuple(self._starts(self.base, effect, model, [t.model.values])), keep, ITERATIONS))
+        for t, again in zip(leading, self.bench.every(jobs), strict=True):
             best = again if again is not None and again.cost < t.cost else t
             self.tried[frozenset(t.effects)] = best
             self.singles[self.singles.index(t)] = best
@@ -130,19 +132,6 @@ class Search:
             if len(t.effects) == len(chosen.effects) and set(t.effects) != set(chosen.effects)
         ]
         return [t for t in same if t.criterion - chosen.criterion < rules.TIE and not self._related(t, chosen)]
-
-    def _added(
-        self, trial: Trial, effect: Effect, keep: int = 2, iterations: int = ITERATIONS, more: Sequence[Start] = ()
-    ) -> Trial | None:
-        """``trial`` with one more effect, refitted from the ``keep`` best starts (once for each set of effects)."""
-        key = frozenset((*trial.effects, effect.name))
-        if key not in self.tried:
-            model = trial.model + effect
-            found = self.bench.best(model, self._starts(trial, effect, model, more), keep, iterations)
-            if found is None:
-                return None
-            self.tried[key] = found
-        return self.tried[key]
 
     def _added_all(self, trial: Trial, effects: Sequence[Effect]) -> list[Trial]:
         """``trial`` with each effect in turn, one short refit from its most promising start: independent of one another."""
@@ -211,9 +200,9 @@ class Search:
         for name in trial.effects:
             for child in (e for e in self.candidates if name in e.parents and self._suspicious(trial)):
                 rest = self._refitted(trial, name)
-                grown = None if rest is None else self._added(rest, child, keep=1, iterations=SHORT)
-                if grown is not None and grown.criterion < trial.criterion:
-                    trial = self._finished(grown)
+                grown = [] if rest is None else self._added_all(rest, [child])
+                if grown and grown[0].criterion < trial.criterion:
+                    trial = self._finished(grown[0])
                     break
         return trial
 
