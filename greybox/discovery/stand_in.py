@@ -16,6 +16,7 @@ from greybox.discovery.places import Place, places
 from greybox.discovery.region import TIME, WORTH, Region
 from greybox.discovery.shape import shape_of
 from greybox.experiment import Experiment
+from greybox.fitting.choose import choose
 from greybox.result import Fit
 from greybox.result.frozen import ReadOnly
 
@@ -134,12 +135,21 @@ def stand_in(
         return None
     measured = [o.name for o in trial.model.outputs]
     place = next(p for p in places(trial.model, measured) if str(p) == found.signal.site)
-    tried = [(r, t) for r in worth if (t := _refitted(bench, trial, place, r, found.signal)) is not None]
+    refits = [(r, _refitted(bench, trial, place, r, found.signal)) for r in worth]
+    tried = [
+        (r, t) for r, t in refits if t is not None and (_by_segments(bench, bench.base) or not _by_segments(bench, t))
+    ]
     if not tried:
         return None
     region, better = min(tried, key=lambda one: one[1].criterion)
     drawn = _drawn(bench, better, place, region, found.signal, judges, base, skip)
     return drawn if drawn.closed >= USEFUL else None
+
+
+def _by_segments(bench: Bench, trial: Trial) -> bool:
+    """Whether the model is so unstable that it cannot be run freely; a curve that makes a stable one so stands in for nothing."""
+    there = replace(trial.problem, variables=trial.variables)
+    return choose(there, replace(bench.options, progressive=False)).transcription == "multiple"
 
 
 def _refitted(bench: Bench, trial: Trial, place: Place, region: Region, signal: Signal) -> Trial | None:
