@@ -58,7 +58,7 @@ CASES = [
 TOGETHER = [
     (micro_actuator, (
         "quadratic_damping", "cubic_stiffness", "quadratic_stiffness", "viscoelastic_creep", "bouc_wen_hysteresis", "second_mode",
-        "force_constant_droop", "winding_heating", "constant_load", "input_dead_zone", "input_offset", "sensor_drift",
+        "force_constant_droop", "winding_heating", "constant_load", "soft_saturation", "input_dead_zone", "input_offset", "sensor_drift",
     )),
     (micro_actuator, ("eddy_current",)),
     (pneumatic_cylinder, ("return_spring", "chamber_leakage", "supply_droop", "position_dependent_volume", "valve_dead_zone")),
