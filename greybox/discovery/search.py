@@ -25,6 +25,8 @@ SECONDS, MOST_EFFECTS = 4, 3
 FAINT = 0.01
 # Iterations of a first, short refit; effects that are then refitted thoroughly; generations of children (Coulomb, Stribeck, LuGre).
 SHORT, LEADING, GENERATIONS = 12, 5, 2
+# A short refit this many times as far from the records as another one that leaves only noise is out of the running.
+FAR = 4.0
 # Models with a further effect that are refitted to convergence.
 FINISHED = 3
 # Shapes of one effect from which each is refitted; so many that the leading effect is refitted from more starts, and from how many.
@@ -78,7 +80,8 @@ class Search:
 
     def _polish(self) -> None:
         """The leading effects once more, thoroughly: from several starts and to convergence."""
-        leading = sorted(self.singles, key=lambda t: t.criterion)[:LEADING]
+        ranked = sorted(self.singles, key=lambda t: t.criterion)
+        leading = [t for t in ranked[:LEADING] if self._open(t, ranked[0])]
         jobs = []
         for place, t in enumerate(leading):
             effect, model = self._effect(t.effects[0]), self.base.model + self._effect(t.effects[0])
@@ -89,6 +92,15 @@ class Search:
             best = again if again is not None and again.cost < t.cost else t
             self.tried[frozenset(t.effects)] = best
             self.singles[self.singles.index(t)] = best
+
+    def _open(self, t: Trial, best: Trial) -> bool:
+        """Whether a thorough refit of ``t`` may change anything: not where a parent of it leaves only noise already, nor where another
+        effect does and this one is far from it."""
+        noise = rules.chance(t.count)
+        parents = [p for p in self.singles if p.effects[0] in self._effect(t.effects[0]).parents]
+        if any(p.per_sample <= noise for p in parents):
+            return False
+        return best.per_sample > noise or t.per_sample <= FAR * best.per_sample
 
     def run(self) -> Trial:
         """The model that explains the records best without a part that is not needed; the plain one if nothing is missing."""

@@ -20,8 +20,8 @@ from greybox.fitting.choose import choose
 from greybox.result import Fit
 from greybox.result.frozen import ReadOnly
 
-# Variables that a curve is tried over; iterations of a refit; starts of it; periods, as shares of the one seen.
-TRIED, ITERATIONS, KEPT, PERIODS = 2, 30, 1, (1.0, 0.985, 1.015)
+# Variables that a curve is tried over; iterations of a refit, and of the fit that tells its intervals; starts; periods as shares of the one seen.
+TRIED, ITERATIONS, LAST, KEPT, PERIODS = 2, 30, 10, 1, (1.0, 0.985, 1.015)
 # Name of a tone as an effect; share of the gap that a curve must close to stand in for anything.
 TONE, USEFUL = "tone", 0.1
 # Points of a drawn curve; of a period.
@@ -176,7 +176,9 @@ def _drawn(
     bench: Bench, trial: Trial, place: Place, region: Region, signal: Signal, judges: Sequence[Experiment], base: Fit, skip: int
 ) -> StandIn:  # fmt: skip
     """The stand-in of a refitted ``trial``, judged, with its curve over the range of the ``signal``."""
-    fitted = judged(trial, bench, judges, skip)
+    # The refit is over: a curve of many heights would go on for long with what does not show.
+    brief = replace(bench.options, transcription="single", iterations=LAST)
+    fitted = judged(trial, replace(bench, options=brief), judges, skip)
     names = next(b.own for b in trial.model.bound_effects if b.effect.name == NAME)
     values = {n: trial.model.values[there] for n, there in names.items()}
     seen = signal.variables[region.variable]
