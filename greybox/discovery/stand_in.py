@@ -20,7 +20,8 @@ from greybox.fitting.choose import choose
 from greybox.result import Fit
 from greybox.result.frozen import ReadOnly
 
-# Variables that a curve is tried over; iterations of a refit, and of the fit that tells its intervals; starts; periods as shares of the one seen.
+# Variables that a curve is tried over; iterations of a refit, and of the fit that tells its intervals; starts; periods, as shares of the
+# one seen.
 TRIED, ITERATIONS, LAST, KEPT, PERIODS = 2, 30, 10, 1, (1.0, 0.985, 1.015)
 # Name of a tone as an effect; share of the gap that a curve must close to stand in for anything.
 TONE, USEFUL = "tone", 0.1
