@@ -81,12 +81,16 @@ class Search:
     def _polish(self) -> None:
         """The leading effects once more, thoroughly: from several starts and to convergence."""
         ranked = sorted(self.singles, key=lambda t: t.criterion)
-        leading = [t for t in ranked[:LEADING] if self._open(t, ranked[0])]
+        parents = set(self._effect(ranked[0].effects[0]).parents)
+        leading = [t for t in ranked[:LEADING] if self._open(t, ranked[0]) and t.effects[0] not in parents]
+        # A parent caught in a minimum of its own would leave its name to its child.
+        leading += [t for t in ranked if t.effects[0] in parents]
         jobs = []
-        for place, t in enumerate(leading):
+        for t in leading:
             effect, model = self._effect(t.effects[0]), self.base.model + self._effect(t.effects[0])
             # The cost of an effect of many shapes has many minima, and the name may be right in a wrong one.
-            keep = 2 if place or count_shapes(effect, self.scales) < FEW_SHAPES else MANY_STARTS
+            many = effect.name in parents or (t is ranked[0] and count_shapes(effect, self.scales) >= FEW_SHAPES)
+            keep = MANY_STARTS if many else 2
             jobs.append(Job(model, tuple(self._starts(self.base, effect, model, [t.model.values])), keep, ITERATIONS))
         for t, again in zip(leading, self.bench.every(jobs), strict=True):
             best = again if again is not None and again.cost < t.cost else t
