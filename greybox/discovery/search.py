@@ -81,7 +81,8 @@ class Search:
     def _polish(self) -> None:
         """The leading effects once more, thoroughly: from several starts and to convergence."""
         ranked = sorted(self.singles, key=lambda t: t.criterion)
-        parents = set(self._effect(ranked[0].effects[0]).parents)
+        done = ranked[0].per_sample <= rules.chance(ranked[0].count)
+        parents = set(self._effect(ranked[0].effects[0]).parents) if done else set()
         leading = [t for t in ranked[:LEADING] if self._open(t, ranked[0]) and t.effects[0] not in parents]
         # A parent caught in a minimum of its own would leave its name to its child.
         leading += [t for t in ranked if t.effects[0] in parents]
