@@ -88,7 +88,8 @@ class Search:
         leading += [t for t in ranked if t.effects[0] in parents]
         jobs = []
         for t in leading:
-            effect, model = self._effect(t.effects[0]), self.base.model + self._effect(t.effects[0])
+            effect = self._effect(t.effects[0])
+            model = self.base.model + effect
             # The cost of an effect of many shapes has many minima, and the name may be right in a wrong one.
             many = effect.name in parents or (t is ranked[0] and count_shapes(effect, self.scales) >= FEW_SHAPES)
             keep = MANY_STARTS if many else 2

@@ -92,9 +92,7 @@ class System:
     delays: tuple[Delay, ...] = ()
     relaxing: tuple[int, ...] = ()
     # What was added last to a model of these equations, and the equations with it.
-    extended: deque[tuple[Effect, System]] = field(
-        default_factory=partial(deque, maxlen=KEPT), compare=False, repr=False
-    )
+    extended: deque[tuple[Effect, System]] = field(default_factory=partial(deque, maxlen=KEPT), repr=False)
 
     @cached_property
     def explicit(self) -> ca.SX:

@@ -63,7 +63,7 @@ def minimise(
 
 
 def _go_on(search: Search, low: np.ndarray, high: np.ndarray, thorough: bool) -> None:
-    """Where steps were shortened for nothing: either the search strayed from a smooth optimum, or the cost has a kink."""
+    """Where IPOPT finds no step that gains: either the search strayed from a smooth optimum, or the cost has a kink."""
     if descend(search, low, high) or search.stop:
         return
     search.done = search_around(search, low, high) if thorough else Status.STUCK
