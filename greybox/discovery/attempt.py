@@ -18,7 +18,7 @@ from greybox.fitting import fit as fitted
 from greybox.fitting import validate
 from greybox.model import Effect, Model
 from greybox.result import Fit
-from greybox.result.frozen import ReadOnly
+from greybox.values import ReadOnly
 
 # Starts that are refitted, of all that are looked at.
 KEPT = 3

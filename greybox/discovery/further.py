@@ -26,7 +26,7 @@ from greybox.experiment import Experiment
 from greybox.model import Effect, Model
 from greybox.noise import AutoRegression
 from greybox.result import Fit
-from greybox.result.frozen import ReadOnly
+from greybox.values import ReadOnly
 
 # Share of the rms misfit that is left which a further effect must take away, on the fitted and on the validation records.
 FITTED, HELD_OUT = 0.02, 0.05

@@ -15,7 +15,7 @@ from greybox.discovery.signal import Regression, Smoothed, projected_out, whiten
 from greybox.discovery.when import Window, told, windows
 from greybox.model import Model
 from greybox.result import Fit
-from greybox.result.frozen import ReadOnly
+from greybox.values import ReadOnly
 
 # Rows of the stretch in which the signal is estimated: where the misfit is largest.
 MOST_ROWS = 1200

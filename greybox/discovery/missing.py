@@ -16,7 +16,7 @@ from greybox.discovery.look import stretch_of, units_of
 from greybox.discovery.places import Linearised, Place, linearised, places, plain_shooting
 from greybox.discovery.region import Region, regions
 from greybox.discovery.signal import Regression, projected_out, whitened
-from greybox.result.frozen import ReadOnly
+from greybox.values import ReadOnly
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.discovery.shape import period_of, shape_of
-from greybox.result.frozen import ReadOnly
+from greybox.values import ReadOnly
 
 BINS = 16
 # Shares of the variance: from where a variable counts, from where a loop does, and a tone.

@@ -9,7 +9,7 @@ import numpy as np
 from greybox.errors import DataError, nearest
 from greybox.noise import AutoRegression
 from greybox.result import Fit
-from greybox.result.frozen import ReadOnly
+from greybox.values import ReadOnly
 
 # Samples of one stretch of Welch's method at most; a record gives at least this many stretches.
 SEGMENT, STRETCHES = 512, 8

@@ -18,7 +18,7 @@ from greybox.discovery.shape import shape_of
 from greybox.experiment import Experiment
 from greybox.fitting.choose import choose
 from greybox.result import Fit
-from greybox.result.frozen import ReadOnly
+from greybox.values import ReadOnly
 
 # Variables that a curve is tried over; iterations of a refit, and of the fit that tells its intervals; starts; periods, as shares of the
 # one seen.

@@ -12,7 +12,7 @@ import numpy as np
 from greybox.experiment import Experiment
 from greybox.experiment.experiment import Hold
 from greybox.model import Model
-from greybox.result.frozen import ReadOnly
+from greybox.values import ReadOnly
 
 # An interval that reaches further than this share of the value determines nothing.
 WIDE = 0.5

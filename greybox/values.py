@@ -1,4 +1,4 @@
-"""Results that nobody changes by accident: mappings and arrays inside them are read-only."""
+"""What every result value shares: contents that nobody changes by accident, and a text that `greybox.rendering` writes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,18 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+
+
+class Printable:
+    """A value that knows nothing of its sentences: ``str(value)`` looks its text up in `greybox.rendering` by the name of its class.
+
+    This is the one import of the library that points upward. It runs when somebody prints, never when a module is loaded.
+    """
+
+    def __str__(self) -> str:
+        from greybox.rendering import text
+
+        return text(self)
 
 
 class ReadOnly:
