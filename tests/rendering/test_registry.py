@@ -17,7 +17,7 @@ def codes() -> dict[str, str]:
     """Every code of findings and checks that a package declares in its ``findings.py`` -> the enumeration it belongs to."""
     declared: dict[str, str] = {}
     for module in pkgutil.walk_packages(greybox.__path__, "greybox."):
-        if module.name.endswith(".findings"):
+        if module.name.endswith(".findings") and module.name != "greybox.findings":
             for value in vars(import_module(module.name)).values():
                 if isinstance(value, type) and issubclass(value, StrEnum) and value.__module__ == module.name:
                     for code in value:
