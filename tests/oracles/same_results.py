@@ -471,7 +471,7 @@ def compare_values(old: object, new: object, where: str, key: str, seen: Differe
         for k, (a, b) in enumerate(zip(old, new, strict=True)):
             compare_values(a, b, f"{where}[{k}]", key, seen, relative)
     elif isinstance(old, str):
-        if key in NAMES and " " not in old and "/" not in old:
+        if key == "code" or (key in NAMES and " " not in old and "/" not in old):
             seen.compared += 1
             if old != new:
                 seen.changed.append(f"{where}: {old!r}, now {new!r}")
@@ -546,7 +546,7 @@ def read_code(file: Path) -> object:
     """Lines of C or Modelica without comments, strings and blanks at their ends."""
     text = re.sub(r"/\*.*?\*/", "", file.read_text(), flags=re.DOTALL)
     text = re.sub(r"//[^\n]*", "", re.sub(r'"[^"\n]*"', '""', text))
-    return {"name": [re.sub(r"\s+", "", line) for line in text.splitlines() if line.strip()]}
+    return {"code": [re.sub(r"\s+", "", line) for line in text.splitlines() if line.strip()]}
 
 
 NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?![\w.])")
