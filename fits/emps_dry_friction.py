@@ -32,7 +32,7 @@ def verdict(plain: gb.Fit, rubbing: gb.Fit) -> None:
     """Dry friction closes nine tenths of the gap; the constants are those of the literature."""
     assert plain.misfit["q"].rmse > 20e-3
     assert rubbing.misfit["q"].rmse <= 3.2e-3
-    assert rubbing.validation["q"].rmse <= 12e-3
+    assert rubbing.validation.misfit["q"].rmse <= 12e-3
     assert abs(rubbing.parameters["M"].value / 95.1 - 1) < 0.1
     assert any("adds them up" in note for note in rubbing.notes)
     assert 15 < rubbing.parameters["Fc"].value < 25

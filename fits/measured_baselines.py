@@ -104,7 +104,7 @@ def black(model: gb.PolynomialModel, tests: Mapping[str, gb.Experiment]) -> Row:
 def grey(fit: gb.Fit, tests: Mapping[str, gb.Experiment]) -> Row:
     """A physical model judged in the same way."""
     errors = {name: gb.validate(fit.model, record, skip=SKIP).misfit["y"].rmse for name, record in tests.items()}
-    return Row(fit.model.title, len(fit.free), errors, physical=True)
+    return Row(fit.model.title, len(fit.uncertainty.free), errors, physical=True)
 
 
 def verdict(silver: Sequence[Row], tanks: Sequence[Row]) -> None:

@@ -175,12 +175,12 @@ def recovered(truth: Model, records: Sequence[Experiment], seed: int = 3) -> Fit
 
 def worst_error(found: Fit, truth: Model) -> float:
     """Largest relative error of a free constant."""
-    return max(abs(found.parameters[n].value / truth.values[n] - 1) for n in found.free)
+    return max(abs(found.parameters[n].value / truth.values[n] - 1) for n in found.uncertainty.free)
 
 
 def worst_deviation(found: Fit, truth: Model) -> float:
     """Largest error of a free constant in its standard deviations; infinite where the fit gives none."""
-    pairs = ((found.parameters[n], truth.values[n]) for n in found.free)
+    pairs = ((found.parameters[n], truth.values[n]) for n in found.uncertainty.free)
     return max(abs(e.value - value) / e.std if e.std else np.inf for e, value in pairs)
 
 
@@ -198,7 +198,7 @@ def main(say: Callable[[str], object] = sys.stdout.write) -> None:
         with_pressures = experiments(truth, noisy=noisy)
         for measured, records in (("position", position_only(with_pressures)), ("pressures too", with_pressures)):
             found = recovered(truth, records)
-            assert found.success and len(found.free) == 9
+            assert found.success and len(found.uncertainty.free) == 9
             say(f"nine experiments, {measured}, {'with' if noisy else 'without'} noise\n{found}\n")
             say(f"worst error {worst_error(found, truth):.2e}, {worst_deviation(found, truth):.2f} std\n")
             assert worst_deviation(found, truth) < 3 if noisy else worst_error(found, truth) < 0.01

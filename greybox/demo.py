@@ -178,7 +178,7 @@ def _gap(plain: Fit, best: Fit, compared: Comparison, folder: Path) -> list[Path
     names = {PLAIN: PLAIN, EXTENDED: PLAIN + added if added else EXTENDED, **{n: f"{n} (black box)" for n in black}}
     ratios = {names[n]: compared[n].validation["x"].rmse / noise for n in order}
     return gap_figure(
-        plain.validation_traces[0], best.validation_traces[0], output="x", unit="m", noise=noise, ratios=ratios,
+        plain.validation.traces[0], best.validation.traces[0], output="x", unit="m", noise=noise, ratios=ratios,
         names=(names[PLAIN], names[EXTENDED]), path=folder / "gap",
     )  # fmt: skip
 

@@ -136,7 +136,7 @@ def test_several_validation_records_are_judged_one_by_one(run: Run, data: Path, 
     model = micro_actuator.fix(M=0.01, Ra=8)
     saved = load_fit(tmp_path / "out" / "fit.json", model)
     pooled = np.sqrt(np.mean([ratios["test", "x"] ** 2, ratios["off", "x"] ** 2]))
-    assert saved.validation["x"].noise_ratio == pytest.approx(pooled, rel=1e-3)
+    assert saved.validation.misfit["x"].noise_ratio == pytest.approx(pooled, rel=1e-3)
 
 
 def test_an_output_that_only_a_validation_record_has_is_drawn(run: Run, data: Path, tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ def coverage_when_pushed(rig, records):
     for seed in range(records):
         model, record, truth = pushed(rig, seed)
         found = fit(model, record)
-        assert found.success, found.meaning
+        assert found.success, found.solver.meaning
         for name, value in truth.items():
             low, high = found.parameters[name].interval
             hits[name] = hits.get(name, 0) + (low <= value <= high)
@@ -95,7 +95,7 @@ def coverage(rig, rho, way, records):
         found = fit(
             model, record, quiet=quiet if way == WAYS[1] else (), colour="residual" if way == WAYS[2] else "known"
         )
-        assert found.success, found.meaning
+        assert found.success, found.solver.meaning
         for q in model.free_parameters:
             low, high = found.parameters[q.name].interval
             hits[q.name] += low <= q.value <= high

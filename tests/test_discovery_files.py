@@ -131,4 +131,4 @@ def test_what_is_outside_the_catalogue_gets_a_curve(rig):
     assert np.interp(0.2 * z.max(), z, curve) < np.interp(0.2 * z.min(), z, curve)
     assert "stand-in" in str(found)
     floor = residual_spectrum(found.base, "i", coloured=False).floor
-    assert np.sqrt(np.sum(floor**2)) == pytest.approx(found.base.noise["i"], rel=0.02)
+    assert np.sqrt(np.sum(floor**2)) == pytest.approx(found.base.noise.std["i"], rel=0.02)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from greybox.figures import fit_figure, misfits_of
 from greybox.figures.envelope import envelope
 from greybox.figures.scale import label, scaled, written
-from greybox.result import Fit, Misfit, Trace
+from greybox.result import Fit, FitNoise, Misfit, Trace, Validation
 from models.micro_actuator import micro_actuator
 
 
@@ -68,8 +68,8 @@ def test_labels_are_written_as_in_print() -> None:
 def judged(validation: list[Trace], pooled: dict[str, Misfit]) -> Fit:
     """A fit of the displacement alone, with records for validation that have the current too."""
     fields = dict.fromkeys(Fit.__dataclass_fields__, None)
-    known = {"model": micro_actuator, "traces": [trace("train", x=1e-7)], "noise": {"x": 1e-7}}
-    return Fit(**(fields | known | {"validation_traces": validation, "validation": pooled}))
+    known = {"model": micro_actuator, "traces": [trace("train", x=1e-7)], "noise": FitNoise({"x": 1e-7})}
+    return Fit(**(fields | known | {"validation": Validation(pooled, validation)}))
 
 
 def trace(name: str, **errors: float) -> Trace:

@@ -48,7 +48,7 @@ def test_actuator_constants_come_back_from_noise_free_data(factor, options):
     free = [q.name for q in truth.free_parameters]
     start = truth.start(**{n: truth.values[n] * factor for n in free})
     found = fit(start, linear_record(truth, actuator_input(1), 2.5e-4), options=options)
-    assert found.success, found.meaning
+    assert found.success, found.solver.meaning
     for n in free:
         assert found.parameters[n].value == pytest.approx(truth.values[n], rel=1e-6), n
 
@@ -59,7 +59,7 @@ def test_pneumatic_constants_come_back_from_noise_free_data(factor):
     start = truth.start(**{q.name: q.value * factor for q in truth.free_parameters})
     x0 = [0.0, 0.0, truth.values["P_S"] / 2, truth.values["P_S"] / 2]
     found = fit(start, linear_record(truth, valve_input(), 0.01, x0), options=REST)
-    assert found.success, found.meaning
+    assert found.success, found.solver.meaning
     for q in truth.free_parameters:
         assert found.parameters[q.name].value == pytest.approx(q.value, rel=1e-6), q.name
 
@@ -71,7 +71,7 @@ def test_noisy_constants_lie_within_three_standard_deviations_and_the_noise_is_m
     start = off(truth, 1.4, "K", "B", "Kf", "Kv", "La")
     for given in (noise, None):
         found = fit(start, data, noise=given)
-        assert found.success, found.meaning
+        assert found.success, found.solver.meaning
         for q in truth.free_parameters:
             estimate = found.parameters[q.name]
             assert abs(estimate.value - q.value) < 3 * estimate.std, q.name
@@ -139,7 +139,7 @@ def test_a_fit_begins_at_the_initial_states_it_is_given():
         options=FitOptions(progressive=False),
     )  # fmt: skip
     assert again.traces[0].initial_state["x"] == pytest.approx(-2.0, rel=1e-8)
-    assert again.solver["passes"] < given.solver["passes"]
+    assert again.solver.statistics["passes"] < given.solver.statistics["passes"]
 
 
 WIDTH = Parameter("w", "m", 0.1, fixed=True, source="a test")
@@ -182,8 +182,8 @@ def test_gaps_and_irregular_time_do_not_move_the_constants():
     outputs = {n: np.where(rng.random(len(time)) < 0.2, np.nan, y) for n, y in data.outputs.items()}
     gappy = experiment(truth, time, u[:, None], np.column_stack([outputs["x"], outputs["i"]]))
     found = fit(off(truth, 1.3, "K", "B", "Kf", "Kv", "La"), gappy, options=REST)
-    assert found.success, found.meaning
-    assert "RK4" in found.discretisation
+    assert found.success, found.solver.meaning
+    assert "RK4" in found.discretisation.label
     for q in truth.free_parameters:
         assert found.parameters[q.name].value == pytest.approx(q.value, rel=2e-4), q.name
     assert found.misfit["x"].samples == np.isfinite(outputs["x"]).sum()
@@ -227,7 +227,7 @@ def test_a_wrong_model_says_so_beside_its_status():
     assert good.misfit["q"].noise_ratio < 1.1
     bad = fit(emps.fix(M=150.0), data)
     assert bad.success and bad.misfit["q"].noise_ratio > 5
-    assert "times the noise" in bad.meaning
+    assert "times the noise" in bad.solver.meaning
     assert any("lacks something" in n for n in bad.notes)
     assert any("correlated" in n for n in bad.notes)
 
@@ -264,7 +264,7 @@ def test_a_fit_is_saved_and_loaded_without_loss(tmp_path):
         if name in ("model", "traces", "validation_traces", "covariance"):
             continue
         assert getattr(again, name) == getattr(found, name), name
-    assert np.array_equal(again.covariance, found.covariance, equal_nan=True)
+    assert np.array_equal(again.uncertainty.covariance, found.uncertainty.covariance, equal_nan=True)
     assert np.array_equal(again.traces[0].simulated["x"], found.traces[0].simulated["x"])
     with pytest.raises(DataError, match="belongs to the model micro_actuator \\+ constant_load, not to micro_actuator"):
         load_fit(tmp_path / "a" / "fit.json", micro_actuator)
@@ -283,7 +283,7 @@ def test_a_model_that_cannot_be_simulated_from_its_start_says_where():
     data = experiment(model, t, np.ones((100, 1)), np.cos(t)[:, None])
     found = fit(model, data, options=REST)
     assert not found.success and found.status == "no_start"
-    assert "fails at t = 0 s (row 1)" in found.meaning
+    assert "fails at t = 0 s (row 1)" in found.solver.meaning
     with pytest.raises(FitError, match="cannot be simulated from the start values"):
         fit(model, data, options=REST, raise_on_failure=True)
 
@@ -302,10 +302,16 @@ def test_a_fit_is_read_only_and_can_be_copied():
     truth = micro_actuator.fix("M", "Ra")
     data = linear_record(truth, actuator_input(1, 400), 2.5e-4, noise={"x": 2e-7, "i": 5e-3})
     found = fit(truth, data)
-    for mapping in (found.parameters, found.misfit, found.options, found.solver, found.traces[0].simulated):
+    for mapping in (
+        found.parameters,
+        found.misfit,
+        found.provenance.options,
+        found.solver.statistics,
+        found.traces[0].simulated,
+    ):
         with pytest.raises(TypeError, match="does not support item assignment"):
             mapping["K"] = 1.0
-    for array in (found.covariance, found.traces[0].time, found.traces[0].simulated["x"]):
+    for array in (found.uncertainty.covariance, found.traces[0].time, found.traces[0].simulated["x"]):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
     again = cloudpickle.loads(cloudpickle.dumps(found.traces[0]))
@@ -313,7 +319,7 @@ def test_a_fit_is_read_only_and_can_be_copied():
     np.testing.assert_array_equal(again.simulated["x"], found.traces[0].simulated["x"])
     with pytest.raises(TypeError, match="does not support item assignment"):
         again.simulated["x"] = 0.0
-    assert dict(found.options) | {"at_rest": True} == {**found.options, "at_rest": True}
+    assert dict(found.provenance.options) | {"at_rest": True} == {**found.provenance.options, "at_rest": True}
 
 
 def test_what_is_odd_about_a_record_stands_in_the_fit():

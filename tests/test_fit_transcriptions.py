@@ -100,13 +100,13 @@ def test_the_same_fit_by_every_transcription_gives_the_same_constants(case, tran
     length = data.duration / 8 if transcription == "arcs" else 0.0
     options = FitOptions(at_rest=rest, transcription=transcription, arc_length=length)
     found = fit(start, data, noise=noise, options=options)
-    assert found.success, found.meaning
+    assert found.success, found.solver.meaning
     for q in truth.free_parameters:
         assert found.parameters[q.name].value == pytest.approx(q.value, rel=2e-6), q.name
         assert found.parameters[q.name].std > 0
     assert max(m.noise_ratio for m in found.misfit.values()) < 1e-2
-    assert found.options["transcription"] == transcription
-    assert found.solver["strategy"].endswith("as asked") is (transcription != "automatic")
+    assert found.provenance.options["transcription"] == transcription
+    assert found.solver.statistics["strategy"].endswith("as asked") is (transcription != "automatic")
 
 
 @pytest.mark.parametrize("transcription", ["automatic", *ONE_OF_EACH])
@@ -116,9 +116,9 @@ def test_an_unstable_plant_has_traces_and_a_validation_that_follow_the_record(tr
     data, other = (held_up(truth, 350, 4e-3, noise, seed) for seed in (1, 2))
     start = truth.start(k=600.0, b=550.0)
     found = fit(start, data, noise=noise, validation=other, options=FitOptions(transcription=transcription))
-    assert found.success, found.meaning
+    assert found.success, found.solver.meaning
     assert 0.9 < found.misfit["x"].noise_ratio < 1.1
-    assert 0.8 < found.validation["x"].noise_ratio < 1.3
+    assert 0.8 < found.validation.misfit["x"].noise_ratio < 1.3
     for name, estimate in found.parameters.items():
         assert abs(estimate.value - truth.values[name]) < 3 * estimate.std < 0.1 * estimate.value
     # from its own initial state the model falls within the record: e^42 is more than the digits of a constant
@@ -147,8 +147,8 @@ def test_the_default_says_what_it_picked_and_why():
     }.items():
         _, start, data, noise, rest = CASES[case]()
         found = fit(start, data, noise=noise, options=FitOptions(at_rest=rest))
-        assert all(word in found.solver["strategy"] for word in words), found.solver["strategy"]
-        assert found.solver["strategy"] in str(found)
+        assert all(word in found.solver.statistics["strategy"] for word in words), found.solver.statistics["strategy"]
+        assert found.solver.statistics["strategy"] in str(found)
 
 
 def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
@@ -173,11 +173,11 @@ def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
     data = experiment(model, np.arange(80) * 0.01, u[:, None], np.array(y), {"x": 1e-4})
     start = model.start(a=3.0, c=0.2)
     found = fit(start, data, noise={"x": 1e-4}, options=FitOptions(at_rest=True))
-    assert "Radau IIA" in found.discretisation
-    assert "picked because stiff: the fastest mode moves within" in found.solver["strategy"]
+    assert "Radau IIA" in found.discretisation.label
+    assert "picked because stiff: the fastest mode moves within" in found.solver.statistics["strategy"]
     explicit = fit(start, data, noise={"x": 1e-4}, options=FitOptions(at_rest=True, method="rk4"))
     points = fit(start, data, noise={"x": 1e-4}, options=FitOptions(at_rest=True, transcription="collocation-radau"))
-    assert "three Radau points" in points.discretisation
+    assert "three Radau points" in points.discretisation.label
     for name in ("a", "c"):
         std = explicit.parameters[name].std
         for other in (found, points):
@@ -199,14 +199,16 @@ def test_intervals_and_own_constants_are_those_of_single_shooting(transcription)
         fit(start, records, noise=noise, own=["d"], options=FitOptions(transcription=name))
         for name in ("single", transcription)
     )
-    assert one.priors["k"].mean == 4.1
+    assert one.constraints.priors["k"].mean == 4.1
     for name, estimate in one.parameters.items():
         assert other.parameters[name].value == pytest.approx(estimate.value, abs=0.01 * estimate.std), name
         assert other.parameters[name].std == pytest.approx(estimate.std, rel=0.01), name
-    for name, estimate in one.own["d"].items():
-        assert other.own["d"][name].value == pytest.approx(estimate.value, abs=0.01 * estimate.std)
-        assert other.own["d"][name].std == pytest.approx(estimate.std, rel=0.01)
-    assert one.cost == pytest.approx(other.cost, rel=1e-6)
+    for name, estimate in one.constraints.per_experiment["d"].items():
+        assert other.constraints.per_experiment["d"][name].value == pytest.approx(
+            estimate.value, abs=0.01 * estimate.std
+        )
+        assert other.constraints.per_experiment["d"][name].std == pytest.approx(estimate.std, rel=0.01)
+    assert one.solver.cost == pytest.approx(other.solver.cost, rel=1e-6)
     assert other.misfit["x"].rmse == pytest.approx(one.misfit["x"].rmse, rel=1e-5)
 
 
@@ -227,8 +229,8 @@ def test_coloured_noise_is_weighed_by_a_free_run_where_the_plant_allows(transcri
     quiet = coloured(model, at_rest, 2e-3, 0.9, 2)
     start = model.start(d=0.4, k=3.0, c=7.0, b=1.6)
     one, other = (fit(start, data, quiet=quiet, options=FitOptions(transcription=n)) for n in ("single", transcription))
-    assert one.noise_colour["x"]
-    assert "then by a free run from there" in other.solver["strategy"]
+    assert one.noise.colour["x"]
+    assert "then by a free run from there" in other.solver.statistics["strategy"]
     for name, estimate in one.parameters.items():
         assert other.parameters[name].value == pytest.approx(estimate.value, abs=0.02 * estimate.std), name
         assert other.parameters[name].std == pytest.approx(estimate.std, rel=0.02), name
@@ -240,8 +242,11 @@ def test_coloured_noise_on_an_unstable_plant_is_left_to_the_intervals_and_said_s
     still = experiment(truth, np.arange(800) * 2e-3, np.zeros((800, 1)), np.zeros((800, 1)))
     found = fit(truth.start(k=600.0, b=550.0), data, quiet=coloured(truth, still, 2e-3, 0.8, 2))
     assert found.success
-    assert "the noise is weighed as white, since a free run does not follow this plant" in found.solver["strategy"]
-    assert found.interval_kind == "sandwich" and max(found.inflation.values()) > 1.2
+    assert (
+        "the noise is weighed as white, since a free run does not follow this plant"
+        in found.solver.statistics["strategy"]
+    )
+    assert found.uncertainty.kind == "sandwich" and max(found.uncertainty.inflation.values()) > 1.2
     for name, estimate in found.parameters.items():
         assert abs(estimate.value - truth.values[name]) < 3 * estimate.std
 
@@ -295,7 +300,7 @@ def test_arcs_with_coloured_noise_are_searched_with_their_initial_states():
     ):
         fit(start, data, noise=noise, options=FitOptions(arc_length=7.5e-4, loss="huber"))
     robust = fit(start, data, noise=noise, options=FitOptions(arc_length=0.045, loss="huber"))
-    assert robust.loss.startswith("huber") and robust.solver["transcription"] == "arcs"
+    assert robust.robust.name.startswith("huber") and robust.solver.statistics["transcription"] == "arcs"
     with pytest.raises(DataError, match="an arc needs at least 3"):
         fit(start, data, noise=noise, options=FitOptions(arc_length=3e-4))
 
@@ -310,7 +315,7 @@ def test_collocation_holds_states_within_their_bounds_and_says_where():
     found = fit(cascaded_tanks, drained, noise=noise, options=FitOptions(transcription="collocation-radau", substeps=1))
     held = [s for s in cascaded_tanks.states if np.isfinite(s.bounds[0])]
     assert held
-    assert "samples lie at a bound of a state" in found.solver["strategy"]
+    assert "samples lie at a bound of a state" in found.solver.statistics["strategy"]
     for trace in found.traces:
         for state in held:
             if state.name in trace.simulated:
@@ -377,8 +382,8 @@ def test_a_fit_over_segments_is_saved_and_loaded(tmp_path):
     truth, start, data, noise, _ = levitation_case()
     found = fit(start, data, noise=noise)
     again = load_fit(found.save(tmp_path / "fit.json"), truth)
-    assert again.solver["transcription"] == "multiple"
-    assert again.solver["free_run"] is found.solver["free_run"]
+    assert again.solver.statistics["transcription"] == "multiple"
+    assert again.solver.statistics["free_run"] is found.solver.statistics["free_run"]
     np.testing.assert_array_equal(again.traces[0].simulated["x"], found.traces[0].simulated["x"])
     assert again.model.values == found.model.values
 
@@ -392,7 +397,7 @@ def test_a_start_that_cannot_be_simulated_in_any_segment_says_so():
     data = experiment(model, t, np.ones((100, 1)), 2 + np.cos(t)[:, None])
     for options in (FitOptions(transcription="multiple"), FitOptions(arc_length=2.0)):
         found = fit(model, data, noise={"x": 0.1}, options=options)
-        assert found.status == "no_start" and "cannot be simulated from the start values" in found.meaning
+        assert found.status == "no_start" and "cannot be simulated from the start values" in found.solver.meaning
 
 
 def test_noise_free_records_get_a_step_that_leaves_no_digits_behind():
@@ -404,6 +409,6 @@ def test_noise_free_records_get_a_step_that_leaves_no_digits_behind():
         found = fit(prey, data, noise=noise)
         for name, value in (("beta", 0.7), ("delta", 0.35)):
             assert found.parameters[name].value == pytest.approx(value, rel=1e-7)
-        assert max(found.integration_error.values()) < 1e-4
+        assert max(found.discretisation.error.values()) < 1e-4
     coarse = fit(prey, data, noise={"x1": 0.1, "x2": 0.2}, options=FitOptions(substeps=4))
     assert coarse.parameters["beta"].value != pytest.approx(0.7, rel=1e-6)

@@ -6,7 +6,7 @@ import pytest
 from greybox import GreyboxError, ModelError
 from greybox.fitting import FitOptions, multistart
 from greybox.fitting.multistart import groups, random_starts, waterfall
-from greybox.result import End
+from greybox.result import StartResult
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from tests.independent import linear_record, multisine
@@ -15,7 +15,7 @@ REST = FitOptions(at_rest=True)
 
 
 def ends(*ratios):
-    return [End({}, {"a": 1.0} if np.isfinite(r) else {}, r, "converged") for r in ratios]
+    return [StartResult({}, {"a": 1.0} if np.isfinite(r) else {}, r, "converged") for r in ratios]
 
 
 def test_the_waterfall_says_how_many_starts_ended_where():

@@ -147,7 +147,7 @@ def test_a_handful_of_samples_takes_the_noise_from_the_residual():
         record, outputs={n: np.where(np.arange(1500) % 100 == 7, y, np.nan) for n, y in record.outputs.items()}
     )
     found = fit(TRUTH, sparse, options=FitOptions(at_rest=True))
-    assert "residual of the fit" in found.noise_source
+    assert "residual of the fit" in found.noise.source
     assert all(0.7 < m.noise_ratio < 1.1 for m in found.misfit.values())
 
 
@@ -193,13 +193,13 @@ def test_known_colour_is_used_and_leaves_a_white_residual():
     rng = np.random.default_rng(11)
     record = noisy(clean_record(), rng, 0.9)
     found = fit(TRUTH, record, quiet=quiet_record(rng, 0.9))
-    assert found.success and found.interval_kind == "gauss_newton"
-    assert all(len(k) >= 1 for k in found.noise_colour.values())
+    assert found.success and found.uncertainty.kind == "gauss_newton"
+    assert all(len(k) >= 1 for k in found.noise.colour.values())
     assert all(0.8 < m.noise_ratio < 1.25 for m in found.misfit.values())
     ignored = fit(TRUTH, record, quiet=quiet_record(rng, 0.9), colour="white")
-    assert ignored.interval_kind == "sandwich"
+    assert ignored.uncertainty.kind == "sandwich"
     from_residual = fit(TRUTH, record, colour="residual")
-    assert from_residual.interval_kind == "gauss_newton"
+    assert from_residual.uncertainty.kind == "gauss_newton"
     for q in TRUTH.free_parameters:
         for each in (found, ignored, from_residual):
             assert abs(each.parameters[q.name].value - q.value) < 4 * each.parameters[q.name].std, q.name

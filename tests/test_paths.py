@@ -61,10 +61,10 @@ def test_gaps_and_irregular_time_are_the_same_to_it(path):
     model, special, told = PATHS[path]
     data = record(1, x0=STARTS[1], **special)
     one, other = fit(model, with_gaps(data), **told), fit(model, irregular(data), **told)
-    for name in one.free:
+    for name in one.uncertainty.free:
         assert one.parameters[name].value == pytest.approx(other.parameters[name].value, rel=1e-7)
         assert one.parameters[name].std == pytest.approx(other.parameters[name].std, rel=1e-4)
-    assert one.cost == pytest.approx(other.cost, rel=1e-5 if path in ("huber", "student") else 1e-9)
+    assert one.solver.cost == pytest.approx(other.solver.cost, rel=1e-5 if path in ("huber", "student") else 1e-9)
     assert one.misfit["x"].samples == other.misfit["x"].samples == np.isfinite(with_gaps(data).outputs["x"]).sum()
 
 
@@ -76,7 +76,7 @@ def test_constants_of_each_experiment_are_those_of_a_fit_of_it_alone(path):
     for experiment in data:
         alone = fit(model, experiment, **told)
         for name in "BK":
-            mine = together.own[name][experiment.name]
+            mine = together.constraints.per_experiment[name][experiment.name]
             assert mine.value == pytest.approx(alone.parameters[name].value, rel=2e-3 if path == "huber" else 1e-5)
             assert mine.std == pytest.approx(alone.parameters[name].std, rel=0.1)
 
@@ -150,7 +150,7 @@ def test_a_dead_sensor_beside_a_moving_one_counts_for_nothing(path, rows):
     data = dead(rows)
     found = fit(model, data, **choice)
     alone = fit(model, replace(data, outputs={"x": data.outputs["x"]}), **choice)
-    assert list(found.misfit) == list(found.noise) == ["x"]
+    assert list(found.misfit) == list(found.noise.std) == ["x"]
     for n in "BK":
         assert found.parameters[n].value == pytest.approx(alone.parameters[n].value, rel=1e-6)
         assert found.parameters[n].std == pytest.approx(alone.parameters[n].std, rel=1e-4)

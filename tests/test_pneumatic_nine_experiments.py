@@ -58,7 +58,7 @@ def test_critical_ratio_dead_band_and_friction_come_back_together():
     records = study.experiments(truth, duration=10.0, repeats=1)
     found = study.recovered(truth, records, seed=0)
     assert found.success
-    assert set(found.free) == {"C", "b", "d", "f_v", "Fc"}
+    assert set(found.uncertainty.free) == {"C", "b", "d", "f_v", "Fc"}
     assert study.worst_error(found, truth) < study.TOGETHER
 
 

@@ -114,7 +114,7 @@ def test_bands_hold_the_true_states_with_gaps_and_an_unknown_beginning():
 def test_where_nothing_pushes_it_is_the_free_run_fit():
     data = three()
     free, found = fit(MASS, data, noise=LEVEL), fit(PUSHED, data, noise=LEVEL)
-    assert found.process_noise == {"v": 0.0}
+    assert found.prediction.process_noise == {"v": 0.0}
     for n in "BK":
         assert found.parameters[n].value == pytest.approx(free.parameters[n].value, rel=1e-6)
         assert found.parameters[n].std == pytest.approx(free.parameters[n].std, rel=0.05)
@@ -122,7 +122,7 @@ def test_where_nothing_pushes_it_is_the_free_run_fit():
         assert one.initial_state == pytest.approx(other.initial_state, abs=1e-4)
     count = sum(m.samples for m in free.misfit.values())
     constant = sum(free.misfit[n].samples * 2 * np.log(s) for n, s in LEVEL.items()) + count * np.log(2 * np.pi)
-    assert -2 * found.log_likelihood == pytest.approx(free.cost + constant, rel=1e-9)
+    assert -2 * found.prediction.log_likelihood == pytest.approx(free.solver.cost + constant, rel=1e-9)
     low, high = found.parameters["noise_v"].interval
     assert low == 0 and 0 < high < 0.02
     assert any("lacks nothing that these records show" in n for n in found.notes)
@@ -132,8 +132,8 @@ def test_where_nothing_pushes_it_is_the_free_run_fit():
 def test_what_does_not_push_is_found_not_to_whatever_the_noise(seed):
     """Also with the noise of the sensors estimated, where an intensity of next to nothing leaves the likelihood flat."""
     found = fit(PUSHED, record(seed + 20, rows=150))
-    assert found.success, found.meaning
-    assert found.process_noise["v"] < 0.02 and found.parameters["noise_v"].interval[1] < 0.05
+    assert found.success, found.solver.meaning
+    assert found.prediction.process_noise["v"] < 0.02 and found.parameters["noise_v"].interval[1] < 0.05
 
 
 def test_what_pushes_is_told_with_its_size():
@@ -171,7 +171,7 @@ def test_slopes_hold_where_the_first_states_are_unknown(kind):
 def test_the_extended_filter_finds_a_leak_and_a_gust():
     model, data = tank_record(rows=150, seed=4)
     found = fit(tank().start(c=0.07), data)
-    assert found.success and "extended" in found.solver["strategy"]
+    assert found.success and "extended" in found.solver.statistics["strategy"]
     for name, truth in (("c", 0.05), ("gust", 0.003)):
         assert abs(found.parameters[name].value - truth) < 4 * found.parameters[name].std
     assert model.name == found.model.name
@@ -199,7 +199,7 @@ def test_a_prior_is_weighed_beside_process_noise():
     plain = pushed_fit()
     k = plain.parameters["K"]
     found = fit(PUSHED.prior(K=(k.value + k.std, k.std)), record(3, intensity=INTENSITY, x0=[1.0, -0.5]))
-    held, check = found.parameters["K"], found.priors["K"]
+    held, check = found.parameters["K"], found.constraints.priors["K"]
     assert held.value == pytest.approx(k.value + k.std / 2, abs=0.02 * k.std)
     assert held.std == pytest.approx(k.std / np.sqrt(2), rel=0.02)
     assert check.learnt == pytest.approx(0.5, abs=0.02) and check.conflict == pytest.approx(-np.sqrt(0.5), rel=0.03)
@@ -208,7 +208,10 @@ def test_a_prior_is_weighed_beside_process_noise():
 def test_it_is_saved_and_read_back(tmp_path):
     found = pushed_fit()
     again = load_fit(found.save(tmp_path / "fit.json"), MASS)
-    assert again.process_noise == found.process_noise and again.log_likelihood == found.log_likelihood
+    assert (
+        again.prediction.process_noise == found.process_noise
+        and again.prediction.log_likelihood == found.log_likelihood
+    )
     assert again.prediction == found.prediction
     assert likelihood_of_fit(again).cost() == pytest.approx(-2 * found.log_likelihood, rel=1e-12)
 

@@ -54,16 +54,16 @@ def test_mean_covariance_and_cost_are_those_of_bayesian_regression(louder):
     values, covariance = posterior(design, y, mean, std)
     assert [found.parameters[n].value for n in "abc"] == pytest.approx(values, rel=1e-9)
     scatter = np.sum((y - design @ values) ** 2) / NOISE**2
-    assert found.cost == pytest.approx(
+    assert found.solver.cost == pytest.approx(
         scatter + ((values[0] - 1) / 0.05) ** 2 + ((values[2] - 0.5) / 0.1) ** 2, rel=1e-9
     )
     excess = scatter / (40 - 3)
     assert (excess > 1) == (louder > 1)
     if louder < 1:
-        assert found.covariance == pytest.approx(covariance, rel=1e-6), "the posterior covariance"
+        assert found.uncertainty.covariance == pytest.approx(covariance, rel=1e-6), "the posterior covariance"
     else:  # the residual exceeds the stated noise: the data count for less, the priors for what they say
         middle = excess * design.T @ design / NOISE**2 + np.diag(np.where(np.isfinite(std), 1 / std**2, 0.0))
-        assert found.covariance == pytest.approx(covariance @ middle @ covariance, rel=1e-6)
+        assert found.uncertainty.covariance == pytest.approx(covariance @ middle @ covariance, rel=1e-6)
 
 
 def test_a_prior_is_one_more_measurement():
@@ -81,11 +81,11 @@ def test_agreement_with_the_data_is_judged_by_what_they_say_alone():
     found = fit(LINE.prior(a=(1.5, 0.05), b=(-0.4, 0.02)), data, noise={"y": NOISE}, options=REST)
     values, covariance = posterior(design, y, [1.5, -0.4, 0], [0.05, 0.02, np.inf])
     alone, spread = posterior(design, y, [0, -0.4, 0], [np.inf, 0.02, np.inf])
-    check = found.priors["a"]
+    check = found.constraints.priors["a"]
     assert check.moved == pytest.approx((values[0] - 1.5) / 0.05, rel=1e-6)
     assert check.conflict == pytest.approx((alone[0] - 1.5) / np.hypot(0.05, np.sqrt(spread[0, 0])), rel=1e-5)
     assert check.learnt == pytest.approx(1 - covariance[0, 0] / 0.05**2, rel=1e-5)
-    assert abs(check.conflict) > 3 > abs(found.priors["b"].conflict)
+    assert abs(check.conflict) > 3 > abs(found.constraints.priors["b"].conflict)
     assert any("the prior of a and the data disagree by" in n for n in found.notes)
 
 
@@ -94,7 +94,9 @@ def test_conflicts_are_standard_normal_where_both_are_right():
     for seed in range(40):
         data, _, _ = regression(seed=seed + 10)
         drawn = 1.2 + 0.05 * np.random.default_rng([seed, 8]).normal()
-        conflicts.append(fit(LINE.prior(a=(drawn, 0.05)), data, noise={"y": NOISE}, options=REST).priors["a"].conflict)
+        conflicts.append(
+            fit(LINE.prior(a=(drawn, 0.05)), data, noise={"y": NOISE}, options=REST).constraints.priors["a"].conflict
+        )
     assert np.sqrt(np.mean(np.square(conflicts))) == pytest.approx(1.0, abs=0.2)
 
 
@@ -109,7 +111,7 @@ def test_a_weighed_mass_closes_the_scale_of_the_actuator():
     # K/M is told by the data: K is as uncertain as M.
     assert k.std / k.value == pytest.approx(m.std / m.value, rel=0.01)
     assert abs(k.value - 5895.5) < 3 * k.std
-    check = found.priors["M"]
+    check = found.constraints.priors["M"]
     assert check.conflict is None and check.learnt < 1e-3 and abs(check.moved) < 1e-3
     assert any(n.startswith("held by its prior: M") for n in found.notes)
     assert "told by the data" in str(found) and "prior 0.0101 +- 0.0001" in str(free.prior(M=(0.0101, 0.0001)))
@@ -149,7 +151,7 @@ def test_other_transcriptions_weigh_priors_too(transcription):
     assert found.success
     if transcription != "arcs":
         assert found.parameters["La"].value == pytest.approx(free.parameters["La"].value, rel=2e-4)
-    assert abs(found.priors["La"].moved) < abs(unweighed.parameters["La"].value - 5.2e-4) / 2e-6
+    assert abs(found.constraints.priors["La"].moved) < abs(unweighed.parameters["La"].value - 5.2e-4) / 2e-6
     assert found.parameters["La"].std < min(2e-6, unweighed.parameters["La"].std)
 
 
@@ -157,7 +159,7 @@ def test_a_prior_survives_saving(tmp_path):
     known = micro_actuator.fix("Ra").prior(M=(0.0101, 0.0001))
     found = fit(known, actuator(), noise=LEVEL)
     again = load_fit(found.save(tmp_path / "fit.json"), micro_actuator)
-    assert again.priors == found.priors and again.model.parameter("M").prior == (0.0101, 0.0001)
+    assert again.constraints.priors == found.constraints.priors and again.model.parameter("M").prior == (0.0101, 0.0001)
     assert profile(again, "M").interval == profile(found, "M").interval
 
 

@@ -143,7 +143,7 @@ def test_going_on_finds_the_small_effect_and_stops(hardening):
     assert [step.name for step in found.steps] == ["quadratic_stiffness"]
     assert found.steps[0].held_out > 0.5
     assert found.fit.parameters["K2"].value == pytest.approx(-2e4, rel=0.02)
-    assert found.fit.validation["y"].rmse < 1.2 * NOISE
+    assert found.fit.validation.misfit["y"].rmse < 1.2 * NOISE
     assert "quadratic_stiffness: takes" in str(found)
 
 

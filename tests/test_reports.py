@@ -151,7 +151,12 @@ def test_pages_are_whole_offline_and_can_be_read_aloud(kind: str, good: gb.Fit) 
 
 
 def test_text_from_files_stays_text(good: gb.Fit, tmp_path: Path) -> None:
-    named = replace(good, traces=[replace(good.traces[0], name=HOSTILE)], notes=(HOSTILE,), noise_source=HOSTILE)
+    named = replace(
+        good,
+        traces=[replace(good.traces[0], name=HOSTILE)],
+        notes=(HOSTILE,),
+        noise=replace(good.noise, source=HOSTILE),
+    )
     html = write(page_of(named, command=f"greybox fit '{HOSTILE}'"), tmp_path / "page.html").read_text(encoding="utf-8")
     plain = Outline(render(page_of(good)))
     found = Outline(html)

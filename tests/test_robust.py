@@ -101,7 +101,7 @@ def test_the_optimum_is_that_of_scipy(text, scipys, threshold):
     values = np.where(TIMES == 3, 60.0, VALUES)  # one reading gone wrong
     data = Experiment("published", np.append(0.0, TIMES), {}, {"y": np.append(np.nan, values)})
     found = fit(SATURATION, data, noise={"y": 2.0}, options=replace(REST, loss=text))
-    scale = 2.0 * found.loss_scale["y"]
+    scale = 2.0 * found.robust.scale["y"]
 
     def residual(p):
         return values - p[0] * (1 - np.exp(-p[1] * TIMES))
@@ -123,13 +123,13 @@ def test_outliers_that_ruin_least_squares_leave_a_robust_fit_alone(text):
         clean = fit(TRUTH, record(seed), noise=LEVEL)
         worst.append(max(map(abs, away(found).values())))
         worst_plain.append(max(map(abs, away(plain, clean).values())))
-        width.append([found.parameters[n].std / clean.parameters[n].std for n in clean.free])
-        assert all(0.03 < share < 0.08 for share in found.outliers.values())
+        width.append([found.parameters[n].std / clean.parameters[n].std for n in clean.uncertainty.free])
+        assert all(0.03 < share < 0.08 for share in found.robust.outliers.values())
         assert max(away(plain, clean).values(), key=abs) != 0
     assert max(worst) < 3.5 and min(worst_plain) > 5, (worst, worst_plain)
     assert 1.0 < np.mean(width) < 1.2
     assert any("robust loss" in n and "count as outliers" in n for n in found.notes)
-    assert "outliers aside" in found.meaning
+    assert "outliers aside" in found.solver.meaning
     assert not any("exceeds the noise" in n for n in found.notes)
     assert any("exceeds the noise" in n for n in plain.notes)
 
@@ -142,7 +142,7 @@ def test_without_outliers_it_costs_a_few_percent():
         data = record(seed + 100, rows=400)
         fits = [fit(TRUTH, data, noise=LEVEL, options=FitOptions(loss=loss)) for loss in ("squares", *theory)]
         errors.append([list(away(f, fits[0]).values()) for f in fits])
-        stated.append([[fits[0].parameters[n].std / f.parameters[n].std for n in f.free] for f in fits])
+        stated.append([[fits[0].parameters[n].std / f.parameters[n].std for n in f.uncertainty.free] for f in fits])
     spread = np.mean(np.square(np.array(errors)), axis=(0, 2))
     for k, efficiency in enumerate(theory.values(), 1):
         assert np.mean(np.array(stated)[:, k]) ** 2 == pytest.approx(efficiency, rel=0.02)
@@ -181,7 +181,7 @@ def test_curvature_profile_and_bootstrap_agree():
 
 def test_a_coloured_residual_widens_the_interval_of_a_robust_fit_too():
     found = fit(TRUTH, spoiled(record(3, 0.9)), options=FitOptions(loss="huber"))
-    assert found.interval_kind == "sandwich" and max(found.inflation.values()) > 1.5
+    assert found.uncertainty.kind == "sandwich" and max(found.uncertainty.inflation.values()) > 1.5
     assert max(map(abs, away(found).values())) < 4
 
 
@@ -196,15 +196,19 @@ def test_the_tests_of_the_residual_see_past_the_outliers_but_name_them():
 
 def test_a_model_that_lacks_something_has_no_outliers_but_a_misfit():
     found = fit(TRUTH.fix(Ra=9.5), record(5), noise=LEVEL, options=FitOptions(loss="huber"))
-    assert found.loss_scale["i"] > 3 and "times the noise in" in found.meaning
+    assert found.robust.scale["i"] > 3 and "times the noise in" in found.solver.meaning
     assert any("exceeds the noise" in n for n in found.notes)
 
 
 def test_it_is_saved_and_repeated(tmp_path):
     found = fit(TRUTH, spoiled(record(1)), options=FitOptions(loss="student:5"))
     again = load_fit(found.save(tmp_path / "fit.json"), TRUTH)
-    assert (again.loss, again.loss_scale, again.outliers) == (found.loss, found.loss_scale, found.outliers)
-    assert again.loss == "student, 5 degrees of freedom"
+    assert (again.robust.name, again.robust.scale, again.robust.outliers) == (
+        found.robust.name,
+        found.robust.scale,
+        found.robust.outliers,
+    )
+    assert again.robust.name == "student, 5 degrees of freedom"
     assert profile(again, "K").interval == profile(found, "K").interval
 
 

@@ -41,7 +41,7 @@ def test_both_ends_of_a_printed_interval_differ_from_the_value_and_units_are_tid
     found = fit(silverbox, record, options=FitOptions(at_rest=True))
     assert "**" not in str(found)
     lines = {line.split()[0]: line for line in str(found).splitlines() if "+-" in line}
-    assert set(lines) == set(found.free)
+    assert set(lines) == set(found.uncertainty.free)
     for name, line in lines.items():
         value, low, high = (
             float(t) for t in (line.split()[1], *line[line.index("[") + 1 : line.index("]")].split(", "))

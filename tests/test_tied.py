@@ -26,13 +26,13 @@ def test_a_tie_is_the_formula_in_the_place_of_the_constant():
         ],
     )  # fmt: skip
     found, expected = fit(TIED, two(), noise=LEVEL), fit(written, two(), noise=LEVEL)
-    assert found.free == ("K",) and found.cost == pytest.approx(expected.cost, rel=1e-10)
-    k, b = found.parameters["K"], found.tied["B"]
+    assert found.uncertainty.free == ("K",) and found.solver.cost == pytest.approx(expected.solver.cost, rel=1e-10)
+    k, b = found.parameters["K"], found.constraints.tied["B"]
     assert k.value == pytest.approx(expected.parameters["K"].value, rel=1e-9)
     assert k.std == pytest.approx(expected.parameters["K"].std, rel=1e-7)
     assert b.value == pytest.approx(0.2 * np.sqrt(k.value), rel=1e-12)
     assert b.std / b.value == pytest.approx(0.5 * k.std / k.value, rel=1e-6), "the delta method"
-    assert found.ties == {"B": "0.2*sqrt(K*M)"} and "B" in str(found)
+    assert found.constraints.ties == {"B": "0.2*sqrt(K*M)"} and "B" in str(found)
 
 
 def test_a_tie_may_be_a_function_and_can_be_let_go(tmp_path):
@@ -42,7 +42,7 @@ def test_a_tie_may_be_a_function_and_can_be_let_go(tmp_path):
     loose = TIED.start(K=1.0).untie("B")
     assert loose.values["B"] == pytest.approx(0.2) and not loose.ties
     found = fit(TIED, two(), noise=LEVEL)
-    assert load_fit(found.save(tmp_path / "fit.json"), MASS).tied == found.tied
+    assert load_fit(found.save(tmp_path / "fit.json"), MASS).constraints.tied == found.constraints.tied
 
 
 def test_own_constants_beside_shared_ones_are_those_of_the_regression():
@@ -57,7 +57,11 @@ def test_own_constants_beside_shared_ones_are_those_of_the_regression():
     found = fit(LINE, shifted, own="c", noise={"y": 1.2 * NOISE}, options=REST)
     values, *_ = np.linalg.lstsq(design, y, rcond=None)
     spread = 1.2 * NOISE * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
-    ours = [found.parameters["a"], found.parameters["b"], *(found.own["c"][e.name] for e in shifted)]
+    ours = [
+        found.parameters["a"],
+        found.parameters["b"],
+        *(found.constraints.per_experiment["c"][e.name] for e in shifted),
+    ]
     assert [e.value for e in ours] == pytest.approx(values, rel=1e-8)
     assert [e.std for e in ours] == pytest.approx(spread, rel=1e-6)
     assert found.parameters["c"].value == pytest.approx(values[2:].mean(), rel=1e-8)
@@ -73,10 +77,10 @@ def test_a_scheduled_constant_meets_those_of_each_condition():
     scheduled = PRESSED.schedule("K", by="P", about=1e5)
     found, own = fit(scheduled, pressed, noise=LEVEL), fit(MASS, [one, other], own=["K"], noise=LEVEL)
     k, slope = found.parameters["K"].value, found.parameters["K_P"]
-    assert k == pytest.approx(own.own["K"]["day 1"].value, rel=1e-6)
-    assert k * (1 + 2 * slope.value) == pytest.approx(own.own["K"]["day 2"].value, rel=1e-6)
+    assert k == pytest.approx(own.constraints.per_experiment["K"]["day 1"].value, rel=1e-6)
+    assert k * (1 + 2 * slope.value) == pytest.approx(own.constraints.per_experiment["K"]["day 2"].value, rel=1e-6)
     assert abs(slope.value - 0.125) < 4 * slope.std < 0.01
-    assert found.cost == pytest.approx(own.cost, rel=1e-9)
+    assert found.solver.cost == pytest.approx(own.solver.cost, rel=1e-9)
 
 
 def test_a_constant_may_follow_a_measured_input():

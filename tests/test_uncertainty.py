@@ -86,17 +86,17 @@ def test_lotka_volterra_constants_converge_and_the_step_is_watched():
     assert fine.parameters["beta"].value == pytest.approx(0.69397111, rel=1e-7)
     assert fine.parameters["delta"].value == pytest.approx(0.34092149, rel=1e-7)
     automatic = fit(PREY, data, noise=noise)
-    assert max(automatic.integration_error.values()) < 1e-6
-    assert automatic.cost == pytest.approx(fine.cost, rel=1e-6)
+    assert max(automatic.discretisation.error.values()) < 1e-6
+    assert automatic.solver.cost == pytest.approx(fine.solver.cost, rel=1e-6)
     rough = fit(PREY, data, noise=noise, options=FitOptions(substeps=4))
     for name in ("beta", "delta"):
         assert automatic.parameters[name].value == pytest.approx(fine.parameters[name].value, rel=1e-7)
         step = abs(rough.parameters[name].value - fine.parameters[name].value)
         # What is left of the step's error is what halving the step announces (RK4: 15 of 16 parts of it).
-        assert step / fine.parameters[name].std == pytest.approx(rough.discretisation_shift[name], rel=0.15)
-        assert rough.discretisation_shift[name] < 0.01
+        assert step / fine.parameters[name].std == pytest.approx(rough.discretisation.shift[name], rel=0.15)
+        assert rough.discretisation.shift[name] < 0.01
     coarse = fit(PREY, data, noise=noise, options=FitOptions(substeps=1))
-    assert max(coarse.discretisation_shift.values()) > 0.1
+    assert max(coarse.discretisation.shift.values()) > 0.1
     assert any("half the step the constants change" in n for n in coarse.notes)
 
 
@@ -109,15 +109,15 @@ def test_the_toeplitz_form_is_that_of_the_dense_matrix():
 def test_the_sandwich_widens_the_interval_by_what_the_colour_costs():
     """Spread of the constants over many records of AR(1) noise, against the stated standard deviation."""
     fits = [fit(TRUTH, actuator_record(seed, 0.9)) for seed in range(20)]
-    assert all(f.interval_kind == "sandwich" for f in fits)
+    assert all(f.uncertainty.kind == "sandwich" for f in fits)
     for q in TRUTH.free_parameters:
         z = [(f.parameters[q.name].value - q.value) / f.parameters[q.name].std for f in fits]
         assert 0.7 < np.std(z) < 1.35, q.name
-    assert 2 < max(fits[0].inflation.values()) < 4
+    assert 2 < max(fits[0].uncertainty.inflation.values()) < 4
     note = next(n for n in fits[0].notes if "correlated from sample to sample" in n)
     assert "as wide as white noise would make them" in note
     white = fit(TRUTH, actuator_record(3))
-    assert white.interval_kind == "gauss_newton" and set(white.inflation.values()) == {1.0}
+    assert white.uncertainty.kind == "gauss_newton" and set(white.uncertainty.inflation.values()) == {1.0}
 
 
 def test_the_profile_is_that_of_refits_by_scipy():
@@ -171,7 +171,7 @@ def test_intervals_survive_saving(tmp_path):
     found = fit(TRUTH, actuator_record(3, 0.9))
     again = load_fit(found.save(tmp_path / "fit.json"), TRUTH)
     assert profile(again, "K").interval == profile(found, "K").interval
-    assert again.interval_kind == "sandwich" and again.inflation == found.inflation
+    assert again.uncertainty.kind == "sandwich" and again.uncertainty.inflation == found.uncertainty.inflation
 
 
 def test_bad_requests_are_refused_in_words():
@@ -220,7 +220,7 @@ def test_emps_intervals_admit_both_estimators_and_the_alias_is_raised(shared_dat
     found = fit(rubbing, gb.read_csv(shared_data / "emps" / "train.csv", rubbing))
     low, high = found.parameters["M"].interval
     assert low < 90.2 and high > 95.1, "free run and inverse dynamics differ by 5 kg"
-    assert found.interval_kind == "sandwich" and found.inflation["M"] > 10
+    assert found.uncertainty.kind == "sandwich" and found.uncertainty.inflation["M"] > 10
     assert any("not constant" in n and "F0" in n for n in found.notes)
 
 
@@ -242,7 +242,7 @@ def test_gaps_and_irregular_time_keep_the_intervals_honest():
             noise=LEVEL,
             options=FitOptions(at_rest=True, substeps=4),
         )
-        assert found.interval_kind == "sandwich"
+        assert found.uncertainty.kind == "sandwich"
         z += [(found.parameters[q.name].value - q.value) / found.parameters[q.name].std for q in TRUTH.free_parameters]
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
 

@@ -163,8 +163,15 @@ def _grown(first: Fit, names: Sequence[str], plain: Model, show: Show) -> tuple[
     from greybox.discovery import try_effect
     from greybox.errors import DataError
 
-    plainly = first.options.get("transcription") == "automatic" and first.solver.get("free_run", True)
-    if not (first.success and plainly) or first.process_noise or first.own or first.loss:
+    plainly = first.provenance.options.get("transcription") == "automatic" and first.solver.statistics.get(
+        "free_run", True
+    )
+    if (
+        not (first.success and plainly)
+        or first.prediction.process_noise
+        or first.constraints.per_experiment
+        or first.robust.name
+    ):
         return None
     began, fit = time.perf_counter(), first
     for name in names:

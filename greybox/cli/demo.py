@@ -59,7 +59,7 @@ def _told(found: Demo, folder: Path) -> str:
     noise = " ".join(f"--noise {name}={std:g}" for name, std in NOISE.items())
     pair = f"{first} --validate {second} {known} {noise} --at-rest"
     return "\n".join([
-        "", found.fit.equations, "", str(found), "",
+        "", found.fit.provenance.equations, "", str(found), "",
         f"{found.seconds:.1f} s; everything is in {folder}:",
         *(f"  {path.name:20s} {what}" for path, what in found.files.items()),
         "", "the same on these records, step by step:",

@@ -128,7 +128,7 @@ def fit(
         stop(f"interrupted; the best point so far is in {saved} (no figures, no report{older})", INTERRUPTED)
     _draw(result, tests, saved, skip, quiet=silent or json, page=not no_report)
     if not result.success:
-        stop(f"no success: {result.meaning}", UNSUCCESSFUL)
+        stop(f"no success: {result.solver.meaning}", UNSUCCESSFUL)
 
 
 def _tell(
@@ -143,7 +143,16 @@ def _tell(
             str(tests),
         ]
         typer.echo(
-            "\n".join([result.equations, "", str(result), *ahead, *(said if tests else []), *by_record(result, skip)])
+            "\n".join(
+                [
+                    result.provenance.equations,
+                    "",
+                    str(result),
+                    *ahead,
+                    *(said if tests else []),
+                    *by_record(result, skip),
+                ]
+            )
         )
 
 
@@ -152,7 +161,11 @@ def _tested(result: Fit) -> ResidualTests | None:
     from greybox.diagnose import diagnose_residuals
     from greybox.uncertainty.again import runs_freely
 
-    return diagnose_residuals(result) if result.success and (runs_freely(result) or result.process_noise) else None
+    return (
+        diagnose_residuals(result)
+        if result.success and (runs_freely(result) or result.prediction.process_noise)
+        else None
+    )
 
 
 def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool, page: bool) -> None:

@@ -78,7 +78,11 @@ def further(result: Fit, profiles: Iterable[str], replicates: int) -> list[str]:
 def _labels(result: Fit, profiles: Iterable[str]) -> Iterable[str]:
     """A constant that each experiment has for itself is one for each of them."""
     for name in profiles:
-        yield from [f"{name} ({title})" for title in result.own[name]] if name in result.own else [name]
+        yield from (
+            [f"{name} ({title})" for title in result.constraints.per_experiment[name]]
+            if name in result.constraints.per_experiment
+            else [name]
+        )
 
 
 def _profiles(result: Fit, names: Iterable[str]) -> Iterable[str]:

@@ -62,7 +62,7 @@ def by_record(fit: Fit, skip: int) -> list[str]:
     lines: list[str] = []
     for title, traces, left_out in (
         ("fitted record", fit.traces, 0),
-        ("validation record", fit.validation_traces, skip),
+        ("validation record", fit.validation.traces, skip),
     ):
         rows: list[Sequence[str]] = [
             [trace.name, output, *misfit_cells(m)]

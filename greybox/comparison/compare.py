@@ -168,7 +168,7 @@ def _bic(training: Mapping[str, Score], parameters: int) -> float:
 
 
 def _troubles(model: Model | Fit) -> tuple[str, ...]:
-    return (f"the fit did not succeed: {model.meaning}",) if isinstance(model, Fit) and not model.success else ()
+    return (f"the fit did not succeed: {model.solver.meaning}",) if isinstance(model, Fit) and not model.success else ()
 
 
 def _units(entered: Sequence[Named], given: Mapping[str, str]) -> dict[str, str]:

@@ -40,7 +40,7 @@ def grey_runs(
     """
     own = {t.fingerprint: t for t in model.traces} if isinstance(model, Fit) and runs_freely(model) else {}
     plant = model.model if isinstance(model, Fit) else model
-    noise = model.noise if isinstance(model, Fit) else None
+    noise = model.noise.std if isinstance(model, Fit) else None
     unknown = [e for e in experiments if not (training and e.fingerprint in own)]
     judged = iter(validate(plant, unknown, noise=noise, skip=skip, options=options).traces if unknown else ())
     traces = [own[e.fingerprint] if training and e.fingerprint in own else next(judged) for e in experiments]
@@ -55,14 +55,14 @@ def grey_runs(
 def filtered(model: Model | Fit, rows: int) -> Predictor | None:
     """What predicts best from sample to sample with the constants of a fit, learnt from its own records; None for what is no
     successful fit, has constants of single records, or where all its and the other ``rows`` are too many."""
-    if not (isinstance(model, Fit) and model.success and not model.own):
+    if not (isinstance(model, Fit) and model.success and not model.constraints.per_experiment):
         return None
     return predictor(model) if rows + sum(len(t.time) for t in model.traces) <= MOST_FILTERED else None
 
 
 def runs_freely(fit: Fit) -> bool:
     """Whether the traces of ``fit`` are free runs over whole records: not those of arcs or segments."""
-    return bool(fit.solver.get("free_run", True)) and fit.solver.get("transcription") != "arcs"
+    return bool(fit.solver.statistics.get("free_run", True)) and fit.solver.statistics.get("transcription") != "arcs"
 
 
 def colours(fit: Fit) -> dict[str, AutoRegression]:
@@ -120,5 +120,5 @@ def options_of(model: Model | Fit, options: FitOptions | None) -> FitOptions:
         return options
     if not isinstance(model, Fit):
         return FitOptions()
-    known = {name: value for name, value in model.options.items() if name in FitOptions.__dataclass_fields__}
+    known = {name: value for name, value in model.provenance.options.items() if name in FitOptions.__dataclass_fields__}
     return replace(FitOptions(**known), own=())

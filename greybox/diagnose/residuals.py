@@ -108,7 +108,7 @@ def diagnose_residuals(fit: Fit) -> ResidualTests:
     Raises FitError for a fit that did not succeed, and for one whose run is not a free one (arcs, or the segments of an unstable
     plant): states that are set anew along the record take up what the model lacks, and the tests would not see it.
     """
-    rows, raw, variables = _innovations(fit) if fit.process_noise else _free_run(fit)
+    rows, raw, variables = _innovations(fit) if fit.prediction.process_noise else _free_run(fit)
     inputs = [[trace.inputs[i.name] for trace in fit.traces] for i in fit.model.inputs]
     tests: list[ResidualTest] = []
     looked_at: dict[str, ResidualSeries] = {}
@@ -129,7 +129,7 @@ def diagnose_residuals(fit: Fit) -> ResidualTests:
                 {i.name: tuple(given) for i, given in zip(fit.model.inputs, inputs, strict=True)},
                 tuple(trace.time for trace in fit.traces), autoregression(segments(residuals)),
             )  # fmt: skip
-    whitened = tuple(n for n, k in fit.noise_colour.items() if len(k))
+    whitened = tuple(n for n, k in fit.noise.colour.items() if len(k))
     return ResidualTests(tuple(tests), whitened, looked_at)
 
 

@@ -33,7 +33,7 @@ def advice(
 def doubt(base: Fit) -> tuple[str, ...]:
     """What to check where nothing seems to be missing: a noise that was estimated too large hides what is."""
     units = {o.name: o.unit for o in base.model.outputs}
-    sizes = [f"{base.noise[n]:.3g} {units[n]}".rstrip() + f" in {n}" for n in _guessed(base)]
+    sizes = [f"{base.noise.std[n]:.3g} {units[n]}".rstrip() + f" in {n}" for n in _guessed(base)]
     if not sizes:
         return ()
     return (
@@ -44,7 +44,7 @@ def doubt(base: Fit) -> tuple[str, ...]:
 
 def _guessed(base: Fit) -> list[str]:
     """Outputs whose noise nobody has told."""
-    return [name for name in base.misfit if base.noise_sources.get(name) not in KNOWN]
+    return [name for name in base.misfit if base.noise.sources.get(name) not in KNOWN]
 
 
 def _sentences(

@@ -128,8 +128,8 @@ def judged(trial: Trial, bench: Bench, judges: Sequence[Experiment], skip: int =
     result = fitted(trial.model, bench.experiments, noise=trial.problem.noise, initial=beginnings(trial), options=quick)
     if not judges:
         return result
-    seen = validate(result.model, judges, noise=result.noise, skip=skip, options=quick)
-    return replace(result, validation=seen.misfit, validation_traces=seen.traces)
+    seen = validate(result.model, judges, noise=result.noise.std, skip=skip, options=quick)
+    return replace(result, validation=seen)
 
 
 def _attempt(

@@ -70,11 +70,11 @@ class Bench:
     def of(cls, fit: Fit) -> Bench:
         """The records, noise and options of a finished fit; its constants are what the plain model comes with."""
         outputs = [o.name for o in fit.model.outputs]
-        std = np.array([fit.noise.get(name, np.nan) for name in outputs])
-        colour = tuple(AutoRegression(fit.noise_colour.get(name, ())) for name in outputs)
-        noise = Noise(std, fit.noise_source, False, fit.noise_sources, colour)
+        std = np.array([fit.noise.std.get(name, np.nan) for name in outputs])
+        colour = tuple(AutoRegression(fit.noise.colour.get(name, ())) for name in outputs)
+        noise = Noise(std, fit.noise.source, False, fit.noise.sources, colour)
         known = {f.name for f in fields(FitOptions)}
-        options = FitOptions(**{name: value for name, value in fit.options.items() if name in known})
+        options = FitOptions(**{name: value for name, value in fit.provenance.options.items() if name in known})
         return cls(fit.model, tuple(t.experiment for t in fit.traces), noise, (), options)
 
     def at(self, fit: Fit) -> Trial:

@@ -96,7 +96,7 @@ class Evidence:
         """Rms over noise that the noise of an output hardly ever exceeds on the judging records."""
         noise = self.search.base.problem.noise
         number = [o.name for o in self.base.model.outputs].index(output)
-        return rules.visible(self.base.validation[output].samples, noise.colour[number])
+        return rules.visible(self.base.validation.misfit[output].samples, noise.colour[number])
 
     @property
     def shows_elsewhere(self) -> bool:

@@ -27,7 +27,7 @@ class Gap:
 
 def gaps(base: Fit, best: Fit) -> dict[str, Gap]:
     """By output, from two fits judged on the same records."""
-    return {name: _gap(base.validation[name], best.validation[name]) for name in base.validation}
+    return {name: _gap(base.validation.misfit[name], best.validation.misfit[name]) for name in base.validation.misfit}
 
 
 def _gap(before: Misfit, after: Misfit) -> Gap:

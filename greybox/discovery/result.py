@@ -97,8 +97,8 @@ class Discovery:
             "further": self._further(),
             "parameters": self.best.parameters, "gap": self.gap, "ranking": self.ranking, "story": self.story,
             "next_steps": self.next_steps, "notes": self.notes, "seconds": self.seconds,
-            "model": self.best.model.name, "equations": self.best.equations,
-            "noise": self.best.noise, "noise_source": self.best.noise_source, "versions": self.best.versions,
+            "model": self.best.model.name, "equations": self.best.provenance.equations,
+            "noise": self.best.noise, "noise_source": self.best.noise.source, "versions": self.best.provenance.versions,
         }  # fmt: skip
         target = Path(path)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -143,7 +143,7 @@ class Discovery:
         for output, gap in self.gap.items():
             lines.append(f"  {output}: rms misfit on the validation records {gap}")
         if self.deeper is not None and self.deeper.steps:
-            after = self.deeper.fit.validation.items()
+            after = self.deeper.fit.validation.misfit.items()
             lines += [f"  {o}: {m.rmse:.4g} {m.unit}".rstrip() + " with the further effects" for o, m in after]
         if self.stand_in is not None:
             lines.append(f"  stand-in: {self.stand_in}")

@@ -36,7 +36,7 @@ def residual_spectrum(fit: Fit, output: str, *, coloured: bool = True) -> Spectr
 
     Raises DataError for an output that was not measured.
     """
-    traces = [t for t in (fit.validation_traces or fit.traces) if output in t.measured]
+    traces = [t for t in (fit.validation.traces or fit.traces) if output in t.measured]
     if not traces:
         raise DataError(f"spectrum of {output!r}: not measured; {nearest(output, list(fit.misfit))}")
     period = float(np.median(np.diff(traces[0].time)))
@@ -48,7 +48,7 @@ def residual_spectrum(fit: Fit, output: str, *, coloured: bool = True) -> Spectr
     power = sum(powers) / sum(len(t.time) for t in traces)
     frequency = np.fft.rfftfreq(length, period)
     step = frequency[1] - frequency[0]
-    std, reflection = fit.noise.get(output, np.nan), fit.noise_colour.get(output, ()) if coloured else ()
+    std, reflection = fit.noise.std.get(output, np.nan), fit.noise.colour.get(output, ()) if coloured else ()
     floor = std**2 * 2 * period * _shape(AutoRegression(tuple(reflection)), frequency * period)
     unit = next(o.unit for o in fit.model.outputs if o.name == output)
     return Spectrum(output, frequency[1:], np.sqrt(power * step)[1:], np.sqrt(floor * step)[1:], unit)

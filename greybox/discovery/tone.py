@@ -48,14 +48,14 @@ def tone_in_place(
     measured = {name for e in trial.problem.experiments for name in e.outputs}
     ways = [p for p in places(trial.model, sorted(measured)) if str(p) in there]
     fits = [_fitted(bench, trial, p, there[str(p)], found.regions[0].tone) for p in ways]
-    least = min((f.cost for f in fits), default=np.inf)
+    least = min((f.solver.cost for f in fits), default=np.inf)
     if not least < trial.cost:  # nor where it is not a number
         return None
-    alike = [(p, f) for p, f in zip(ways, fits, strict=True) if f.cost - least < rules.TIE]
+    alike = [(p, f) for p, f in zip(ways, fits, strict=True) if f.solver.cost - least < rules.TIE]
     place, result = alike[0]
     rows, seconds = _beginning(judges, result.parameters[_own(result)[0]].value, skip)
-    seen = validate(result.model, judges, noise=result.noise, skip=skip, beginning=rows, options=bench.options)
-    result = replace(result, validation=seen.misfit, validation_traces=seen.traces)
+    seen = validate(result.model, judges, noise=result.noise.std, skip=skip, beginning=rows, options=bench.options)
+    result = replace(result, validation=seen)
     others = tuple(str(p) for p, _ in alike[1:])
     return _drawn(place, there[str(place)], found.regions[0], result, gaps(base, result), seconds, others)
 
@@ -73,7 +73,7 @@ def _fitted(bench: Bench, trial: Trial, place: Place, signal: Signal, frequency:
         )
         for values in origins
     ]  # fmt: skip
-    return min((f for f in tried if np.isfinite(f.cost)), key=lambda f: f.cost, default=tried[0])
+    return min((f for f in tried if np.isfinite(f.solver.cost)), key=lambda f: f.solver.cost, default=tried[0])
 
 
 def _own(fit: Fit) -> tuple[str, str, str]:

@@ -75,11 +75,11 @@ def cloud_of(plant: Plant) -> Cloud:
     fit, model = plant.fit, plant.model
     if fit is None:
         raise ModelError(f"{model.title} is no fit: it has no covariance to draw from; give what gb.fit returns")
-    covariance = np.asarray(fit.covariance, float)
-    own = np.array([n in model.values for n in fit.free], bool)  # not the constant of one experiment alone
+    covariance = np.asarray(fit.uncertainty.covariance, float)
+    own = np.array([n in model.values for n in fit.uncertainty.free], bool)  # not the constant of one experiment alone
     known = np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0) & own
-    names = tuple(n for n, k in zip(fit.free, known, strict=True) if k)
-    idle = [n for n, k in zip(fit.free, known, strict=True) if not k]
+    names = tuple(n for n, k in zip(fit.uncertainty.free, known, strict=True) if k)
+    idle = [n for n, k in zip(fit.uncertainty.free, known, strict=True) if not k]
     if not names:
         raise ModelError(f"{model.title}: no fitted constant has a covariance; fit with records that determine some")
     notes = [

@@ -144,8 +144,10 @@ def _origin(plant: Plant | None) -> dict[str, Any]:
     }
     if plant.fit is not None:
         found["covariance"] = {
-            name: dict(zip(plant.fit.free, map(float, row), strict=True))
-            for name, row in zip(plant.fit.free, np.asarray(plant.fit.covariance, float), strict=True)
+            name: dict(zip(plant.fit.uncertainty.free, map(float, row), strict=True))
+            for name, row in zip(
+                plant.fit.uncertainty.free, np.asarray(plant.fit.uncertainty.covariance, float), strict=True
+            )
         }
     return found
 

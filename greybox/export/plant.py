@@ -81,14 +81,16 @@ class Plant:
         lines = [f"greybox {_version()}, model {self.model.title}"]
         if self.fit is not None:
             records = ", ".join(f"{t.name} ({t.fingerprint})" for t in self.fit.traces)
-            lines += [f"fitted to {records}", f"fit: {self.fit.meaning}"]
+            lines += [f"fitted to {records}", f"fit: {self.fit.solver.meaning}"]
         return tuple(lines)
 
 
 def plant_of(given: Fit | Model) -> Plant:
     """The plant behind what was handed over. Raises ModelError for anything that is neither a fit nor a model."""
     if isinstance(given, Fit):
-        failed = () if given.success else (f"the fit did not succeed ({given.meaning}); do not trust its numbers",)
+        failed = (
+            () if given.success else (f"the fit did not succeed ({given.solver.meaning}); do not trust its numbers",)
+        )
         return Plant(given.model, given, failed)
     if isinstance(given, Model):
         return Plant(given)

@@ -31,10 +31,10 @@ def draw_residuals(found: Discovery) -> Figure:
 
 
 def _time(axis: Axes, output: str, unit: str, base: Fit, after: Fit) -> None:
-    before = next(t for t in base.validation_traces if output in t.measured)
-    then = next(t for t in after.validation_traces if output in t.measured)
+    before = next(t for t in base.validation.traces if output in t.measured)
+    then = next(t for t in after.validation.traces if output in t.measured)
     factor, text = scaled(unit, before.residual(output))
-    noise = factor * base.noise.get(output, 0.0)
+    noise = factor * base.noise.std.get(output, 0.0)
     axis.axhspan(-2 * noise, 2 * noise, color=BAND, lw=0, label="± 2 noise")
     axis.plot(*envelope(before.time, factor * before.residual(output)), color=BEFORE, lw=0.7, label="before")
     axis.plot(*envelope(then.time, factor * then.residual(output)), color=AFTER, lw=0.6, label="after")

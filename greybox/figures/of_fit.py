@@ -32,7 +32,7 @@ def fit_figure(fit: Fit, directory: str | Path, *, skip: int = 0) -> list[Path]:
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
-    for kind, traces in (("fit", fit.traces), ("validation", fit.validation_traces)):
+    for kind, traces in (("fit", fit.traces), ("validation", fit.validation.traces)):
         for trace in traces:
             file = folder / f"{kind}-{re.sub(r'[^A-Za-z0-9_.-]+', '_', trace.name)}.png"
             if file in files:
@@ -47,8 +47,8 @@ def misfits_of(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, Misfit]:
     """Misfit of one record of ``fit`` by output, without its first ``skip`` rows."""
     units = {o.name: o.unit for o in fit.model.outputs}
     # An output that the fitted records lack has the noise by which the validation judged it.
-    judged = {name: m.rmse / m.noise_ratio for name, m in fit.validation.items() if m.noise_ratio > 0}
-    noise = {**judged, **fit.noise}
+    judged = {name: m.rmse / m.noise_ratio for name, m in fit.validation.misfit.items() if m.noise_ratio > 0}
+    noise = {**judged, **fit.noise.std}
     return {name: misfit([trace], name, units[name], noise.get(name, np.nan), skip) for name in trace.measured}
 
 
@@ -83,7 +83,7 @@ def _draw(fit: Fit, trace: Trace, own: Mapping[str, Misfit], kind: str) -> Figur
 def _output(top: Axes, bottom: Axes, fit: Fit, trace: Trace, name: str, rows: slice, *, first: bool) -> None:
     unit = next(o.unit for o in fit.model.outputs if o.name == name)
     factor, text = scaled(unit, trace.measured[name], trace.simulated[name])
-    noise = fit.noise.get(name, 0.0)
+    noise = fit.noise.std.get(name, 0.0)
     small, small_text = scaled(unit, trace.residual(name), np.array([2 * noise]))
     time = trace.time[rows]
     top.plot(*envelope(time, factor * trace.measured[name][rows]), color=MEASURED, lw=1.8, label="measured")

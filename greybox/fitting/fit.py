@@ -37,7 +37,16 @@ from greybox.model import Model
 from greybox.model.show import equations
 from greybox.noise import AutoRegression, Noise
 from greybox.noise.hierarchy import LEAST_NOISE, RESIDUAL
-from greybox.result import Fit
+from greybox.result import (
+    Fit,
+    FitConstraints,
+    FitDiscretisation,
+    FitNoise,
+    FitUncertainty,
+    Provenance,
+    RobustLoss,
+    SolverReport,
+)
 from greybox.transcription.records import experiments_of
 
 Colouring = Literal["known", "residual", "white"]
@@ -126,13 +135,10 @@ def _judged(
 ) -> Fit:
     """``result`` with its misfit on validation records; FitError for a failure that is to be raised."""
     if validation and result.success:
-        judged = validate(result.model, validation, noise=result.noise, skip=skip, options=options)
-        result = replace(
-            result, validation=judged.misfit, validation_traces=judged.traces,
-            notes=(*result.notes, *elsewhere(result.misfit, judged.misfit)),
-        )  # fmt: skip
+        judged = validate(result.model, validation, noise=result.noise.std, skip=skip, options=options)
+        result = replace(result, validation=judged, notes=(*result.notes, *elsewhere(result.misfit, judged.misfit)))
     if raise_on_failure and not result.success:
-        raise FitError(f"fit of {result.model.title}: {result.meaning}")
+        raise FitError(f"fit of {result.model.title}: {result.solver.meaning}")
     return result
 
 
@@ -174,20 +180,42 @@ def _result(model: Model, solution: Solution, options: FitOptions) -> Fit:
     widened = np.ones(len(variables.names)) if found.inflation is None else found.inflation
     return Fit(
         model=model.start(**{name: float(variables.fixed[k]) for k, name in enumerate(model.values)}),
-        status=solution.status.name.lower(), success=solution.status.success, meaning=meaning(solution, misfit),
-        parameters=constants, misfit=misfit, traces=runs, free=tuple(model.all_parameters[k].name for k in fitted(variables)),
-        covariance=model_covariance(variables, found.covariance),
-        noise=named_noise(problem, misfit), noise_source=problem.noise.source, discretisation=solution.discretisation or problem.step.label,
-        integration_error={model.outputs[j].name: float(solution.integration_error[j]) for j in measured},
-        cost=float(solution.evaluation.cost), solver=_statistics(solution), options={**asdict(options), "own": list(options.own)},
-        equations=equations(model), versions=versions(), notes=remarks,
-        noise_sources=dict(problem.noise.sources), interval_kind=found.kind,
-        noise_colour={o.name: a.reflection for o, a in zip(model.outputs, problem.noise.colour, strict=True) if o.name in misfit},
-        inflation=dict(zip(variables.names, widened.tolist(), strict=True)),
-        discretisation_shift=dict(zip(variables.names, shift.tolist(), strict=True)),
-        tied=tied, ties={tie.name: tie.formula for tie in model.ties}, own=own, priors=priors,
-        loss=robust.loss, loss_scale=robust.scale, outliers=robust.outliers,
-    )  # fmt: skip
+        parameters=constants,
+        misfit=misfit,
+        traces=runs,
+        solver=SolverReport(
+            solution.status.name.lower(),
+            solution.status.success,
+            meaning(solution, misfit),
+            float(solution.evaluation.cost),
+            _statistics(solution),
+        ),
+        noise=FitNoise(
+            named_noise(problem, misfit),
+            problem.noise.source,
+            dict(problem.noise.sources),
+            {
+                o.name: a.reflection
+                for o, a in zip(model.outputs, problem.noise.colour, strict=True)
+                if o.name in misfit
+            },
+        ),
+        uncertainty=FitUncertainty(
+            tuple(model.all_parameters[k].name for k in fitted(variables)),
+            model_covariance(variables, found.covariance),
+            found.kind,
+            dict(zip(variables.names, widened.tolist(), strict=True)),
+        ),
+        discretisation=FitDiscretisation(
+            solution.discretisation or problem.step.label,
+            {model.outputs[j].name: float(solution.integration_error[j]) for j in measured},
+            dict(zip(variables.names, shift.tolist(), strict=True)),
+        ),
+        provenance=Provenance({**asdict(options), "own": list(options.own)}, equations(model), versions()),
+        constraints=FitConstraints({tie.name: tie.formula for tie in model.ties}, tied, own, priors),
+        robust=RobustLoss(robust.loss, robust.scale, robust.outliers),
+        notes=remarks,
+    )
 
 
 def _statistics(solution: Solution) -> dict[str, object]:

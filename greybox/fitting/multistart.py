@@ -17,7 +17,7 @@ from greybox.fitting.solve import solve
 from greybox.model import Model
 from greybox.noise import Noise
 from greybox.parallel import Report, run
-from greybox.result import End, Fit
+from greybox.result import Fit, StartResult
 from greybox.signals import Parameter
 
 # Ends belong together if their costs differ by at most this share, or their misfits over noise by this much.
@@ -26,13 +26,13 @@ SAME_COST, SAME_MISFIT = 0.01, 1e-3
 
 @dataclass(frozen=True)
 class MultiStart:
-    """``best``: the fit from the best end, which carries the others in `Fit.ends`. ``ends``: all of them, best first.
+    """``best``: the fit from the best end, which carries the others in `Fit.starts`. ``ends``: all of them, best first.
 
     ``interrupted``: Ctrl-C came before all were done.
     """
 
     best: Fit
-    ends: tuple[End, ...]
+    ends: tuple[StartResult, ...]
     interrupted: bool = False
 
     @property
@@ -91,10 +91,10 @@ def multistart(
     ends = []
     for begin, done in zip(begins, results, strict=True):
         if done is not None and done.error:
-            ends.append(End(begin, {}, np.inf, done.error, done.seconds))
+            ends.append(StartResult(begin, {}, np.inf, done.error, done.seconds))
         elif done is not None:
             values, ratio, status = done.value
-            ends.append(End(begin, values, ratio, status, done.seconds))
+            ends.append(StartResult(begin, values, ratio, status, done.seconds))
     ends.sort(key=lambda end: end.noise_ratio)
     if not ends or not ends[0].values:
         reason = ends[0].status if ends else "interrupted before the first was done"
@@ -106,7 +106,7 @@ def multistart(
         model.start(**ends[0].values), group, noise=noise, quiet=quiet, colour=colour, validation=validation, skip=skip,
         options=options,
     )  # fmt: skip
-    best = replace(best, notes=(waterfall(ends), *best.notes), ends=tuple(ends))
+    best = replace(best, notes=(waterfall(ends), *best.notes), starts=tuple(ends))
     return MultiStart(best, tuple(ends), interrupted)
 
 
@@ -132,9 +132,9 @@ def _drawn(q: Parameter, factor: float, share: float) -> float:
     return float(np.clip(size * np.exp(np.log(size * a) + share * np.log(b / a)), low, high))
 
 
-def groups(ends: Sequence[End]) -> list[list[End]]:
+def groups(ends: Sequence[StartResult]) -> list[list[StartResult]]:
     """Ends at the same optimum, best first; what led nowhere is left out."""
-    result: list[list[End]] = []
+    result: list[list[StartResult]] = []
     for end in sorted((e for e in ends if e.values), key=lambda e: e.noise_ratio):
         if result and _alike(result[-1][0].noise_ratio, end.noise_ratio):
             result[-1].append(end)
@@ -143,7 +143,7 @@ def groups(ends: Sequence[End]) -> list[list[End]]:
     return result
 
 
-def waterfall(ends: Sequence[End]) -> str:
+def waterfall(ends: Sequence[StartResult]) -> str:
     """``18 of 20 starts ended at the best optimum (misfit 1.00 x noise), 2 at a worse one (3.4 x)``."""
     found = groups(ends)
     parts = [

@@ -32,7 +32,17 @@ from greybox.model import Model
 from greybox.model.noise import intensities
 from greybox.model.show import equations
 from greybox.noise import Noise
-from greybox.result import Estimate, Fit
+from greybox.result import (
+    Estimate,
+    Fit,
+    FitConstraints,
+    FitDiscretisation,
+    FitNoise,
+    FitUncertainty,
+    PredictionErrors,
+    Provenance,
+    SolverReport,
+)
 from greybox.transcription import Variables
 
 INNOVATIONS = "the innovations"
@@ -85,21 +95,40 @@ def _result(model: Model, solution: Solution, found: Found, judged: Sequence[Int
     remarks = notes(fitted, problem, found, around, constants, judged, shift, _moves(problem, found, free))
     remarks = (*remarks, *asked(problem, constants, tied, own, priors, Outlying("", {}, {})))
     return Fit(
-        model=fitted, status=found.status.name.lower(), success=found.status.success, meaning=meaning(found, one_step, free_run),
-        parameters=constants, misfit=free_run, traces=runs, free=names, covariance=covariance,
-        noise={name: float(level[j]) for j, name in enumerate(problem.model.system.output_names) if name in free_run},
-        noise_source="; ".join(f"{name}: {text}" for name, text in sources.items()), discretisation=cost.kalman.whole.label,
-        integration_error={n: float(solution.integration_error[j]) for j, n in enumerate(model.system.output_names) if n in free_run},
-        cost=float(found.evaluation.cost), solver=_statistics(solution, found), options={**asdict(options), "own": list(options.own)},
-        equations=equations(model), versions=versions(),
+        model=fitted,
+        parameters=constants,
+        misfit=free_run,
+        traces=runs,
+        solver=SolverReport(
+            found.status.name.lower(),
+            found.status.success,
+            meaning(found, one_step, free_run),
+            float(found.evaluation.cost),
+            _statistics(solution, found),
+        ),
+        noise=FitNoise(
+            {name: float(level[j]) for j, name in enumerate(problem.model.system.output_names) if name in free_run},
+            "; ".join(f"{name}: {text}" for name, text in sources.items()),
+            {name: _source(problem, cost.unknowns, name) for name in sources},
+            dict.fromkeys(free_run, ()),
+        ),
+        uncertainty=FitUncertainty(
+            names, covariance, around.constants.kind, dict(zip(variables.names, inflation.tolist(), strict=True))
+        ),
+        discretisation=FitDiscretisation(
+            cost.kalman.whole.label,
+            {n: float(solution.integration_error[j]) for j, n in enumerate(model.system.output_names) if n in free_run},
+            shift,
+        ),
+        provenance=Provenance({**asdict(options), "own": list(options.own)}, equations(model), versions()),
+        constraints=FitConstraints({tie.name: tie.formula for tie in model.ties}, tied, own, priors),
+        prediction=PredictionErrors(
+            {state: value for state, value in intensities(fitted).items() if state in model.noisy_states},
+            one_step,
+            found.likelihood if np.isfinite(found.likelihood) else None,
+        ),
         notes=with_records(remarks, problem.experiments),
-        noise_sources={name: _source(problem, cost.unknowns, name) for name in sources}, interval_kind=around.constants.kind,
-        noise_colour=dict.fromkeys(free_run, ()), inflation=dict(zip(variables.names, inflation.tolist(), strict=True)),
-        discretisation_shift=shift, tied=tied, ties={tie.name: tie.formula for tie in model.ties}, own=own,
-        priors=priors,
-        process_noise={state: value for state, value in intensities(fitted).items() if state in model.noisy_states},
-        prediction=one_step, log_likelihood=found.likelihood if np.isfinite(found.likelihood) else None,
-    )  # fmt: skip
+    )
 
 
 def _with_limits(constants: dict[str, Estimate], judged: Sequence[Intensity]) -> dict[str, Estimate]:

@@ -23,20 +23,26 @@ def likelihood_of_fit(fit: Fit) -> PredictionError:
     Raises FitError for a fit that did not succeed, or was saved without its inputs.
     """
     if not fit.success:
-        raise FitError(f"fit of {fit.model.title}: {fit.meaning}; its innovations need a fit that has succeeded")
+        raise FitError(f"fit of {fit.model.title}: {fit.solver.meaning}; its innovations need a fit that has succeeded")
     if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
         raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
-    saved = FitOptions(**fit.options)
+    saved = FitOptions(**fit.provenance.options)
     options = replace(
-        saved, method=str(fit.solver.get("method", saved.method)), substeps=int(fit.solver.get("substeps", 0))
+        saved,
+        method=str(fit.solver.statistics.get("method", saved.method)),
+        substeps=int(fit.solver.statistics.get("substeps", 0)),
     )
-    std = np.array([fit.noise.get(o.name, 1.0) for o in fit.model.outputs])
-    noise = Noise(std, fit.noise_source, True, fit.noise_sources, tuple(AutoRegression() for _ in std))
+    std = np.array([fit.noise.std.get(o.name, 1.0) for o in fit.model.outputs])
+    noise = Noise(std, fit.noise.source, True, fit.noise.sources, tuple(AutoRegression() for _ in std))
     none = [name for name in fit.model.noise_parameters if fit.model.values[name] == 0]
     cost = likelihood_of(Known(fit.model.fix(*none), noise, options), [t.experiment for t in fit.traces], free=True)
     v = cost.unknowns.variables
     start = np.array([[t.initial_state[name] for name in fit.model.system.state_names] for t in fit.traces])
-    own = {f"{name} ({title})": e.value for name, found in fit.own.items() for title, e in found.items()}
+    own = {
+        f"{name} ({title})": e.value
+        for name, found in fit.constraints.per_experiment.items()
+        for title, e in found.items()
+    }
     variables = replace(v.at(own), initial=replace(v.initial, guess=start))
     return cost.at(replace(cost.unknowns, variables=variables))
 

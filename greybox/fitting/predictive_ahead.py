@@ -100,10 +100,10 @@ def predictor(
     if isinstance(given, Fit):
         if given.model.noisy_states and noise is None and not group:
             frozen = given.model.fix(*given.model.values)
-            return Predictor(Correction(frozen, given.noise, words=own_filter(frozen)), found.options)
+            return Predictor(Correction(frozen, given.noise.std, words=own_filter(frozen)), found.options)
         if not given.model.noisy_states and noise is None:
             # What was not told by anybody the filter finds together with the process noise.
-            told = {n: v for n, v in given.noise.items() if given.noise_sources.get(n) in (GIVEN, QUIET)}
+            told = {n: v for n, v in given.noise.std.items() if given.noise.sources.get(n) in (GIVEN, QUIET)}
             found = replace(found, noise=told)
         group = group or tuple(t.experiment for t in given.traces)
     if not group:

@@ -33,7 +33,9 @@ class Known:
 def known(given: Model | Fit, noise: Mapping[str, float] | Noise | None, options: FitOptions | None) -> Known:
     """The model of a fit with the noise and the options of that fit, unless others are given; a model as it is."""
     if isinstance(given, Fit):
-        return Known(given.model, given.noise if noise is None else noise, options_given(options or options_of(given)))
+        return Known(
+            given.model, given.noise.std if noise is None else noise, options_given(options or options_of(given))
+        )
     if not isinstance(given, Model):
         raise ModelError(f"{given!r} is neither a model nor a fit; give a Model, or what fit(...) returned")
     return Known(given, noise, options_given(options))
@@ -41,7 +43,7 @@ def known(given: Model | Fit, noise: Mapping[str, float] | Noise | None, options
 
 def options_of(fit: Fit) -> FitOptions:
     """How ``fit`` integrated and began its records."""
-    saved = fit.options
+    saved = fit.provenance.options
     return FitOptions(at_rest=bool(saved.get("at_rest", False)), method=str(saved.get("method", "automatic")))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,19 +17,11 @@ from greybox.fitting.robust import robustly
 from greybox.fitting.solve import solve
 from greybox.fitting.traces import misfits, traces
 from greybox.model import Model
-from greybox.result import Misfit, Trace
+from greybox.result import Validation
 from greybox.transcription import Variables
 
 # Rows from which the initial state of a validation record is estimated, if `skip` does not say.
 FIRST_ROWS = 50
-
-
-@dataclass(frozen=True)
-class Validation:
-    """Free-run misfit by output, and the runs."""
-
-    misfit: Mapping[str, Misfit]
-    traces: Sequence[Trace]
 
 
 def validate(

@@ -17,7 +17,7 @@ def missing_knowledge(fit: Fit) -> tuple[str, ...]:
     if not (fit.success and open_):
         return ()
     try:
-        found = identifiability(fit.model, list(fit.misfit), at_rest=bool(fit.options.get("at_rest", False)))
+        found = identifiability(fit.model, list(fit.misfit), at_rest=bool(fit.provenance.options.get("at_rest", False)))
     except DataError:  # a nonlinear model that overflows wherever it is looked at
         return ()
     if found.complete:

@@ -49,9 +49,9 @@ def half_width(e: Estimate) -> float | None:
 
 def correlations(fit: Fit) -> np.ndarray:
     """Correlation (nf, nf) of the free constants; NaN where one is not determined."""
-    std = np.sqrt(np.maximum(np.diag(fit.covariance), 0))
+    std = np.sqrt(np.maximum(np.diag(fit.uncertainty.covariance), 0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(fit.covariance / np.outer(std, std))
+        return np.asarray(fit.uncertainty.covariance / np.outer(std, std))
 
 
 def tied(fit: Fit) -> list[str]:
@@ -59,12 +59,12 @@ def tied(fit: Fit) -> list[str]:
     rho = correlations(fit)
     pairs = [
         (abs(rho[i, j]), i, j)
-        for i in range(len(fit.free))
+        for i in range(len(fit.uncertainty.free))
         for j in range(i)
         if np.isfinite(rho[i, j]) and abs(rho[i, j]) > TOGETHER
     ]
     return [
-        f"{fit.free[j]} and {fit.free[i]} are correlated {signed(rho[i, j])}: the data tell their "
+        f"{fit.uncertainty.free[j]} and {fit.uncertainty.free[i]} are correlated {signed(rho[i, j])}: the data tell their "
         f"{'ratio' if rho[i, j] > 0 else 'product'} better than either"
         for _, i, j in sorted(pairs, reverse=True)
     ]
@@ -77,9 +77,9 @@ def signed(value: float) -> str:
 
 def correlation_figure(fit: Fit) -> Figure | None:
     """Which constants the data move together; None for fewer than two."""
-    if len(fit.free) < 2 or not np.isfinite(fit.covariance).any():
+    if len(fit.uncertainty.free) < 2 or not np.isfinite(fit.uncertainty.covariance).any():
         return None
-    rho, names = correlations(fit), list(fit.free)
+    rho, names = correlations(fit), list(fit.uncertainty.free)
     layout = axes("", "") | {"showlegend": False, "hovermode": "closest"}
     layout["yaxis"] |= {"autorange": "reversed", "type": "category"}
     layout["xaxis"] |= {"type": "category", "side": "bottom"}

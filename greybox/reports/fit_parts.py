@@ -21,12 +21,12 @@ def verdict(fit: Fit) -> Text:
     """In plain words whether the fit succeeded and what to know before trusting it."""
     if not fit.success:
         said = [
-            f"This fit did not succeed: {fit.meaning}.",
+            f"This fit did not succeed: {fit.solver.meaning}.",
             "The numbers below are where the search stopped. They are shown to find the reason, not to be used.",
         ]
         return Text([*said, *(sentence(typeset_number(n)) for n in fit.notes[:LEADING])], "bad")
     worst = max((m.noise_ratio for m in fit.misfit.values() if math.isfinite(m.noise_ratio)), default=math.nan)
-    loose = [n for n in fit.free if n in fit.parameters and not fit.parameters[n].determined]
+    loose = [n for n in fit.uncertainty.free if n in fit.parameters and not fit.parameters[n].determined]
     fine = worst <= GOOD and not loose
     tone: Tone = "good" if fine else "caution"
     said = [_followed(fit, worst), _determined(fit, loose), *_judged(fit)]
@@ -47,21 +47,21 @@ def _followed(fit: Fit, worst: float) -> str:
 
 
 def _determined(fit: Fit, loose: list[str]) -> str:
-    if not fit.free:
+    if not fit.uncertainty.free:
         return "No constant was fitted."
     if loose:
         return f"The records do not determine {listed(loose)}: the 95 % interval reaches further than half the value."
-    sides = [half for name in fit.free if (half := half_width(fit.parameters[name])) is not None]
+    sides = [half for name in fit.uncertainty.free if (half := half_width(fit.parameters[name])) is not None]
     known = f" to ± {typeset_number(f'{max(sides):.2g}')} % or better" if sides else ""
-    if len(fit.free) == 1:
-        return f"{fit.free[0]} is determined{known}."
-    return f"All {len(fit.free)} fitted constants are determined{known}, with 95 % confidence."
+    if len(fit.uncertainty.free) == 1:
+        return f"{fit.uncertainty.free[0]} is determined{known}."
+    return f"All {len(fit.uncertainty.free)} fitted constants are determined{known}, with 95 % confidence."
 
 
 def _judged(fit: Fit) -> Iterator[str]:
     if fit.validation:
-        sizes = listed([f"{m.noise_ratio:.3g} times the noise in {n}" for n, m in fit.validation.items()])
-        yield f"On {counted(len(fit.validation_traces), 'record')} that the fit has not seen it leaves over {sizes}."
+        sizes = listed([f"{m.noise_ratio:.3g} times the noise in {n}" for n, m in fit.validation.misfit.items()])
+        yield f"On {counted(len(fit.validation.traces), 'record')} that the fit has not seen it leaves over {sizes}."
     else:
         yield "It was not judged on other records; a second record would tell whether the constants hold there."
 

@@ -34,7 +34,7 @@ def report_of_demo(demo: Demo, *, command: str = "") -> Page:
         Section("model", "The extended model", [typeset(best.model)]),
         Section("errors", "Beside black boxes", list(_beside(demo))),
         *linear_sections(demo.plant, None),
-        records_section([*best.traces], [*best.validation_traces], best),
+        records_section([*best.traces], [*best.validation.traces], best),
         repeat_section(best, command),
     ]
     question = (

@@ -40,7 +40,7 @@ def report_of_discovery(found: Discovery, *, command: str = "") -> Page:
     sections.append(Section("constants", "The constants, before and after", [constants_before_after(found)]))
     model: list[Block] = [typeset(found.best.model)]
     sections.append(Section("model", "The extended model" if found.best.model.effects else "The model", model))
-    sections.append(records_section([*found.best.traces], [*found.best.validation_traces], found.best))
+    sections.append(records_section([*found.best.traces], [*found.best.validation.traces], found.best))
     sections.append(repeat_section(found.best, command))
     plain = found.base.model.title
     return Page(
@@ -95,11 +95,11 @@ def _gap(found: Discovery) -> Iterator[Block]:
         steps = [[name, typeset_number(f"{misfit:.4g} × noise")] for name, misfit in way]
         yield Table("Step by step, on the records that were fitted", ["model", "misfit"], steps)
     units = units_of(found.base.model)
-    pairs = list(zip(found.base.validation_traces, found.best.validation_traces, strict=False))[:MOST_DRAWN]
+    pairs = list(zip(found.base.validation.traces, found.best.validation.traces, strict=False))[:MOST_DRAWN]
     most = stretches(sum(4 * len(b.measured) for b, _ in pairs))
     for k, (before, after) in enumerate(pairs):
         figures = before_after_figures(
-            before, after, units, found.best.noise, f"judged-{k}", most, extended_name(found)
+            before, after, units, found.best.noise.std, f"judged-{k}", most, extended_name(found)
         )
         if k == 0:
             yield Heading(f"Record {before.name}")

@@ -41,7 +41,7 @@ def report_of_export(export: Export, *, command: str = "") -> Page:
         *behaviour,
         Section("files", "The files", list(_files(export))),
         Section("fit", "The fit behind it", [fit_verdict(fit), constants_table(fit), typeset(fit.model)]),
-        Section("repeat", "How to repeat it", [*shell(command), named("Versions", fit.versions)]),
+        Section("repeat", "How to repeat it", [*shell(command), named("Versions", fit.provenance.versions)]),
     ]
     asked = (
         linear_question(linear) if linear is not None else f"{fit.model.title}, fitted, to run outside this program."

@@ -38,7 +38,7 @@ def report_of_fit(fit: Fit, *, command: str = "", tests: ResidualTests | None = 
         Section("misfit", "Measured and simulated", list(_misfit(fit, skip))),
         Section("residual", "What the residual says", list(_residual(fit, tests))),
         Section("model", "The model", [typeset(fit.model)]),
-        records_section([*fit.traces], [*fit.validation_traces], fit),
+        records_section([*fit.traces], [*fit.validation.traces], fit),
         repeat_section(fit, command),
     ]
     return Page(f"Fit of {fit.model.title}", _question(fit), verdict(fit), sections, "fit")
@@ -49,7 +49,7 @@ def _question(fit: Fit) -> str:
     known = [n for n, e in fit.parameters.items() if e.fixed]
     told = f"; {listed(known)} {'is' if len(known) == 1 else 'are'} given" if known else ""
     return (
-        f"Which values of {listed(fit.free) or 'its constants'} make the model follow {counted(len(fit.traces), 'record')}"
+        f"Which values of {listed(fit.uncertainty.free) or 'its constants'} make the model follow {counted(len(fit.traces), 'record')}"
         f" ({counted(rows, 'row')}){told}?"
     )
 
@@ -72,14 +72,14 @@ def _constants(fit: Fit) -> Iterator[Block]:
 
 
 def _interval_words(fit: Fit) -> str:
-    if not fit.free:
+    if not fit.uncertainty.free:
         return ""
-    if fit.interval_kind == "sandwich" and fit.inflation:
+    if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
         return (
             "The residual is not white: the intervals allow for its colour, which widened them up to "
-            f"{max(fit.inflation.values()):.3g} times."
+            f"{max(fit.uncertainty.inflation.values()):.3g} times."
         )
-    if fit.process_noise:
+    if fit.prediction.process_noise:
         return "The intervals are from the information of the likelihood; the innovations are white."
     return "The residual is white: the intervals are from the Gauss-Newton covariance."
 
@@ -87,11 +87,11 @@ def _interval_words(fit: Fit) -> str:
 def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
     yield _misfit_table("Free run on the fitted records", fit.misfit)
     if fit.prediction:
-        yield _misfit_table("Prediction one sample ahead", fit.prediction)
+        yield _misfit_table("Prediction one sample ahead", fit.prediction.one_step)
     if fit.validation:
-        yield _misfit_table("Free run on records that the fit has not seen", fit.validation)
+        yield _misfit_table("Free run on records that the fit has not seen", fit.validation.misfit)
     runs = [("fitted record", t, 0) for t in fit.traces] + [
-        ("validation record", t, skip) for t in fit.validation_traces
+        ("validation record", t, skip) for t in fit.validation.traces
     ]
     if len(runs) > 2:
         yield _by_record(fit, runs)
@@ -100,7 +100,7 @@ def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
     most = stretches(sum(3 * len(t.measured) + len(t.inputs) for _, t, _ in drawn))
     whole = sum(len(t.measured) * min(len(t.time), WHOLE) for _, t, _ in drawn) <= ALL_WHOLE
     for k, (kind, trace, _) in enumerate(drawn):
-        blocks: list[Block] = [*record_figures(trace, units, fit.noise, f"{k}", most, whole=whole)]
+        blocks: list[Block] = [*record_figures(trace, units, fit.noise.std, f"{k}", most, whole=whole)]
         drive = inputs_figure(trace, units, f"{k}", most)
         blocks += [drive] if drive is not None else []
         opened = k == 0 or (kind == "validation record" and runs[k - 1][0] == "fitted record")
@@ -132,7 +132,7 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
     if not fit.success:
         yield Text(["The fit did not succeed: tests of its residual would say nothing about the model."], "caution")
         return
-    if not (runs_freely(fit) or fit.process_noise):
+    if not (runs_freely(fit) or fit.prediction.process_noise):
         yield Text(
             ["No tests of the residual: states that are set anew along the record take up what the model lacks."],
             "caution",

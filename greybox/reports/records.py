@@ -19,7 +19,7 @@ HEAD = ["record", "use", "rows", "duration", "sampling time", "missing values", 
 def records_section(fitted: Sequence[Trace], judging: Sequence[Trace], fit: Fit) -> Section:
     """Names, lengths, gaps and fingerprints of the records, and what their columns hold."""
     rows = [*(_record(t, "fitted") for t in fitted), *(_record(t, "judged by") for t in judging)]
-    noise = sentence(f"noise: {fit.noise_source}")
+    noise = sentence(f"noise: {fit.noise.source}")
     return Section("data", "The data", [Table("Records", HEAD, rows, noise), _signals([*fitted, *judging], fit)])
 
 
@@ -52,7 +52,7 @@ def _signals(traces: Sequence[Trace], fit: Fit) -> Table:
         for signal in signals:
             groups = [t.inputs if use == "input" else t.measured for t in traces]
             values = [np.asarray(g[signal.name]) for g in groups if signal.name in g]
-            std = fit.noise.get(signal.name) if use == "measured" else None
+            std = fit.noise.std.get(signal.name) if use == "measured" else None
             every = np.concatenate(values) if values else np.array([])
             factor, text = scaled(signal.unit, every)
             known = f"{factor * std:.3g} {text}" if std is not None and np.isfinite(std) else ""

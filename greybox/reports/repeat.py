@@ -23,15 +23,20 @@ def shell(command: str) -> Iterator[Block]:
 
 def _of_fit(fit: Fit, command: str) -> Iterator[Block]:
     yield from shell(command)
-    error = listed([f"{e:.2g} of the noise in {o}" for o, e in fit.integration_error.items() if e])
+    error = listed([f"{e:.2g} of the noise in {o}" for o, e in fit.discretisation.error.items() if e])
     how = [
-        ["integration", fit.discretisation],
+        ["integration", fit.discretisation.label],
         ["its error", error or "none"],
-        ["search", str(fit.solver.get("strategy", ""))],
-        ["ended", f"{fit.status.replace('_', ' ')} after {counted(int(fit.solver.get('iterations', 0)), 'iteration')}"],
+        ["search", str(fit.solver.statistics.get("strategy", ""))],
+        [
+            "ended",
+            f"{fit.status.replace('_', ' ')} after {counted(int(fit.solver.statistics.get('iterations', 0)), 'iteration')}",
+        ],
     ]
     yield Table("How it was computed", ["what", "how"], [row for row in how if row[1]])
-    yield Folded("Options and versions", [named("Options", fit.options), named("Versions", fit.versions)])
+    yield Folded(
+        "Options and versions", [named("Options", fit.provenance.options), named("Versions", fit.provenance.versions)]
+    )
 
 
 def named(title: str, values: Mapping[str, Any]) -> Table:

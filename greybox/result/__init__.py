@@ -1,6 +1,42 @@
 """Results as values: a fit, its constants, its misfit; saved and loaded as JSON."""
 
-from greybox.result.store import layout, load_fit, plain
-from greybox.result.values import End, Estimate, Fit, Misfit, PriorCheck, Trace
+from greybox.result.store import fit_data, layout, load_fit, plain
+from greybox.result.values import (
+    Estimate,
+    Fit,
+    FitConstraints,
+    FitDiscretisation,
+    FitNoise,
+    FitUncertainty,
+    Misfit,
+    PredictionErrors,
+    PriorCheck,
+    Provenance,
+    RobustLoss,
+    SolverReport,
+    StartResult,
+    Trace,
+    Validation,
+)
 
-__all__ = ["End", "Estimate", "Fit", "Misfit", "PriorCheck", "Trace", "layout", "load_fit", "plain"]
+__all__ = [
+    "Estimate",
+    "Fit",
+    "FitConstraints",
+    "FitDiscretisation",
+    "FitNoise",
+    "FitUncertainty",
+    "Misfit",
+    "PredictionErrors",
+    "PriorCheck",
+    "Provenance",
+    "RobustLoss",
+    "SolverReport",
+    "StartResult",
+    "Trace",
+    "Validation",
+    "fit_data",
+    "layout",
+    "load_fit",
+    "plain",
+]

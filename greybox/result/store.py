@@ -13,19 +13,78 @@ import numpy as np
 from greybox.errors import DataError
 from greybox.model import Model
 from greybox.model.noise import noise_parameter
-from greybox.result.values import End, Estimate, Fit, Misfit, PriorCheck, Trace
+from greybox.result.values import (
+    Estimate,
+    Fit,
+    FitConstraints,
+    FitDiscretisation,
+    FitNoise,
+    FitUncertainty,
+    Misfit,
+    PredictionErrors,
+    PriorCheck,
+    Provenance,
+    RobustLoss,
+    SolverReport,
+    StartResult,
+    Trace,
+    Validation,
+)
 
 FORMAT = 1
 
 
 def save_fit(fit: Fit, path: str | Path) -> Path:
     """Write ``fit`` to ``path`` (folders are made); numbers that are not finite become null."""
-    data = {"format": FORMAT, "model": fit.model.name, "effects": [e.name for e in fit.model.effects]}
-    data |= {name: getattr(fit, name) for name in Fit.__dataclass_fields__ if name != "model"}
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(layout(plain(data)) + "\n", encoding="utf-8")
+    target.write_text(layout(plain(fit_data(fit))) + "\n", encoding="utf-8")
     return target
+
+
+def fit_data(fit: Fit) -> dict[str, Any]:
+    """``fit`` under the keys of ``fit.json``, which are flat and stay the same from version to version."""
+    return {
+        "format": FORMAT,
+        "model": fit.model.name,
+        "effects": [e.name for e in fit.model.effects],
+        "status": fit.solver.status,
+        "success": fit.solver.success,
+        "meaning": fit.solver.meaning,
+        "parameters": fit.parameters,
+        "misfit": fit.misfit,
+        "traces": fit.traces,
+        "free": fit.uncertainty.free,
+        "covariance": fit.uncertainty.covariance,
+        "noise": fit.noise.std,
+        "noise_source": fit.noise.source,
+        "discretisation": fit.discretisation.label,
+        "integration_error": fit.discretisation.error,
+        "cost": fit.solver.cost,
+        "solver": fit.solver.statistics,
+        "options": fit.provenance.options,
+        "equations": fit.provenance.equations,
+        "versions": fit.provenance.versions,
+        "notes": fit.notes,
+        "validation": fit.validation.misfit,
+        "validation_traces": fit.validation.traces,
+        "noise_sources": fit.noise.sources,
+        "noise_colour": fit.noise.colour,
+        "interval_kind": fit.uncertainty.kind,
+        "inflation": fit.uncertainty.inflation,
+        "discretisation_shift": fit.discretisation.shift,
+        "tied": fit.constraints.tied,
+        "ties": fit.constraints.ties,
+        "own": fit.constraints.per_experiment,
+        "priors": fit.constraints.priors,
+        "loss": fit.robust.name,
+        "loss_scale": fit.robust.scale,
+        "outliers": fit.robust.outliers,
+        "ends": fit.starts,
+        "process_noise": fit.prediction.process_noise,
+        "prediction": fit.prediction.one_step,
+        "log_likelihood": fit.prediction.log_likelihood,
+    }
 
 
 def layout(data: Mapping[str, Any]) -> str:
@@ -79,43 +138,46 @@ def load_fit(path: str | Path, model: Model) -> Fit:
     model = _as_fitted(source, _as_pushed(model, data), data)
     fitted = model.free(*(n for n, e in parameters.items() if not e.fixed)).fix(*fixed)
     fitted = fitted.start(**{n: e.value for n, e in parameters.items()})
+    get = data.get  # the first files of this format lack some of the keys
     return Fit(
-        model=fitted, parameters=parameters,
-        misfit=_misfits(data["misfit"]), validation=_misfits(data["validation"]),
-        traces=_traces(data["traces"]), validation_traces=_traces(data["validation_traces"]),
-        free=tuple(data["free"]), notes=tuple(data["notes"]),
-        covariance=_array(data["covariance"]).reshape(len(data["free"]), -1),
-        **_newer(data), noise=_numbers(data["noise"]), integration_error=_numbers(data["integration_error"]), cost=_number(data["cost"]),
-        **{n: data[n] for n in ("status", "success", "meaning", "noise_source", "discretisation")},
-        **{n: data[n] for n in ("solver", "options", "equations", "versions")},
-    )  # fmt: skip
-
-
-def _newer(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields that the first files of this format did not have."""
-    return {
-        "noise_sources": dict(data.get("noise_sources", {})),
-        "noise_colour": {n: tuple(k) for n, k in data.get("noise_colour", {}).items()},
-        "interval_kind": data.get("interval_kind", "gauss_newton"),
-        "inflation": _numbers(data.get("inflation", {})),
-        "discretisation_shift": _numbers(data.get("discretisation_shift", {})),
-        "tied": _estimates(data.get("tied", {})),
-        "ties": dict(data.get("ties", {})),
-        "own": {name: _estimates(each) for name, each in data.get("own", {}).items()},
-        "priors": {
-            name: PriorCheck(**{**c, "moved": _number(c["moved"])}) for name, c in data.get("priors", {}).items()
-        },
-        "loss": data.get("loss", ""),
-        "loss_scale": _numbers(data.get("loss_scale", {})),
-        "outliers": _numbers(data.get("outliers", {})),
-        "process_noise": _numbers(data.get("process_noise", {})),
-        "prediction": _misfits(data.get("prediction", {})),
-        "log_likelihood": data.get("log_likelihood"),
-        "ends": tuple(
-            End(**{**e, "noise_ratio": math.inf if e["noise_ratio"] is None else e["noise_ratio"]})
-            for e in data.get("ends", ())
+        model=fitted,
+        parameters=parameters,
+        misfit=_misfits(data["misfit"]),
+        traces=_traces(data["traces"]),
+        solver=SolverReport(data["status"], data["success"], data["meaning"], _number(data["cost"]), data["solver"]),
+        noise=FitNoise(
+            _numbers(data["noise"]),
+            data["noise_source"],
+            dict(get("noise_sources", {})),
+            {n: tuple(k) for n, k in get("noise_colour", {}).items()},
         ),
-    }
+        uncertainty=FitUncertainty(
+            tuple(data["free"]),
+            _array(data["covariance"]).reshape(len(data["free"]), -1),
+            get("interval_kind", "gauss_newton"),
+            _numbers(get("inflation", {})),
+        ),
+        discretisation=FitDiscretisation(
+            data["discretisation"], _numbers(data["integration_error"]), _numbers(get("discretisation_shift", {}))
+        ),
+        provenance=Provenance(data["options"], data["equations"], data["versions"]),
+        validation=Validation(_misfits(data["validation"]), _traces(data["validation_traces"])),
+        constraints=FitConstraints(
+            dict(get("ties", {})),
+            _estimates(get("tied", {})),
+            {name: _estimates(each) for name, each in get("own", {}).items()},
+            {name: PriorCheck(**{**c, "moved": _number(c["moved"])}) for name, c in get("priors", {}).items()},
+        ),
+        robust=RobustLoss(get("loss", ""), _numbers(get("loss_scale", {})), _numbers(get("outliers", {}))),
+        prediction=PredictionErrors(
+            _numbers(get("process_noise", {})), _misfits(get("prediction", {})), get("log_likelihood")
+        ),
+        starts=tuple(
+            StartResult(**{**e, "noise_ratio": math.inf if e["noise_ratio"] is None else e["noise_ratio"]})
+            for e in get("ends", ())
+        ),
+        notes=tuple(data["notes"]),
+    )
 
 
 def _as_pushed(model: Model, data: Mapping[str, Any]) -> Model:

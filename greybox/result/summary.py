@@ -13,35 +13,35 @@ MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
 
 def summary(fit: Fit) -> str:
     """Status beside misfit over noise, the constants with intervals, the misfit by output, and what to know before trusting them."""
-    lines = [f"{fit.model.title}: {fit.meaning}", ""]
+    lines = [f"{fit.model.title}: {fit.solver.meaning}", ""]
     lines += table(["constant", "value", "95 % interval", "unit", ""], constant_rows(fit))
-    if fit.priors:
+    if fit.constraints.priors:
         lines += ["", *_priors(fit)]
     lines += ["", *_misfits("misfit (free run)", fit.misfit)]
     if fit.prediction:
-        lines += ["", *_misfits("prediction (1 step ahead)", fit.prediction)]
+        lines += ["", *_misfits("prediction (1 step ahead)", fit.prediction.one_step)]
     if fit.validation:
-        lines += ["", *_misfits("on validation records (free run)", fit.validation)]
-    if fit.process_noise and fit.interval_kind != "sandwich":
+        lines += ["", *_misfits("on validation records (free run)", fit.validation.misfit)]
+    if fit.prediction.process_noise and fit.uncertainty.kind != "sandwich":
         lines += ["", "intervals: information of the likelihood, the innovations are white"]
-    elif fit.interval_kind == "sandwich" and fit.inflation:
+    elif fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
         lines += [
             "",
-            f"intervals: allow for the residual's colour, widened up to {max(fit.inflation.values(), default=1.0):.3g} times",
+            f"intervals: allow for the residual's colour, widened up to {max(fit.uncertainty.inflation.values(), default=1.0):.3g} times",
         ]
     elif any(e.std is not None for e in fit.parameters.values()):
         lines += ["", "intervals: Gauss-Newton covariance, the residual is white"]
-    lines += ["", f"noise: {fit.noise_source}", f"discretisation: {fit.discretisation}{_left(fit)}"]
-    if fit.solver.get("strategy"):
-        lines.append(f"search: {fit.solver['strategy']}")
+    lines += ["", f"noise: {fit.noise.source}", f"discretisation: {fit.discretisation}{_left(fit)}"]
+    if fit.solver.statistics.get("strategy"):
+        lines.append(f"search: {fit.solver.statistics['strategy']}")
     lines += [f"note: {note}" for note in fit.notes]
     return "\n".join(lines)
 
 
 def _left(fit: Fit) -> str:
     """What is left of the integrator's error; nothing where the discretisation is exact."""
-    error = max((e for e in fit.integration_error.values() if math.isfinite(e)), default=0.0)
-    moved = max((m for m in fit.discretisation_shift.values() if math.isfinite(m)), default=0.0)
+    error = max((e for e in fit.discretisation.error.values() if math.isfinite(e)), default=0.0)
+    moved = max((m for m in fit.discretisation.shift.values() if math.isfinite(m)), default=0.0)
     if not error and not moved:
         return ""
     return f"; it leaves an error of {error:.2g} x noise, half the step moves no constant by more than {moved:.2g} std"
@@ -81,18 +81,20 @@ def constant_rows(fit: Fit) -> list[list[str]]:
     rows = []
     for name, e in fit.parameters.items():
         rows.append(constant_cells(name, e))
-        if name in fit.own:
+        if name in fit.constraints.per_experiment:
             rows[-1][-1] = "mean"
-            rows += [constant_cells(f"{name} ({title})", own) for title, own in fit.own[name].items()]
-    for name, e in fit.tied.items():
+            rows += [
+                constant_cells(f"{name} ({title})", own) for title, own in fit.constraints.per_experiment[name].items()
+            ]
+    for name, e in fit.constraints.tied.items():
         rows.append(constant_cells(name, e))
-        rows[-1][-1] = f"= {fit.ties[name]}"
+        rows[-1][-1] = f"= {fit.constraints.ties[name]}"
     return rows
 
 
 def _priors(fit: Fit) -> list[str]:
     rows = []
-    for name, c in fit.priors.items():
+    for name, c in fit.constraints.priors.items():
         conflict = "" if c.conflict is None else f"{number(abs(c.conflict), 2)} std"
         rows.append([name, with_std(c.mean, c.std), f"{number(c.moved, 2)} std", f"{100 * c.learnt:.3g} %", conflict])
     return table(["prior", "known before", "moved by", "told by the data", "disagreement"], rows)

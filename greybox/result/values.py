@@ -102,7 +102,7 @@ class Trace(ReadOnly):
 
 
 @dataclass(frozen=True)
-class End(ReadOnly):
+class StartResult(ReadOnly):
     """Where one of several starts ended: the values it began with and those it ended with, misfit over noise, how it ended.
 
     ``values`` is empty and ``noise_ratio`` infinite where it led nowhere; ``status`` is then the reason.
@@ -116,63 +116,177 @@ class End(ReadOnly):
 
 
 @dataclass(frozen=True)
-class Fit(ReadOnly):
-    """A fitted model, read-only throughout.
+class Validation(ReadOnly):
+    """A model on records that its parameters have not seen: free-run misfit by output, and the runs. Empty where there were none."""
 
-    ``model`` carries the fitted values; ``parameters`` name -> `Estimate`; ``status`` and ``meaning`` how it ended, in a word and in
-    plain words; ``covariance`` (nf, nf) of the free constants in the order of ``free``; ``interval_kind``
-    says whether it is the ``gauss_newton`` covariance (white residual) or the ``sandwich`` that allows for a coloured one, and
-    ``inflation`` by which factor that widens each standard deviation; ``noise`` standard deviation of each output, ``noise_sources``
-    where each comes from (``noise_source`` in one line), ``noise_colour`` the reflection coefficients of its autoregression (none:
-    white, or not known); ``integration_error`` rms change of each output when the step is halved, over the noise;
-    ``discretisation_shift`` change of each constant when the step is halved, in its standard deviations; ``validation`` misfit
-    on records not used for the fit; ``tied`` the constants that others give (``ties``: by which formula); ``own`` the values of constants
-    that each experiment has for itself, constant -> experiment -> value (in ``parameters`` stands their mean); ``priors`` what became of
-    each prior; ``loss`` the robust loss, "" for least squares, with the ``loss_scale`` of each output over its noise and the share of
-    its samples that count as ``outliers``; ``ends`` where each of several starts ended, best first
-    (`greybox.multistart`); ``notes`` what a reader should know before trusting a number; ``solver`` statistics;
-    for a model with process noise ``process_noise`` the intensity on each state, in its unit over sqrt(s), ``prediction`` the
-    error one step ahead, and ``log_likelihood``; its intervals are from the ``observed_information`` where the innovations are white;
-    ``options``, ``equations`` and ``versions`` for repeating it.
+    misfit: Mapping[str, Misfit] = field(default_factory=dict)
+    traces: Sequence[Trace] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.misfit)
+
+
+@dataclass(frozen=True)
+class FitNoise(ReadOnly):
+    """Measurement noise that a fit weighed its outputs with.
+
+    ``std`` standard deviation of each output in its unit; ``sources`` where each is known from, and ``source`` the same in one line;
+    ``colour`` reflection coefficients of each output's autoregression (none: white, or not known).
     """
 
-    model: Model
+    std: Mapping[str, float]
+    source: str = ""
+    sources: Mapping[str, str] = field(default_factory=dict)
+    colour: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SolverReport(ReadOnly):
+    """How the search ended.
+
+    ``status`` in a word and ``meaning`` in plain words; ``cost`` half the sum of squares at the end; ``statistics`` iterations,
+    passes, seconds, the transcription and the strategy.
+    """
+
     status: str
     success: bool
     meaning: str
+    cost: float
+    statistics: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FitUncertainty(ReadOnly):
+    """How well the free parameters are known.
+
+    ``free`` their names and ``covariance`` (nf, nf) in that order; ``kind`` says whether it is the ``gauss_newton`` covariance (white
+    residual), the ``sandwich`` that allows for a coloured one, or the ``observed_information`` of a likelihood; ``inflation`` the factor
+    by which the sandwich widens each standard deviation.
+    """
+
+    free: tuple[str, ...]
+    covariance: np.ndarray
+    kind: str = "gauss_newton"
+    inflation: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FitDiscretisation(ReadOnly):
+    """How the model was integrated, and what that costs in accuracy.
+
+    ``label`` method and substeps; ``error`` rms change of each output over its noise when the step is halved; ``shift`` change of each
+    parameter when the step is halved, in its standard deviations.
+    """
+
+    label: str
+    error: Mapping[str, float] = field(default_factory=dict)
+    shift: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FitConstraints(ReadOnly):
+    """What was known of the parameters besides their values.
+
+    ``ties`` parameters that others give, by formula, and ``tied`` their values; ``per_experiment`` the values of parameters that each
+    experiment has for itself, parameter -> experiment -> value (`Fit.parameters` holds their mean); ``priors`` what became of each.
+    """
+
+    ties: Mapping[str, str] = field(default_factory=dict)
+    tied: Mapping[str, Estimate] = field(default_factory=dict)
+    per_experiment: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
+    priors: Mapping[str, PriorCheck] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RobustLoss(ReadOnly):
+    """The robust loss of a fit: its ``name`` ("" for least squares), its ``scale`` for each output over the noise, and the share of each
+    output's samples that count as ``outliers``."""
+
+    name: str = ""
+    scale: Mapping[str, float] = field(default_factory=dict)
+    outliers: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PredictionErrors(ReadOnly):
+    """What a fit with process noise adds: the ``process_noise`` intensity on each state, in its unit over sqrt(s), the ``one_step``
+    error, and the ``log_likelihood`` of the innovations. Empty for a free-run fit."""
+
+    process_noise: Mapping[str, float] = field(default_factory=dict)
+    one_step: Mapping[str, Misfit] = field(default_factory=dict)
+    log_likelihood: float | None = None
+
+
+@dataclass(frozen=True)
+class Provenance(ReadOnly):
+    """What repeats a fit: its ``options``, the model's ``equations`` and the ``versions`` of what computed it."""
+
+    options: Mapping[str, Any] = field(default_factory=dict)
+    equations: str = ""
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Fit(ReadOnly):
+    """A fitted model, read-only throughout.
+
+    Attributes
+    ----------
+    model
+        The model with the fitted values.
+    parameters
+        Name -> `Estimate`: value, standard deviation and 95 % interval.
+    misfit, traces
+        Free-run error by output over the estimation records, and the runs.
+    solver
+        How the search ended; ``success`` and ``status`` stand there and as short cuts here.
+    noise
+        The noise that the outputs were weighed with, and where it is known from.
+    uncertainty
+        Covariance of the free parameters and how it was computed.
+    discretisation
+        How the model was integrated, and how much half the step would change.
+    provenance
+        What repeats the fit.
+    validation
+        Misfit and runs on records that were not used for the fit.
+    constraints
+        Ties, priors, and parameters with a value for each experiment.
+    robust
+        The robust loss and the outliers.
+    prediction
+        For a model with process noise: its intensities, the one-step error and the likelihood.
+    starts
+        Where each of several starts ended, best first (`greybox.multistart`).
+    notes
+        What a reader should know before trusting a number.
+    """
+
+    model: Model
     parameters: Mapping[str, Estimate]
     misfit: Mapping[str, Misfit]
     traces: Sequence[Trace]
-    free: tuple[str, ...]
-    covariance: np.ndarray
-    noise: Mapping[str, float]
-    noise_source: str
-    discretisation: str
-    integration_error: Mapping[str, float]
-    cost: float
-    solver: Mapping[str, Any]
-    options: Mapping[str, Any]
-    equations: str
-    versions: Mapping[str, str]
+    solver: SolverReport
+    noise: FitNoise
+    uncertainty: FitUncertainty
+    discretisation: FitDiscretisation
+    provenance: Provenance = field(default_factory=Provenance)
+    validation: Validation = field(default_factory=Validation)
+    constraints: FitConstraints = field(default_factory=FitConstraints)
+    robust: RobustLoss = field(default_factory=RobustLoss)
+    prediction: PredictionErrors = field(default_factory=PredictionErrors)
+    starts: Sequence[StartResult] = ()
     notes: tuple[str, ...] = ()
-    validation: Mapping[str, Misfit] = field(default_factory=dict)
-    validation_traces: Sequence[Trace] = ()
-    noise_sources: Mapping[str, str] = field(default_factory=dict)
-    noise_colour: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    interval_kind: str = "gauss_newton"
-    inflation: Mapping[str, float] = field(default_factory=dict)
-    discretisation_shift: Mapping[str, float] = field(default_factory=dict)
-    tied: Mapping[str, Estimate] = field(default_factory=dict)
-    ties: Mapping[str, str] = field(default_factory=dict)
-    own: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
-    priors: Mapping[str, PriorCheck] = field(default_factory=dict)
-    loss: str = ""
-    loss_scale: Mapping[str, float] = field(default_factory=dict)
-    outliers: Mapping[str, float] = field(default_factory=dict)
-    ends: Sequence[End] = ()
-    process_noise: Mapping[str, float] = field(default_factory=dict)
-    prediction: Mapping[str, Misfit] = field(default_factory=dict)
-    log_likelihood: float | None = None
+
+    @property
+    def success(self) -> bool:
+        """Whether the search ended at an optimum."""
+        return self.solver.success
+
+    @property
+    def status(self) -> str:
+        """How the search ended, in a word."""
+        return self.solver.status
 
     def __str__(self) -> str:
         from greybox.result.summary import summary

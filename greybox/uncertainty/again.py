@@ -19,16 +19,23 @@ from greybox.transcription.loss import Loss, loss_of
 
 def options_of(fit: Fit) -> FitOptions:
     """The options of ``fit`` for a search that begins next to its optimum, with the step it ended with."""
-    options = FitOptions(**fit.options)
+    options = FitOptions(**fit.provenance.options)
     return replace(
-        options, progressive=False, method=str(fit.solver.get("method", options.method)),
-        substeps=int(fit.solver.get("substeps", options.substeps)), transcription="single", arc_length=0.0, hessian="gauss-newton",
-    )  # fmt: skip
+        options,
+        progressive=False,
+        method=str(fit.solver.statistics.get("method", options.method)),
+        substeps=int(fit.solver.statistics.get("substeps", options.substeps)),
+        transcription="single",
+        arc_length=0.0,
+        hessian="gauss-newton",
+    )
 
 
 def runs_freely(fit: Fit) -> bool:
     """Whether the run of ``fit`` is a free one from each record's initial state, and not arcs or the segments of an unstable plant."""
-    return fit.solver.get("transcription", "single") != "arcs" and bool(fit.solver.get("free_run", True))
+    return fit.solver.statistics.get("transcription", "single") != "arcs" and bool(
+        fit.solver.statistics.get("free_run", True)
+    )
 
 
 def problem_of(fit: Fit, model: Model | None = None, held: Mapping[int, Mapping[str, float]] | None = None) -> Problem:
@@ -40,13 +47,13 @@ def problem_of(fit: Fit, model: Model | None = None, held: Mapping[int, Mapping[
     the segments of an unstable plant).
     """
     if not fit.success:
-        raise FitError(f"fit of {fit.model.title}: {fit.meaning}; intervals need a fit that has succeeded")
+        raise FitError(f"fit of {fit.model.title}: {fit.solver.meaning}; intervals need a fit that has succeeded")
     if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
         raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
     if not runs_freely(fit):
         raise FitError(
-            f"fit of {fit.model.title}: its run is not a free one ({fit.solver['transcription']}), and what is asked for needs that; read"
-            " the intervals of the fit itself, or fit by single shooting where the plant is stable"
+            f"fit of {fit.model.title}: its run is not a free one ({fit.solver.statistics['transcription']}), and what is"
+            " asked for needs that; read the intervals of the fit itself, or fit by single shooting where the plant is stable"
         )
     options = options_of(fit)
     records = [t.experiment for t in fit.traces]
@@ -56,7 +63,11 @@ def problem_of(fit: Fit, model: Model | None = None, held: Mapping[int, Mapping[
         model or fit.model, records, noise_of_fit(fit), at_rest=options.at_rest, method=options.method,
         substeps=options.substeps, own=options.own,
     )  # fmt: skip
-    each = {f"{name} ({title})": e.value for name, found in fit.own.items() for title, e in found.items()}
+    each = {
+        f"{name} ({title})": e.value
+        for name, found in fit.constraints.per_experiment.items()
+        for title, e in found.items()
+    }
     variables = problem.variables.at(each)
     problem = replace(problem, loss=loss_of_fit(fit))
     start = np.array([[t.initial_state[name] for name in problem.model.system.state_names] for t in fit.traces])
@@ -66,15 +77,15 @@ def problem_of(fit: Fit, model: Model | None = None, held: Mapping[int, Mapping[
 
 def loss_of_fit(fit: Fit) -> Loss | None:
     """The robust loss of ``fit`` with its scales; None for least squares."""
-    loss = loss_of(FitOptions(**fit.options).loss)
-    scale = np.array([fit.loss_scale.get(o.name, 1.0) for o in fit.model.outputs])
+    loss = loss_of(FitOptions(**fit.provenance.options).loss)
+    scale = np.array([fit.robust.scale.get(o.name, 1.0) for o in fit.model.outputs])
     return None if loss is None else replace(loss, scale=scale)
 
 
 def noise_of_fit(fit: Fit) -> Noise:
     """The noise that ``fit`` was weighted with."""
     outputs = fit.model.outputs
-    std = np.array([fit.noise.get(o.name, 1.0) for o in outputs])
-    colour = tuple(AutoRegression(tuple(fit.noise_colour.get(o.name, ()))) for o in outputs)
-    known = bool(fit.noise_sources) and set(fit.noise_sources.values()) <= {GIVEN, QUIET}
-    return Noise(std, fit.noise_source, known, fit.noise_sources, colour)
+    std = np.array([fit.noise.std.get(o.name, 1.0) for o in outputs])
+    colour = tuple(AutoRegression(tuple(fit.noise.colour.get(o.name, ()))) for o in outputs)
+    known = bool(fit.noise.sources) and set(fit.noise.sources.values()) <= {GIVEN, QUIET}
+    return Noise(std, fit.noise.source, known, fit.noise.sources, colour)

@@ -50,7 +50,7 @@ def bootstrap(
 
     Raises FitError for a fit that did not succeed, or a block that leaves fewer than five to a record.
     """
-    at = _of_predictions(fit) if fit.process_noise else _of_free_runs(fit)
+    at = _of_predictions(fit) if fit.prediction.process_noise else _of_free_runs(fit)
     v, size = at.variables, at.layout.size
     shortest = min(len(r) for r, *_ in at.rows)
     if block is None:

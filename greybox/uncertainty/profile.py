@@ -63,7 +63,7 @@ def profile(fit: Fit, name: str) -> Profile:
 
     Raises ModelError for a constant that was not fitted, FitError for a fit that did not succeed.
     """
-    if fit.process_noise:
+    if fit.prediction.process_noise:
         return _of_predictions(fit, name)
     problem = problem_of(fit)
     v = problem.variables
@@ -97,8 +97,8 @@ def _of_predictions(fit: Fit, name: str) -> Profile:
     _check(name, v)
     k = v.names.index(name)
     owner = name[len(v.quantities[k].name) + 2 : -1]
-    stated = fit.own[v.quantities[k].name][owner] if owner else fit.parameters[name]
-    widened = fit.inflation.get(name, 1.0)
+    stated = fit.constraints.per_experiment[v.quantities[k].name][owner] if owner else fit.parameters[name]
+    widened = fit.uncertainty.inflation.get(name, 1.0)
     scale = widened**2 if np.isfinite(widened) else 1.0
     return _followed(Held(cost, k, cost.cost(), scale), v, name, stated.std, quantile(np.inf) ** 2)
 
