@@ -131,7 +131,9 @@ def _order(names: list[str], k: int) -> list[str]:
 
 
 def _rk4(case: Case):
-    return ours.prepare(case.start, case.experiment, case.noise, at_rest=True, method="rk4", substeps=case.substeps)
+    return ours.prepare_problem(
+        case.start, case.experiment, case.noise, at_rest=True, method="rk4", substeps=case.substeps
+    )
 
 
 def _version(name: str) -> str:

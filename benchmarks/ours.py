@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.problems import Case
-from greybox.fitting import FitOptions, fit
-from greybox.fitting.multistart import random_starts
-from greybox.fitting.problem import Problem, prepare
-from greybox.fitting.solve import Solution, solve
+from greybox.estimation import FitOptions, fit
+from greybox.estimation.multistart import draw_starts
+from greybox.estimation.problem import EstimationProblem, prepare_problem
+from greybox.estimation.solve import Solution, solve
 from greybox.kernel import make_kernel
 from greybox.kernel.record import Record
-from greybox.transcription import record_of
+from greybox.transcription import to_record
 
 # The actuator is linear: greybox discretises it exactly. The other two take the same RK4 step as the peers.
 REPEATS = 7
@@ -38,10 +38,10 @@ def options(case: Case) -> FitOptions:
     return FitOptions(at_rest=True, substeps=0 if case.truth.system.linear else case.substeps)
 
 
-def prepared(case: Case, model=None) -> Problem:
+def prepared(case: Case, model=None) -> EstimationProblem:
     """The laid out problem."""
     chosen = options(case)
-    return prepare(
+    return prepare_problem(
         model or case.start, case.experiment, case.noise, at_rest=True, method=chosen.method, substeps=chosen.substeps
     )
 
@@ -62,7 +62,9 @@ def simulation(case: Case) -> Callable[[], float]:
 
 def pass_ratio(case: Case) -> float:
     """Cost, gradient and Gauss-Newton matrix in one RK4 pass, over one RK4 simulation."""
-    problem = prepare(case.start, case.experiment, case.noise, at_rest=True, method="rk4", substeps=case.substeps)
+    problem = prepare_problem(
+        case.start, case.experiment, case.noise, at_rest=True, method="rk4", substeps=case.substeps
+    )
     shooting, z = problem.shooting(problem.variables), np.zeros(problem.variables.size)
     p = problem.variables.parameters(z)
     q, dq, dp, x0, dx0 = shooting.at(z, p, 0)
@@ -80,7 +82,7 @@ def pass_ratio(case: Case) -> float:
 def cost(case: Case, values: np.ndarray, method: str) -> float:
     """Sum of squared residuals over noise of a result, by the discretisation it was fitted with."""
     model = case.truth.start(**dict(zip(case.free, map(float, values), strict=True)))
-    problem = prepare(model, case.experiment, case.noise, at_rest=True, method=method, substeps=case.substeps)
+    problem = prepare_problem(model, case.experiment, case.noise, at_rest=True, method=method, substeps=case.substeps)
     return problem.shooting(problem.variables).evaluate(np.zeros(problem.variables.size)).cost
 
 
@@ -121,7 +123,7 @@ def without_compiler(case: Case, unit: float) -> float:
 def starts_won(case: Case, starts: int = 20) -> int:
     """How many random starts within a factor 3 of the truth end within 1 % of the best cost."""
     chosen, ends = options(case), []
-    for begin in random_starts(case.truth, starts, seed=5):
+    for begin in draw_starts(case.truth, starts, seed=5):
         solution = solve(prepared(case, case.truth.start(**begin)), chosen)
         ends.append(solution.evaluation.cost if np.isfinite(solution.evaluation.cost) else np.inf)
     return int(np.sum(np.array(ends) <= 1.01 * min(ends)))
@@ -163,5 +165,5 @@ def _child(text: str, environment: dict[str, str]) -> str:
 
 
 def _one_row(case: Case) -> Record:
-    record = record_of(case.truth, case.experiment)
+    record = to_record(case.truth, case.experiment)
     return Record(record.u, record.y, record.h, np.zeros_like(record.row), record.lengths)

@@ -19,7 +19,7 @@ from greybox.experiment import Experiment
 from greybox.integrators import Step, rk4
 from greybox.kernel import Record, make_kernel
 from greybox.model import Balance, Model
-from greybox.signals import Input, Output, Parameter, State
+from greybox.model.signals import Input, Output, Parameter, State
 from models.micro_actuator import micro_actuator
 
 

@@ -6,7 +6,7 @@ import os
 import platform
 import subprocess
 
-from greybox.kernel.compile import machine
+from greybox.kernel.c_compiler import describe_machine
 
 NAMES = {
     "casadi_single_shooting": "CasADi single shooting, usual way",
@@ -48,7 +48,7 @@ def page(result: dict) -> str:
     lines += [
         "",
         "In brackets: rounds, and by how much the cost that a peer reached lies above the best RK4 optimum (relative). A fit with",
-        "`least_squares` + `solve_ivp` was not run: multiply one simulation by the 30 to 100 that finite differences need.", "",
+        "`solve_least_squares` + `solve_ivp` was not run: multiply one simulation by the 30 to 100 that finite differences need.", "",
         f"First result after the imports (pneumatic): {first['cold']:.2f} s with an empty cache (goal 3), {first['warm']:.2f} s"
         " after that (goal 0.5).",
         f"Memory of the linear fit of 400,000 samples above imports and data: {result['memory_above_data_mb']:.0f} MB (goal 20).", "",
@@ -66,7 +66,9 @@ def _against(problem: dict, peer: str) -> str:
 
 
 def _processor() -> str:
-    lines = [line.partition(":")[2].strip() for line in machine().splitlines() if line.startswith("model name")]
+    lines = [
+        line.partition(":")[2].strip() for line in describe_machine().splitlines() if line.startswith("model name")
+    ]
     return lines[0] if lines else platform.processor() or platform.machine()
 
 

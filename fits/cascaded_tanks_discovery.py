@@ -19,7 +19,7 @@ from pathlib import Path
 import greybox as gb
 from fits.paper_page import markdown
 from fits.real_page import arguments, told, write
-from greybox.discovery import Deepened
+from greybox.discovery import Refinement
 from models.cascaded_tanks import cascaded_tanks
 
 FILES = ("train.csv", "test.csv")
@@ -40,8 +40,8 @@ class Study:
     """The discovery, what was found beyond it, the refit to the whole training record, and each member of the ambiguity set added:
     errors (V) on the training and the test record, by name."""
 
-    found: gb.Discovery
-    deeper: Deepened
+    found: gb.discovery.Discovery
+    refinement: Refinement
     refitted: gb.Fit
     base: gb.Fit
     beside: Mapping[str, tuple[float, float]]
@@ -58,17 +58,17 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     train, test = (gb.read_csv(folder / name, cascaded_tanks) for name in FILES)
     learn, judge = train.window(0, LEARN), train.window(LEARN, train.rows)
     found = gb.discover(cascaded_tanks, learn, validation=judge, say=say)
-    deeper = gb.further(found.best, judge, plain=cascaded_tanks, say=say)
-    refitted, base = (_refit(model, train, test) for model in (deeper.fit.model, cascaded_tanks))
+    refinement = gb.discovery.further(found.best, judge, plain=cascaded_tanks, say=say)
+    refitted, base = (_refit(model, train, test) for model in (refinement.fit.model, cascaded_tanks))
     beside, without = {}, {}
     for name in SET:
         if name not in [e.name for e in refitted.model.effects]:
-            beside[name] = _errors(gb.try_effect(refitted, name, validation=test).larger)
+            beside[name] = _errors(gb.discovery.try_effect(refitted, name, validation=test).larger)
             say(f"with {name}: {beside[name]}")
     for name in [e.name for e in refitted.model.effects]:
-        without[name] = _errors(gb.drop_effect(refitted, name, validation=test).smaller)
+        without[name] = _errors(gb.discovery.drop_effect(refitted, name, validation=test).smaller)
         say(f"without {name}: {without[name]}")
-    return Study(found, deeper, refitted, base, beside, without)
+    return Study(found, refinement, refitted, base, beside, without)
 
 
 def _refit(model: gb.Model, train: gb.Experiment, test: gb.Experiment) -> gb.Fit:
@@ -94,7 +94,7 @@ def section(s: Study) -> list[str]:
     ]
     return [
         "## Cascaded tanks",
-        told(s.found, s.deeper),
+        told(s.found, s.refinement),
         "Errors of the free run, refitted to the whole training record; the test record took no part in any choice:",
         markdown(["model", "training, V", "test, V"], rows),
         f"Beside what was found, {', '.join(like) or 'none of them'} change the training record by less than"

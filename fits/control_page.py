@@ -34,7 +34,7 @@ is outside it) on the linear rig; "distance from -1" is the least of the loop's 
 the confidence set of the constants.
 
 This page is written by `python -m fits.control_page`; the studies are `fits/control_micro_actuator.py` and `fits/control_pneumatic.py`,
-whose `verdict` asserts what is said here.
+whose `judge_comparison` asserts what is said here.
 """
 
 
@@ -75,10 +75,10 @@ def distance(value: float) -> str:
 
 def printed(found: Study) -> None:
     """The tables on the terminal."""
-    from greybox.result.summary import table
+    from greybox.result.summary import format_table
 
-    lines = [found.found.story, "", *table(["", *ORDER], rows_of(found)), ""]
-    lines += table(gentler_head(), gentler_rows(found))
+    lines = [found.found.story, "", *format_table(["", *ORDER], rows_of(found)), ""]
+    lines += format_table(gentler_head(), gentler_rows(found))
     sys.stdout.write("\n".join(lines) + "\n")
 
 

@@ -101,7 +101,7 @@ class Study:
     """
 
     setting: Setting
-    found: gb.Discovery
+    found: gb.discovery.Discovery
     black: Any
     designs: Mapping[str, Design]
     runs: Mapping[str, Run]
@@ -172,7 +172,7 @@ def black_plant(black: Any) -> Any:
 
 def spread_of(setting: Setting, best: gb.Fit, designs: Mapping[str, Design]) -> dict[str, Spread]:
     """Each design over the rigs that the records leave open."""
-    family = gb.family(best, number=FAMILY, seed=FAMILY_SEED, dt=setting.sampling_time)
+    family = gb.export.sample_family(best, number=FAMILY, seed=FAMILY_SEED, dt=setting.sampling_time)
     rigs = [setting.rig(member.parameters, effects_of(best, member.parameters)) for member in family.members]
     spread = {}
     for name, made in designs.items():

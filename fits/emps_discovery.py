@@ -21,9 +21,9 @@ import numpy as np
 import greybox as gb
 from fits.paper_page import markdown
 from fits.real_page import arguments, told, write
-from greybox.discovery import Bench, Deepened
-from greybox.noise import Noise
-from greybox.transcription import arcs_of
+from greybox.discovery import DiscoveryProblem, Refinement
+from greybox.noise import NoiseModel
+from greybox.transcription import split_into_arcs
 from models.emps import emps
 
 FILES = ("train.csv", "test.csv")
@@ -47,8 +47,8 @@ class Study:
     """The discovery; errors (m) on the repetition kept back, one row for each, by model and by the rows of `WINDOWS`; constants fitted
     to all arcs, by model; the free runs over both whole records by arc length of the fit; and what the test record's own constants are."""
 
-    found: gb.Discovery
-    deeper: Deepened
+    found: gb.discovery.Discovery
+    refinement: Refinement
     held_out: Mapping[str, np.ndarray]
     fits: Mapping[str, gb.Fit]
     runs: Mapping[float, tuple[float, float]]
@@ -63,9 +63,9 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     arcs, tested = _arcs(train), _arcs(test)
     learn, judge = arcs[: 2 * QUARTERS], arcs[2 * QUARTERS : 3 * QUARTERS]
     found = gb.discover(emps, learn, validation=judge, say=say)
-    deeper = gb.further(found.best, judge, plain=emps, say=say)
-    noise = Bench.of(found.best).noise
-    assert isinstance(noise, Noise)
+    refinement = gb.discovery.further(found.best, judge, plain=emps, say=say)
+    noise = DiscoveryProblem.of(found.best).noise
+    assert isinstance(noise, NoiseModel)
     held_out = {}
     for name in MODELS:
         held_out[name] = np.array([_kept_back(name, arcs, k, noise) for k in range(REPETITIONS)])
@@ -75,14 +75,16 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     known = {name: _error(f.model, tested, WINDOWS[-1]) for name, f in fits.items()}
     runs = {}
     for seconds in LENGTHS:
-        fitted = gb.fit(_model("named"), arcs_of(train, seconds=seconds), options=gb.FitOptions(progressive=False))
+        fitted = gb.fit(
+            _model("named"), split_into_arcs(train, seconds=seconds), options=gb.FitOptions(progressive=False)
+        )
         runs[seconds] = _error(fitted.model, [train], WINDOWS[0]), _error(fitted.model, [test], WINDOWS[0])
         say(f"free run over all of it, constants from arcs of {seconds:.2f} s: {runs[seconds]} m")
-    return Study(found, deeper, held_out, fits, runs, _pushed(fits["both"].model, train), other_day, known)
+    return Study(found, refinement, held_out, fits, runs, _pushed(fits["both"].model, train), other_day, known)
 
 
 def _arcs(record: gb.Experiment) -> list[gb.Experiment]:
-    return list(arcs_of(record, seconds=REPETITION / QUARTERS))
+    return list(split_into_arcs(record, seconds=REPETITION / QUARTERS))
 
 
 def _model(name: str) -> gb.Model:
@@ -92,14 +94,14 @@ def _model(name: str) -> gb.Model:
     return model.start(Fc=START)
 
 
-def _fit(name: str, arcs: Sequence[gb.Experiment], noise: Noise) -> gb.Fit:
+def _fit(name: str, arcs: Sequence[gb.Experiment], noise: NoiseModel) -> gb.Fit:
     """By the squares of the error first, then weighted as the residual of the discovery is coloured."""
     quick = gb.FitOptions(progressive=False)
     rough = gb.fit(_model(name), arcs, options=quick)
     return gb.fit(rough.model, arcs, noise=noise, options=quick)
 
 
-def _kept_back(name: str, arcs: Sequence[gb.Experiment], k: int, noise: Noise) -> list[float]:
+def _kept_back(name: str, arcs: Sequence[gb.Experiment], k: int, noise: NoiseModel) -> list[float]:
     """Errors on the arcs of repetition ``k`` of a fit to the others."""
     kept = range(k * QUARTERS, (k + 1) * QUARTERS)
     fitted = _fit(name, [a for i, a in enumerate(arcs) if i not in kept], noise)
@@ -143,7 +145,7 @@ def section(s: Study) -> list[str]:
     arcs = ", ".join(f"{1e3 * e:.2f} mm ({titles[m]})" for m, e in s.test_arcs.items())
     return [
         "## EMPS: an electro-mechanical drive",
-        told(s.found, s.deeper),
+        told(s.found, s.refinement),
         f"Errors on arcs of {REPETITION / QUARTERS:.2f} s of a repetition that was kept back, mean over the {REPETITIONS} repetitions. The"
         " initial position and velocity of each arc are estimated from its first part, the error is that of the rest:",
         markdown(head, rows),
@@ -167,7 +169,7 @@ def _friction(fit: gb.Fit) -> list[str]:
 
 def verdict(s: Study) -> None:
     """Both effects are found, the offset vanishes beside them, and the error on arcs kept back is within the goal."""
-    named = {e.name for e in s.deeper.fit.model.effects}
+    named = {e.name for e in s.refinement.fit.model.effects}
     assert set(MODELS["named"]) <= named, named
     old, new = _rms(s.held_out["old"]), _rms(s.held_out["named"])
     assert new[-1] <= GOAL, new

@@ -12,7 +12,7 @@ import numpy as np
 
 import greybox as gb
 from fits.hidden_cases import Case
-from greybox.effects import applicable, scales_of
+from greybox.effects import applicable_effects, measure_scales
 
 # Functions of displacement, velocity, input and time, and the effects that they are read as.
 LIBRARY = {
@@ -31,11 +31,11 @@ def by_correlation(base: gb.Fit, plain: gb.Model, case: Case) -> str:
     residual = np.concatenate([trace.residual(o) / case.sigma[o] for o in outputs])
     run = gb.simulate(base.model, trace.experiment)
     inputs = np.column_stack(list(run.inputs.values()))
-    scales = scales_of(
+    scales = measure_scales(
         base.model, np.column_stack(list(run.states.values())), inputs, float(np.median(np.diff(run.time)))
     )
     best, name = 0.0, ""
-    for effect in applicable(base.model, scales):
+    for effect in applicable_effects(base.model, scales):
         model = base.model + effect
         own = next(b.own for b in model.bound_effects)
         grid = effect.grid(scales) if effect.grid else {}

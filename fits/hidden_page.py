@@ -78,19 +78,37 @@ def _scores(rows: Sequence[Row]) -> str:
         ("one effect, visible: exact name", _share(map(right, singles))),
         ("one effect, visible: exact name, or a declared tie of at most four", _share(map(tied, singles))),
         ("the same by correlation of the residual", _share([r["correlation"] in r["truth"] for r in singles])),
-        ("the same by sparse regression of the acceleration (pysindy)", _share([r["sparse"] in r["truth"] for r in singles])),
+        (
+            "the same by sparse regression of the acceleration (pysindy)",
+            _share([r["sparse"] in r["truth"] for r in singles]),
+        ),
         ("complete models left alone", _share([r["verdict"] == "complete" for r in kinds["complete"]])),
-        ("wrong or incomplete name with the verdict `named`", _share([r["verdict"] == "named" and not right(r) for r in effects])),
-        ("effect outside the catalogue, visible: not falsely named", _share([r["verdict"] != "named" for r in seen["outside"]])),
-        ("relative of a catalogued effect, visible: family named and nothing else", _share(map(right, seen["relative"]))),
+        (
+            "wrong or incomplete name with the verdict `name_value_table`",
+            _share([r["verdict"] == "named" and not right(r) for r in effects]),
+        ),
+        (
+            "effect outside the catalogue, visible: not falsely named",
+            _share([r["verdict"] != "named" for r in seen["outside"]]),
+        ),
+        (
+            "relative of a catalogued effect, visible: family named and nothing else",
+            _share(map(right, seen["relative"])),
+        ),
         ("two effects, each visible beside the other: both and nothing else", _share(map(right, both))),
-        ("two effects, one hardly visible beside the other: nothing named that is not there", _share(map(_part, faint))),
+        (
+            "two effects, one hardly visible beside the other: nothing named that is not there",
+            _share(map(_part, faint)),
+        ),
         ("gap closed on the judging record where named rightly: median, tenth percentile", _two(closed)),
-        ("constants of effects named rightly: median relative error", f"{np.median(errors):.3f} ({len(errors)})" if errors else "-"),
+        (
+            "constants of effects named rightly: median relative error",
+            f"{np.median(errors):.3f} ({len(errors)})" if errors else "-",
+        ),
         ("constants inside their 95 % interval", _share(inside)),
         ("processor seconds a case: median, worst", f"{np.median(seconds):.1f}, {max(seconds):.1f}"),
         ("not visible in the records (left out above)", str(sum(r["base"] < VISIBLE for r in effects))),
-    ]  # fmt: skip
+    ]
     return "\n".join(["| what | result |", "|---|---|", *(f"| {what} | {value} |" for what, value in lines)])
 
 

@@ -20,9 +20,9 @@ import greybox as gb
 from fits.hidden_baselines import by_correlation, by_sparse_regression
 from fits.hidden_cases import Case, make
 from fits.hidden_page import VISIBLE, write
-from greybox.discovery.attempt import scales_along
-from greybox.discovery.bench import Bench
-from greybox.effects import Scales, tailored
+from greybox.discovery.effect_test import estimate_scales
+from greybox.discovery.problem import DiscoveryProblem
+from greybox.effects import Scales, tailor_to_record
 from greybox.project import resolve
 
 # Kinds of ten cases in a row.
@@ -64,8 +64,8 @@ def answered(case: Case) -> dict[str, Any]:
     return hidden(case) | {
         "verdict": found.verdict, "said": [e["name"] for e in found.effects],
         "alternatives": found.alternatives, "sites": list(found.sites),
-        "base": max(g.before / case.sigma[o] for o, g in found.gap.items()), "closed": worst.closed,
-        "curve": found.stand_in.closed if found.stand_in else None, "constants": _constants(case, found.effects),
+        "base": max(g.before / case.sigma[o] for o, g in found.gap.items()), "closed": worst.explained_fraction,
+        "curve": found.surrogate.explained_fraction if found.surrogate else None, "constants": _constants(case, found.effects),
         "seconds": seconds, "correlation": by_correlation(found.base, model, case),
         "sparse": by_sparse_regression(model, case), "each": without_each(case, model),
     }  # fmt: skip
@@ -94,18 +94,18 @@ def without_each(case: Case, model: gb.Model) -> list[float]:
     """
     if len(case.effects) < 2:
         return []
-    bench = Bench(model, (case.estimation,), dict(case.sigma), (), gb.FitOptions(at_rest=True))
-    scales = scales_along(bench.base)
+    bench = DiscoveryProblem(model, (case.estimation,), dict(case.sigma), (), gb.FitOptions(at_rest=True))
+    scales = estimate_scales(bench.base)
     both = _misfit(case, bench, scales, list(case.effects))
     one = [_misfit(case, bench, scales, [kept for kept in case.effects if kept != name]) for name in case.effects]
     return [max(left[o] / both[o] for o in both) for left in one]
 
 
-def _misfit(case: Case, bench: Bench, scales: Scales, names: Sequence[str]) -> dict[str, float]:
+def _misfit(case: Case, bench: DiscoveryProblem, scales: Scales, names: Sequence[str]) -> dict[str, float]:
     """Rms misfit on the judging record by output, of the model with these effects, fitted from the true constants."""
     model = bench.base.model
     for name in names:
-        model = model + tailored(gb.effect(name), scales)
+        model = model + tailor_to_record(gb.effect(name), scales)
     truth = {n: v for n, v in case.base.items() if n in model.values}
     for bound in model.bound_effects:
         truth |= {bound.own[n]: v for n, v in case.effects[bound.effect.name].items()}

@@ -75,8 +75,8 @@ def silverbox_rows(train: gb.Experiment, tests: Mapping[str, gb.Experiment]) -> 
     scanned, judge = train.window(0, SCANNED), train.window(SCANNED, 2 * SCANNED)
     rows = []
     for kind, orders in SCANS.items():
-        scan = gb.scan_structures(scanned, kind, judge=judge, skip=SKIP, nk=(0, 1), offset=True, **orders)
-        rows.append(black(gb.scan_structures(train, kind, **scan.chosen.choice).best, tests))
+        scan = gb.blackbox.scan_structures(scanned, kind, judge=judge, skip=SKIP, nk=(0, 1), offset=True, **orders)
+        rows.append(black(gb.blackbox.scan_structures(train, kind, **scan.chosen.choice).best, tests))
     linear = silverbox + gb.effect("input_offset")
     hardening = linear + gb.effect("cubic_stiffness") + gb.effect("quadratic_stiffness")
     return rows + [grey(gb.fit(model, train), tests) for model in (linear, hardening)]
@@ -84,7 +84,7 @@ def silverbox_rows(train: gb.Experiment, tests: Mapping[str, gb.Experiment]) -> 
 
 def tank_rows(train: gb.Experiment, tests: Mapping[str, gb.Experiment]) -> list[Row]:
     """Black boxes by their best scan, then Torricelli's law with more and more of what the rig does."""
-    scans = gb.best_black_boxes(train, kinds=tuple(SCANS))
+    scans = gb.blackbox.best_black_boxes(train, kinds=tuple(SCANS))
     overflowing = (cascaded_tanks + gb.effect("upper_overflow") + gb.effect("lower_overflow")).bound(**SPILLING)
     overflowing = overflowing.start(**BEGIN)
     models = (cascaded_tanks, overflowing, overflowing + gb.effect("reading_curve"))
@@ -92,7 +92,7 @@ def tank_rows(train: gb.Experiment, tests: Mapping[str, gb.Experiment]) -> list[
     return rows + [grey(gb.fit(model, train), tests) for model in models]
 
 
-def black(model: gb.PolynomialModel, tests: Mapping[str, gb.Experiment]) -> Row:
+def black(model: gb.blackbox.PolynomialModel, tests: Mapping[str, gb.Experiment]) -> Row:
     """A black box judged; its initial state comes from the rows that do not count."""
     errors = {}
     for name, record in tests.items():

@@ -27,15 +27,15 @@ from fits import micromotion_printed as printed
 from fits.micromotion_twin import DELAY, MICRO, ROWS, SAMPLING_TIME, SEED, in_micrometres, record, step_record
 from fits.paper_page import MEASURED, MODELS, Say, docs_folder, legend, markdown, picture, save, write_section
 from greybox.blackbox import PolynomialModel, armax, arx, output_error
-from greybox.blackbox.smoothing import monte_carlo_smoothing
-from greybox.blackbox.smoothing_result import Smoothing
+from greybox.blackbox.monte_carlo_smoothing.estimate import monte_carlo_smoothing
+from greybox.blackbox.monte_carlo_smoothing.result import MonteCarloSmoothing
 from greybox.simulation import chirp
 from models.micro_actuator import micro_actuator_no_inductance
 
 BAND, FAST = (5.0, 400.0), 1e-4  # Hz; s
 OFF = {"B": 0.4, "K": 4500.0, "Kf": 1.0, "delay": 1e-4}  # where the search starts
 SHOWN = ("armax(4,1,1,3)", "smoothing", "oe(2,2,1)")  # in the figure, beside the physical model
-BlackBox = PolynomialModel | Smoothing
+BlackBox = PolynomialModel | MonteCarloSmoothing
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def _where_it_holds(model: BlackBox, record: gb.Experiment) -> float | None:
     """Its error, or None where it refuses the record."""
     try:
         return _judged(model, record)
-    except gb.DataError:
+    except gb.errors.DataError:
         return None
 
 

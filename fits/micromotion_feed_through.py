@@ -29,10 +29,10 @@ from fits.micromotion_chirp import physical
 from fits.micromotion_twin import DELAY, MICRO, SAMPLING_TIME, SEED, in_micrometres, motion, step_record
 from fits.paper_page import MEASURED, MODELS, Say, docs_folder, legend, markdown, picture, save, write_section
 from greybox.blackbox import output_error
-from greybox.blackbox.smoothing import monte_carlo_smoothing
-from greybox.blackbox.smoothing_continuous import s_domain
-from greybox.blackbox.smoothing_grid import Combination
-from greybox.blackbox.smoothing_result import Smoothing
+from greybox.blackbox.continuous import to_continuous
+from greybox.blackbox.monte_carlo_smoothing.estimate import monte_carlo_smoothing
+from greybox.blackbox.monte_carlo_smoothing.grid_search import StepResponseConstants
+from greybox.blackbox.monte_carlo_smoothing.result import MonteCarloSmoothing
 
 SHOWN = 13  # rows in the figure
 DELAYS = (0.0, 0.5, 1.0, 1.56, 2.0)  # samples
@@ -62,26 +62,26 @@ class Study:
     without: gb.Fit
 
 
-def least_squares(record: gb.Experiment) -> Smoothing:
+def least_squares(record: gb.Experiment) -> MonteCarloSmoothing:
     """Equation 17 by least squares, without intervals: an output-error model with two poles and feed-through says the same."""
     model = output_error(record, nb=3, nf=2, nk=0, history="zero")
-    g = s_domain(model)
+    g = to_continuous(model)
     decay = g.denominator[1] / 2
     w = float(np.sqrt(g.denominator[2] - decay**2))
-    sine = 1 - g.numerator[0] / g.gain  # r sin(theta) and r cos(theta), see `Smoothing.s_domain`
+    sine = 1 - g.numerator[0] / g.gain  # r sin(theta) and r cos(theta), see `MonteCarloSmoothing.s_domain`
     cosine = (decay * (2 - sine) - g.numerator[1] / g.gain) / w
-    constants = Combination(
+    constants = StepResponseConstants(
         g.gain, float(np.hypot(sine, cosine)), float(np.arctan2(sine, cosine)), w, decay, model.loss
     )
-    return Smoothing("x", "u", SAMPLING_TIME, 1.0, constants, record.rows)
+    return MonteCarloSmoothing("x", "u", SAMPLING_TIME, 1.0, constants, record.rows)
 
 
-def reading(found: Smoothing) -> Reading:
+def reading(found: MonteCarloSmoothing) -> Reading:
     """What a smoothing says about jump and delay."""
     return Reading(found.jump, found.delay / SAMPLING_TIME, found.error)
 
 
-def with_ratio_of_the_delay(found: Smoothing) -> float:
+def with_ratio_of_the_delay(found: MonteCarloSmoothing) -> float:
     """The jump in um if the ratio were the one that belongs to the phase's delay."""
     b = found.best
     ratio = np.exp(b.decay * found.delay) / np.sqrt(1 - found.damping**2)

@@ -10,8 +10,8 @@ import numpy as np
 from fits import micromotion_printed as printed
 from fits.micromotion_twin import MICRO, ROWS, SAMPLING_TIME, SEED, motion
 from fits.paper_page import MEASURED, MODELS, beside, legend, markdown, picture, rms_log, save, write_section
-from greybox.blackbox.smoothing_continuous import s_domain
-from greybox.blackbox.smoothing_intervals import resonance
+from greybox.blackbox.continuous import to_continuous
+from greybox.blackbox.monte_carlo_smoothing.intervals import find_resonance
 
 if TYPE_CHECKING:
     from fits.micromotion_paper import Study
@@ -51,7 +51,7 @@ def write(s: Study, spread: tuple[np.ndarray, np.ndarray], folder: Path) -> None
         "### Figures",
         "![Figure 4: best ARX and ARMAX](figures/micromotion_figure_4.png)",
         "![Figure 6: power spectral density](figures/micromotion_figure_6.png)",
-        f"The peak besides the one at zero lies at {resonance(s.frequencies, s.density):.4f} rad/s, printed {printed.SPECTRAL_PEAK}:"
+        f"The peak besides the one at zero lies at {find_resonance(s.frequencies, s.density):.4f} rad/s, printed {printed.SPECTRAL_PEAK}:"
         " bin 31 of 1024 (errata 1.15).",
         "![Figure 7: smoothed and direct estimate](figures/micromotion_figure_7.png)",
     ]
@@ -117,7 +117,7 @@ def _structures_table(s: Study) -> str:
 def _s_domain_table(s: Study) -> str:
     model = s.structures[4].smoothed_model
     assert model is not None
-    back = s_domain(model)
+    back = to_continuous(model)
     rows = [
         ["numerator", *(", ".join(f"{v:.8g}" for v in n) for n in (printed.S_NUMERATOR, back.numerator))],
         ["denominator", *(", ".join(f"{v:.8g}" for v in d) for d in (printed.S_DENOMINATOR, back.denominator))],

@@ -27,10 +27,10 @@ from fits.micromotion_page import write
 from fits.micromotion_twin import ROWS, SAMPLING_TIME, SEED, in_micrometres, step_record
 from fits.paper_page import Say, docs_folder, progress, rms_log
 from greybox.blackbox import PolynomialModel, armax, arx, output_error
-from greybox.blackbox.smoothing import SmoothingProgress, monte_carlo_smoothing
-from greybox.blackbox.smoothing_intervals import resonance, spectrum
-from greybox.blackbox.smoothing_result import Smoothing
-from greybox.blackbox.smoothing_structures import StructureErrors, numerator_structures
+from greybox.blackbox.monte_carlo_smoothing.estimate import SmoothingProgress, monte_carlo_smoothing
+from greybox.blackbox.monte_carlo_smoothing.intervals import estimate_spectrum, find_resonance
+from greybox.blackbox.monte_carlo_smoothing.numerators import NumeratorComparison, compare_numerators
+from greybox.blackbox.monte_carlo_smoothing.result import MonteCarloSmoothing
 from greybox.experiment import Experiment
 
 EVALUATIONS = 20
@@ -50,17 +50,17 @@ class Study:
     armax: list[list[PolynomialModel]]
     table_1: np.ndarray
     table_2: np.ndarray
-    smoothing: Smoothing
-    structures: tuple[StructureErrors, ...]
-    printed_structures: tuple[StructureErrors, ...]
-    from_data: Smoothing
+    smoothing: MonteCarloSmoothing
+    structures: tuple[NumeratorComparison, ...]
+    printed_structures: tuple[NumeratorComparison, ...]
+    from_data: MonteCarloSmoothing
     optimum: float
     frequencies: np.ndarray
     density: np.ndarray
     seconds: float
 
 
-def error(model: PolynomialModel | Smoothing, record: Experiment) -> float:
+def error(model: PolynomialModel | MonteCarloSmoothing, record: Experiment) -> float:
     """Mean square of the free run's error (equation 1) in um^2; the record begins at rest."""
     return float(np.mean((record.outputs["x"] - model.simulate(record, initial="zero")["x"]) ** 2))
 
@@ -77,13 +77,13 @@ def table_2(record: Experiment) -> list[list[PolynomialModel]]:
 
 def smoothed(
     record: Experiment, seed: int, report: Callable[[SmoothingProgress], None] | None = None
-) -> tuple[Smoothing, tuple[StructureErrors, ...]]:
+) -> tuple[MonteCarloSmoothing, tuple[NumeratorComparison, ...]]:
     """Section 4.2 with the paper's intervals and specification, and Table 3."""
     found = monte_carlo_smoothing(
         record, seed=seed, intervals=printed.INTERVALS, specification=printed.SPECIFICATION, evaluations=EVALUATIONS,
         units={"x": "um"}, report=report,
     )  # fmt: skip
-    return found, numerator_structures(record, found)
+    return found, compare_numerators(record, found)
 
 
 def study(seed: int = SEED, report: Callable[[SmoothingProgress], None] | None = None) -> Study:
@@ -93,10 +93,10 @@ def study(seed: int = SEED, report: Callable[[SmoothingProgress], None] | None =
     began = time.perf_counter()
     smoothing, structures = smoothed(record, seed, report)
     seconds = time.perf_counter() - began
-    w, density = spectrum(record.outputs["x"], SAMPLING_TIME)
+    w, density = estimate_spectrum(record.outputs["x"], SAMPLING_TIME)
     return Study(
         record, first, second, errors(first, record), errors(second, record), smoothing, structures,
-        numerator_structures(record, printed.smoothing(ROWS)), monte_carlo_smoothing(record, seed=seed),
+        compare_numerators(record, printed.smoothing(ROWS)), monte_carlo_smoothing(record, seed=seed),
         error(output_error(record, nb=3, nf=2, nk=0, history="zero"), record), w, density, seconds,
     )  # fmt: skip
 
@@ -112,7 +112,7 @@ def spread(seeds: range = OTHER_SEEDS) -> tuple[np.ndarray, np.ndarray]:
     for seed in seeds:
         record = in_micrometres(step_record(seed))
         first.append(rms_log(errors(table_1(record), record), printed.TABLE_1))
-        rows = numerator_structures(record, printed.smoothing(ROWS))
+        rows = compare_numerators(record, printed.smoothing(ROWS))
         direct.append(rms_log([r.direct for r in rows], printed.TABLE_3_DIRECT))
     return np.array(first), np.array(direct)
 
@@ -122,7 +122,7 @@ def verdict(s: Study) -> None:
     assert rms_log(s.table_1, printed.TABLE_1) < 0.15
     assert rms_log([r.direct for r in s.structures], printed.TABLE_3_DIRECT) < 0.15
     assert_pattern_of_table_2(s)
-    assert abs(resonance(s.frequencies, s.density) - printed.SPECTRAL_PEAK) < 5e-5
+    assert abs(find_resonance(s.frequencies, s.density) - printed.SPECTRAL_PEAK) < 5e-5
     assert s.smoothing.met and s.smoothing.error < s.table_2.min() < s.table_1.min()
     exact = s.structures[4].smoothed
     assert exact is not None and abs(exact / s.smoothing.error - 1) < 1e-6

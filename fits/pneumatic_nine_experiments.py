@@ -29,8 +29,8 @@ import casadi as ca
 import numpy as np
 
 from greybox.effects import effect
+from greybox.estimation import fit, validate
 from greybox.experiment import Experiment
-from greybox.fitting import fit, validate
 from greybox.model import Model, System
 from greybox.result import Fit
 from models.pneumatic_chambers import gas_chambers

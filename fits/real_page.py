@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fits.paper_page import write_section
-from greybox import Discovery
-from greybox.discovery import Deepened
+from greybox.discovery import Discovery, Refinement
 
 PAGE = "real_data.md"
 TITLE = """# What is missing, on measured records
@@ -43,11 +42,11 @@ def write(folder: Path, name: str, parts: Sequence[str]) -> Path:
     return write_section(folder, name, "\n\n".join(parts), PAGE, TITLE)
 
 
-def told(found: Discovery, deeper: Deepened | None = None) -> str:
+def told(found: Discovery, refinement: Refinement | None = None) -> str:
     """The finding in its own words, then each further effect, as a list."""
     lines = [f"`greybox discover` (verdict *{found.verdict}*): {found.story}"]
-    if deeper is not None:
-        lines += [f"- {step}" for step in deeper.steps] or [
+    if refinement is not None:
+        lines += [f"- {step}" for step in refinement.steps] or [
             "- `further`: no other effect gains on records not used for it"
         ]
         lines.insert(1, "")

@@ -19,7 +19,7 @@ from pathlib import Path
 import greybox as gb
 from fits.paper_page import markdown
 from fits.real_page import arguments, told, write
-from greybox.discovery import Deepened
+from greybox.discovery import Refinement
 from models.silverbox import silverbox
 
 FILES = ("train_multisine.csv", "test_multisine.csv", "test_arrow.csv")
@@ -40,8 +40,8 @@ Say = Callable[[str], object]
 class Study:
     """The discovery, what was found beyond it, and errors on the three test records: by hold, and by form of the damping."""
 
-    found: gb.Discovery
-    deeper: Deepened
+    found: gb.discovery.Discovery
+    refinement: Refinement
     linear: Errors
     holds: Mapping[str, Errors]
     springs: Errors
@@ -50,7 +50,7 @@ class Study:
     @property
     def named(self) -> set[str]:
         """Every effect in the final model."""
-        return {e.name for e in self.deeper.fit.model.effects}
+        return {e.name for e in self.refinement.fit.model.effects}
 
 
 def study(folder: Path, say: Say = lambda _: None) -> Study:
@@ -62,7 +62,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
         return tuple(gb.validate(model, t.with_hold(hold), skip=SKIP).misfit["y"].rmse for t in tests)  # type: ignore[arg-type]
 
     found = gb.discover(silverbox, train.window(*LEARN), validation=train.window(*JUDGE), say=say)
-    deeper = gb.further(found.best, train.window(*JUDGE), plain=silverbox, say=say)
+    refinement = gb.discovery.further(found.best, train.window(*JUDGE), plain=silverbox, say=say)
     springs = _with(silverbox, SPRINGS)
     holds = {}
     for hold in HOLDS:
@@ -74,7 +74,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
         forms[form] = errors(gb.fit(moving + gb.effect(form), whole).model)
         say(f"{form}: {_millivolt(forms[form])} mV")
     linear = gb.fit(silverbox + gb.effect("band_limited_input"), train.window(*LEARN))
-    return Study(found, deeper, errors(linear.model), holds, errors(gb.fit(moving, whole).model), forms)
+    return Study(found, refinement, errors(linear.model), holds, errors(gb.fit(moving, whole).model), forms)
 
 
 def _with(model: gb.Model, names: tuple[str, ...]) -> gb.Model:
@@ -97,7 +97,7 @@ def section(s: Study) -> list[str]:
     rows += [["*published, best*", *_millivolt(PUBLISHED)]]
     return [
         "## Silverbox: an electronic circuit",
-        told(s.found, s.deeper),
+        told(s.found, s.refinement),
         "Errors on the test records, which took no part in choosing effects or constants:",
         markdown(head, rows),
         "What the input does between samples was the first pick of the search. The members of the damping family differ by less than the"
@@ -107,7 +107,7 @@ def section(s: Study) -> list[str]:
 
 def verdict(s: Study) -> None:
     """The input first, then spring, offset and the family of damping; errors within the goal on all three test records."""
-    first = [e.name for e in s.deeper.fit.model.effects][:2]
+    first = [e.name for e in s.refinement.fit.model.effects][:2]
     assert first == ["band_limited_input", "cubic_stiffness"], first
     assert {"quadratic_stiffness"} < s.named, s.named
     assert s.named & {"input_offset", "constant_load"}, s.named

@@ -1,6 +1,10 @@
-"""greybox: from measured data of an actuator to physical constants with honest intervals.
+"""greybox: from measured data of an actuator to physical parameters with honest intervals.
 
-The verbs: `read_csv`, `simulate`, `fit`, `validate`. A model is a list of named balances; ``model + effect`` is a new model.
+The verbs of the first week stand here: `read_csv`, `simulate`, `fit`, `validate`, `residual_tests`, `compare`, `discover`,
+`linearise`, `report`. A model is a list of named balances; ``model + effect`` is a new model.
+
+Everything else is in a namespace: ``gb.signals`` (test signals), ``gb.effects`` (the catalogue), ``gb.blackbox``, ``gb.discovery``,
+``gb.identifiability``, ``gb.uncertainty`` (profile likelihood, bootstrap), ``gb.residuals``, ``gb.export``, ``gb.errors``.
 """
 
 from __future__ import annotations
@@ -9,205 +13,145 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from greybox.blackbox import (
-        Candidate,
-        HammersteinModel,
-        PolynomialModel,
-        Scan,
-        Smoothing,
-        armax,
-        arx,
-        best_black_boxes,
-        box_jenkins,
-        digits_needed,
-        hammerstein,
-        monte_carlo_smoothing,
-        output_error,
-        resample,
-        rounded,
-        scan_structures,
+    from greybox import (
+        blackbox,
+        discovery,
+        effects,
+        errors,
+        estimation,
+        experiment,
+        export,
+        identifiability,
+        plots,
+        rendering,
+        residuals,
+        result,
+        signals,
+        simulation,
+        uncertainty,
     )
-    from greybox.comparison import Comparison, compare
-    from greybox.diagnose import ResidualTests, Scores, diagnose_residuals, scores
-    from greybox.discovery import (
-        Attempt,
-        Deepened,
-        Discovery,
-        Unexplained,
-        discover,
-        drop_effect,
-        further,
-        try_effect,
-        unexplained,
-    )
-    from greybox.effects import CATALOGUE, effect
-    from greybox.errors import DataError, FitError, GreyboxError, ModelError, UnitError
+    from greybox.comparison import compare
+    from greybox.discovery import discover
+    from greybox.effects import effect
+    from greybox.errors import GreyboxError
+    from greybox.estimation import FitOptions, fit, multistart, predict, smooth, validate
     from greybox.experiment import Experiment, read_csv, read_experiments
-    from greybox.export import (
-        Family,
-        Linearisation,
-        OperatingPoint,
-        family,
-        linearise,
-        nonlinear_system,
-        operating_point,
-        to_c,
-        to_control,
-        to_fmu,
-        to_json,
-        to_mat,
-        to_modelica,
-        to_numpy,
-        to_python,
-    )
-    from greybox.fitting import (
-        FitOptions,
-        Predictor,
-        Smoothed,
-        fit,
-        multistart,
-        predict,
-        predictor,
-        smooth,
-        validate,
-    )
+    from greybox.export import linearise
     from greybox.model import Balance, DryFriction, Effect, Model
+    from greybox.model.signals import Input, Output, Parameter, State
     from greybox.reports import report
-    from greybox.result import Estimate, Fit, Misfit, load_fit
-    from greybox.signals import Input, Output, Parameter, State
-    from greybox.simulation import Simulation, simulate
-    from greybox.uncertainty import Bootstrap, Profile, bootstrap, profile
+    from greybox.residuals import residual_tests
+    from greybox.result import Fit, load_fit
+    from greybox.simulation import simulate
 
-# Where each public name lives. Loaded when first asked for: stating a model should not load a solver.
-_ROOMS = {
-    "blackbox": (
-        *("Candidate", "HammersteinModel", "PolynomialModel", "Scan", "Smoothing", "armax", "arx", "best_black_boxes"),
-        *(
-            "box_jenkins",
-            "digits_needed",
-            "hammerstein",
-            "monte_carlo_smoothing",
-            "output_error",
-            "resample",
-            "rounded",
-        ),
-        "scan_structures",
+# Where each name lives. Loaded when first asked for: stating a model should not load a solver.
+_NAMES = {
+    "comparison": ("compare",),
+    "discovery": ("discover",),
+    "effects": ("effect",),
+    "errors": ("GreyboxError",),
+    "estimation": (
+        "FitOptions",
+        "fit",
+        "multistart",
+        "predict",
+        "smooth",
+        "validate",
     ),
-    "comparison": ("Comparison", "compare"),
-    "diagnose": ("ResidualTests", "Scores", "diagnose_residuals", "scores"),
-    "discovery": (
-        *("Attempt", "Deepened", "Discovery", "Unexplained", "discover", "drop_effect", "further", "try_effect"),
-        "unexplained",
+    "experiment": (
+        "Experiment",
+        "read_csv",
+        "read_experiments",
     ),
-    "effects": ("CATALOGUE", "effect"),
-    "errors": ("DataError", "FitError", "GreyboxError", "ModelError", "UnitError"),
-    "experiment": ("Experiment", "read_csv", "read_experiments"),
-    "export": (
-        *("Family", "Linearisation", "OperatingPoint", "family", "linearise", "nonlinear_system", "operating_point"),
-        *("to_c", "to_control", "to_fmu", "to_json", "to_mat", "to_modelica", "to_numpy", "to_python"),
+    "export": ("linearise",),
+    "model": (
+        "Balance",
+        "DryFriction",
+        "Effect",
+        "Model",
     ),
-    "fitting": (
-        *("FitOptions", "Predictor", "Smoothed", "fit", "multistart"),
-        *("predict", "predictor", "smooth", "validate"),
+    "model.signals": (
+        "Input",
+        "Output",
+        "Parameter",
+        "State",
     ),
-    "model": ("Balance", "DryFriction", "Effect", "Model"),
     "reports": ("report",),
-    "result": ("Estimate", "Fit", "Misfit", "load_fit"),
-    "signals": ("Input", "Output", "Parameter", "State"),
-    "simulation": ("Simulation", "simulate"),
-    "uncertainty": ("Bootstrap", "Profile", "bootstrap", "profile"),
+    "residuals": ("residual_tests",),
+    "result": (
+        "Fit",
+        "load_fit",
+    ),
+    "simulation": ("simulate",),
 }
-_HOME = {name: f"greybox.{room}" for room, names in _ROOMS.items() for name in names}
+_NAMESPACES = (
+    "blackbox",
+    "discovery",
+    "effects",
+    "errors",
+    "estimation",
+    "experiment",
+    "export",
+    "identifiability",
+    "plots",
+    "rendering",
+    "residuals",
+    "result",
+    "signals",
+    "simulation",
+    "uncertainty",
+)
+_HOME = {name: f"greybox.{module}" for module, names in _NAMES.items() for name in names}
 
 __all__ = [
-    "CATALOGUE",
-    "Attempt",
     "Balance",
-    "Bootstrap",
-    "Candidate",
-    "Comparison",
-    "DataError",
-    "Deepened",
-    "Discovery",
     "DryFriction",
     "Effect",
-    "Estimate",
     "Experiment",
-    "Family",
     "Fit",
-    "FitError",
     "FitOptions",
     "GreyboxError",
-    "HammersteinModel",
     "Input",
-    "Linearisation",
-    "Misfit",
     "Model",
-    "ModelError",
-    "OperatingPoint",
     "Output",
     "Parameter",
-    "PolynomialModel",
-    "Predictor",
-    "Profile",
-    "ResidualTests",
-    "Scan",
-    "Scores",
-    "Simulation",
-    "Smoothed",
-    "Smoothing",
     "State",
-    "Unexplained",
-    "UnitError",
-    "armax",
-    "arx",
-    "best_black_boxes",
-    "bootstrap",
-    "box_jenkins",
+    "blackbox",
     "compare",
-    "diagnose_residuals",
-    "digits_needed",
     "discover",
-    "drop_effect",
+    "discovery",
     "effect",
-    "family",
+    "effects",
+    "errors",
+    "estimation",
+    "experiment",
+    "export",
     "fit",
-    "further",
-    "hammerstein",
+    "identifiability",
     "linearise",
     "load_fit",
-    "monte_carlo_smoothing",
     "multistart",
-    "nonlinear_system",
-    "operating_point",
-    "output_error",
+    "plots",
     "predict",
-    "predictor",
-    "profile",
     "read_csv",
     "read_experiments",
+    "rendering",
     "report",
-    "resample",
-    "rounded",
-    "scan_structures",
-    "scores",
+    "residual_tests",
+    "residuals",
+    "result",
+    "signals",
     "simulate",
+    "simulation",
     "smooth",
-    "to_c",
-    "to_control",
-    "to_fmu",
-    "to_json",
-    "to_mat",
-    "to_modelica",
-    "to_numpy",
-    "to_python",
-    "try_effect",
-    "unexplained",
+    "uncertainty",
     "validate",
-]  # fmt: skip
+]
 
 
 def __getattr__(name: str) -> Any:
+    if name in _NAMESPACES:
+        return import_module(f"greybox.{name}")
     if name not in _HOME:
         raise AttributeError(f"module 'greybox' has no attribute {name!r}")
     value = getattr(import_module(_HOME[name]), name)

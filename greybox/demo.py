@@ -10,23 +10,23 @@ from pathlib import Path
 import numpy as np
 
 from greybox.blackbox import best_black_boxes
-from greybox.blackbox.kinds import Kind
+from greybox.blackbox.structure_fit import BlackBoxKind
 from greybox.comparison import Comparison, compare
-from greybox.comparison.compare import Contestant
+from greybox.comparison.compare import ComparedModel
 from greybox.discovery import Discovery, discover
 from greybox.effects import effect
+from greybox.estimation import FitOptions, fit
 from greybox.experiment import Experiment, read_csv
 from greybox.export import Linearisation, linearise
-from greybox.export.files import write_control
-from greybox.figures import fit_figure, gap_figure
-from greybox.fitting import FitOptions, fit
+from greybox.export.linear_files import write_control
 from greybox.model import Model
+from greybox.plots import fit_figure, gap_figure
 from greybox.project import shipped
 from greybox.result import Estimate, Fit
-from greybox.result.summary import table, with_std
+from greybox.result.summary import format_table, format_with_std
 from greybox.simulation import chirp, multisine, write_csv
 from greybox.twin import twin
-from greybox.units import tidy
+from greybox.units import format_unit
 
 MODEL, HIDDEN = "micro_actuator", "cubic_stiffness"
 STRENGTH = {"K3": 5e9}  # N/m^3: at full stroke the hinges push back by an eighth more than a straight spring would
@@ -37,7 +37,7 @@ NOISE = {"x": 0.2e-6, "i": 5e-3}  # m, A
 KNOWN = ("M", "Ra")  # weighed, and measured with a multimeter
 OFF = 0.4  # the search starts this share above or below the truth
 SEED = 20100
-BLACK: tuple[Kind, ...] = ("arx", "output error")
+BLACK: tuple[BlackBoxKind, ...] = ("arx", "output error")
 PLAIN, EXTENDED = "plain model", "with what was found"
 
 Say = Callable[[str], None]
@@ -89,7 +89,7 @@ class Demo:
 
     def _gaps(self) -> list[str]:
         return [
-            f"  {o}: misfit on the other record {g.before:.3g} -> {g.after:.3g} {tidy(g.unit)} (noise {g.floor:.3g})"
+            f"  {o}: misfit on the other record {g.before:.3g} -> {g.after:.3g} {format_unit(g.unit)} (noise {g.floor:.3g})"
             for o, g in self.discovery.gap.items()
         ]
 
@@ -102,15 +102,15 @@ class Demo:
             before = self.plain.parameters.get(name)
             rows.append([
                 name, f"{truth:.5g}", f"{self.start[name]:.4g}" if name in self.start else "", written(before), written(e),
-                f"{abs(self.deviations[name]):.1f} std" if e else "", tidy(e.unit) if e else "",
+                f"{abs(self.deviations[name]):.1f} std" if e else "", format_unit(e.unit) if e else "",
             ])  # fmt: skip
         head = ["constant", "true", "start", PLAIN, EXTENDED, "off by", "unit"]
-        return "\n".join(table(head, rows))
+        return "\n".join(format_table(head, rows))
 
 
 def written(e: Estimate | None) -> str:
     """``value +- std``; empty where a model lacks the constant."""
-    return "" if e is None else with_std(e.value, e.std or 0.0)
+    return "" if e is None else format_with_std(e.value, e.std or 0.0)
 
 
 def demo(directory: str | Path, *, say: Say | None = None, report: Callable[[int], None] | None = None) -> Demo:
@@ -164,7 +164,7 @@ def demo(directory: str | Path, *, say: Say | None = None, report: Callable[[int
 def _compared(plain: Fit, best: Fit, train: Experiment, test: Experiment) -> Comparison:
     """Both physical models and the best ARX and output-error model of the displacement, on the record that none of them saw."""
     boxes = best_black_boxes(train, output="x", kinds=BLACK, at_rest=True, units={"x": "m", "u": "V"})
-    models: dict[str, Contestant] = {PLAIN: plain, EXTENDED: best}
+    models: dict[str, ComparedModel] = {PLAIN: plain, EXTENDED: best}
     models |= {kind: [scan.best] for kind, scan in boxes.items()}
     return compare(models, test, training=train)
 

@@ -34,7 +34,7 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
-class Done:
+class JobResult:
     """One job: its ``value``, or in ``error`` why there is none; ``seconds`` it took where it ran."""
 
     value: Any = None
@@ -42,25 +42,25 @@ class Done:
     seconds: float = 0.0
 
 
-Report = Callable[[int, int], None]  # (jobs finished, jobs)
+JobProgressCallback = Callable[[int, int], None]  # (jobs finished, jobs)
 
 
-def run(
+def run_jobs(
     job: Callable[[Any, Any], Any],
     common: Any,
     items: Sequence[Any],
     *,
     executor: Executor | None = None,
     workers: int = 0,
-    report: Report | None = None,
-) -> tuple[list[Done | None], bool]:
+    report: JobProgressCallback | None = None,
+) -> tuple[list[JobResult | None], bool]:
     """``job(common, item)`` for every item; results in the order of ``items``, and whether Ctrl-C ended it early (None: not done).
 
     ``executor``: where to run, for example ``Client.get_executor()`` of Dask; None for processes of this machine, ``workers`` of
     them (0: one for each core; with one the jobs run right here). An exception in a job is its result. A worker that dies
     loses nothing that is finished: its job is tried again, see `TRIES`. ``report`` is called after each job.
     """
-    workers = min(workers or cores(), max(len(items), 1))
+    workers = min(workers or count_cores(), max(len(items), 1))
     book = _Book(job, common, items, report)
     try:
         if executor is not None:
@@ -76,13 +76,13 @@ def run(
 
 
 @contextmanager
-def local_pool(workers: int) -> Iterator[Executor]:
+def open_local_pool(workers: int) -> Iterator[Executor]:
     """Processes of this machine for several calls of `run`, with one BLAS thread each; ended with the block."""
     with _quiet_children(), ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
         yield pool
 
 
-def cores() -> int:
+def count_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -91,10 +91,10 @@ class _Book:
     """Which jobs are done, and how often the others were tried."""
 
     def __init__(
-        self, job: Callable[[Any, Any], Any], common: Any, items: Sequence[Any], report: Report | None
+        self, job: Callable[[Any, Any], Any], common: Any, items: Sequence[Any], report: JobProgressCallback | None
     ) -> None:
         self.job, self.common, self.items, self.report = job, common, items, report
-        self.results: list[Done | None] = [None] * len(items)
+        self.results: list[JobResult | None] = [None] * len(items)
         self.tries = [0] * len(items)
 
     @property
@@ -102,7 +102,7 @@ class _Book:
         """Jobs without a result."""
         return [k for k, done in enumerate(self.results) if done is None]
 
-    def enter(self, k: int, done: Done) -> None:
+    def enter(self, k: int, done: JobResult) -> None:
         """A result."""
         self.results[k] = done
         if self.report:
@@ -121,7 +121,9 @@ class _Book:
             with ProcessPoolExecutor(1 if suspects else workers, multiprocessing.get_context("spawn")) as pool:
                 broken = self.submit(pool, group)
             if broken and suspects:
-                self.enter(group[0], Done(error="its worker process died, also when it ran alone (out of memory?)"))
+                self.enter(
+                    group[0], JobResult(error="its worker process died, also when it ran alone (out of memory?)")
+                )
 
     def through(self, executor: Executor) -> None:
         """An executor from outside, which is not ours to replace."""
@@ -129,7 +131,7 @@ class _Book:
             if self.submit(executor, pending):
                 for k in self.open:
                     if self.tries[k] >= TRIES:
-                        self.enter(k, Done(error="its worker died, or the executor broke"))
+                        self.enter(k, JobResult(error="its worker died, or the executor broke"))
 
     def submit(self, executor: Executor, group: Sequence[int]) -> bool:
         """Run some jobs; whether any of them was lost with its worker."""
@@ -165,13 +167,13 @@ def _work(payload: bytes, item: bytes) -> bytes:
     return _packed(_timed(job, common, cloudpickle.loads(item)))
 
 
-def _timed(job: Callable[[Any, Any], Any], common: Any, item: Any) -> Done:
+def _timed(job: Callable[[Any, Any], Any], common: Any, item: Any) -> JobResult:
     began = time.perf_counter()
     try:
-        return Done(job(common, item), "", time.perf_counter() - began)
+        return JobResult(job(common, item), "", time.perf_counter() - began)
     except Exception as error:
         text = str(error) if isinstance(error, GreyboxError) else f"{type(error).__name__}: {error}"
-        return Done(None, text, time.perf_counter() - began)
+        return JobResult(None, text, time.perf_counter() - began)
 
 
 @lru_cache(maxsize=2)

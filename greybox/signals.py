@@ -1,163 +1,52 @@
-"""What a model is made of: states, inputs, outputs and parameters, each with a name and a unit.
-
-A *role* is the field's word for what a signal is in its domain (``displacement``, ``velocity``, ``current``,
-``drive``, ``resistance`` ...). The catalogue's effects speak in roles, so that one Coulomb friction serves every
-plant that has a velocity.
-"""
+"""Test signals that excite a plant: a multisine and a swept sine."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+import numpy as np
 
-from greybox.errors import ModelError, nearest
+from greybox.errors import DataError
 
-Expression = Any  # a CasADi SX expression, or a plain number
+ROUNDING = 1e-9  # of half the sampling frequency: a band may end there, whatever the digits of the stamps
 
 
-@dataclass(frozen=True)
-class State:
-    """A state variable.
+def multisine(time: np.ndarray, low: float, high: float, rms: float, generator: np.random.Generator) -> np.ndarray:
+    """Equal sines at every multiple of one over the record's length from ``low`` to ``high`` (Hz), with random phases.
 
-    ``start`` is the value at rest: where a record begins with ``at_rest=True``, and the first guess otherwise; a number, or a
-    function of the parameters (``lambda p: p.P_S / 2``). ``bounds`` are physical: the equations never see the state beyond them
-    (a tank level below zero).
-
-    ``relaxing``: its own rate is linear in itself, ``dz/dt = alpha - beta z`` (``|z|`` may stand for ``z``), and ``beta`` may be
-    large: a bristle, a spool, a winding that warms. The integrators step it by ``exp(-beta h)``, stable for every step.
-
-    ``noise``: process noise, ``dx = rate dt + noise dw`` with a Wiener process ``w``: something random pushes the state. Its intensity
-    in the state's unit over sqrt(s): a number, the name of a parameter (bounded from 0 up; where it is free it is estimated), or a
-    function of the parameters (``lambda p: p.sigma / p.M`` for a random force). A model with some of it is fitted by the error of
-    its predictions from sample to sample; a free run leaves it out.
-
-    ``free_start``: the initial value is estimated for every record, also with ``at_rest=True``: a disturbance from outside does not
-    begin when the record does.
+    ``time`` (N,) is uniform; the signal (N,) has the given ``rms`` and no mean. Raises DataError for a band without a
+    line, and for one that reaches beyond half the sampling frequency.
     """
-
-    name: str
-    unit: str
-    start: float | Callable[[Named], Expression] = 0.0
-    bounds: tuple[float, float] = (-math.inf, math.inf)
-    role: str = ""
-    description: str = ""
-    relaxing: bool = False
-    noise: float | str | Callable[[Named], Expression] = 0.0
-    free_start: bool = False
-
-
-@dataclass(frozen=True)
-class Input:
-    """A measured or commanded input."""
-
-    name: str
-    unit: str
-    role: str = ""
-    description: str = ""
+    n, step = len(time), float(time[1] - time[0])
+    _check_top("multisine", high, step, high * step > 0.5 * (1 + ROUNDING))
+    frequency = np.fft.rfftfreq(n, step)
+    lines = (frequency >= low) & (frequency <= high) & (frequency > 0) & (frequency < 0.5 / step)
+    if not lines.any():
+        raise DataError(
+            f"a multisine from {low:g} to {high:g} Hz has no line in a record of {n} rows every {step:g} s, whose"
+            f" lines lie {1 / (n * step):g} Hz apart below {0.5 / step:g} Hz; give another band"
+        )
+    phase = generator.uniform(0, 2 * np.pi, lines.sum())
+    spectrum = np.zeros(len(frequency), complex)
+    spectrum[lines] = np.exp(1j * phase)
+    signal = np.fft.irfft(spectrum, n)
+    return rms * signal / np.sqrt(np.mean(signal**2))
 
 
-@dataclass(frozen=True)
-class Output:
-    """A measured output. ``equation(x, u, p)`` gives its value; ``None`` means the state of the same name."""
+def chirp(time: np.ndarray, low: float, high: float, amplitude: float) -> np.ndarray:
+    """A sine whose frequency runs evenly from ``low`` to ``high`` (Hz) over ``time`` (N,), starting at zero.
 
-    name: str
-    unit: str
-    equation: Callable[[Named, Named, Named], Expression] | None = None
-    role: str = ""
-    description: str = ""
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A physical constant: value and bounds in ``unit``, where the number comes from (``source``), fixed or to be fitted.
-
-    A lower bound above zero makes it a positive constant, which is fitted on a logarithmic scale. ``prior``: what is known of it
-    without the records, as mean and standard deviation of a normal distribution (``(0.0100, 0.0001)`` for a weighed mass).
+    Raises DataError where ``high`` reaches half the sampling frequency: beyond, the samples show a lower frequency.
     """
-
-    name: str
-    unit: str
-    value: float
-    bounds: tuple[float, float] = (-math.inf, math.inf)
-    fixed: bool = False
-    source: str = ""
-    role: str = ""
-    description: str = ""
-    prior: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        low, high = self.bounds
-        if not low < high:
-            raise ModelError(
-                f"parameter {self.name!r}: bounds [{low:g}, {high:g}] {self.unit} are empty; give (low, high) with low < high"
-            )
-        if not math.isfinite(self.value):
-            raise ModelError(
-                f"parameter {self.name!r}: value {self.value} is not a finite number; give a rough physical value in {self.unit}"
-            )
-        unit = "" if self.unit.strip() in ("", "-", "1") else f" {self.unit}"
-        if not low <= self.value <= high:
-            raise ModelError(
-                f"parameter {self.name!r}: {self.value:g}{unit} lies outside its bounds [{low:g}, {high:g}]{unit};"
-                f" give a value inside, or widen them with model.bound({self.name}=(low, high))"
-            )
-
-        if self.prior is not None:
-            _check_prior(self.name, self.unit, self.prior, self.bounds)
-
-    @property
-    def positive(self) -> bool:
-        """Whether the constant can only be positive (fitted on a logarithmic scale)."""
-        return self.bounds[0] > 0
+    t = time - time[0]
+    step = float(t[1])
+    _check_top("chirp", high, step, high * step >= 0.5)
+    sweep = (high - low) / (2 * t[-1])
+    return amplitude * np.sin(2 * np.pi * (low * t + sweep * t**2))
 
 
-def _check_prior(name: str, unit: str, prior: tuple[float, float], bounds: tuple[float, float]) -> None:
-    mean, std = prior
-    if not (math.isfinite(mean) and math.isfinite(std) and std > 0):
-        raise ModelError(
-            f"parameter {name!r}: prior {mean:g} +- {std:g} {unit}: give a finite mean and a standard deviation above zero"
+def _check_top(signal: str, high: float, step: float, beyond: bool) -> None:
+    """Refuse a band up to ``high`` (Hz) where it is ``beyond`` what samples every ``step`` seconds can show."""
+    if beyond:
+        raise DataError(
+            f"a {signal} up to {high:g} Hz: samples every {step:g} s show frequencies below {0.5 / step:g} Hz alone; end it lower, or"
+            " sample faster"
         )
-    if not bounds[0] <= mean <= bounds[1]:
-        raise ModelError(
-            f"parameter {name!r}: prior mean {mean:g} {unit} lies outside its bounds [{bounds[0]:g}, {bounds[1]:g}] {unit};"
-            f" correct the prior, or widen them with model.bound({name}=(low, high))"
-        )
-
-
-Signal = State | Input | Output | Parameter
-
-
-class Named:
-    """Values reached by name or by role: ``x.v``, ``u.u``, ``p.Kf``, ``x.velocity``. An unknown name lists the nearest ones."""
-
-    __slots__ = ("_kind", "_roles", "_values")
-
-    def __init__(self, kind: str, values: Mapping[str, Expression], roles: Mapping[str, str] | None = None) -> None:
-        self._kind = kind
-        self._values = dict(values)
-        self._roles = dict(roles or {})
-
-    def __getattr__(self, name: str) -> Expression:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        key = name if name in self._values else self._roles.get(name, name)
-        if key not in self._values:
-            raise ModelError(f"no {self._kind} {name!r}; {nearest(name, self.names)}")
-        return self._values[key]
-
-    def __getitem__(self, name: str) -> Expression:
-        return self.__getattr__(name)
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._values or name in self._roles
-
-    @property
-    def names(self) -> list[str]:
-        """Every name and role that can be asked for."""
-        return [*self._values, *(r for r in self._roles if r not in self._values)]
-
-    def replaced(self, values: Mapping[str, Expression], roles: Mapping[str, str] | None = None) -> Named:
-        """The same names with some values (and roles) replaced or added."""
-        return Named(self._kind, self._values | dict(values), self._roles | dict(roles or {}))

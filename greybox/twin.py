@@ -10,7 +10,7 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.experiment import Experiment
 from greybox.model import Model
-from greybox.simulation.simulate import initial_state, with_noise
+from greybox.simulation.simulate import add_noise, declared_initial_state
 
 # Far below any sensor's noise; the tolerances are relative and absolute, the latter of a state divided by its size.
 TOLERANCE = 1e-9
@@ -47,11 +47,11 @@ def twin(
         )
     u = np.array([np.asarray(inputs[i.name], float) for i in model.inputs])
     rows = u.shape[1]
-    p, x0 = np.array(list(model.values.values())), initial_state(model)
+    p, x0 = np.array(list(model.values.values())), declared_initial_state(model)
     grid = sampling_time * np.arange(rows)
     x = np.column_stack([x0, _integrate(model, sampling_time, u, p, x0)])
     y = system.output_function.map(rows)(x, u, np.tile(p[:, None], rows)).full()
-    outputs = with_noise({o.name: y[j] for j, o in enumerate(model.outputs)}, noise or {}, np.random.default_rng(seed))
+    outputs = add_noise({o.name: y[j] for j, o in enumerate(model.outputs)}, noise or {}, np.random.default_rng(seed))
     return Experiment.from_arrays(grid, {i.name: u[j] for j, i in enumerate(model.inputs)}, outputs, name=name)
 
 

@@ -20,7 +20,7 @@ import casadi as ca
 from greybox import Parameter
 from greybox.errors import ModelError, nearest
 from greybox.model import Rule
-from greybox.signals import Expression, Named
+from greybox.model.signals import Expression, NamedValues
 from models.pneumatic_parts import STROKE, Chambers, Flows, Terms, half_supply
 
 AREAS = ("equal", "rod")
@@ -133,7 +133,7 @@ WITHIN_STROKE = Rule(
 def linear_chambers() -> Chambers:
     """Equation 10.4: equal areas, half the volume and half the supply pressure on each side, isothermal."""
 
-    def rates(x: Named, p: Named, flows: Flows) -> tuple[Terms, Terms]:
+    def rates(x: NamedValues, p: NamedValues, flows: Flows) -> tuple[Terms, Terms]:
         by_piston = p.P_S * p.A_piston / p.V_total * x.v
         by_a = {name: _about_mid_stroke(m, p) for name, m in flows[0].items()}
         by_b = {name: -_about_mid_stroke(-m, p) for name, m in flows[1].items()}  # both signs turned: prints shorter
@@ -155,7 +155,7 @@ def gas_chambers(
         raise ModelError(f"areas {areas!r} of a cylinder are unknown; {nearest(areas, AREAS)}")
     equal = areas == "equal"
 
-    def rates(x: Named, p: Named, flows: Flows) -> tuple[Terms, Terms]:
+    def rates(x: NamedValues, p: NamedValues, flows: Flows) -> tuple[Terms, Terms]:
         a, b = (p.A_piston, p.A_piston) if equal else (p.A_A, p.A_B)
         middle = (p.V_total / 2, p.V_total / 2) if equal else (p.V_dA + a * p.stroke / 2, p.V_dB + b * p.stroke / 2)
         volume_a = _volume(middle[0], a * x.s) if moving else middle[0]
@@ -179,11 +179,11 @@ def gas_chambers(
     return Chambers(rates, _rod_force, (half_supply, _balanced), parameters, (ROD_ON_ONE_SIDE, WITHIN_STROKE), GAS)
 
 
-def _about_mid_stroke(flow: Expression, p: Named) -> Expression:
+def _about_mid_stroke(flow: Expression, p: NamedValues) -> Expression:
     return p.P_a * (2 * flow) / (p.rho_a * p.V_total)
 
 
-def _leaks(x: Named, p: Named) -> tuple[Terms, Terms]:
+def _leaks(x: NamedValues, p: NamedValues) -> tuple[Terms, Terms]:
     across = p.k_i * (x.p_a - x.p_b)
     return {"leakage": -across - p.k_o * (x.p_a - p.P_a)}, {"leakage": across - p.k_o * (x.p_b - p.P_a)}
 
@@ -192,15 +192,15 @@ def _volume(middle: Expression, change: Expression) -> Expression:
     return ca.fmax(middle + change, LEAST_VOLUME * middle)
 
 
-def _equal_force(x: Named, p: Named) -> Expression:
+def _equal_force(x: NamedValues, p: NamedValues) -> Expression:
     return p.A_piston * (x.p_a - x.p_b)
 
 
-def _rod_force(x: Named, p: Named) -> Expression:
+def _rod_force(x: NamedValues, p: NamedValues) -> Expression:
     # The atmosphere pushes on the rod's cross-section, A_A - A_B.
     return p.A_A * x.p_a - p.A_B * x.p_b - (p.A_A - p.A_B) * p.P_a
 
 
-def _balanced(p: Named) -> Expression:
+def _balanced(p: NamedValues) -> Expression:
     """Pressure in chamber B that holds the piston against half the supply pressure in chamber A."""
     return (p.A_A * half_supply(p) - (p.A_A - p.A_B) * p.P_a) / p.A_B

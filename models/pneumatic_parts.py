@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.model import Rule
-from greybox.signals import Expression, Named
+from greybox.model.signals import Expression, NamedValues
 
 Terms = dict[str, Expression]  # by name
 Flows = tuple[Terms, Terms]  # kg/s into chamber A, and into chamber B
@@ -33,22 +33,22 @@ class Valve:
     `rules` that its constants must keep.
     """
 
-    flows: Callable[[Named, Named, Named], Flows]
+    flows: Callable[[NamedValues, NamedValues, NamedValues], Flows]
     parameters: tuple[Parameter, ...]
     states: tuple[State, ...] = ()
-    balances: Callable[[Named, Named, Named], list[Balance]] | None = None
+    balances: Callable[[NamedValues, NamedValues, NamedValues], list[Balance]] | None = None
     rules: tuple[Rule, ...] = ()
 
 
 @dataclass(frozen=True)
 class Chambers:
-    """`rates(x, p, flows)`: named terms of the rates of `p_a` and of `p_b` [Pa/s]; `force(x, p)` of the gas on the
+    """`fastest_and_slowest_rate(x, p, flows)`: named terms of the rates of `p_a` and of `p_b` [Pa/s]; `force(x, p)` of the gas on the
     piston [N]; `start`: pressures at rest, as functions of the constants; `pressure_bounds`: where the equations hold.
     """
 
-    rates: Callable[[Named, Named, Flows], tuple[Terms, Terms]]
-    force: Callable[[Named, Named], Expression]
-    start: tuple[Callable[[Named], Expression], Callable[[Named], Expression]]
+    rates: Callable[[NamedValues, NamedValues, Flows], tuple[Terms, Terms]]
+    force: Callable[[NamedValues, NamedValues], Expression]
+    start: tuple[Callable[[NamedValues], Expression], Callable[[NamedValues], Expression]]
     parameters: tuple[Parameter, ...]
     rules: tuple[Rule, ...] = ()
     pressure_bounds: tuple[float, float] = (-math.inf, math.inf)
@@ -58,7 +58,7 @@ class Chambers:
 class Piston:
     """`forces(x, p)`: named forces on the piston [N] besides that of the gas."""
 
-    forces: Callable[[Named, Named], Terms]
+    forces: Callable[[NamedValues, NamedValues], Terms]
     parameters: tuple[Parameter, ...]
 
 
@@ -116,7 +116,7 @@ def pressure_rules() -> tuple[Rule, ...]:
     )
 
 
-def half_supply(p: Named) -> Expression:
+def half_supply(p: NamedValues) -> Expression:
     """Both chambers rest at half the supply pressure (the 2 in the denominator of eq. 10.4)."""
     return p.P_S / 2
 
@@ -136,7 +136,7 @@ def pneumatic_chain(
     Constants that several parts need (`stroke`) appear once. Raises ModelError for parts whose names clash.
     """
 
-    def balances(x: Named, u: Named, p: Named) -> list[Balance]:
+    def balances(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
         rate_a, rate_b = chambers.rates(x, p, valve.flows(x, u, p))
         return [
             Balance("position", "m/s", 1, "s", velocity=x.v),

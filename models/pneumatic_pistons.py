@@ -15,7 +15,7 @@ Crossley 1975, Coefficient of restitution interpreted as damping in vibroimpact.
 import casadi as ca
 
 from greybox import Parameter
-from greybox.signals import Expression, Named
+from greybox.model.signals import Expression, NamedValues
 from models.pneumatic_parts import STROKE, Piston, Terms
 
 VISCOUS = Parameter(
@@ -61,14 +61,14 @@ END_CAPS = (
 def viscous_piston(*, end_stops: bool = False) -> Piston:
     """A mass with viscous friction, `M f_v v`; with `end_stops` it is stopped beyond `stroke / 2` on either side."""
 
-    def forces(x: Named, p: Named) -> Terms:
+    def forces(x: NamedValues, p: NamedValues) -> Terms:
         viscous = {"viscous": -p.M_piston * p.f_v * x.v}
         return viscous | ({"end_stop": _end_stop(x, p)} if end_stops else {})
 
     return Piston(forces, (VISCOUS, MASS, *((STROKE, *END_CAPS) if end_stops else ())))
 
 
-def _end_stop(x: Named, p: Named) -> Expression:
+def _end_stop(x: NamedValues, p: NamedValues) -> Expression:
     side = ca.sign(x.s)
     depth = ca.fmax(ca.fabs(x.s) - p.stroke / 2, 0)
     return -side * p.k_stop * depth * ca.fmax(1 + p.c_stop * side * x.v, 0)

@@ -20,7 +20,7 @@ import casadi as ca
 from greybox import Balance, Parameter, State
 from greybox.errors import ModelError, nearest
 from greybox.model import Rule
-from greybox.signals import Expression, Named
+from greybox.model.signals import Expression, NamedValues
 from models.pneumatic_parts import Terms, Valve
 
 LAMINAR = 0.01  # phi^2 below which the flow is laminar
@@ -111,7 +111,7 @@ OPENINGS = ("linear", "power")
 def linear_valve() -> Valve:
     """Equation 10.2 with `P_n = P_S / 2`: `m_a = K2 (P_S / 2) u`, `m_b = -m_a`, whatever the pressures are."""
 
-    def flows(x: Named, u: Named, p: Named) -> tuple[Terms, Terms]:
+    def flows(x: NamedValues, u: NamedValues, p: NamedValues) -> tuple[Terms, Terms]:
         into_a = p.K2 * p.P_S * u.u / 2
         return {"valve_flow": into_a}, {"valve_flow": -into_a}
 
@@ -130,12 +130,12 @@ def iso6358_valve(
     if opening not in OPENINGS:
         raise ModelError(f"opening {opening!r} of a valve is unknown; {nearest(opening, OPENINGS)}")
 
-    def conductance(w: Expression, p: Named) -> Expression:
+    def conductance(w: Expression, p: NamedValues) -> Expression:
         """Of the edges that a positive `w` opens."""
         share = ca.fmax(w - p.d if dead_zone else w, 0) / p.u_ref
         return p.C * (ca.fmax(share, SHUT) ** p.q if opening == "power" else share)
 
-    def flows(x: Named, u: Named, p: Named) -> tuple[Terms, Terms]:
+    def flows(x: NamedValues, u: NamedValues, p: NamedValues) -> tuple[Terms, Terms]:
         w = x.w if lag else u.u
         forth, back = conductance(w, p), conductance(-w, p)
         ratio = p.C_ratio if unequal else 1
@@ -144,7 +144,7 @@ def iso6358_valve(
             {"filling": flow(ratio * back, p.P_S, x.p_b, p), "venting": -flow(ratio * forth, x.p_b, p.P_a, p)},
         )
 
-    def balances(x: Named, u: Named, p: Named) -> list[Balance]:
+    def balances(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
         return [Balance("spool", "V", p.tau_v, "w", voltage=u.u, spool=-x.w)]
 
     parameters = [CONDUCTANCE[opening], REFERENCE, CRITICAL]
@@ -157,7 +157,7 @@ def iso6358_valve(
     return Valve(flows, tuple(parameters), states, balances if lag else None, (BETWEEN_0_AND_1,))
 
 
-def flow(conductance: Expression, upstream: Expression, downstream: Expression, p: Named) -> Expression:
+def flow(conductance: Expression, upstream: Expression, downstream: Expression, p: NamedValues) -> Expression:
     """Mass flow [kg/s] from `upstream` to `downstream`, negative where the latter is higher (eq. 10.1, `T_u = T_a`)."""
     high = ca.fmax(upstream, downstream)
     # 1 - (r - b) / (1 - b) between -1 and 1, with the sign of the flow; phi^2 is this times (2 - its size)

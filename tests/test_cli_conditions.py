@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from greybox import DataError, read_csv
+from greybox import read_csv
 from greybox.cli.constraints import read_under
-from greybox.errors import GreyboxError
+from greybox.errors import DataError, GreyboxError
 from greybox.simulation import write_csv
 from models.pneumatic_cylinder import pneumatic_cylinder
-from tests.independent import linear_record
+from tests.oracles.independent import linear_record
 
 Run = Callable[..., Result]
 SUPPLIES = (7e5, 8e5)

@@ -13,7 +13,7 @@ from typer.testing import Result
 
 from greybox.simulation import simulate, write_csv
 from models.micro_actuator import micro_actuator
-from tests.independent import multisine
+from tests.oracles.independent import multisine
 
 Run = Callable[..., Result]
 KNOWN = ["--fix", "M=0.01", "--fix", "Ra=8", "--noise", "x=2e-7", "--noise", "i=5e-3", "--at-rest"]

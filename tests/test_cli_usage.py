@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from greybox import DataError, FitOptions, compare, fit, linearise, scores
+from greybox import FitOptions, compare, fit, linearise
 from greybox.cli.app import app
+from greybox.errors import DataError
+from greybox.residuals import score
 from greybox.simulation import multisine, write_csv
 from models.micro_actuator import micro_actuator
-from tests.independent import linear_record
+from tests.oracles.independent import linear_record
 
 Run = Callable[..., Result]
 RIG = micro_actuator.fix("M", "Ra")
@@ -95,10 +97,10 @@ def test_a_band_may_end_at_half_the_sampling_frequency() -> None:
 
 def test_predictions_beyond_every_record_are_refused(fitted) -> None:
     with pytest.raises(DataError, match="steps ahead: 300, but the longest record has 300 rows"):
-        scores(fitted, steps=[1, 300])
+        score(fitted, steps=[1, 300])
     with pytest.raises(DataError, match="steps ahead: 5000, but the longest record has 300 rows"):
         compare([fitted], driven(1), steps=[5000])
-    assert np.isfinite(scores(fitted, steps=[200]).outputs["x"].prediction[200])
+    assert np.isfinite(score(fitted, steps=[200]).outputs["x"].prediction[200])
 
 
 def test_arcs_that_leave_the_record_whole_are_called_so() -> None:

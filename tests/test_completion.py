@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from greybox import CATALOGUE
 from greybox.cli.app import app
+from greybox.effects import CATALOGUE
 from models.micro_actuator import micro_actuator
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -89,7 +89,7 @@ def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
     for command in app.registered_commands:
         assert f"## greybox {command.callback.__name__}\n" in text
     assert "--json" in text and "\x1b" not in text
-    assert all(f"## {e.name}\n" in hooks.catalogue() for e in greybox.CATALOGUE)
+    assert all(f"## {e.name}\n" in hooks.catalogue() for e in greybox.effects.CATALOGUE)
 
 
 def test_pages_of_studies_find_their_way_into_the_navigation(hooks) -> None:

@@ -14,11 +14,11 @@ from fits import pneumatic_printed as chapter
 from fits.micromotion_twin import in_micrometres, step_record
 from fits.pneumatic_nine_experiments import AMPLITUDES, FREQUENCIES
 from greybox.blackbox import PolynomialModel, arx
-from greybox.blackbox.smoothing_continuous import s_domain
-from greybox.blackbox.smoothing_structures import numerator_structures
+from greybox.blackbox.continuous import to_continuous
+from greybox.blackbox.monte_carlo_smoothing.numerators import compare_numerators
 from greybox.errors import DataError
 from greybox.experiment import Experiment
-from greybox.units import parse
+from greybox.units import parse_unit
 from models.micro_actuator_geometry import PLAUSIBLE, as_printed, corrected
 from models.pneumatic_chambers import gas_chambers
 from models.pneumatic_cylinder import pneumatic_cylinder
@@ -70,8 +70,8 @@ def test_1_2_equation_4_e_is_white_and_its_moving_average_is_not():
 
 
 def test_1_3_equation_5_adds_kilogram_to_square_kilogram():
-    mass, inertia, length = parse("kg"), parse("kg*m^2"), parse("m")
-    assert mass * inertia / length**2 == parse("kg^2")  # the printed m1 I1 / r1^2
+    mass, inertia, length = parse_unit("kg"), parse_unit("kg*m^2"), parse_unit("m")
+    assert mass * inertia / length**2 == parse_unit("kg^2")  # the printed m1 I1 / r1^2
     assert inertia / length**2 == mass
     # half M v^2 is the kinetic energy of the turning link and the sliding mass, whatever the speed
     g, v = PLAUSIBLE, 0.3
@@ -227,8 +227,8 @@ def test_1_16_tables_1_and_3_have_different_rows():
 
 def test_1_17_three_numerator_coefficients_only_repeat_equation_17():
     smoothing = wang.smoothing(1080)
-    (row,) = numerator_structures(step_record(rows=1080), smoothing, [(2, 0, 2)])
-    found = s_domain(row.smoothed_model)
+    (row,) = compare_numerators(step_record(rows=1080), smoothing, [(2, 0, 2)])
+    found = to_continuous(row.smoothed_model)
     assert found.numerator == pytest.approx(smoothing.s_domain.numerator, rel=1e-6)
     assert found.denominator == pytest.approx(smoothing.s_domain.denominator, rel=1e-6)
     assert wang.TABLE_3_SMOOTHED[4] == wang.SMOOTHED.error
@@ -255,7 +255,7 @@ def test_2_1_equation_10_1_needs_the_bracket_around_the_fraction():
     assert printed(b) > 1.4  # not continuous with the choked flow
     assert printed(1.0) > 0.4  # air would flow without a difference of pressure
     # units: Pa m^3/(s Pa) kg/m^3 is a mass flow
-    assert parse("Pa") * parse("m^3/(s*Pa)") * parse("kg/m^3") == parse("kg/s")
+    assert parse_unit("Pa") * parse_unit("m^3/(s*Pa)") * parse_unit("kg/m^3") == parse_unit("kg/s")
 
 
 def test_2_2_equation_10_2_is_used_at_half_the_supply_pressure():
@@ -293,18 +293,26 @@ def test_2_4_equation_10_4_is_isothermal_about_half_the_supply_pressure(n):
 
 
 def test_2_5_equation_10_7_has_another_f_v_than_the_text():
-    force, speed, acceleration = parse("N"), parse("m/s"), parse("m/s^2")
+    force, speed, acceleration = parse_unit("N"), parse_unit("m/s"), parse_unit("m/s^2")
     in_text, in_equation = force / speed, acceleration / speed
-    assert in_text == parse("N*s/m") and in_equation == parse("1/s") and in_text != in_equation
-    assert in_text / parse("kg") == in_equation
+    assert in_text == parse_unit("N*s/m") and in_equation == parse_unit("1/s") and in_text != in_equation
+    assert in_text / parse_unit("kg") == in_equation
 
 
 def test_2_6_equation_10_8_lost_its_dots():
-    a, length, pressure, volume, mass = parse("m/s^2"), parse("m"), parse("Pa"), parse("m^3"), parse("kg")
+    a, length, pressure, volume, mass = (
+        parse_unit("m/s^2"),
+        parse_unit("m"),
+        parse_unit("Pa"),
+        parse_unit("m^3"),
+        parse_unit("kg"),
+    )
     spring = pressure * (length**2) ** 2 / (mass * volume)
-    assert spring * parse("m/s") == parse("m/s^3") != a  # the left side is a third derivative
-    assert parse("1/s") * parse("m/s^2") == parse("m/s^3")
-    assert parse("1/s") * parse("m/s") != spring * parse("m/s")  # f_v times a velocity does not fit beside it
+    assert spring * parse_unit("m/s") == parse_unit("m/s^3") != a  # the left side is a third derivative
+    assert parse_unit("1/s") * parse_unit("m/s^2") == parse_unit("m/s^3")
+    assert parse_unit("1/s") * parse_unit("m/s") != spring * parse_unit(
+        "m/s"
+    )  # f_v times a velocity does not fit beside it
 
 
 def test_2_7_the_third_state_of_equation_10_9_is_the_acceleration():

@@ -10,13 +10,13 @@ import pytest
 from scipy import signal
 from scipy.ndimage import uniform_filter1d
 
-from greybox.discovery.spectrum import welch
-from greybox.fitting.alias import running_mean
+from greybox.discovery.residual_spectrum import estimate_power_density
+from greybox.estimation.parameter_constancy import compute_running_mean
 from greybox.noise import AutoRegression
 
 SLOW = {"scipy.signal", "scipy.stats", "scipy.optimize", "scipy.ndimage", "pandas", "control", "matplotlib.pyplot"}
 NEEDED = (
-    "greybox.cli.app, greybox.discovery.find, greybox.export, greybox.figures.discovery, greybox.reports.of_discovery"
+    "greybox.cli.app, greybox.discovery.pipeline, greybox.export, greybox.plots.discovery, greybox.reports.of_discovery"
 )
 
 
@@ -24,24 +24,26 @@ NEEDED = (
 def test_a_power_density_is_that_of_scipy(rows: int, length: int) -> None:
     values = 0.3 + np.random.default_rng(rows).normal(size=rows)
     frequency, power = signal.welch(values, 50.0, nperseg=length, detrend=False)
-    assert welch(values, 0.02, length) == pytest.approx(power, rel=1e-12)
+    assert estimate_power_density(values, 0.02, length) == pytest.approx(power, rel=1e-12)
     assert np.fft.rfftfreq(length, 0.02) == pytest.approx(frequency)
 
 
 @pytest.mark.parametrize("width", [1, 2, 7, 40, 299, 300])
 def test_a_running_mean_is_that_of_scipy(width: int) -> None:
     values = np.random.default_rng(width).normal(size=300)
-    assert running_mean(values, width) == pytest.approx(uniform_filter1d(values, width, mode="nearest"), abs=1e-12)
+    assert compute_running_mean(values, width) == pytest.approx(
+        uniform_filter1d(values, width, mode="nearest"), abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("reflection", [(0.9,), (0.99, -0.5, 0.3), (0.999, -0.9, 0.8, 0.2, -0.3, 0.1, 0.05)])
 def test_correlations_of_coloured_noise_go_on_as_a_filter_does(reflection: tuple[float, ...]) -> None:
     colour = AutoRegression(reflection)
     denominator = np.append(1.0, -colour.coefficients)
-    first = colour.correlations(colour.order + 1)
+    first = colour.autocorrelation(colour.order + 1)
     memory = signal.lfiltic([1.0], denominator, first[::-1][: colour.order])
     rest, _ = signal.lfilter([1.0], denominator, np.zeros(5000), zi=memory)
-    assert colour.correlations(5000 + len(first)) == pytest.approx(np.append(first, rest), abs=1e-12)
+    assert colour.autocorrelation(5000 + len(first)) == pytest.approx(np.append(first, rest), abs=1e-12)
 
 
 def test_a_discovery_loads_nothing_that_is_slow_to_import() -> None:

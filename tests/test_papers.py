@@ -17,7 +17,7 @@ from fits import (
 from fits import micromotion_printed as wang
 from fits import pneumatic_printed as chapter
 from fits.paper_page import rms_log
-from greybox.blackbox.smoothing_intervals import resonance
+from greybox.blackbox.monte_carlo_smoothing.intervals import find_resonance
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "paper_tables.md"
 
@@ -45,7 +45,7 @@ def test_the_whole_smoothing_study_takes_less_than_five_seconds(micromotion):
 
 
 def test_the_spectral_peak_is_the_printed_one_to_every_digit(micromotion):
-    assert round(resonance(micromotion.frequencies, micromotion.density), 4) == wang.SPECTRAL_PEAK == 760.8545
+    assert round(find_resonance(micromotion.frequencies, micromotion.density), 4) == wang.SPECTRAL_PEAK == 760.8545
 
 
 def test_the_variance_of_position_is_one_number_over_the_81_cells():

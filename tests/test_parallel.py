@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from greybox.errors import DataError
-from greybox.fitting import fit
+from greybox.estimation import fit
 from greybox.model import Balance, Model
-from greybox.parallel import run
-from greybox.signals import Input, Output, Parameter, State
-from tests.independent import linear_record
+from greybox.model.signals import Input, Output, Parameter, State
+from greybox.parallel import run_jobs
+from tests.oracles.independent import linear_record
 
 
 def lag(name="lag"):
@@ -56,7 +56,7 @@ def refuses(common, item):
 @pytest.mark.parametrize("workers", [1, 2])
 def test_results_come_in_the_order_of_the_items(workers):
     calls = []
-    results, interrupted = run(
+    results, interrupted = run_jobs(
         squared, 10, range(5), workers=workers, report=lambda done, jobs: calls.append((done, jobs))
     )
     assert [r.value for r in results] == [10, 11, 14, 19, 26]
@@ -65,33 +65,33 @@ def test_results_come_in_the_order_of_the_items(workers):
 
 
 def test_an_exception_is_the_result_of_its_job_alone():
-    results, _ = run(refuses, None, [2, 1, 0, 4], workers=2)
+    results, _ = run_jobs(refuses, None, [2, 1, 0, 4], workers=2)
     assert [r.value for r in results] == [0.5, None, None, 0.25]
     assert results[1].error == "record 'a': too short"
     assert results[2].error == "ZeroDivisionError: division by zero"
 
 
 def test_a_worker_that_dies_loses_no_finished_job(tmp_path):
-    results, _ = run(dies_once, tmp_path, range(6), workers=2)
+    results, _ = run_jobs(dies_once, tmp_path, range(6), workers=2)
     assert (tmp_path / "died").exists()
     assert [r.value[0] for r in results] == list(range(6))
     assert os.getpid() not in {r.value[1] for r in results}
 
 
 def test_a_job_that_always_kills_its_worker_is_named_and_the_others_are_kept():
-    results, _ = run(always_dies, None, range(4), workers=2)
+    results, _ = run_jobs(always_dies, None, range(4), workers=2)
     assert [r.value for r in results] == [0, None, 2, 3]
     assert "worker process died" in results[1].error
 
 
 def test_any_executor_will_do():
     with ThreadPoolExecutor(2) as threads:
-        assert [r.value for r in run(squared, 1, [1, 2], executor=threads)[0]] == [2, 5]
+        assert [r.value for r in run_jobs(squared, 1, [1, 2], executor=threads)[0]] == [2, 5]
 
 
 def test_an_executor_from_outside_that_breaks_keeps_what_was_finished():
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        results, _ = run(always_dies, None, range(3), executor=pool)
+        results, _ = run_jobs(always_dies, None, range(3), executor=pool)
     assert results[0].value == 0
     assert all("worker died" in r.error for r in results[1:])
 
@@ -100,7 +100,7 @@ def test_a_model_of_lambdas_is_fitted_elsewhere_to_the_same_bit():
     model = lag()
     rng = np.random.default_rng(1)
     data = linear_record(model, rng.normal(size=400), 0.01, noise={"x": 1e-3})
-    results, _ = run(
+    results, _ = run_jobs(
         lambda common, start: fit(common[0].start(T=start), common[1]).model.values,
         (model, data),
         [0.2, 0.05],
@@ -116,7 +116,7 @@ def test_ctrl_c_keeps_what_is_finished():
         if done == 2:
             threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
 
-    results, interrupted = run(
+    results, interrupted = run_jobs(
         lambda common, item: time.sleep(item) or item, None, [0, 0, 3, 3, 3, 3], workers=2, report=report
     )
     assert interrupted
@@ -156,8 +156,8 @@ def test_a_dask_cluster_of_processes(tmp_path):
         def job(common, start):
             return os.getpid(), fit(common[0].start(T=start), common[1]).model.values["T"]
 
-        results, _ = run(job, (model, data), [0.05, 0.2, 0.3], executor=executor)
+        results, _ = run_jobs(job, (model, data), [0.05, 0.2, 0.3], executor=executor)
         assert [r.error for r in results] == ["", "", ""]
         assert os.getpid() not in {r.value[0] for r in results}
         assert all(r.value[1] == pytest.approx(0.1, rel=1e-2) for r in results)
-        assert [r.value[0] for r in run(dies_once, tmp_path, range(4), executor=executor)[0]] == [0, 1, 2, 3]
+        assert [r.value[0] for r in run_jobs(dies_once, tmp_path, range(4), executor=executor)[0]] == [0, 1, 2, 3]

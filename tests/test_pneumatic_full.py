@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from greybox import Balance, Effect, ModelError, State
+from greybox import Balance, Effect, State
 from greybox.effects import effect
-from greybox.errors import DataError
+from greybox.errors import DataError, ModelError
 from greybox.model import Rule
 from greybox.simulation import simulate
 from models.pneumatic_chambers import gas_chambers, linear_chambers

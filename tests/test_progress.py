@@ -10,7 +10,7 @@ from rich.console import Console
 from greybox.cli import progress
 from greybox.cli.compare import scanned
 from greybox.cli.progress import Gauge, search_gauge, share_done, share_of, spelled, time_left
-from greybox.fitting.options import Progress
+from greybox.estimation.options import FitProgress
 
 
 @pytest.mark.parametrize(("share", "left"), [(0.25, 30.0), (0.5, 10.0), (1.0, 0.0), (None, None), (0.0, None)])
@@ -24,7 +24,7 @@ def test_times_are_told_as_people_do(seconds: float, text: str) -> None:
 
 
 def test_a_fit_gets_on_and_is_never_done_before_it_ends() -> None:
-    shares = [share_done(Progress(stage, 2, k, 1.0)) for stage in (1, 2) for k in (0, 1, 5, 15, 40)]
+    shares = [share_done(FitProgress(stage, 2, k, 1.0)) for stage in (1, 2) for k in (0, 1, 5, 15, 40)]
     assert shares[0] == 0 and shares[5] == 0.5
     assert shares[:5] == sorted(shares[:5]) and shares[5:] == sorted(shares[5:])
     assert shares[4] < 0.5 and shares[9] < 1

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from greybox import GreyboxError, Model, ModelError
+from greybox import GreyboxError, Model
+from greybox.errors import ModelError
 from greybox.project import init, listing, project_root, resolve, shipped, template_root
 from greybox.project.template import STUDIES
 

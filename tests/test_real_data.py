@@ -10,15 +10,15 @@ from typer.testing import CliRunner
 
 from fits import cascaded_tanks_discovery, emps_discovery, silverbox_discovery
 from fits.real_page import arguments
-from greybox import Experiment, FitOptions, fit, further, simulate
+from greybox import Experiment, FitOptions, fit, simulate
 from greybox.cli.app import app
-from greybox.discovery import Bench, discover
-from greybox.discovery.veto import held_out, surviving
-from greybox.effects import applicable, effect
+from greybox.discovery import DiscoveryProblem, discover, further
+from greybox.discovery.holdout import reject_on_validation, score_holdout
+from greybox.effects import applicable_effects, effect
+from greybox.model.signals import NamedValues
 from greybox.project import resolve
-from greybox.signals import Named
 from greybox.simulation.write import write_csv
-from greybox.transcription import record_of
+from greybox.transcription import to_record
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator
@@ -68,7 +68,7 @@ def test_water_that_runs_over_falls_into_the_lower_tank_by_its_share():
 
 def test_a_curved_reading_is_anchored_at_both_ends_and_a_sensor_ends():
     curve, end = effect("reading_curve"), effect("sensor_saturation")
-    p = Named("parameter", {"y0": 1.5, "bow": 0.4, "full": 10.0, "y_max": 7.0})
+    p = NamedValues("parameter", {"y0": 1.5, "bow": 0.4, "full": 10.0, "y_max": 7.0})
     assert [curve.on_output(level, None, None, p) for level in (0.0, 10.0)] == [1.5, 10.0]
     assert curve.on_output(5.0, None, None, p) == pytest.approx(5.0 + 0.75 - 0.4 * 2.5)
     assert [float(end.on_output(level, None, None, p)) for level in (5.0, 9.0)] == [5.0, 7.0]
@@ -78,7 +78,7 @@ def test_a_curved_reading_is_anchored_at_both_ends_and_a_sensor_ends():
 def test_an_effect_says_what_the_input_does_between_samples(name, hold):
     t = np.arange(200) * 1e-3
     held = Experiment("held", t, {"u": np.sin(900 * t)}, {})
-    seen, expected = record_of(silverbox + effect(name), held), record_of(silverbox, held.with_hold(hold))
+    seen, expected = to_record(silverbox + effect(name), held), to_record(silverbox, held.with_hold(hold))
     np.testing.assert_array_equal(seen.u, expected.u)
     assert (seen.first_order, seen.every) == (expected.first_order, expected.every)
     moved = simulate(silverbox + effect(name), held).outputs["y"]
@@ -88,13 +88,13 @@ def test_an_effect_says_what_the_input_does_between_samples(name, hold):
 
 def test_the_two_rigs_do_not_take_the_effects_of_the_benchmarks():
     for rig in (micro_actuator, pneumatic_cylinder):
-        assert not NEW & {e.name for e in applicable(rig)}
+        assert not NEW & {e.name for e in applicable_effects(rig)}
     for plant, own in (
         (silverbox, {"displacement_damping", "cubic_damping", "linear_input", "band_limited_input"}),
         (emps, {"directional_damping", "linear_input"}),
         (cascaded_tanks, {"upper_overflow", "lower_overflow", "reading_curve", "sensor_saturation", "linear_input"}),
     ):
-        assert NEW & {e.name for e in applicable(plant)} == own
+        assert NEW & {e.name for e in applicable_effects(plant)} == own
 
 
 def test_friction_that_differs_by_direction_comes_back_from_arcs():
@@ -150,13 +150,13 @@ def test_going_on_finds_the_small_effect_and_stops(hardening):
 def test_the_command_goes_on_after_its_answer(tmp_path, monkeypatch):
     truth = (silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")).start(K3=7e5, K2=-4e3)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("greybox.figures.discovery_figures", lambda *_: [])  # they are drawn in another test
+    monkeypatch.setattr("greybox.plots.discovery_figures", lambda *_: [])  # they are drawn in another test
 
     def stopping(*given, effects, **more):  # a discovery that stops after the first effect
         return discover(*given, effects=effects[:1], **more)
 
     monkeypatch.setattr("greybox.discovery.discover", stopping)
-    monkeypatch.setattr("greybox.discovery.find._stand_in", lambda _: None)
+    monkeypatch.setattr("greybox.discovery.pipeline._stand_in", lambda _: None)
     for seed, name in ((1, "train"), (2, "test")):
         write_csv(shaken(truth, seed), silverbox, Path(f"{name}.csv"))
     command = "discover silverbox train.csv --validate test.csv --hold first --noise y=2e-5 --further --output out"
@@ -174,15 +174,15 @@ def test_the_command_goes_on_after_its_answer(tmp_path, monkeypatch):
 
 def test_a_model_that_fails_on_other_records_gives_way(hardening):
     large, (record, judge), plain = hardening
-    bench = Bench(plain, (record,), {"y": NOISE}, (), FitOptions())
+    bench = DiscoveryProblem(plain, (record,), {"y": NOISE}, (), FitOptions())
     right = bench.best(plain + effect("cubic_stiffness"), [large.model.values])
     spoilt = plain + effect("constant_load")
     # as if it had explained the fitted record better than any other
     wrong = replace(bench.best(spoilt, [spoilt.values]), cost=0.5 * right.cost)
-    assert held_out(bench, right, [judge]) < 0.2 * held_out(bench, wrong, [judge])
-    assert surviving(bench, bench.base, wrong, [wrong, right], [judge]).effects == ("cubic_stiffness",)
-    assert surviving(bench, bench.base, right, [wrong, right], [judge]) is right
-    assert surviving(bench, bench.base, wrong, [wrong], [judge]) is wrong
+    assert score_holdout(bench, right, [judge]) < 0.2 * score_holdout(bench, wrong, [judge])
+    assert reject_on_validation(bench, bench.base, wrong, [wrong, right], [judge]).effects == ("cubic_stiffness",)
+    assert reject_on_validation(bench, bench.base, right, [wrong, right], [judge]) is right
+    assert reject_on_validation(bench, bench.base, wrong, [wrong], [judge]) is wrong
 
 
 def test_the_studies_say_what_they_need(tmp_path, monkeypatch, capsys):

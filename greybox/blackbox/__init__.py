@@ -2,19 +2,34 @@
 
 from greybox.blackbox.armax import armax
 from greybox.blackbox.arx import arx
-from greybox.blackbox.best import best_black_boxes
-from greybox.blackbox.curves import Curve
+from greybox.blackbox.best_models import best_black_boxes
 from greybox.blackbox.hammerstein import HammersteinModel, hammerstein
+from greybox.blackbox.monte_carlo_smoothing.estimate import monte_carlo_smoothing
+from greybox.blackbox.monte_carlo_smoothing.result import MonteCarloSmoothing
 from greybox.blackbox.output_error import box_jenkins, output_error
 from greybox.blackbox.polynomial import PolynomialModel
-from greybox.blackbox.resample import resample, thinned
-from greybox.blackbox.rounding import digits_needed, rounded
-from greybox.blackbox.scan import Candidate, Scan, scan_structures
-from greybox.blackbox.smoothing import monte_carlo_smoothing
-from greybox.blackbox.smoothing_result import Smoothing
+from greybox.blackbox.resample import keep_measured_rows, resample
+from greybox.blackbox.rounding import count_digits_needed, round_coefficients
+from greybox.blackbox.static_nonlinearity import StaticNonlinearity
+from greybox.blackbox.structure_scan import ScannedStructure, StructureScan, scan_structures
 
 __all__ = [
-    "Candidate", "Curve", "HammersteinModel", "PolynomialModel", "Scan", "Smoothing", "armax", "arx", "best_black_boxes",
-    "box_jenkins", "digits_needed", "hammerstein", "monte_carlo_smoothing", "output_error", "resample", "rounded",
-    "scan_structures", "thinned",
-]  # fmt: skip
+    "HammersteinModel",
+    "MonteCarloSmoothing",
+    "PolynomialModel",
+    "ScannedStructure",
+    "StaticNonlinearity",
+    "StructureScan",
+    "armax",
+    "arx",
+    "best_black_boxes",
+    "box_jenkins",
+    "count_digits_needed",
+    "hammerstein",
+    "keep_measured_rows",
+    "monte_carlo_smoothing",
+    "output_error",
+    "resample",
+    "round_coefficients",
+    "scan_structures",
+]

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from greybox.blackbox.excitation import excitation_notes
+from greybox.blackbox.excitation import find_weak_excitation
+from greybox.blackbox.initial_estimates import estimate_armax_starts
+from greybox.blackbox.linear_regression import to_orders
 from greybox.blackbox.polynomial import PolynomialModel
-from greybox.blackbox.regression import orders
-from greybox.blackbox.search import Beginning, check_history, searched
-from greybox.blackbox.series import channels
-from greybox.blackbox.starts import armax_starts
-from greybox.blackbox.structure import Structure, whole
+from greybox.blackbox.prediction_error_fit import HistoryTreatment, check_history, fit_prediction_error
+from greybox.blackbox.sampled_data import to_sampled_data
+from greybox.blackbox.structure import PolynomialStructure, to_order
 from greybox.experiment import Experiment
 
 
@@ -24,7 +24,7 @@ def armax(
     nk: int | Sequence[int] = 1,
     output: str | None = None,
     inputs: Sequence[str] | str | None = None,
-    history: Beginning = "estimated",
+    history: HistoryTreatment = "estimated",
     offset: bool = False,
     units: Mapping[str, str] | None = None,
 ) -> PolynomialModel:
@@ -37,8 +37,8 @@ def armax(
     Raises DataError as `arx` does.
     """
     check_history(history)
-    data = channels(experiments, output, inputs)
-    o = orders(data, nb, nk, na, "armax")
-    structure = Structure("armax", o, (0,) * len(o.nb), nc=whole("nc", nc, "armax"), offset=offset)
-    model = searched(structure, data, armax_starts, history, units)
-    return replace(model, notes=(*excitation_notes(data, o.na + sum(o.nb), o.nb), *model.notes))
+    data = to_sampled_data(experiments, output, inputs)
+    o = to_orders(data, nb, nk, na, "armax")
+    structure = PolynomialStructure("armax", o, (0,) * len(o.nb), nc=to_order("nc", nc, "armax"), offset=offset)
+    model = fit_prediction_error(structure, data, estimate_armax_starts, history, units)
+    return replace(model, notes=(*find_weak_excitation(data, o.na + sum(o.nb), o.nb), *model.notes))

@@ -9,24 +9,24 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.signal import lfilter
 
-from greybox.blackbox.excitation import excitation_notes
-from greybox.blackbox.polynomial import PolynomialModel
-from greybox.blackbox.regression import (
-    History,
+from greybox.blackbox.excitation import find_weak_excitation
+from greybox.blackbox.linear_regression import (  # fmt: skip
     Orders,
-    column_names,
-    least_squares,
-    orders,
+    RegressionHistory,
+    build_regressors,
+    find_usable_rows,
+    name_regressors,
     refuse_few_rows,
-    regressors,
-    usable_rows,
-)  # fmt: skip
-from greybox.blackbox.rounding import instability_notes, reflected
-from greybox.blackbox.series import Channels, channels
+    solve_least_squares,
+    to_orders,
+)
+from greybox.blackbox.polynomial import PolynomialModel
+from greybox.blackbox.rounding import find_instability, reflect_roots
+from greybox.blackbox.sampled_data import SampledData, to_sampled_data
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
 
-Focus = Literal["prediction", "simulation"]
+FitFocus = Literal["prediction", "simulation"]
 
 
 def arx(
@@ -37,8 +37,8 @@ def arx(
     nk: int | Sequence[int] = 1,
     output: str | None = None,
     inputs: Sequence[str] | str | None = None,
-    history: History = "measured",
-    focus: Focus = "prediction",
+    history: RegressionHistory = "measured",
+    focus: FitFocus = "prediction",
     passes: int = 1,
     offset: bool = False,
     units: Mapping[str, str] | None = None,
@@ -58,45 +58,47 @@ def arx(
 
     Raises DataError for irregular time, unknown names, too few rows, and columns that the record cannot tell apart.
     """
-    if history not in get_args(History):
-        raise DataError(f"unknown history {history!r}; {nearest(history, get_args(History))}")
-    if focus not in get_args(Focus):
-        raise DataError(f"unknown focus {focus!r}; {nearest(focus, get_args(Focus))}")
-    data = channels(experiments, output, inputs)
-    o = orders(data, nb, nk, na)
-    model = solved(data, o, history=history, offset=offset, passes=passes if focus == "simulation" else 0)
-    notes = (*excitation_notes(data, sum(o.nb) + o.na, o.nb), *model.notes)
+    if history not in get_args(RegressionHistory):
+        raise DataError(f"unknown history {history!r}; {nearest(history, get_args(RegressionHistory))}")
+    if focus not in get_args(FitFocus):
+        raise DataError(f"unknown focus {focus!r}; {nearest(focus, get_args(FitFocus))}")
+    data = to_sampled_data(experiments, output, inputs)
+    o = to_orders(data, nb, nk, na)
+    model = fit_arx(data, o, history=history, offset=offset, passes=passes if focus == "simulation" else 0)
+    notes = (*find_weak_excitation(data, sum(o.nb) + o.na, o.nb), *model.notes)
     return replace(model, units=dict(units or {}), notes=notes)
 
 
-def solved(data: Channels, o: Orders, *, history: History, offset: bool, passes: int = 0) -> PolynomialModel:
+def fit_arx(
+    data: SampledData, o: Orders, *, history: RegressionHistory, offset: bool, passes: int = 0
+) -> PolynomialModel:
     """`arx` of these orders, with ``passes`` of the filter ``1 / A``."""
     model = _estimate(data, o, history, offset, None)
     for _ in range(passes):
-        model = _estimate(data, o, history, offset, reflected(model.a))
-    return replace(model, focus="simulation" if passes else "prediction", notes=instability_notes(model))
+        model = _estimate(data, o, history, offset, reflect_roots(model.a))
+    return replace(model, focus="simulation" if passes else "prediction", notes=find_instability(model))
 
 
 def _estimate(
-    data: Channels, o: Orders, history: History, offset: bool, prefilter: np.ndarray | None
+    data: SampledData, o: Orders, history: RegressionHistory, offset: bool, prefilter: np.ndarray | None
 ) -> PolynomialModel:
     """The least-squares estimate, its equations filtered by ``1 / prefilter`` from each record's or segment's first one on."""
     blocks, targets, ends = [], [], []
     for series in data.series:
-        rows = usable_rows(series, o, history)
+        rows = find_usable_rows(series, o, history)
         for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
             if len(run):
-                block, target = regressors(series, o, offset)[run], series.y[run]
+                block, target = build_regressors(series, o, offset)[run], series.y[run]
                 if prefilter is not None:
                     block, target = (lfilter([1.0], prefilter, part, axis=0) for part in (block, target))
                 blocks.append(block)
                 targets.append(target)
                 ends.append(len(run))
-    names = column_names(data, o, offset)
+    names = name_regressors(data, o, offset)
     label = f"arx({o.na}, {list(o.nb)}, {list(o.nk)})" if len(o.nb) > 1 else f"arx({o.na}, {o.nb[0]}, {o.nk[0]})"
     refuse_few_rows(data, label, sum(ends), len(names), history)
     phi, y = np.concatenate(blocks), np.concatenate(targets)
-    theta, inverse, squares = least_squares(phi, y, names, label)
+    theta, inverse, squares = solve_least_squares(phi, y, names, label)
     variance = squares / (len(y) - len(theta))
     a, rest = theta[: o.na], theta[o.na :]
     cut = np.cumsum(o.nb)

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from greybox.blackbox.series import Channels
+from greybox.blackbox.sampled_data import SampledData
 
 WORDS = {0: "it never moves", 1: "a constant or a step", 2: "one sine"}
 
 
-def excitation_notes(data: Channels, needed: int, nb: Sequence[int]) -> tuple[str, ...]:
+def find_weak_excitation(data: SampledData, needed: int, nb: Sequence[int]) -> tuple[str, ...]:
     """A sentence for each input whose order of persistent excitation is below the ``needed`` number of coefficients.
 
     The order is 1 for a constant or a step and 2 for each sine; each carries one coefficient. Several inputs share the
     ``needed`` coefficients, so that each is only asked for its own ``nb`` there.
     """
-    from greybox.identifiability import excitation  # which loads a solver that a black-box model does not need
+    from greybox.identifiability import analyse_excitation  # which loads a solver that a black-box model does not need
 
-    seen = [excitation(experiment) for experiment in data.experiments]
+    seen = [analyse_excitation(experiment) for experiment in data.experiments]
     notes = []
     for i, name in enumerate(data.inputs):
         asked = min(needed if len(data.inputs) == 1 else nb[i], max(s.limit for s in seen))

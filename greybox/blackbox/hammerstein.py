@@ -8,16 +8,23 @@ from typing import get_args
 
 import numpy as np
 
-from greybox.blackbox.curves import Curve, Shape, blank
+from greybox.blackbox.initial_estimates import estimate_armax_starts, estimate_output_error_starts
+from greybox.blackbox.linear_regression import Orders, refuse_few_rows, to_orders
 from greybox.blackbox.polynomial import PolynomialModel
-from greybox.blackbox.prediction_error import Errors, Minimum, errors, minimise, stable_part, stretches
-from greybox.blackbox.regression import Orders, orders, refuse_few_rows
-from greybox.blackbox.responses import Initial
-from greybox.blackbox.rounding import instability_notes
-from greybox.blackbox.search import Beginning, Effort, check_history, refuse_collinear
-from greybox.blackbox.series import Channels, Series, channels
-from greybox.blackbox.starts import armax_starts, output_error_starts
-from greybox.blackbox.structure import Structure, whole
+from greybox.blackbox.prediction_error import (
+    PredictionErrorMinimum,
+    PredictionErrors,
+    compute_prediction_errors,
+    minimise,
+    split_records,
+    stabilise,
+)
+from greybox.blackbox.prediction_error_fit import HistoryTreatment, SearchEffort, check_history, refuse_collinear
+from greybox.blackbox.responses import InitialChoice
+from greybox.blackbox.rounding import find_instability
+from greybox.blackbox.sampled_data import SampledData, SampledRecord, to_sampled_data
+from greybox.blackbox.static_nonlinearity import NonlinearityShape, StaticNonlinearity, make_linear_nonlinearity
+from greybox.blackbox.structure import PolynomialStructure, to_order
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
 
@@ -29,7 +36,7 @@ class HammersteinModel:
     The curve and the gain behind it share one scale: each curve is as large (rms over the records) as its input, and goes up.
     """
 
-    curves: tuple[Curve, ...]
+    curves: tuple[StaticNonlinearity, ...]
     linear: PolynomialModel
 
     @property
@@ -79,21 +86,21 @@ class HammersteinModel:
         return self.linear.notes
 
     def simulate(
-        self, experiment: Experiment, *, initial: Initial = "estimated", rows: int | None = None
+        self, experiment: Experiment, *, initial: InitialChoice = "estimated", rows: int | None = None
     ) -> dict[str, np.ndarray]:
         """Free run ``{output: (N,)}``, as `PolynomialModel.simulate`."""
         return self.linear.simulate(self._bent(experiment), initial=initial, rows=rows)
 
     def predict(
-        self, experiment: Experiment, steps: int = 1, *, initial: Initial = "estimated", rows: int | None = None
+        self, experiment: Experiment, steps: int = 1, *, initial: InitialChoice = "estimated", rows: int | None = None
     ) -> dict[str, np.ndarray]:
         """Prediction ``{output: (N,)}``, as `PolynomialModel.predict`."""
         return self.linear.predict(self._bent(experiment), steps, initial=initial, rows=rows)
 
     def __str__(self) -> str:
-        from greybox.blackbox.text import described_curve
+        from greybox.blackbox.text import describe_nonlinearity
 
-        curves = [described_curve(n, c, self.linear.units) for n, c in zip(self.inputs, self.curves, strict=True)]
+        curves = [describe_nonlinearity(n, c, self.linear.units) for n, c in zip(self.inputs, self.curves, strict=True)]
         return "\n".join([self.label, *curves, "", str(self.linear)])
 
     def _bent(self, experiment: Experiment) -> Experiment:
@@ -113,11 +120,11 @@ def hammerstein(
     nk: int | Sequence[int] = 1,
     nf: int | Sequence[int] = 0,
     na: int = 0,
-    shape: Shape = "polynomial",
+    shape: NonlinearityShape = "polynomial",
     freedom: int = 3,
     output: str | None = None,
     inputs: Sequence[str] | str | None = None,
-    history: Beginning = "estimated",
+    history: HistoryTreatment = "estimated",
     offset: bool = False,
     units: Mapping[str, str] | None = None,
 ) -> HammersteinModel:
@@ -131,12 +138,12 @@ def hammerstein(
     Raises DataError as `arx` does.
     """
     check_history(history)
-    if shape not in get_args(Shape):
-        raise DataError(f"unknown shape {shape!r}; {nearest(shape, get_args(Shape))}")
+    if shape not in get_args(NonlinearityShape):
+        raise DataError(f"unknown shape {shape!r}; {nearest(shape, get_args(NonlinearityShape))}")
     if int(freedom) != freedom or freedom < 1:
         raise DataError(f"hammerstein: freedom = {freedom}; give a whole number from 1 (1: a straight line)")
-    data = channels(experiments, output, inputs)
-    o = orders(data, nb, nk, na, "hammerstein")
+    data = to_sampled_data(experiments, output, inputs)
+    o = to_orders(data, nb, nk, na, "hammerstein")
     poles = (nf,) * len(o.nb) if isinstance(nf, (int, np.integer)) else tuple(nf)
     if na and any(poles):
         raise DataError(
@@ -146,32 +153,33 @@ def hammerstein(
         raise DataError(
             f"hammerstein: nf has {len(poles)} numbers for {len(o.nb)} inputs; give one number, or one for each"
         )
-    structure = Structure(
-        "arx" if na else "output error", o, tuple(whole("nf", n, "hammerstein") for n in poles), offset=offset
+    structure = PolynomialStructure(
+        "arx" if na else "output error", o, tuple(to_order("nf", n, "hammerstein") for n in poles), offset=offset
     )
-    return bent(structure, data, shape, freedom, history, units)
+    return fit_hammerstein(structure, data, shape, freedom, history, units)
 
 
-def bent(
-    structure: Structure,
-    data: Channels,
-    shape: Shape,
+def fit_hammerstein(
+    structure: PolynomialStructure,
+    data: SampledData,
+    shape: NonlinearityShape,
     freedom: int,
-    history: Beginning,
+    history: HistoryTreatment,
     units: Mapping[str, str] | None = None,
-    effort: Effort | None = None,
+    effort: SearchEffort | None = None,
 ) -> HammersteinModel:
     """The model of this structure with curves of ``freedom`` functions in front."""
     curves = tuple(
-        blank(shape, np.concatenate([s.u[:, i] for s in data.series]), freedom) for i in range(len(data.inputs))
+        make_linear_nonlinearity(shape, np.concatenate([s.u[:, i] for s in data.series]), freedom)
+        for i in range(len(data.inputs))
     )
     bases = (tuple(c.basis(s.u[:, i]) for i, c in enumerate(curves)) for s in data.series)
     data = replace(data, series=tuple(replace(s, basis=b) for s, b in zip(data.series, bases, strict=True)))
-    problem = _Bent(structure, data, stretches(data, structure), history == "zero", curves)
+    problem = _Bent(structure, data, split_records(data, structure), history == "zero", curves)
     label = HammersteinModel(curves, structure.model(np.zeros(structure.size), data)).label
     count = int(sum(np.isfinite(part.y).sum() for part in problem.parts))
     refuse_few_rows(data, label, count, problem.size, history)
-    effort = effort or Effort()
+    effort = effort or SearchEffort()
     starts = sorted(problem.starts(), key=lambda start: start[0].evaluate(start[1], False).squares)[: effort.starts]
     races = [(p, p.minimum(theta, effort.race, effort.enough)) for p, theta in starts]
     problem, best = min(races, key=lambda race: race[1].errors.squares)
@@ -184,11 +192,11 @@ def bent(
 class _Bent:
     """The unknowns: the linear part's coefficients, then each curve's shares without its largest one, which sets the scale."""
 
-    structure: Structure
-    data: Channels
-    parts: tuple[Series, ...]
+    structure: PolynomialStructure
+    data: SampledData
+    parts: tuple[SampledRecord, ...]
     rest: bool
-    curves: tuple[Curve, ...]
+    curves: tuple[StaticNonlinearity, ...]
 
     @property
     def held(self) -> list[int]:
@@ -210,20 +218,20 @@ class _Bent:
 
     def admissible(self, theta: np.ndarray) -> np.ndarray:
         n = self.structure.size
-        return np.append(stable_part(self.structure, theta[:n]), theta[n:])
+        return np.append(stabilise(self.structure, theta[:n]), theta[n:])
 
-    def evaluate(self, theta: np.ndarray, slopes: bool) -> Errors:
+    def evaluate(self, theta: np.ndarray, slopes: bool) -> PredictionErrors:
         n, shares = self.structure.size, self.shares(theta)
         parts = [
             replace(p, u=np.column_stack([b @ s for b, s in zip(p.basis, shares, strict=True)])) for p in self.parts
         ]
-        found = errors(self.structure, theta[:n], self.data, parts, rest=self.rest, slopes=slopes)
+        found = compute_prediction_errors(self.structure, theta[:n], self.data, parts, rest=self.rest, slopes=slopes)
         if not slopes:
             return found
         held = (n + np.cumsum([0, *(len(c.shares) for c in self.curves)])[:-1] + self.held).astype(int)
         return replace(found, slopes=np.delete(found.slopes, held, axis=1))
 
-    def minimum(self, theta: np.ndarray, iterations: int, enough: float) -> Minimum:
+    def minimum(self, theta: np.ndarray, iterations: int, enough: float) -> PredictionErrorMinimum:
         """The search from ``theta`` (p,)."""
         return minimise(self.evaluate, self.admissible, theta, iterations=iterations, enough=enough)
 
@@ -236,7 +244,7 @@ class _Bent:
         series = tuple(replace(s, u=np.hstack(s.basis), basis=()) for s in self.data.series)
         names = tuple(f"{name} {j}" for name, m in zip(self.data.inputs, counts, strict=True) for j in range(m))
         data = replace(self.data, inputs=names, series=series)
-        for start in (armax_starts if o.na else output_error_starts)(wide, data, self.rest):
+        for start in (estimate_armax_starts if o.na else estimate_output_error_starts)(wide, data, self.rest):
             a, *parts = wide.parts(start)
             b, f, rest = parts[: len(names)], parts[len(names) : 2 * len(names)], parts[2 * len(names) :]
             shares, numerators, poles = [], [], []
@@ -251,7 +259,7 @@ class _Bent:
 
 
 def _finished(
-    problem: _Bent, best: Minimum, count: int, label: str, history: str, units: Mapping[str, str]
+    problem: _Bent, best: PredictionErrorMinimum, count: int, label: str, history: str, units: Mapping[str, str]
 ) -> HammersteinModel:
     structure, data = problem.structure, problem.data
     names = list(structure.model(best.theta[: structure.size], data).coefficients)
@@ -273,6 +281,6 @@ def _finished(
     linear = replace(
         model, b=tuple(b), noise_std=float(np.sqrt(best.errors.squares / max(freedom, 1))), samples=count,
         loss=best.errors.squares / count, history=history, units=dict(units),
-        focus="prediction" if structure.orders.na else "simulation", notes=(*notes, *instability_notes(model)),
+        focus="prediction" if structure.orders.na else "simulation", notes=(*notes, *find_instability(model)),
     )  # fmt: skip
     return HammersteinModel(tuple(curves), linear)

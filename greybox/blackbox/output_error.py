@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.blackbox.excitation import excitation_notes
+from greybox.blackbox.excitation import find_weak_excitation
+from greybox.blackbox.initial_estimates import estimate_box_jenkins_starts, estimate_output_error_starts
+from greybox.blackbox.linear_regression import to_orders
 from greybox.blackbox.polynomial import PolynomialModel
-from greybox.blackbox.regression import orders
-from greybox.blackbox.search import Beginning, check_history, searched
-from greybox.blackbox.series import Channels, channels
-from greybox.blackbox.starts import box_jenkins_starts, output_error_starts
-from greybox.blackbox.structure import Structure, whole
+from greybox.blackbox.prediction_error_fit import HistoryTreatment, check_history, fit_prediction_error
+from greybox.blackbox.sampled_data import SampledData, to_sampled_data
+from greybox.blackbox.structure import PolynomialStructure, to_order
 from greybox.errors import DataError
 from greybox.experiment import Experiment
 
@@ -26,7 +26,7 @@ def output_error(
     nk: int | Sequence[int] = 1,
     output: str | None = None,
     inputs: Sequence[str] | str | None = None,
-    history: Beginning = "estimated",
+    history: HistoryTreatment = "estimated",
     offset: bool = False,
     units: Mapping[str, str] | None = None,
 ) -> PolynomialModel:
@@ -38,9 +38,9 @@ def output_error(
     Raises DataError as `arx` does.
     """
     check_history(history)
-    data = channels(experiments, output, inputs)
-    structure = without_equation_error("output error", data, nb, nf, nk, offset=offset)
-    model = searched(structure, data, output_error_starts, history, units)
+    data = to_sampled_data(experiments, output, inputs)
+    structure = make_output_structure("output error", data, nb, nf, nk, offset=offset)
+    model = fit_prediction_error(structure, data, estimate_output_error_starts, history, units)
     return _with_excitation(structure, data, model)
 
 
@@ -54,7 +54,7 @@ def box_jenkins(
     nk: int | Sequence[int] = 1,
     output: str | None = None,
     inputs: Sequence[str] | str | None = None,
-    history: Beginning = "estimated",
+    history: HistoryTreatment = "estimated",
     offset: bool = False,
     units: Mapping[str, str] | None = None,
 ) -> PolynomialModel:
@@ -66,17 +66,17 @@ def box_jenkins(
     Raises DataError as `arx` does.
     """
     check_history(history)
-    data = channels(experiments, output, inputs)
+    data = to_sampled_data(experiments, output, inputs)
     kind = "box-jenkins"
-    noise = {"nc": whole("nc", nc, kind), "nd": whole("nd", nd, kind)}
-    structure = without_equation_error(kind, data, nb, nf, nk, offset=offset, **noise)
-    model = searched(structure, data, box_jenkins_starts, history, units)
+    noise = {"nc": to_order("nc", nc, kind), "nd": to_order("nd", nd, kind)}
+    structure = make_output_structure(kind, data, nb, nf, nk, offset=offset, **noise)
+    model = fit_prediction_error(structure, data, estimate_box_jenkins_starts, history, units)
     return _with_excitation(structure, data, model)
 
 
-def without_equation_error(
+def make_output_structure(
     kind: str,
-    data: Channels,
+    data: SampledData,
     nb: int | Sequence[int],
     nf: int | Sequence[int],
     nk: int | Sequence[int],
@@ -84,15 +84,15 @@ def without_equation_error(
     nc: int = 0,
     nd: int = 0,
     offset: bool = False,
-) -> Structure:
+) -> PolynomialStructure:
     """Structure with ``A = 1``, its orders spread over the inputs. Raises DataError for orders that cannot be."""
-    o = orders(data, nb, nk, 0, kind)
+    o = to_orders(data, nb, nk, 0, kind)
     poles = (nf,) * len(o.nb) if isinstance(nf, (int, np.integer)) else tuple(nf)
     if len(poles) != len(o.nb):
         raise DataError(f"{kind}: nf has {len(poles)} numbers for {len(o.nb)} inputs; give one number, or one for each")
-    return Structure(kind, o, tuple(whole("nf", n, kind) for n in poles), nc=nc, nd=nd, offset=offset)
+    return PolynomialStructure(kind, o, tuple(to_order("nf", n, kind) for n in poles), nc=nc, nd=nd, offset=offset)
 
 
-def _with_excitation(structure: Structure, data: Channels, model: PolynomialModel) -> PolynomialModel:
+def _with_excitation(structure: PolynomialStructure, data: SampledData, model: PolynomialModel) -> PolynomialModel:
     needed = [b + f for b, f in zip(structure.orders.nb, structure.nf, strict=True)]
-    return replace(model, notes=(*excitation_notes(data, sum(needed), needed), *model.notes))
+    return replace(model, notes=(*find_weak_excitation(data, sum(needed), needed), *model.notes))

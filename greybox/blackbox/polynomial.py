@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from greybox.blackbox import responses
-from greybox.blackbox.responses import Initial
-from greybox.blackbox.series import Series, series_of
+from greybox.blackbox.responses import InitialChoice
+from greybox.blackbox.sampled_data import SampledRecord, to_sampled_record
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
 
@@ -28,7 +28,8 @@ class PolynomialModel:
     ``kind`` is ``arx``, ``armax``, ``output error`` ...; ``sampling_time`` in seconds. ``a``, ``c``, ``d`` (n + 1,) begin with 1;
     ``b`` holds for each input its coefficients with ``nk`` zeros in front (nk + nb,), ``f`` each (nf + 1,). ``noise_std`` is the
     standard deviation of ``e`` in the output's unit. ``covariance`` (p, p) belongs to the estimated coefficients in the order of
-    `coefficients`; None where they were not estimated. ``samples`` equations went into the estimate and ``loss`` is the mean square
+    `transfer_function_coefficients`; None where they were not estimated. ``samples`` equations went into the estimate and ``loss``
+    is the mean square
     of what it minimised (the one-step error; for ``simulation`` focus the prefiltered one). ``history`` and ``focus`` say how the
     rows were made, ``units`` name -> unit, ``notes`` what one should know before trusting it.
     """
@@ -144,7 +145,7 @@ class PolynomialModel:
         return b / (a * f)
 
     def simulate(
-        self, experiment: Experiment, *, initial: Initial = "estimated", rows: int | None = None
+        self, experiment: Experiment, *, initial: InitialChoice = "estimated", rows: int | None = None
     ) -> dict[str, np.ndarray]:
         """Free run over the inputs of ``experiment``: ``{output: (N,)}``; no measured output is used beyond the initial state.
 
@@ -154,10 +155,10 @@ class PolynomialModel:
         Raises DataError for an experiment of another sampling time, without an input, or without the measurements that
         ``initial`` needs. The run of an unstable model grows, up to infinity.
         """
-        return {self.output: responses.free_run(self, self._series(experiment, initial), initial, rows)}
+        return {self.output: responses.simulate_free_run(self, self._series(experiment, initial), initial, rows)}
 
     def predict(
-        self, experiment: Experiment, steps: int = 1, *, initial: Initial = "estimated", rows: int | None = None
+        self, experiment: Experiment, steps: int = 1, *, initial: InitialChoice = "estimated", rows: int | None = None
     ) -> dict[str, np.ndarray]:
         """Prediction ``yhat(k | k - steps)`` as ``{output: (N,)}`` from the measured outputs up to ``steps`` rows before.
 
@@ -167,11 +168,13 @@ class PolynomialModel:
         """
         if steps < 1:
             raise DataError(f"steps ahead: {steps}; give a whole number from 1")
-        return {self.output: responses.prediction(self, self._series(experiment, "measured"), steps, initial, rows)[0]}
+        return {
+            self.output: responses.predict_ahead(self, self._series(experiment, "measured"), steps, initial, rows)[0]
+        }
 
-    def errors(self, experiment: Experiment, *, initial: Initial = "estimated") -> np.ndarray:
+    def errors(self, experiment: Experiment, *, initial: InitialChoice = "estimated") -> np.ndarray:
         """One-step prediction errors ``e`` (N,), NaN in gaps and where ``initial="measured"`` has no history."""
-        return responses.prediction(self, self._series(experiment, "measured"), 1, initial, None)[1]
+        return responses.predict_ahead(self, self._series(experiment, "measured"), 1, initial, None)[1]
 
     def to_control(self) -> Any:
         """A discrete `control.TransferFunction` from the inputs to the output, with signal names and the sampling time."""
@@ -189,12 +192,12 @@ class PolynomialModel:
         )
 
     def __str__(self) -> str:
-        from greybox.blackbox.text import described
+        from greybox.blackbox.text import describe_model
 
-        return described(self)
+        return describe_model(self)
 
-    def _series(self, experiment: Experiment, initial: Initial) -> Series:
-        series = series_of(experiment, self.output, self.inputs, need_output=initial != "zero")
+    def _series(self, experiment: Experiment, initial: InitialChoice) -> SampledRecord:
+        series = to_sampled_record(experiment, self.output, self.inputs, need_output=initial != "zero")
         if not np.isclose(series.sampling_time, self.sampling_time, rtol=2e-3):
             raise DataError(
                 f"experiment {experiment.name!r} is sampled every {series.sampling_time:.6g} s, but {self.label} of"

@@ -17,12 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from greybox.blackbox.linear_regression import delay_rows
 from greybox.blackbox.polynomial import PolynomialModel
-from greybox.blackbox.regression import delayed
-from greybox.blackbox.responses import NEGLIGIBLE, past_terms
-from greybox.blackbox.rounding import confined, reflected
-from greybox.blackbox.series import Channels, Series
-from greybox.blackbox.structure import Structure, monic
+from greybox.blackbox.responses import NEGLIGIBLE, compute_initial_responses
+from greybox.blackbox.rounding import confine_roots, reflect_roots
+from greybox.blackbox.sampled_data import SampledData, SampledRecord
+from greybox.blackbox.structure import PolynomialStructure, to_monic
 
 ITERATIONS = 100
 # The search ends when a step promises, or has brought, less than this share of the sum of squares.
@@ -32,7 +32,7 @@ FADED = 1e-17  # share of its beginning below which a response is over
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class PredictionErrors:
     """One-step errors (n,) of all stretches with the past projected out, their slopes (n, p), and the states projected out."""
 
     e: np.ndarray
@@ -48,16 +48,16 @@ class Errors:
 
 
 @dataclass(frozen=True, eq=False)
-class Minimum:
+class PredictionErrorMinimum:
     """Where a search ended: ``theta`` (p,), its errors, iterations, and whether it converged."""
 
     theta: np.ndarray
-    errors: Errors
+    errors: PredictionErrors
     iterations: int
     converged: bool
 
 
-def stretches(data: Channels, structure: Structure) -> tuple[Series, ...]:
+def split_records(data: SampledData, structure: PolynomialStructure) -> tuple[SampledRecord, ...]:
     """What has one initial state each: whole records for an output error, the parts between gaps where the past outputs count."""
     if not (structure.orders.na or structure.nc or structure.nd):
         return data.series
@@ -65,9 +65,15 @@ def stretches(data: Channels, structure: Structure) -> tuple[Series, ...]:
     return tuple(part for series in data.series for part in series.segments(least))
 
 
-def errors(
-    structure: Structure, theta: np.ndarray, data: Channels, parts: Sequence[Series], *, rest: bool, slopes: bool
-) -> Errors:
+def compute_prediction_errors(
+    structure: PolynomialStructure,
+    theta: np.ndarray,
+    data: SampledData,
+    parts: Sequence[SampledRecord],
+    *,
+    rest: bool,
+    slopes: bool,
+) -> PredictionErrors:
     """Errors at ``theta``, and their slopes if wanted; ``rest``: everything was zero before each record, nothing is projected out.
 
     Behind the slopes to ``theta`` stand those to the shares of each input's ``basis``, where the parts have them.
@@ -75,17 +81,17 @@ def errors(
     model = structure.model(theta, data)
     found = [_of_stretch(structure, model, part, rest, slopes) for part in parts]
     e, j, states = zip(*found, strict=True)
-    return Errors(np.concatenate(e), np.concatenate(j), sum(states))
+    return PredictionErrors(np.concatenate(e), np.concatenate(j), sum(states))
 
 
 def minimise(
-    evaluate: Callable[[np.ndarray, bool], Errors],
+    evaluate: Callable[[np.ndarray, bool], PredictionErrors],
     admissible: Callable[[np.ndarray], np.ndarray],
     start: np.ndarray,
     *,
     iterations: int = ITERATIONS,
     enough: float = ENOUGH,
-) -> Minimum:
+) -> PredictionErrorMinimum:
     """Levenberg and Marquardt's search from ``start`` (p,), damped after Nielsen (1999) by what the last step kept of its promise.
 
     ``evaluate`` gives the errors, with slopes if its second argument says so; ``admissible`` maps coefficients to allowed ones.
@@ -96,7 +102,7 @@ def minimise(
     while taken < iterations and here.squares > 0:
         step, promised = _step(here, damping)
         if promised <= enough * here.squares or damping > MOST_DAMPING:
-            return Minimum(theta, here, taken, True)
+            return PredictionErrorMinimum(theta, here, taken, True)
         trial = admissible(theta + step)
         there = evaluate(trial, False)
         kept = (here.squares - there.squares) / promised
@@ -108,11 +114,11 @@ def minimise(
         theta, taken = trial, taken + 1
         here = evaluate(theta, True)
         if settled:
-            return Minimum(theta, here, taken, True)
-    return Minimum(theta, here, taken, here.squares == 0)
+            return PredictionErrorMinimum(theta, here, taken, True)
+    return PredictionErrorMinimum(theta, here, taken, here.squares == 0)
 
 
-def _step(here: Errors, damping: float) -> tuple[np.ndarray, float]:
+def _step(here: PredictionErrors, damping: float) -> tuple[np.ndarray, float]:
     """The damped Gauss-Newton step (p,) and how much of the sum of squares it should take away."""
     scale = np.linalg.norm(here.slopes, axis=0)
     scale[scale == 0] = 1.0
@@ -124,19 +130,19 @@ def _step(here: Errors, damping: float) -> tuple[np.ndarray, float]:
     return -right.T @ (pull * weight) / scale, float(np.sum(pull**2 * weight * (2 * size - size**2 * weight)))
 
 
-def stable_part(structure: Structure, theta: np.ndarray) -> np.ndarray:
+def stabilise(structure: PolynomialStructure, theta: np.ndarray) -> np.ndarray:
     """``theta`` (p,) with ``C`` and ``D`` reflected into, and the roots of ``F`` held inside the unit circle."""
     parts = structure.parts(theta)
     n = len(structure.nf)
     for k in range(1 + n, 1 + 2 * n):
-        parts[k] = confined(monic(parts[k]))[1:]
+        parts[k] = confine_roots(to_monic(parts[k]))[1:]
     for k in (1 + 2 * n, 2 + 2 * n):
-        parts[k] = reflected(monic(parts[k]))[1:]
+        parts[k] = reflect_roots(to_monic(parts[k]))[1:]
     return np.concatenate(parts)
 
 
 def _of_stretch(
-    structure: Structure, model: PolynomialModel, data: Series, rest: bool, slopes: bool
+    structure: PolynomialStructure, model: PolynomialModel, data: SampledRecord, rest: bool, slopes: bool
 ) -> tuple[np.ndarray, np.ndarray, int]:
     c, d, there = model.c, model.d, np.isfinite(data.y)
     through = [lfilter(b, f, u) for b, f, u in zip(model.b, model.f, data.u.T, strict=True)]
@@ -145,7 +151,7 @@ def _of_stretch(
     shortfall = lfilter(model.a, [1.0], y) - sum(through) - (model.constant or 0.0)
     e = lfilter(d, c, shortfall)
     alive = _alive(model, data.rows)
-    blocks = [] if rest else past_terms(model, alive, [len(model.a) + len(d) - 1, len(c)], c)
+    blocks = [] if rest else compute_initial_responses(model, alive, [len(model.a) + len(d) - 1, len(c)], c)
     free = np.hstack([np.empty((alive, 0)), *blocks])
     past = _past(free[there[:alive]])
     projected = past.without(e[there])
@@ -214,23 +220,23 @@ def _alive(model: PolynomialModel, rows: int) -> int:
 
 
 def _slopes(
-    structure: Structure, model: PolynomialModel, u: np.ndarray, y: np.ndarray, shortfall: np.ndarray,
+    structure: PolynomialStructure, model: PolynomialModel, u: np.ndarray, y: np.ndarray, shortfall: np.ndarray,
     driven: Sequence[np.ndarray], e: np.ndarray, basis: Sequence[np.ndarray],
 ) -> np.ndarray:  # fmt: skip
     """Gradients (N, p) of the errors ``e`` (N,), in the order of the structure's vector."""
     o, c, d = structure.orders, model.c, model.d
     filtered = lfilter(d, c, y)
-    columns = [delayed(filtered, j) for j in range(1, o.na + 1)]
+    columns = [delay_rows(filtered, j) for j in range(1, o.na + 1)]
     for f, nb, nk, signal in zip(model.f, o.nb, o.nk, u.T, strict=True):
         filtered = -lfilter(d, np.convolve(c, f), signal)
-        columns += [delayed(filtered, nk + j) for j in range(nb)]
+        columns += [delay_rows(filtered, nk + j) for j in range(nb)]
     for f, nf, signal in zip(model.f, structure.nf, driven, strict=True):
         filtered = lfilter([1.0], np.convolve(c, f), signal)
-        columns += [delayed(filtered, j) for j in range(1, nf + 1)]
+        columns += [delay_rows(filtered, j) for j in range(1, nf + 1)]
     filtered = -lfilter([1.0], c, e)
-    columns += [delayed(filtered, j) for j in range(1, structure.nc + 1)]
+    columns += [delay_rows(filtered, j) for j in range(1, structure.nc + 1)]
     filtered = lfilter([1.0], c, shortfall)
-    columns += [delayed(filtered, j) for j in range(1, structure.nd + 1)]
+    columns += [delay_rows(filtered, j) for j in range(1, structure.nd + 1)]
     if structure.offset:
         columns.append(-lfilter(d, c, np.ones(len(y))))
     for b, f, shapes in zip(model.b, model.f, basis, strict=False):

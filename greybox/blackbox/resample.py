@@ -47,7 +47,7 @@ def resample(experiment: Experiment, sampling_time: float) -> Experiment:
     )
 
 
-def thinned(experiment: Experiment, output: str) -> Experiment | None:
+def keep_measured_rows(experiment: Experiment, output: str) -> Experiment | None:
     """``experiment`` at the rows at which ``output`` is measured, where these lie several steps apart; None where they do not.
 
     For a sensor slower than the rest, whose column is empty in between. Inputs are averaged over the rows of each long step, which is

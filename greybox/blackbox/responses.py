@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from scipy.signal import lfilter
 
-from greybox.blackbox.series import Series, delayed
+from greybox.blackbox.sampled_data import SampledRecord, delay_rows
 from greybox.errors import DataError, nearest
 
 if TYPE_CHECKING:
     from greybox.blackbox.polynomial import PolynomialModel
 
-Initial = Literal["zero", "measured", "estimated"]
+InitialChoice = Literal["zero", "measured", "estimated"]
 
 # Beyond this growth of the free response rows say nothing about the initial state: the model is unstable.
 MOST_GROWTH = 1e8
@@ -23,7 +23,9 @@ MOST_AMPLIFIED = 10.0
 NEGLIGIBLE = 1e-13  # singular values below this share of the largest carry nothing
 
 
-def free_run(model: PolynomialModel, data: Series, initial: Initial, rows: int | None) -> np.ndarray:
+def simulate_free_run(
+    model: PolynomialModel, data: SampledRecord, initial: InitialChoice, rows: int | None
+) -> np.ndarray:
     """Output (N,) of ``A y = sum B / F u + constant`` from the ``initial`` state."""
     _known(initial)
     constant = np.full(data.rows, model.constant or 0.0)
@@ -33,12 +35,12 @@ def free_run(model: PolynomialModel, data: Series, initial: Initial, rows: int |
             y = y + lfilter(b, np.convolve(model.a, f), u)
         if initial == "zero":
             return y
-        free = np.hstack(past_terms(model, data.rows, [len(model.a)], model.a))
-        return y + free @ initial_state(free, data.y - y, initial, rows)
+        free = np.hstack(compute_initial_responses(model, data.rows, [len(model.a)], model.a))
+        return y + free @ estimate_initial_state(free, data.y - y, initial, rows)
 
 
-def prediction(
-    model: PolynomialModel, data: Series, steps: int, initial: Initial, rows: int | None
+def predict_ahead(
+    model: PolynomialModel, data: SampledRecord, steps: int, initial: InitialChoice, rows: int | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """``yhat(k | k - steps)`` (N,), the measurement less the last ``steps`` innovations' share in it, and the innovations (N,).
 
@@ -52,10 +54,10 @@ def prediction(
         driven = driven + lfilter(np.convolve(b, model.d), f, u)
     past = np.empty((data.rows, 0))
     if initial != "zero":
-        past = np.hstack(past_terms(model, data.rows, [len(alpha), len(model.c)]))
+        past = np.hstack(compute_initial_responses(model, data.rows, [len(alpha), len(model.c)]))
     with np.errstate(over="ignore", invalid="ignore"):
         e, filled = _innovations(alpha, model.c, data.y, np.column_stack([driven, past]))
-        state = initial_state(-e[:, 1:], e[:, 0], initial, rows)
+        state = estimate_initial_state(-e[:, 1:], e[:, 0], initial, rows)
         innovation, complete = (part[:, 0] + part[:, 1:] @ state for part in (e, filled))
         share = lfilter(model.c, alpha, np.eye(1, steps)[0])
         ahead = complete - np.convolve(share, innovation)[: data.rows]
@@ -67,7 +69,7 @@ def prediction(
     return ahead, innovation
 
 
-def past_terms(
+def compute_initial_responses(
     model: PolynomialModel, rows: int, reach: Sequence[int], through: Sequence[float] | np.ndarray = (1.0,)
 ) -> list[np.ndarray]:
     """What everything before the first row can add to ``A y``: for each input the responses ``q^-j / F`` (N, m).
@@ -83,11 +85,13 @@ def past_terms(
     for f in model.f:
         response = lfilter([1.0], np.convolve(through, f), np.eye(1, rows)[0])
         count = counts.pop(tuple(f), 0)
-        blocks.append(np.column_stack([np.empty((rows, 0)), *(delayed(response, j) for j in range(count))]))
+        blocks.append(np.column_stack([np.empty((rows, 0)), *(delay_rows(response, j) for j in range(count))]))
     return blocks
 
 
-def initial_state(free: np.ndarray, target: np.ndarray, initial: Initial, rows: int | None) -> np.ndarray:
+def estimate_initial_state(
+    free: np.ndarray, target: np.ndarray, initial: InitialChoice, rows: int | None
+) -> np.ndarray:
     """Shares (m,) of the free responses (N, m) that meet ``target`` (N,), NaN in gaps, on the first rows.
 
     ``"measured"`` meets as many rows as there are responses exactly; ``"estimated"`` the first ``rows`` by least squares. What those
@@ -139,5 +143,5 @@ def _innovations(alpha: np.ndarray, c: np.ndarray, y: np.ndarray, driven: np.nda
 
 
 def _known(initial: str) -> None:
-    if initial not in get_args(Initial):
-        raise DataError(f"unknown initial state {initial!r}; {nearest(initial, get_args(Initial))}")
+    if initial not in get_args(InitialChoice):
+        raise DataError(f"unknown initial state {initial!r}; {nearest(initial, get_args(InitialChoice))}")

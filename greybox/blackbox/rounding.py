@@ -21,7 +21,7 @@ MARGIN = 1e-6
 LEAK = 1e-9
 
 
-def reflected(polynomial: np.ndarray) -> np.ndarray:
+def reflect_roots(polynomial: np.ndarray) -> np.ndarray:
     """A polynomial in ``q^-1`` that begins with 1, its roots outside the unit circle mirrored into it.
 
     The magnitude of its frequency response keeps its shape; a root on the circle goes just inside.
@@ -36,7 +36,7 @@ def reflected(polynomial: np.ndarray) -> np.ndarray:
     return np.append(mirrored, np.zeros(len(polynomial) - len(mirrored)))
 
 
-def confined(polynomial: np.ndarray) -> np.ndarray:
+def confine_roots(polynomial: np.ndarray) -> np.ndarray:
     """A polynomial in ``q^-1`` that begins with 1, its roots on or outside the unit circle drawn straight to just inside it."""
     roots = np.roots(polynomial)
     size = np.abs(roots)
@@ -46,7 +46,7 @@ def confined(polynomial: np.ndarray) -> np.ndarray:
     return np.append(drawn, np.zeros(len(polynomial) - len(drawn)))
 
 
-def rounded(model: PolynomialModel, digits: int) -> PolynomialModel:
+def round_coefficients(model: PolynomialModel, digits: int) -> PolynomialModel:
     """``model`` with every coefficient rounded to ``digits`` significant digits. Raises DataError below one digit."""
     if digits < 1:
         raise DataError(f"{model.label}: {digits} digits; give a whole number from 1")
@@ -60,7 +60,7 @@ def rounded(model: PolynomialModel, digits: int) -> PolynomialModel:
     )  # fmt: skip
 
 
-def digits_needed(model: PolynomialModel) -> int:
+def count_digits_needed(model: PolynomialModel) -> int:
     """Smallest number of significant digits that keeps the model's behaviour, from there up to `MOST_DIGITS`.
 
     Rounding may make no stable model unstable, and change the frequency response from one line of the record it was fitted to
@@ -71,7 +71,7 @@ def digits_needed(model: PolynomialModel) -> int:
     before = [model.response(frequency, name) for name in model.inputs]
     needed = FEWEST_DIGITS
     for digits in range(MOST_DIGITS, FEWEST_DIGITS - 1, -1):
-        short = rounded(model, digits)
+        short = round_coefficients(model, digits)
         if model.stable and not short.stable:
             return digits + 1
         after = [short.response(frequency, name) for name in model.inputs]
@@ -81,7 +81,7 @@ def digits_needed(model: PolynomialModel) -> int:
     return needed
 
 
-def instability_notes(model: PolynomialModel) -> tuple[str, ...]:
+def find_instability(model: PolynomialModel) -> tuple[str, ...]:
     """What one must know of an unstable model before running it freely."""
     if model.stable:
         return ()

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.blackbox.linear_regression import Orders
 from greybox.blackbox.polynomial import PolynomialModel
-from greybox.blackbox.regression import Orders
-from greybox.blackbox.series import Channels
+from greybox.blackbox.sampled_data import SampledData
 from greybox.errors import DataError
 
 
 @dataclass(frozen=True)
-class Structure:
+class PolynomialStructure:
     """Orders of ``A y = sum B / F u + constant + C / D e``: those of ``A`` and ``B``, ``nf`` of each input, ``nc``, ``nd``."""
 
     kind: str
@@ -38,15 +38,15 @@ class Structure:
         """``theta`` (p,) cut into a, each b, each f, c, d, constant."""
         return np.split(theta, np.cumsum(self.sizes)[:-1])
 
-    def model(self, theta: np.ndarray, data: Channels) -> PolynomialModel:
+    def model(self, theta: np.ndarray, data: SampledData) -> PolynomialModel:
         """The coefficients (p,) as a model of the output of ``data``."""
         n = len(self.nf)
         a, *rest = self.parts(theta)
         b, f, (c, d, constant) = rest[:n], rest[n : 2 * n], rest[2 * n :]
         return PolynomialModel(
             kind=self.kind, output=data.output, inputs=data.inputs, sampling_time=data.sampling_time, nk=self.orders.nk,
-            a=monic(a), b=tuple(np.append(np.zeros(k), part) for k, part in zip(self.orders.nk, b, strict=True)),
-            f=tuple(map(monic, f)), c=monic(c), d=monic(d), constant=float(constant[0]) if self.offset else None,
+            a=to_monic(a), b=tuple(np.append(np.zeros(k), part) for k, part in zip(self.orders.nk, b, strict=True)),
+            f=tuple(map(to_monic, f)), c=to_monic(c), d=to_monic(d), constant=float(constant[0]) if self.offset else None,
         )  # fmt: skip
 
     def vector(self, model: PolynomialModel) -> np.ndarray:
@@ -58,12 +58,12 @@ class Structure:
         return np.concatenate([*padded, [model.constant or 0.0] if self.offset else []])
 
 
-def monic(rest: Sequence[float] | np.ndarray) -> np.ndarray:
+def to_monic(rest: Sequence[float] | np.ndarray) -> np.ndarray:
     """``1 + p1 q^-1 + ...`` from ``p1 ...``."""
     return np.append(1.0, rest)
 
 
-def whole(letter: str, value: int, kind: str) -> int:
+def to_order(letter: str, value: int, kind: str) -> int:
     """``value`` as an order; DataError where it is not a whole number from 0."""
     if int(value) != value or value < 0:
         raise DataError(f"{kind}: {letter} = {value}; give a whole number from 0")

@@ -6,18 +6,18 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from greybox.blackbox.curves import Curve
 from greybox.blackbox.polynomial import PolynomialModel
-from greybox.blackbox.rounding import digits_needed
-from greybox.result.summary import table
+from greybox.blackbox.rounding import count_digits_needed
+from greybox.blackbox.static_nonlinearity import StaticNonlinearity
+from greybox.result.summary import format_table
 
 CURVE_POINTS = 7
 FEWEST_SHOWN = 8  # digits of coefficients in a text; more where stability or behaviour needs them
 
 
-def described(model: PolynomialModel) -> str:
+def describe_model(model: PolynomialModel) -> str:
     """Equation, coefficients with standard deviations, poles, zeros, gain, and what to know before trusting them."""
-    digits = max(FEWEST_SHOWN, digits_needed(model))
+    digits = max(FEWEST_SHOWN, count_digits_needed(model))
     unit = model.units.get(model.output, "")
     spread = model.std
     rows = [
@@ -26,21 +26,21 @@ def described(model: PolynomialModel) -> str:
     ]
     lines = [
         f"{model.label} of {model.output} from {', '.join(model.inputs)}, every {model.sampling_time:.6g} s",
-        equation(model),
+        format_equation(model),
         "",
-        *table(["coefficient", "value", "std"], rows),
+        *format_table(["coefficient", "value", "std"], rows),
         "",
         f"poles: {_numbers(model.poles)}",
         *(f"zeros from {n}: {_numbers(model.zeros(n))}; steady-state gain {model.gain(n):.6g}" for n in model.inputs),
         f"noise: {model.noise_std:.4g} {unit}".rstrip() + f" one step ahead, over {model.samples} equations",
-        f"digits: at least {digits_needed(model)} keep its stability and its response within 1 %",
+        f"digits: at least {count_digits_needed(model)} keep its stability and its response within 1 %",
     ]
     if model.history:
         lines.append(f"rows: {model.history} history; focus: {model.focus}")
     return "\n".join([*lines, *(f"note: {note}" for note in model.notes)])
 
 
-def equation(model: PolynomialModel) -> str:
+def format_equation(model: PolynomialModel) -> str:
     """The difference equation with its polynomials' letters: ``A(q) y = B(q) / F(q) u + C(q) e``."""
     left = f"{'A(q) ' if len(model.a) > 1 else ''}{model.output}(k)"
     several = len(model.inputs) > 1
@@ -63,7 +63,7 @@ def _numbers(values: np.ndarray) -> str:
     return ", ".join(said)
 
 
-def described_curve(name: str, curve: Curve, units: Mapping[str, str]) -> str:
+def describe_nonlinearity(name: str, curve: StaticNonlinearity, units: Mapping[str, str]) -> str:
     """A static curve as a few of its points."""
     points = np.linspace(-curve.size, curve.size, CURVE_POINTS)
     unit = units.get(name, "")

@@ -7,18 +7,23 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from greybox.errors import DataError, ModelError, nearest
+from greybox.estimation.option_findings import find_excluded_outputs
+from greybox.estimation.options import FitOptions
+from greybox.estimation.problem import prepare_problem
 from greybox.experiment import Experiment
-from greybox.fitting.asked import left_out
-from greybox.fitting.options import FitOptions
-from greybox.fitting.problem import prepare
-from greybox.identifiability.generic import generic_record
-from greybox.identifiability.identifiability import Identifiability, identifiability
-from greybox.identifiability.practical import Expected, Practical, judge, measured_outputs
+from greybox.identifiability.generic_experiment import simulate_generic_record
+from greybox.identifiability.practical import (
+    ExpectedPrecision,
+    PracticalIdentifiability,
+    analyse_problem,
+    list_measured_outputs,
+)
+from greybox.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.model import Model
 
 
 @dataclass(frozen=True)
-class Check:
+class ModelCheck:
     """The findings. ``assumed`` describes the simulated record that stood in for data, "" where records were given.
 
     ``structure``: what the measured outputs can tell at best; None where the model could not be run, then ``doubt`` says
@@ -35,12 +40,12 @@ class Check:
     assumed: str
     noise: Mapping[str, float]
     noise_source: str
-    structure: Identifiability | None
-    practical: Practical
+    structure: StructuralIdentifiability | None
+    practical: PracticalIdentifiability
     doubt: str = ""
 
     @property
-    def constants(self) -> Mapping[str, Expected]:
+    def constants(self) -> Mapping[str, ExpectedPrecision]:
         """What to expect of each free constant."""
         return self.practical.constants
 
@@ -62,9 +67,9 @@ class Check:
 
     def as_dict(self) -> dict[str, Any]:
         """The findings as numbers, texts, lists and dictionaries, ready for JSON."""
-        from greybox.check.plain import plain
+        from greybox.check.plain import to_plain_values
 
-        return plain(self)
+        return to_plain_values(self)
 
     def __str__(self) -> str:
         from greybox.check.summary import summary
@@ -79,11 +84,11 @@ def check(
     noise: Mapping[str, float] | None = None,
     outputs: Sequence[str] | None = None,
     options: FitOptions | None = None,
-) -> Check:
+) -> ModelCheck:
     """What is known about ``model`` before a fit, and which constants the records determine near the start values.
 
     Units and names were checked when the model was made. Without ``experiments`` a simulated record stands in for them,
-    see `greybox.identifiability.generic`. ``noise``: standard deviation by output, estimated from the records if left
+    see `greybox.identifiability.generic_experiment`. ``noise``: standard deviation by output, estimated from the records if left
     out. ``outputs``: what if only these were measured? None for all that the records have. The standard deviations to
     expect hold if the model is right and the start values are near: a fit says more.
 
@@ -94,26 +99,28 @@ def check(
     _check_outputs(model, outputs)
     assumed = ""
     if not group:
-        record, assumed = generic_record(model)
+        record, assumed = simulate_generic_record(model)
         group = (record,)
     if outputs is not None:
         group = tuple(_only(e, outputs) for e in group)
         noise = {name: std for name, std in (noise or {}).items() if name in outputs}
-    problem = prepare(model, group, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps)
-    measured = measured_outputs(problem)
+    problem = prepare_problem(
+        model, group, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps
+    )
+    measured = list_measured_outputs(problem)
     structure, doubt = _structure(model, measured, options.at_rest)
-    return Check(
+    return ModelCheck(
         model, model.system.linear, problem.step.label, problem.kernel.description, problem.kernel.reason,
         group, assumed,
         {o.name: float(problem.noise.std[j]) for j, o in enumerate(model.outputs) if o.name in measured},
-        "; ".join([problem.noise.source, *left_out(problem)]), structure, judge(problem, structure), doubt,
+        "; ".join([problem.noise.source, *find_excluded_outputs(problem)]), structure, analyse_problem(problem, structure), doubt,
     )  # fmt: skip
 
 
-def _structure(model: Model, measured: Sequence[str], at_rest: bool) -> tuple[Identifiability | None, str]:
+def _structure(model: Model, measured: Sequence[str], at_rest: bool) -> tuple[StructuralIdentifiability | None, str]:
     """The structural finding, or why there is none: a model that overflows is told, and the records are still looked at."""
     try:
-        return identifiability(model, measured, at_rest=at_rest), ""
+        return analyse_structural_identifiability(model, measured, at_rest=at_rest), ""
     except DataError as error:
         return None, str(error)
 

@@ -6,10 +6,10 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from greybox.check.check import Check
+from greybox.check.check import ModelCheck
 
 
-def plain(check: Check) -> dict[str, Any]:
+def to_plain_values(check: ModelCheck) -> dict[str, Any]:
     """Numbers, texts, lists and dictionaries; what is not finite is None."""
     structure, records = check.structure, check.practical
     found = {

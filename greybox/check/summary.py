@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from greybox.check.check import Check
+from greybox.check.check import ModelCheck
 from greybox.experiment import Experiment
-from greybox.identifiability import Expected
-from greybox.model.show import equations
-from greybox.result.summary import number
+from greybox.identifiability import ExpectedPrecision
+from greybox.model.equations import equations_text
+from greybox.result.summary import format_number
 
 
-def summary(check: Check) -> str:
+def summary(check: ModelCheck) -> str:
     """Equations, integration, records, what the outputs can tell at best, and what these records tell."""
     linear = "linear in states and inputs" if check.linear else "nonlinear"
-    lines = [check.model.title, equations(check.model), ""]
+    lines = [check.model.title, equations_text(check.model), ""]
     lines += ["units           every term has the unit of its balance"]
     lines += [f"equations       {linear}; integrated by {check.discretisation}"]
     lines += [f"runs as         {check.kernel} ({check.kernel_reason})"]
@@ -27,7 +27,7 @@ def summary(check: Check) -> str:
     else:
         lines += [f"{'records' if k == 0 else '':<16}{line}" for k, line in enumerate(_records(check.experiments))]
         units = {o.name: o.unit for o in check.model.outputs}
-        noise = ", ".join(f"{name} {number(std, 3)} {units[name]}".rstrip() for name, std in check.noise.items())
+        noise = ", ".join(f"{name} {format_number(std, 3)} {units[name]}".rstrip() for name, std in check.noise.items())
         lines += [f"noise           {noise}; {check.noise_source}", *_excitation(check)]
     if check.practical.failure and not check.model.free_parameters:
         return "\n".join([*lines, "", f"constants       {check.failure}"])
@@ -38,13 +38,13 @@ def _records(experiments: tuple[Experiment, ...]) -> list[str]:
     return [line for e in experiments for line in str(e).splitlines()]
 
 
-def _excitation(check: Check) -> list[str]:
+def _excitation(check: ModelCheck) -> list[str]:
     """One line for each input and record; records that are driven alike share one."""
     found = dict.fromkeys(line for e in check.practical.excitation for line in str(e).splitlines()[: len(e.orders)])
     return [f"{'input' if k == 0 else '':<16}{line}" for k, line in enumerate(found)]
 
 
-def _structure(check: Check) -> list[str]:
+def _structure(check: ModelCheck) -> list[str]:
     structure = check.structure
     if structure is None:
         return [f"what any record can tell: {check.doubt}"]
@@ -58,7 +58,7 @@ def _structure(check: Check) -> list[str]:
     return lines + [f"  {'remedy' if k == 0 else 'or'}: {remedy}" for k, remedy in enumerate(structure.remedies)]
 
 
-def _constants(check: Check) -> list[str]:
+def _constants(check: ModelCheck) -> list[str]:
     if check.failure:
         return [f"constants       {check.failure}"]
     rows = [["constant", "start value", "expected std", "unit", ""]]
@@ -81,12 +81,12 @@ def _constants(check: Check) -> list[str]:
     return lines
 
 
-def _row(name: str, c: Expected) -> list[str]:
+def _row(name: str, c: ExpectedPrecision) -> list[str]:
     if c.std is None:
-        return [name, number(c.value), "", c.unit, "not determined"]
-    told = f"{number(c.std, 2)} ({100 * c.std / abs(c.value):.2g} %)" if c.value else number(c.std, 2)
+        return [name, format_number(c.value), "", c.unit, "not determined"]
+    told = f"{format_number(c.std, 2)} ({100 * c.std / abs(c.value):.2g} %)" if c.value else format_number(c.std, 2)
     remark = "not determined" if not c.determined else "by averaging alone" if c.averaged else ""
-    return [name, number(c.value), told, c.unit, remark]
+    return [name, format_number(c.value), told, c.unit, remark]
 
 
 def _formulas(found: Mapping[str, float]) -> str:

@@ -60,7 +60,7 @@ def check(
     DATA the model is driven by a random input. Writes DIR/check.json and DIR/report.html.
     """
     from greybox.check import check as check_model
-    from greybox.fitting import FitOptions
+    from greybox.estimation import FitOptions
     from greybox.project import resolve
 
     plant = c.constrained(o.changed(resolve(model), effects=effect, fix=fix, start=start, free=free), (), tie)

@@ -21,9 +21,9 @@ from greybox.cli.reporting import NoReport, told, write_report
 
 if TYPE_CHECKING:
     from greybox.comparison import Comparison
-    from greybox.comparison.compare import Named
+    from greybox.comparison.compare import NamedModel
+    from greybox.estimation.options import FitProgress
     from greybox.experiment import Experiment
-    from greybox.fitting.options import Progress
     from greybox.model import Model
     from greybox.result import Fit
 
@@ -55,7 +55,7 @@ def compare(
     effects: Rivals = "",
     prior: c.Prior,
     tie: c.Tie,
-    own: c.Own,
+    per_experiment: c.Own,
     schedule: c.Schedule,
     condition: c.Condition,
     process_noise: p.ProcessNoise,
@@ -101,10 +101,10 @@ def compare(
 
     Exit code 0: there is a comparison. 2: bad input, nothing was written. 130: Ctrl-C, nothing was written.
     """
-    from greybox.comparison.compare import Named, compared
-    from greybox.comparison.contestants import refuse_other_steps
+    from greybox.comparison.black_box_candidates import check_sampling_times
+    from greybox.comparison.compare import NamedModel, compare_named
+    from greybox.estimation import FitOptions
     from greybox.experiment import read_experiments
-    from greybox.fitting import FitOptions
     from greybox.project import resolve
 
     plain = p.pushed(o.changed(c.scheduled(resolve(model), schedule), effects=effect), process_noise)
@@ -121,11 +121,11 @@ def compare(
     hushed = read_experiments(quiet, plain, **how, allow_constant_input=True) if quiet else ()
     o.check_skip(skip, judges)
     p.check_steps(predict, records, judges)
-    refuse_other_steps(records, judges, [q.name for q in plain.outputs])
+    check_sampling_times(records, judges, [q.name for q in plain.outputs])
     if not silent:
         tell_notes(records, judges)
     options = FitOptions(
-        at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, own=c.names(own),
+        at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, per_experiment=c.names(per_experiment),
         transcription=transcription.value, arc_length=arc_length,
     )  # fmt: skip
     seed = s.check_seed(starts, seed)
@@ -137,8 +137,8 @@ def compare(
             fitted.append(grown or _fitted(plant, records, show, starts, seed, given))
         black, notes = _boxes(plain, records, at_rest, show)
         show("judging")
-        grey = [Named(fit.model.title, fit, seconds) for fit, seconds in fitted]
-        result = compared(
+        grey = [NamedModel(fit.model.title, fit, seconds) for fit, seconds in fitted]
+        result = compare_named(
             [*grey, *black], judges, records, skip=skip, steps=[k for k in predict if k], options=options, notes=notes
         )
     fits = None if no_report else {fit.model.title: fit for fit, _ in fitted}
@@ -195,9 +195,9 @@ def _fitted(
     plant: Model, records: Sequence[Experiment], show: Show, starts: int, seed: int, given: Mapping[str, Any]
 ) -> tuple[Fit, float]:
     """The fit, and the seconds it took."""
-    from greybox.fitting import fit, multistart
+    from greybox.estimation import fit, multistart
 
-    def report(progress: Progress) -> None:
+    def report(progress: FitProgress) -> None:
         show(f"{plant.title}: {in_words(progress)}", share_done(progress))
 
     def tally(done: int, jobs: int) -> None:
@@ -213,13 +213,13 @@ def _fitted(
 
 def _boxes(
     plain: Model, records: Sequence[Experiment], at_rest: bool, show: Show
-) -> tuple[tuple[Named, ...], tuple[str, ...]]:
+) -> tuple[tuple[NamedModel, ...], tuple[str, ...]]:
     """The black boxes of every output of ``plain`` that the records measure, and what is to be said about them."""
-    from greybox.comparison.contestants import black_contestants
+    from greybox.comparison.black_box_candidates import fit_black_boxes
 
     measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
     outputs = [q.name for q in measured]
-    return black_contestants(
+    return fit_black_boxes(
         records, outputs, [i.name for i in plain.inputs], at_rest=at_rest,
         units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
         report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scanned(what, done / of, outputs)),
@@ -236,13 +236,13 @@ def _tell(
     quiet: bool,
     json: bool,
 ) -> None:
-    from greybox.figures import comparison_figure
-    from greybox.fitting.fit import versions
-    from greybox.fitting.notes import of_records
+    from greybox.estimation.findings import collect_record_notes
+    from greybox.estimation.fit import read_versions
+    from greybox.plots import comparison_figure
 
-    known = of_records([*records, *judges])
+    known = collect_record_notes([*records, *judges])
     prints = {e.name: e.fingerprint for e in (*records, *judges)}
-    saved = result.save(folder / "compare.json", {"data": prints, "remarks": known, "versions": versions()})
+    saved = result.save(folder / "compare.json", {"data": prints, "remarks": known, "versions": read_versions()})
     if json:
         typer.echo(saved.read_text(encoding="utf-8"), nl=False)
     elif not quiet:

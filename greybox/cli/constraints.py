@@ -115,7 +115,7 @@ def read_under(
     rest. ``how``: further arguments of `greybox.experiment.read_experiments`. Raises GreyboxError.
     """
     from greybox.experiment import read_experiments
-    from greybox.experiment.holes import refuse_guessed_input
+    from greybox.experiment.time_gaps import refuse_unknown_input
 
     stated = dict.fromkeys(text.strip() for text in condition if "=" not in text)
     given = pairs("--condition", (text for text in condition if "=" in text))
@@ -128,7 +128,7 @@ def read_under(
     )
     under = _under(given, records, [_known_as(judge, records) for judge in judges])
     if not split:
-        refuse_guessed_input([*under[0], *under[1]])
+        refuse_unknown_input([*under[0], *under[1]])
         return under
     records, judges = in_pieces(at_rest, *under, runs=len(records) + len(judges) - len(data) - len(validate))
     return records, judges

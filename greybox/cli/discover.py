@@ -79,8 +79,8 @@ def discover(
     from greybox.discovery import discover as find
     from greybox.discovery import further as go_on
     from greybox.effects import effect
+    from greybox.estimation import FitOptions
     from greybox.experiment import read_experiments
-    from greybox.fitting import FitOptions
     from greybox.project import resolve
 
     plant = o.changed(resolve(model), fix=fix, start=start, free=free)
@@ -102,8 +102,10 @@ def discover(
                 options=FitOptions(at_rest=at_rest), say=say, journal=journal, report=report,
             )  # fmt: skip
             if further:
-                deeper = go_on(found.best, judges, plain=plant, effects=chosen, say=say, journal=journal, report=report)
-                found = replace(found, deeper=deeper)
+                refinement = go_on(
+                    found.best, judges, plain=plant, effects=chosen, say=say, journal=journal, report=report
+                )
+                found = replace(found, refinement=refinement)
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command goes on from there" if journal.exists() else ""
         stop(f"interrupted{kept}", INTERRUPTED)
@@ -112,7 +114,7 @@ def discover(
 
 def _write(found: Discovery, folder: Path, *, json: bool, page: bool) -> None:
     from greybox.export import to_python
-    from greybox.figures import discovery_figures
+    from greybox.plots import discovery_figures
 
     saved = found.save(folder / "discovery.json")
     typer.echo(saved.read_text(encoding="utf-8") if json else str(found), nl=not json)

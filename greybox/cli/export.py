@@ -16,7 +16,7 @@ from greybox.cli.reporting import NoReport, told, write_report
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
-    from greybox.export import Family, Linearisation
+    from greybox.export import Linearisation, ModelFamily
     from greybox.reports.of_export import Export
     from greybox.result import Fit
 
@@ -116,7 +116,7 @@ def export(
 
     Exit code 0: written. 2: bad input, nothing was written.
     """
-    from greybox.export.identifiers import identifier
+    from greybox.export.identifiers import to_identifier
 
     point = o.numbers("--at", at)
     given = {
@@ -124,7 +124,7 @@ def export(
     }  # fmt: skip
     _refuse_idle(to, dt, method, given, substeps)
     found = fitted(fit, model)
-    name = identifier(found.model.name)
+    name = to_identifier(found.model.name)
     suffix = "_ss.py" if to is Target.control else SUFFIX[to]
     target = _target(output or Path("results") / f"{name}-export" / f"{name}{suffix}", to, fit)
     if to in LINEAR:
@@ -139,13 +139,15 @@ def export(
 
 
 def _in_json(made: Export, to: Target, report: Path | None) -> str:
-    from greybox.export.files import as_data
-    from greybox.export.plant import plant_of
-    from greybox.result import layout
+    from greybox.export.linear_files import to_data
+    from greybox.export.plant import to_plant
+    from greybox.result import format_json
 
-    linear = as_data(made.linear, plant_of(made.fit), made.family) if made.linear else None
+    linear = to_data(made.linear, to_plant(made.fit), made.family) if made.linear else None
     files = [str(file) for file in made.files]
-    return layout({"target": to.value, "files": files, "report": str(report) if report else None, "linear": linear})
+    return format_json(
+        {"target": to.value, "files": files, "report": str(report) if report else None, "linear": linear}
+    )
 
 
 def _linear(
@@ -154,19 +156,19 @@ def _linear(
 ) -> tuple[list[str], Export]:  # fmt: skip
     from dataclasses import replace
 
-    from greybox.export import family, linearise
-    from greybox.export.files import write_control, write_json, write_mat, write_npz
-    from greybox.export.plant import plant_of
+    from greybox.export import linearise, sample_family
+    from greybox.export.linear_files import write_control, write_json, write_mat, write_npz
+    from greybox.export.plant import to_plant
     from greybox.reports.of_export import Export
 
     whole: Linearisation = linearise(fit, at, dt=dt, method=method.value, delay=delay)
     linear = whole.minimal() if minimal else whole
-    drawn: Family | None = (
-        family(fit, at, number=samples, seed=seed, dt=dt, method=method.value, delay=delay, minimal=minimal)
+    drawn: ModelFamily | None = (
+        sample_family(fit, at, number=samples, seed=seed, dt=dt, method=method.value, delay=delay, minimal=minimal)
         if samples
         else None
     )
-    plant = plant_of(fit)
+    plant = to_plant(fit)
     for text in (*whole.notes, *(drawn.notes if drawn else ())):
         note(f"warning: {text}")
     if to is Target.control:
@@ -181,10 +183,10 @@ def _linear(
 
 def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -> tuple[list[str], Export]:
     from greybox.export import to_c, to_fmu, to_modelica, to_python
-    from greybox.export.plant import plant_of
+    from greybox.export.plant import to_plant
     from greybox.reports.of_export import Export
 
-    for text in plant_of(fit).notes:
+    for text in to_plant(fit).notes:
         note(f"warning: {text}")
     files: tuple[Path, ...]
     if to is Target.c:
@@ -199,9 +201,9 @@ def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -
 
 
 def _step(fit: Fit, dt: float | None) -> str:
-    from greybox.export.plant import plant_of
+    from greybox.export.plant import to_plant
 
-    return f"{dt if dt is not None else plant_of(fit).sampling_time:g} s"
+    return f"{dt if dt is not None else to_plant(fit).sampling_time:g} s"
 
 
 def _refuse_idle(

@@ -19,7 +19,7 @@ from greybox.cli.records import SplitHoles, by_record, tell_notes
 from greybox.cli.reporting import NoReport, told, write_report
 
 if TYPE_CHECKING:
-    from greybox.diagnose import ResidualTests
+    from greybox.residuals import ResidualTests
     from greybox.result import Fit
 
 
@@ -36,7 +36,7 @@ def fit(
     effect: o.Effects,
     prior: c.Prior,
     tie: c.Tie,
-    own: c.Own,
+    per_experiment: c.Own,
     schedule: c.Schedule,
     condition: c.Condition,
     process_noise: p.ProcessNoise,
@@ -84,9 +84,9 @@ def fit(
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.
     """
+    from greybox.estimation import FitOptions
+    from greybox.estimation import fit as fit_model
     from greybox.experiment import read_experiments
-    from greybox.fitting import FitOptions
-    from greybox.fitting import fit as fit_model
     from greybox.project import resolve
 
     plant = p.pushed(o.changed(c.scheduled(resolve(model), schedule), effects=effect), process_noise)
@@ -105,7 +105,7 @@ def fit(
     if not silent:  # those of the fitted records stand in the result, but for JSON
         tell_notes(*((records, judges) if json else (judges,)))
     choice = FitOptions(
-        at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, own=c.names(own),
+        at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, per_experiment=c.names(per_experiment),
         transcription=transcription.value, arc_length=arc_length,
     )  # fmt: skip
     seed, profiled = s.check_seed(starts, seed), i.check(plant, profile, bootstrap)
@@ -128,7 +128,7 @@ def fit(
         stop(f"interrupted; the best point so far is in {saved} (no figures, no report{older})", INTERRUPTED)
     _draw(result, tests, saved, skip, quiet=silent or json, page=not no_report)
     if not result.success:
-        stop(f"no success: {result.solver.meaning}", UNSUCCESSFUL)
+        stop(f"no success: {result.solver.status_message}", UNSUCCESSFUL)
 
 
 def _tell(
@@ -158,18 +158,16 @@ def _tell(
 
 def _tested(result: Fit) -> ResidualTests | None:
     """The tests of the residual; none of a fit that did not succeed, or whose run is not a free one."""
-    from greybox.diagnose import diagnose_residuals
-    from greybox.uncertainty.again import runs_freely
+    from greybox.estimation.restore import has_free_run
+    from greybox.residuals import residual_tests
 
     return (
-        diagnose_residuals(result)
-        if result.success and (runs_freely(result) or result.prediction.process_noise)
-        else None
+        residual_tests(result) if result.success and (has_free_run(result) or result.prediction.process_noise) else None
     )
 
 
 def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool, page: bool) -> None:
-    from greybox.figures import fit_figure, residual_figure
+    from greybox.plots import fit_figure, residual_figure
 
     try:
         figures = fit_figure(result, saved.parent, skip=skip)

@@ -55,9 +55,9 @@ def check(model: Model, profiles: Iterable[str], replicates: int) -> tuple[str, 
 
 def closing(result: Fit) -> list[str]:
     """Lines on what would determine the constants that the records left open."""
-    from greybox.identifiability import missing_knowledge
+    from greybox.identifiability import recommend_after_fit
 
-    return [f"{'remedy' if k == 0 else 'or'}: {text}" for k, text in enumerate(missing_knowledge(result))]
+    return [f"{'remedy' if k == 0 else 'or'}: {text}" for k, text in enumerate(recommend_after_fit(result))]
 
 
 def further(result: Fit, profiles: Iterable[str], replicates: int) -> list[str]:

@@ -19,13 +19,13 @@ def models(
     effect: o.Effects,
 ) -> None:
     """List the models there are, or print the equations and constants of one."""
-    from greybox.model.stated import unused
+    from greybox.model.validation import unused_parameters
     from greybox.project import listing, resolve
 
     if model is not None:
         one = o.changed(resolve(model), effects=effect)
         typer.echo(str(one))
-        for name in unused(one):
+        for name in unused_parameters(one):
             note(f"note: parameter {name!r} is in no equation: a term is missing, or the parameter is one too many")
         return
     found = listing()

@@ -65,15 +65,15 @@ def predicted(result: Fit, judges: Sequence[Experiment], steps: Sequence[int], s
 
     No ``steps`` are one sample, where the records are not too long for an answer that was not asked for.
     """
-    from greybox.diagnose import scores
+    from greybox.residuals import score
 
     rows = sum(len(t.time) for t in result.traces) + sum(e.rows for e in judges)
     wanted = sorted({k for k in steps if k}) if steps else [1] if rows <= UNASKED_ROWS else []
     if not wanted or not result.success:
         return []
-    lines = ["", "free run and prediction", *_indented(str(scores(result, steps=wanted)))]
+    lines = ["", "free run and prediction", *_indented(str(score(result, steps=wanted)))]
     if judges:
-        table = scores(result, judges, steps=wanted, skip=skip)
+        table = score(result, judges, steps=wanted, skip=skip)
         lines += ["", "free run and prediction, validation records", *_indented(str(table))]
     return lines
 

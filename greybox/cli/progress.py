@@ -13,7 +13,7 @@ from greybox.cli.interrupt import Interrupt
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from greybox.fitting.options import Progress, Report
+    from greybox.estimation.options import FitProgress, FitProgressCallback
 
 PATIENCE = 1.0  # seconds before the line appears
 # Iterations of a stage of a fit, and refits of a discovery, as a rule; beyond them a search goes on for a third of what it has
@@ -82,18 +82,18 @@ def gauge() -> Iterator[Show]:
 
 
 @contextmanager
-def meter(title: str, interrupt: Interrupt) -> Iterator[Report]:
+def meter(title: str, interrupt: Interrupt) -> Iterator[FitProgressCallback]:
     """A function to report a fit's progress to, which also hands on a waiting Ctrl-C; the line is gone at the end."""
     with gauge() as show:
 
-        def report(progress: Progress) -> None:
+        def report(progress: FitProgress) -> None:
             interrupt.pass_on()
             show(f"{title}: {in_words(progress)}", share_done(progress))
 
         yield report
 
 
-def in_words(progress: Progress) -> str:
+def in_words(progress: FitProgress) -> str:
     """Where a fit is."""
     return (
         f"stage {progress.stage} of {progress.stages}, iteration {progress.iteration},"
@@ -101,7 +101,7 @@ def in_words(progress: Progress) -> str:
     )
 
 
-def share_done(progress: Progress) -> float:
+def share_done(progress: FitProgress) -> float:
     """Share of a fit that is done, from what a stage takes as a rule: nobody knows how many iterations a search still needs."""
     within = share_of(max(progress.iteration, 0), USUAL_ITERATIONS)
     return (progress.stage - 1 + within) / max(progress.stages, progress.stage)

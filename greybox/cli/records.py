@@ -34,7 +34,7 @@ def tell_notes(*groups: Iterable[Experiment]) -> None:
 
 def in_pieces(at_rest: bool, *groups: Sequence[Experiment], runs: int = 0) -> list[tuple[Experiment, ...]]:
     """Each group with its records cut at the holes in their time, and a word on what was done; ``runs``: cuts made before."""
-    parts = [[record.split_at_holes() for record in group] for group in groups]
+    parts = [[record.split_at_time_gaps() for record in group] for group in groups]
     pairs = [
         (record.source or record.name, len(cut))
         for group, cuts in zip(groups, parts, strict=True)
@@ -56,8 +56,8 @@ def in_pieces(at_rest: bool, *groups: Sequence[Experiment], runs: int = 0) -> li
 
 def by_record(fit: Fit, skip: int) -> list[str]:
     """Lines of a table with the misfit of each record, where there are several; ``skip`` rows of those for validation."""
-    from greybox.figures import misfits_of
-    from greybox.result.summary import MISFIT_HEADS, misfit_cells, table
+    from greybox.plots import misfits_of
+    from greybox.result.summary import MISFIT_HEADS, format_table, to_misfit_cells
 
     lines: list[str] = []
     for title, traces, left_out in (
@@ -65,10 +65,10 @@ def by_record(fit: Fit, skip: int) -> list[str]:
         ("validation record", fit.validation.traces, skip),
     ):
         rows: list[Sequence[str]] = [
-            [trace.name, output, *misfit_cells(m)]
+            [trace.name, output, *to_misfit_cells(m)]
             for trace in traces
             for output, m in misfits_of(fit, trace, left_out).items()
         ]
         if len(traces) > 1:
-            lines += ["", *table([title, "output", *MISFIT_HEADS], rows)]
+            lines += ["", *format_table([title, "output", *MISFIT_HEADS], rows)]
     return lines

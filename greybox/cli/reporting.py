@@ -13,7 +13,8 @@ NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.htm
 
 
 def write_report(value: Any, target: Path, **more: Any) -> Path:
-    """The report of what a command found, as ``target``; ``more`` goes to its builder. Says that it is there with `told`."""
+    """The report of what a command found, as ``target``; ``more`` goes to its builder. Says that it is there with
+    `describe_process_noise`."""
     from greybox.reports import report
 
     return report(value, target, command=typed(), **more)

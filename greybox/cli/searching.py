@@ -12,8 +12,8 @@ from greybox.cli.progress import gauge
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
+    from greybox.estimation import FitOptions, MultiStartResult
     from greybox.experiment import Experiment
-    from greybox.fitting import FitOptions, MultiStart
     from greybox.model import Model
 
 
@@ -70,9 +70,9 @@ def check_seed(starts: int, seed: int | None) -> int:
 def from_many(
     model: Model, records: Sequence[Experiment], starts: int, seed: int, *, noise: Mapping[str, float],
     quiet: Sequence[Experiment], validation: Sequence[Experiment], skip: int, options: FitOptions,
-) -> MultiStart:  # fmt: skip
+) -> MultiStartResult:  # fmt: skip
     """A fit from many starts, with a line on a terminal that says how many are done."""
-    from greybox.fitting import multistart
+    from greybox.estimation import multistart
 
     with gauge() as show:
         return multistart(

@@ -111,11 +111,11 @@ def simulate(
     """
     import numpy as np
 
-    from greybox.experiment.timebase import hole_named
+    from greybox.experiment.sampling import describe_longest_time_gap
     from greybox.project import resolve
     from greybox.simulation import read_inputs, write_csv
     from greybox.simulation import simulate as run_model
-    from greybox.units import tidy
+    from greybox.units import format_unit
 
     plant = o.changed(resolve(model), effects=effect, start=set_)
     target = _target(output or Path("results") / f"{plant.name}-simulated.csv", inputs)
@@ -127,7 +127,7 @@ def simulate(
     chosen = _one_drive(plant, inputs, shapes, shaping, column)
     if inputs is not None:
         experiment = read_inputs(inputs, plant, columns=o.pairs("--column", column), hold=hold.value)
-        hole = hole_named(experiment.time)
+        hole = describe_longest_time_gap(experiment.time)
         if hole:
             note(f"note: {experiment.source}: {hole}")
     else:
@@ -144,7 +144,7 @@ def simulate(
         note(f"note: {target} was there already; it has been overwritten")
     report = None
     if output is not None and not no_report:
-        units = {q.name: tidy(q.unit) for q in plant.outputs}
+        units = {q.name: format_unit(q.unit) for q in plant.outputs}
         added = ", ".join(f"{name} {std:g} {units[name]}".rstrip() for name, std in said.items())
         report = write_report(run, target.with_suffix(".html"), model=plant, noise=added)
     typer.echo(_in_json(run, target, report) if json else _in_words(run, target, report))

@@ -1,7 +1,7 @@
 """Physical and black-box models on the same records: errors, number of constants, stability, and which is best where."""
 
+from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import compare
-from greybox.comparison.contestants import black_contestants
-from greybox.comparison.values import Comparison, Entry, Run, Score
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
 
-__all__ = ["Comparison", "Entry", "Run", "Score", "black_contestants", "compare"]
+__all__ = ["Comparison", "ComparisonEntry", "ComparisonRun", "ComparisonScore", "compare", "fit_black_boxes"]

@@ -7,33 +7,46 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.comparison.black import black_runs
-from greybox.comparison.grey import feedthrough, filtered, grey_runs, options_of, stable
-from greybox.comparison.values import BlackBoxModel, Comparison, Entry, Run, Score, score
-from greybox.diagnose.scores import check_steps
+from greybox.comparison.black_box_runs import run_black_box
+from greybox.comparison.grey_box_runs import (
+    choose_predictor,
+    compute_feedthrough,
+    is_stable,
+    resolve_options,
+    run_grey_box,
+)
+from greybox.comparison.result import (
+    BlackBoxModel,
+    Comparison,
+    ComparisonEntry,
+    ComparisonRun,
+    ComparisonScore,
+    compute_score,
+)
 from greybox.errors import DataError
+from greybox.estimation import FitOptions
 from greybox.experiment import Experiment
-from greybox.fitting import FitOptions
 from greybox.model import Model
+from greybox.residuals.scores import check_steps_ahead
 from greybox.result import Fit
 
 FEWEST_JUDGED = 2  # rows of a validation record that must be left
 
-Contestant = Model | Fit | BlackBoxModel | Sequence[BlackBoxModel]
+ComparedModel = Model | Fit | BlackBoxModel | Sequence[BlackBoxModel]
 
 
 @dataclass(frozen=True, eq=False)
-class Named:
+class NamedModel:
     """A contestant with its name and the seconds it took to fit."""
 
     name: str
-    model: Contestant
+    model: ComparedModel
     seconds: float = 0.0
     notes: tuple[str, ...] = ()
 
 
 def compare(
-    models: Sequence[Contestant] | Mapping[str, Contestant],
+    models: Sequence[ComparedModel] | Mapping[str, ComparedModel],
     experiments: Experiment | Sequence[Experiment] = (),
     *,
     training: Experiment | Sequence[Experiment] = (),
@@ -55,16 +68,16 @@ def compare(
     Raises DataError where there is nothing to compare or to compare on, and for names given twice.
     """
     entered = [
-        Named(name, model)
+        NamedModel(name, model)
         for name, model in (models.items() if isinstance(models, Mapping) else ((_name(m), m) for m in models))
     ]
-    return compared(
+    return compare_named(
         entered, _group(experiments), _group(training), skip=skip, steps=steps, options=options, units=units
     )
 
 
-def compared(
-    entered: Sequence[Named],
+def compare_named(
+    entered: Sequence[NamedModel],
     judging: Sequence[Experiment],
     training: Sequence[Experiment],
     *,
@@ -89,8 +102,8 @@ def compared(
     if skip < 0 or shortest - skip < FEWEST_JUDGED:
         raise DataError(f"skip: {skip} rows, but the shortest record has {shortest}; leave out fewer rows")
     for group in (judging, training):
-        check_steps(steps, group)
-    at_rest = options.at_rest if options is not None else any(options_of(f, None).at_rest for f in fits)
+        check_steps_ahead(steps, group)
+    at_rest = options.at_rest if options is not None else any(resolve_options(f, None).at_rest for f in fits)
     known = _units(entered, units or {})
     further = tuple(sorted({int(k) for k in steps} - {1}))
     entries = tuple(_entry(named, judging, training, skip, further, options, at_rest, known) for named in entered)
@@ -102,7 +115,7 @@ def compared(
 
 
 def _entry(
-    named: Named,
+    named: NamedModel,
     judging: Sequence[Experiment],
     training: Sequence[Experiment],
     skip: int,
@@ -110,24 +123,27 @@ def _entry(
     options: FitOptions | None,
     at_rest: bool,
     units: Mapping[str, str],
-) -> Entry:
+) -> ComparisonEntry:
     model = named.model
     if isinstance(model, (Model, Fit)):
-        choice, ahead = options_of(model, options), filtered(model, sum(e.rows for e in (*training, *judging)))
+        choice, ahead = (
+            resolve_options(model, options),
+            choose_predictor(model, sum(e.rows for e in (*training, *judging))),
+        )
         fitted, judged = (
-            grey_runs(model, group, training=own, skip=0 if own else skip, options=choice, ahead=ahead, steps=steps)
+            run_grey_box(model, group, training=own, skip=0 if own else skip, options=choice, ahead=ahead, steps=steps)
             for group, own in ((training, True), (judging, False))
         )
         plant = model.model if isinstance(model, Fit) else model
         corrected = (f"predictions corrected by: {ahead.correction.words}",) if ahead else ()
         return _scored(
             named, "grey", fitted, judged, units, parameters=len(plant.free_parameters),
-            structure={o.name: plant.title for o in plant.outputs}, stable=stable(plant, [*fitted, *judged]),
-            feedthrough=feedthrough(plant), notes=(*named.notes, *_troubles(model), *corrected),
+            structure={o.name: plant.title for o in plant.outputs}, stable=is_stable(plant, [*fitted, *judged]),
+            feedthrough=compute_feedthrough(plant), notes=(*named.notes, *_troubles(model), *corrected),
         )  # fmt: skip
     boxes = tuple(model) if isinstance(model, Sequence) else (model,)
     fitted, judged = (
-        [r for box in boxes for r in black_runs(box, group, training=own, skip=skip, at_rest=at_rest, steps=steps)]
+        [r for box in boxes for r in run_black_box(box, group, training=own, skip=skip, at_rest=at_rest, steps=steps)]
         for group, own in ((training, True), (judging, False))
     )
     direct = {f"{b.output}/{name}": share for b in boxes for name, share in b.feedthrough.items() if share}
@@ -139,25 +155,31 @@ def _entry(
 
 
 def _scored(
-    named: Named, kind: str, fitted: Sequence[Run], judged: Sequence[Run], units: Mapping[str, str], *, parameters: int,
+    named: NamedModel,
+    kind: str,
+    fitted: Sequence[ComparisonRun],
+    judged: Sequence[ComparisonRun],
+    units: Mapping[str, str],
+    *,
+    parameters: int,
     **facts: object,
-) -> Entry:  # fmt: skip
-    def scores(runs: Sequence[Run]) -> dict[str, Score]:
+) -> ComparisonEntry:
+    def scores(runs: Sequence[ComparisonRun]) -> dict[str, ComparisonScore]:
         outputs = dict.fromkeys(run.output for run in runs)
-        return {name: score([r for r in runs if r.output == name], units.get(name, "")) for name in outputs}
+        return {name: compute_score([r for r in runs if r.output == name], units.get(name, "")) for name in outputs}
 
-    by_record: dict[str, dict[str, Score]] = {}
+    by_record: dict[str, dict[str, ComparisonScore]] = {}
     for run in (*fitted, *judged):
-        by_record.setdefault(run.record, {})[run.output] = score([run], units.get(run.output, ""))
+        by_record.setdefault(run.record, {})[run.output] = compute_score([run], units.get(run.output, ""))
     training = scores(fitted)
-    return Entry(
+    return ComparisonEntry(
         named.name, kind, parameters=parameters, training=training, validation=scores(judged), records=by_record,  # type: ignore[arg-type]
         bic=_bic(training, parameters), seconds=named.seconds, training_runs=tuple(fitted), validation_runs=tuple(judged),
         **facts,  # type: ignore[arg-type]
     )  # fmt: skip
 
 
-def _bic(training: Mapping[str, Score], parameters: int) -> float:
+def _bic(training: Mapping[str, ComparisonScore], parameters: int) -> float:
     """``sum N ln(mean square free-run error) + p ln(sum N)``; NaN without training records."""
     count = sum(s.samples for s in training.values())
     if not count:
@@ -168,10 +190,14 @@ def _bic(training: Mapping[str, Score], parameters: int) -> float:
 
 
 def _troubles(model: Model | Fit) -> tuple[str, ...]:
-    return (f"the fit did not succeed: {model.solver.meaning}",) if isinstance(model, Fit) and not model.success else ()
+    return (
+        (f"the fit did not succeed: {model.solver.status_message}",)
+        if isinstance(model, Fit) and not model.success
+        else ()
+    )
 
 
-def _units(entered: Sequence[Named], given: Mapping[str, str]) -> dict[str, str]:
+def _units(entered: Sequence[NamedModel], given: Mapping[str, str]) -> dict[str, str]:
     known: dict[str, str] = {}
     for named in entered:
         plant = named.model.model if isinstance(named.model, Fit) else named.model
@@ -180,7 +206,7 @@ def _units(entered: Sequence[Named], given: Mapping[str, str]) -> dict[str, str]
     return {**known, **given}
 
 
-def _name(model: Contestant) -> str:
+def _name(model: ComparedModel) -> str:
     if isinstance(model, Fit):
         return model.model.title
     if isinstance(model, Model):

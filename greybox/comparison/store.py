@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from greybox.comparison.values import Comparison, Entry, Score
-from greybox.result import plain
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
+from greybox.result import to_json_data
 
 
 def save(comparison: Comparison, path: str | Path, further: Mapping[str, Any]) -> Path:
@@ -16,12 +16,12 @@ def save(comparison: Comparison, path: str | Path, further: Mapping[str, Any]) -
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_text(
-        json.dumps(plain({**as_data(comparison), **further}), indent=1, allow_nan=False) + "\n", encoding="utf-8"
+        json.dumps(to_json_data({**to_data(comparison), **further}), indent=1, allow_nan=False) + "\n", encoding="utf-8"
     )
     return target
 
 
-def as_data(comparison: Comparison) -> dict[str, Any]:
+def to_data(comparison: Comparison) -> dict[str, Any]:
     """The comparison as nested dictionaries: ``models`` -> name -> kind, parameters, validation ..., and the verdict."""
     return {
         "models": {entry.name: _entry(entry) for entry in comparison.entries},
@@ -34,7 +34,7 @@ def as_data(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def _entry(entry: Entry) -> dict[str, Any]:
+def _entry(entry: ComparisonEntry) -> dict[str, Any]:
     return {
         "kind": entry.kind,
         "parameters": entry.parameters,
@@ -50,7 +50,7 @@ def _entry(entry: Entry) -> dict[str, Any]:
     }
 
 
-def _scores(scores: Mapping[str, Score]) -> dict[str, Any]:
+def _scores(scores: Mapping[str, ComparisonScore]) -> dict[str, Any]:
     return {
         output: {
             "rmse": s.rmse, "best_fit_percent": s.best_fit_percent, "one_step_rmse": s.one_step_rmse,

@@ -6,22 +6,22 @@ import math
 import textwrap
 from collections.abc import Iterator, Mapping
 
-from greybox.comparison.values import Comparison, Entry, Score
-from greybox.result.summary import number, table
-from greybox.units import tidy
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
+from greybox.result.summary import format_number, format_table
+from greybox.units import format_unit
 
 WIDTH, WIDEST_NAME = 100, 42  # columns of the whole text, and of a model's name in it
 MOST_RECORDS = 5  # records with a column of their own
 
 
-def written(comparison: Comparison) -> str:
+def format_comparison(comparison: Comparison) -> str:
     """Errors by output, best first, on validation and training records; what each model is; the verdict."""
     lines: list[str] = []
     groups = (("validation", comparison.validation), ("training", comparison.training))
     for group, records in groups:
         if records:
             for output, unit in comparison.outputs.items():
-                lines += [*_errors(comparison, group, output, tidy(unit)), ""]
+                lines += [*_errors(comparison, group, output, format_unit(unit)), ""]
     lines += [*_by_record(comparison), *_models(comparison), ""]
     lines += [f"{e.name}: {', '.join(dict.fromkeys(e.structure.values()))}" for e in comparison.entries]
     said = [*comparison.verdict, *(f"note: {note}" for note in comparison.notes)]
@@ -31,9 +31,9 @@ def written(comparison: Comparison) -> str:
 
 
 def _errors(comparison: Comparison, group: str, output: str, unit: str) -> Iterator[str]:
-    scores: dict[str, Score] = {}
+    scores: dict[str, ComparisonScore] = {}
     for entry in comparison.entries:
-        found: Mapping[str, Score] = getattr(entry, group)
+        found: Mapping[str, ComparisonScore] = getattr(entry, group)
         if output in found:
             scores[entry.name] = found[output]
     further = sorted({k for s in scores.values() for k in s.ahead_rmse})
@@ -45,7 +45,7 @@ def _errors(comparison: Comparison, group: str, output: str, unit: str) -> Itera
         for name, s in sorted(scores.items(), key=lambda item: _rank(item[1].rmse))
     ]  # fmt: skip
     title = f"{group}: {output} [{unit}]" if unit else f"{group}: {output}"
-    yield from table([title, "box", "free run", "best fit", "one step", *(f"{k} ahead" for k in further)], rows)
+    yield from format_table([title, "box", "free run", "best fit", "one step", *(f"{k} ahead" for k in further)], rows)
 
 
 def _by_record(comparison: Comparison) -> Iterator[str]:
@@ -57,11 +57,11 @@ def _by_record(comparison: Comparison) -> Iterator[str]:
         rows = [[_short(e.name), *(_fit_cell(e, record, output) for record in shown)] for e in comparison.entries]
         left_out = len(comparison.validation) - len(shown)
         title = f"best fit [%], {output}" + (f" ({left_out} more records in the file)" if left_out else "")
-        yield from table([title, *(_short(name, 14) for name in shown)], rows)
+        yield from format_table([title, *(_short(name, 14) for name in shown)], rows)
         yield ""
 
 
-def _fit_cell(entry: Entry, record: str, output: str) -> str:
+def _fit_cell(entry: ComparisonEntry, record: str, output: str) -> str:
     scores = entry.records.get(record, {})
     return f"{scores[output].best_fit_percent:.2f}" if output in scores else "-"
 
@@ -71,11 +71,11 @@ def _models(comparison: Comparison) -> Iterator[str]:
         [
             _short(e.name), e.kind, str(e.parameters), "-" if not math.isfinite(e.bic) else f"{e.bic:.0f}",
             "yes" if e.stable else "no",
-            ", ".join(f"{number(v, 3)}" for v in e.feedthrough.values()) or "none", f"{e.seconds:.1f} s" if e.seconds else "-",
+            ", ".join(f"{format_number(v, 3)}" for v in e.feedthrough.values()) or "none", f"{e.seconds:.1f} s" if e.seconds else "-",
         ]
         for e in comparison.entries
     ]  # fmt: skip
-    yield from table(["model", "box", "numbers", "BIC", "stable", "feed-through", "time"], rows)
+    yield from format_table(["model", "box", "numbers", "BIC", "stable", "feed-through", "time"], rows)
 
 
 def _rank(value: float) -> float:
@@ -85,7 +85,7 @@ def _rank(value: float) -> float:
 def _cell(value: float) -> str:
     if math.isnan(value):
         return "-"
-    return number(value, 4) if math.isfinite(value) else "grows away"
+    return format_number(value, 4) if math.isfinite(value) else "grows away"
 
 
 def _short(name: str, most: int = WIDEST_NAME) -> str:

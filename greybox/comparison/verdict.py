@@ -6,32 +6,34 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from greybox.comparison.values import Comparison, Entry, Score
-from greybox.result.summary import number
-from greybox.units import tidy
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
+from greybox.result.summary import format_number
+from greybox.units import format_unit
 
 EQUAL = 0.02  # relative difference of two errors that is none
 
 
-def verdict(comparison: Comparison) -> tuple[str, ...]:
+def judge_comparison(comparison: Comparison) -> tuple[str, ...]:
     """Best model of each output in the free run and one sample ahead, by how much, and what to keep in mind of the winners."""
     said: list[str] = []
     where = "on the validation records" if comparison.validation else "on the fitted records, which judge too kindly"
     for output, unit in comparison.outputs.items():
         for what, error in (("free run", _rmse), ("one sample ahead", _one_step)):
-            said += _best(comparison, output, tidy(unit), f"{what} {where}", error)
+            said += _best(comparison, output, format_unit(unit), f"{what} {where}", error)
     return (*said, *_remarks(comparison))
 
 
-def _rmse(score: Score) -> float:
+def _rmse(score: ComparisonScore) -> float:
     return score.rmse
 
 
-def _one_step(score: Score) -> float:
+def _one_step(score: ComparisonScore) -> float:
     return score.one_step_rmse
 
 
-def _best(comparison: Comparison, output: str, unit: str, where: str, error: Callable[[Score], float]) -> Iterator[str]:
+def _best(
+    comparison: Comparison, output: str, unit: str, where: str, error: Callable[[ComparisonScore], float]
+) -> Iterator[str]:
     ranked = [
         (error(comparison.judged(e)[output]), e)
         for e in comparison.entries
@@ -41,7 +43,7 @@ def _best(comparison: Comparison, output: str, unit: str, where: str, error: Cal
     if not ranked:
         return
     least, first = ranked[0]
-    text = f"{output}, {where}: {_called(first)} is best, {number(least, 4)} {unit}".rstrip()
+    text = f"{output}, {where}: {_called(first)} is best, {format_number(least, 4)} {unit}".rstrip()
     other = "black" if first.kind == "grey" else "grey"
     rivals = [(value, entry) for value, entry in ranked if entry.kind == other]
     if not rivals:
@@ -51,11 +53,11 @@ def _best(comparison: Comparison, output: str, unit: str, where: str, error: Cal
     if value <= (1 + EQUAL) * least:
         yield f"{text}; {_called(rival)} is as good within {100 * EQUAL:.0f} %"
         return
-    times = f"{value / least:.3g} times as much" if least > 0 else f"{number(value, 4)} {unit}".rstrip()
+    times = f"{value / least:.3g} times as much" if least > 0 else f"{format_number(value, 4)} {unit}".rstrip()
     yield f"{text}; {_called(rival)}, the best {other} box, makes {times}"
 
 
-def _called(entry: Entry) -> str:
+def _called(entry: ComparisonEntry) -> str:
     box = "grey box" if entry.kind == "grey" else "black box"
     return f"{entry.name} ({box}, {entry.parameters} numbers)"
 

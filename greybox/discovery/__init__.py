@@ -1,20 +1,40 @@
 """Where model and data disagree, which effect is missing, and whether one may say so."""
 
-from greybox.discovery.attempt import Attempt, drop_effect, try_effect
-from greybox.discovery.bench import Bench, Trial
-from greybox.discovery.find import discover
-from greybox.discovery.further import Deepened, Further, further
-from greybox.discovery.gap import Gap
-from greybox.discovery.look import Signal, Site, Unexplained, unexplained
-from greybox.discovery.missing import Missing
-from greybox.discovery.region import Region
-from greybox.discovery.result import Discovery, Rank
-from greybox.discovery.spectrum import Spectrum, residual_spectrum
-from greybox.discovery.stand_in import StandIn, Tone
-from greybox.discovery.when import Window
+from greybox.discovery.dependence import Dependence
+from greybox.discovery.effect_signal import EffectSignal
+from greybox.discovery.effect_test import EffectTest, drop_effect, try_effect
+from greybox.discovery.further import Refinement, RefinementStep, further
+from greybox.discovery.holdout_error import HoldoutError
+from greybox.discovery.localisation import RankedSite, ResidualLocalisation, ResidualSignal, localise_residual
+from greybox.discovery.misfit_windows import MisfitWindow
+from greybox.discovery.pipeline import discover
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.residual_spectrum import ResidualSpectrum, estimate_residual_spectrum
+from greybox.discovery.result import Discovery, RankedCandidate
+from greybox.discovery.surrogate import Surrogate, SurrogateTone
 
 __all__ = [
-    "Attempt", "Bench", "Deepened", "Discovery", "Further", "Gap", "Missing", "Rank", "Region", "Signal", "Site", "Spectrum", "StandIn",
-    "Tone", "Trial", "Unexplained", "Window",
-    "discover", "drop_effect", "further", "residual_spectrum", "try_effect", "unexplained",
-]  # fmt: skip
+    "CandidateFit",
+    "Dependence",
+    "Discovery",
+    "DiscoveryProblem",
+    "EffectSignal",
+    "EffectTest",
+    "HoldoutError",
+    "MisfitWindow",
+    "RankedCandidate",
+    "RankedSite",
+    "Refinement",
+    "RefinementStep",
+    "ResidualLocalisation",
+    "ResidualSignal",
+    "ResidualSpectrum",
+    "Surrogate",
+    "SurrogateTone",
+    "discover",
+    "drop_effect",
+    "estimate_residual_spectrum",
+    "further",
+    "localise_residual",
+    "try_effect",
+]

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.discovery import rules
-from greybox.discovery.attempt import judged, scales_along
-from greybox.discovery.bench import Bench, Start, Trial
-from greybox.discovery.form import is_refinement
-from greybox.discovery.refit import Journal, Refits
-from greybox.discovery.starts import candidate_starts
-from greybox.discovery.veto import held_out
-from greybox.effects import Scales, applicable, tailored
+from greybox.discovery import decision
+from greybox.discovery.effect_test import estimate_scales, finish_and_validate
+from greybox.discovery.execution import RefitExecutor, RefitJournal
+from greybox.discovery.holdout import score_holdout
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem, StartValues
+from greybox.discovery.shape_correction import is_shape_correction
+from greybox.discovery.starting_points import generate_starting_points
+from greybox.effects import Scales, applicable_effects, tailor_to_record
 from greybox.experiment import Experiment
 from greybox.model import Effect, Model
 from greybox.noise import AutoRegression
@@ -39,7 +39,7 @@ Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Further:
+class RefinementStep:
     """One further effect: its name, the share of the rms misfit that it takes away on the fitted and on the validation records, and
     what does nearly as well in its place (``alike``: with what share on the validation records)."""
 
@@ -55,11 +55,11 @@ class Further:
 
 
 @dataclass(frozen=True, eq=False)
-class Deepened(ReadOnly):
+class Refinement(ReadOnly):
     """What `further` found: the fit with all effects, its misfit on the validation records, and each step there."""
 
     fit: Fit
-    steps: tuple[Further, ...]
+    steps: tuple[RefinementStep, ...]
 
     @property
     def story(self) -> str:
@@ -85,7 +85,7 @@ def further(
     say: Say | None = None,
     journal: str | Path | None = None,
     report: Callable[[int], None] | None = None,
-) -> Deepened:
+) -> Refinement:
     """Effects that the model of ``fit`` still lacks, one at a time, ``most`` at most.
 
     ``fit``: of a model that already has its large effects, as `discover` gives them (``found.best``). It is refitted to the same
@@ -97,17 +97,19 @@ def further(
     Raises ModelError or DataError as `greybox.fit` does, DataError for a file that is no journal.
     """
     judges, tell = (validation,) if isinstance(validation, Experiment) else tuple(validation), say or _silent
-    refits = Refits(journal=Journal(Path(journal)) if journal else None, report=report)
-    bench = replace(_white(Bench.of(fit), fit), refits=refits)
+    refits = RefitExecutor(journal=RefitJournal(Path(journal)) if journal else None, report=report)
+    bench = replace(_white(DiscoveryProblem.of(fit), fit), refits=refits)
     start = bench.at(fit)
     model = _without_refinements(fit.model)
     chosen = (
         bench.best(model, [{n: v for n, v in fit.model.values.items() if n in model.values}], keep=1, like=start)
         or start
     )
-    scales = scales_along(chosen)
-    candidates = [tailored(e, scales) for e in effects] if effects else applicable(plain or fit.model, scales)
-    before, steps = held_out(bench, chosen, judges), list[Further]()
+    scales = estimate_scales(chosen)
+    candidates = (
+        [tailor_to_record(e, scales) for e in effects] if effects else applicable_effects(plain or fit.model, scales)
+    )
+    before, steps = score_holdout(bench, chosen, judges), list[RefinementStep]()
     tell(f"{chosen.model.title}: misfit on the validation records {before:.3g} times that of the fit")
     while len(steps) < most:
         gains = [
@@ -119,25 +121,29 @@ def further(
         alike = sorted((g for g in gains if g[0].per_sample ** 0.5 <= (1 + ALIKE) * least), key=lambda g: g[1])
         best, after, share = alike[0]
         near = {_added(chosen, t): 1 - m / before for t, m, _ in alike[1:] if m <= (1 + ALIKE) * after}
-        steps.append(Further(_added(chosen, best), share, 1 - after / before, near))
+        steps.append(RefinementStep(_added(chosen, best), share, 1 - after / before, near))
         tell(str(steps[-1]))
         chosen, before = best, after
-    return Deepened(judged(chosen, bench, judges), tuple(steps))
+    return Refinement(finish_and_validate(chosen, bench, judges), tuple(steps))
 
 
-Gain = tuple[Trial, float, float]
+Gain = tuple[CandidateFit, float, float]
 
 
-def _gain(bench: Bench, smaller: Trial, larger: Trial, judges: Sequence[Experiment], before: float) -> Gain | None:
+def _gain(
+    bench: DiscoveryProblem, smaller: CandidateFit, larger: CandidateFit, judges: Sequence[Experiment], before: float
+) -> Gain | None:
     """The larger model, its misfit on the judging records, and its share of the fitted misfit; None where it is not demanded."""
     share = 1 - (larger.cost / smaller.cost) ** 0.5
-    if rules.gain(smaller, larger) <= rules.STRONG or share < FITTED:
+    if decision.criterion_gain(smaller, larger) <= decision.STRONG or share < FITTED:
         return None
-    after = held_out(bench, larger, judges)
+    after = score_holdout(bench, larger, judges)
     return (larger, after, share) if after <= (1 - HELD_OUT) * before else None
 
 
-def _extended(bench: Bench, chosen: Trial, candidates: Sequence[Effect], scales: Scales) -> list[Trial]:
+def _extended(
+    bench: DiscoveryProblem, chosen: CandidateFit, candidates: Sequence[Effect], scales: Scales
+) -> list[CandidateFit]:
     """``chosen`` with each of the most promising further effects."""
     names = set(chosen.effects)
     inside = {parent for b in chosen.model.bound_effects for parent in b.effect.parents}
@@ -150,22 +156,22 @@ def _extended(bench: Bench, chosen: Trial, candidates: Sequence[Effect], scales:
 
 
 def _without_refinements(model: Model) -> Model:
-    for name in [e.name for e in model.effects if is_refinement(e.name)]:
+    for name in [e.name for e in model.effects if is_shape_correction(e.name)]:
         model = model.without(name)
     return model
 
 
-def _starts(chosen: Trial, effect: Effect, scales: Scales) -> list[Start]:
+def _starts(chosen: CandidateFit, effect: Effect, scales: Scales) -> list[StartValues]:
     """Where the refit with a further effect begins: with nothing of it, and at the usual amplitudes and shapes."""
     model = chosen.model + effect
-    return [model.values, *candidate_starts(model, effect, chosen, chosen.model, scales)]
+    return [model.values, *generate_starting_points(model, effect, chosen, chosen.model, scales)]
 
 
-def _added(smaller: Trial, larger: Trial) -> str:
+def _added(smaller: CandidateFit, larger: CandidateFit) -> str:
     return next(name for name in larger.effects if name not in smaller.effects)
 
 
-def _white(bench: Bench, fit: Fit) -> Bench:
+def _white(bench: DiscoveryProblem, fit: Fit) -> DiscoveryProblem:
     """The same bench with white noise of the level of the residual."""
     noise = bench.problem(fit.model).noise
     outputs = [o.name for o in fit.model.outputs]

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from greybox.discovery.form import is_refinement
-from greybox.discovery.further import Deepened
-from greybox.discovery.gap import Gap
-from greybox.discovery.look import Unexplained
-from greybox.discovery.missing import Missing
-from greybox.discovery.stand_in import StandIn
-from greybox.result import Fit, layout, plain
+from greybox.discovery.effect_signal import EffectSignal
+from greybox.discovery.further import Refinement
+from greybox.discovery.holdout_error import HoldoutError
+from greybox.discovery.localisation import ResidualLocalisation
+from greybox.discovery.shape_correction import is_shape_correction
+from greybox.discovery.surrogate import Surrogate
+from greybox.result import Fit, format_json, to_json_data
 
 
 @dataclass(frozen=True)
-class Rank:
+class RankedCandidate:
     """One candidate as it did on the estimation records: misfit over noise, and how far its criterion is above the best."""
 
     effects: tuple[str, ...]
@@ -43,15 +43,15 @@ class Discovery:
     base: Fit
     best: Fit
     alternatives: Sequence[tuple[str, ...]]
-    gap: Mapping[str, Gap]
-    ranking: Sequence[Rank]
-    look: Unexplained
+    gap: Mapping[str, HoldoutError]
+    ranking: Sequence[RankedCandidate]
+    look: ResidualLocalisation
     story: str
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
-    missing: tuple[Missing, ...] = ()
-    stand_in: StandIn | None = None
-    deeper: Deepened | None = None
+    missing: tuple[EffectSignal, ...] = ()
+    surrogate: Surrogate | None = None
+    refinement: Refinement | None = None
     next_steps: tuple[str, ...] = ()
 
     @property
@@ -63,21 +63,21 @@ class Discovery:
     def extended(self) -> Fit:
         """The fit to go on with: that with the named effects, and what was found beyond them; the plain one where it is complete; with
         the stand-in where it is unknown."""
-        if self.deeper is not None and self.deeper.steps:
-            return self.deeper.fit
-        return self.stand_in.fit if self.verdict == "unknown" and self.stand_in is not None else self.best
+        if self.refinement is not None and self.refinement.steps:
+            return self.refinement.fit
+        return self.surrogate.fit if self.verdict == "unknown" and self.surrogate is not None else self.best
 
     @property
     def form(self) -> tuple[str, ...]:
         """Refinements in the best model: second branches, or a curve, where the form of an effect is not quite the catalogue's."""
-        return tuple(e.name for e in self.best.model.effects if is_refinement(e.name))
+        return tuple(e.name for e in self.best.model.effects if is_shape_correction(e.name))
 
     @property
     def effects(self) -> list[dict[str, Any]]:
         """Name, site and constants of each effect in the best model; none if the plain model is complete."""
         found = []
         for b in self.best.model.bound_effects:
-            if is_refinement(b.effect.name):
+            if is_shape_correction(b.effect.name):
                 continue
             constants = {}
             for own, there in b.own.items():
@@ -93,7 +93,7 @@ class Discovery:
         """Write ``discovery.json``."""
         data = {
             "verdict": self.verdict, "effects": self.effects, "form": self.form, "alternatives": self.alternatives, "sites": self._sites(),
-            "when": self.look.windows, "regions": self.look.regions, "stand_in": self._stand_in(),
+            "when": self.look.windows, "regions": self.look.dependences, "stand_in": self._stand_in(),
             "further": self._further(),
             "parameters": self.best.parameters, "gap": self.gap, "ranking": self.ranking, "story": self.story,
             "next_steps": self.next_steps, "notes": self.notes, "seconds": self.seconds,
@@ -102,7 +102,7 @@ class Discovery:
         }  # fmt: skip
         target = Path(path)
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(layout(plain(data)) + "\n", encoding="utf-8")
+        target.write_text(format_json(to_json_data(data)) + "\n", encoding="utf-8")
         return target
 
     def _sites(self) -> list[dict[str, Any]]:
@@ -114,26 +114,26 @@ class Discovery:
         ]
 
     def _further(self) -> dict[str, Any] | None:
-        if self.deeper is None:
+        if self.refinement is None:
             return None
-        fit = self.deeper.fit
+        fit = self.refinement.fit
         return {
-            "steps": self.deeper.steps, "effects": [e.name for e in fit.model.effects], "parameters": fit.parameters,
+            "steps": self.refinement.steps, "effects": [e.name for e in fit.model.effects], "parameters": fit.parameters,
             "misfit": fit.misfit, "validation": fit.validation,
         }  # fmt: skip
 
     def _stand_in(self) -> dict[str, Any] | None:
-        found = self.stand_in
+        found = self.surrogate
         if found is None:
             return None
         return {
             "site": found.site, "variable": found.variable, "variable_unit": found.variable_unit, "unit": found.unit,
-            "closed": found.closed, "gap": found.gap, "values": found.values, "curve": found.curve,
+            "closed": found.explained_fraction, "gap": found.gap, "values": found.values, "curve": found.curve,
             "shape": found.shape, "period": found.region.period, "tone": found.tone,
         }  # fmt: skip
 
     def __str__(self) -> str:
-        lines = [self.story, *([self.deeper.story] if self.deeper is not None else []), ""]
+        lines = [self.story, *([self.refinement.story] if self.refinement is not None else []), ""]
         if self.look.missing:
             lines += [f"  the plain model: {line}" for line in str(self.look).splitlines()]
         for effect in self.effects:
@@ -142,11 +142,11 @@ class Discovery:
             lines.append(f"  {looks}{effect['name']} -> {effect['site']}: {values}")
         for output, gap in self.gap.items():
             lines.append(f"  {output}: rms misfit on the validation records {gap}")
-        if self.deeper is not None and self.deeper.steps:
-            after = self.deeper.fit.validation.misfit.items()
+        if self.refinement is not None and self.refinement.steps:
+            after = self.refinement.fit.validation.misfit.items()
             lines += [f"  {o}: {m.rmse:.4g} {m.unit}".rstrip() + " with the further effects" for o, m in after]
-        if self.stand_in is not None:
-            lines.append(f"  stand-in: {self.stand_in}")
+        if self.surrogate is not None:
+            lines.append(f"  stand-in: {self.surrogate}")
         if self.ranking:
             lines += ["", "  candidate                                misfit/noise   behind the best"]
             lines += [f"  {' + '.join(r.effects):40s} {r.misfit:12.4g}   {r.behind:15.4g}" for r in self.ranking[:10]]

@@ -8,15 +8,15 @@ until a fit, or ``model.start(Fc=1.5)``, says otherwise. The exception is ``chok
 
 from __future__ import annotations
 
-from greybox.effects.between_samples import BETWEEN_SAMPLES
 from greybox.effects.damping import DAMPING
 from greybox.effects.elasticity import ELASTICITY
 from greybox.effects.electrical import ELECTRICAL
 from greybox.effects.flow import FLOW
 from greybox.effects.friction import FRICTION
+from greybox.effects.intersample import BETWEEN_SAMPLES
 from greybox.effects.level import LEVEL
 from greybox.effects.load import LOAD
-from greybox.effects.scales import Scales, scales_of, tailored
+from greybox.effects.scales import Scales, measure_scales, tailor_to_record
 from greybox.effects.signal_path import SIGNAL_PATH
 from greybox.errors import ModelError, UnitError, nearest
 from greybox.model import Effect, Model
@@ -25,7 +25,28 @@ CATALOGUE: tuple[Effect, ...] = (
     *FRICTION, *DAMPING, *ELASTICITY, *ELECTRICAL, *FLOW, *LEVEL, *LOAD, *SIGNAL_PATH, *BETWEEN_SAMPLES,
 )  # fmt: skip
 
-__all__ = ["CATALOGUE", "Scales", "applicable", "effect", "scales_of", "tailored"]
+__all__ = [
+    "BETWEEN_SAMPLES",
+    "CATALOGUE",
+    "DAMPING",
+    "ELASTICITY",
+    "ELECTRICAL",
+    "FLOW",
+    "FRICTION",
+    "LEVEL",
+    "LOAD",
+    "SIGNAL_PATH",
+    "Effect",
+    "Model",
+    "ModelError",
+    "Scales",
+    "UnitError",
+    "applicable_effects",
+    "effect",
+    "measure_scales",
+    "nearest",
+    "tailor_to_record",
+]
 
 
 def effect(name: str) -> Effect:
@@ -39,19 +60,19 @@ def effect(name: str) -> Effect:
     raise ModelError(f"the catalogue has no effect {name!r}; {nearest(name, [entry.name for entry in CATALOGUE])}")
 
 
-def applicable(model: Model, scales: Scales | None = None) -> list[Effect]:
+def applicable_effects(model: Model, scales: Scales | None = None) -> list[Effect]:
     """The effects of the catalogue that ``model`` may hide, in catalogue order: its ``candidates``, or all that fit.
 
     An effect fits if the model has its site, every role that its equation and units speak of and every term that it
     replaces, and does not contain it already. A model without a balance ``force`` takes no friction, one without a
-    ``displacement`` no spring. With ``scales`` each is `tailored` to the record.
+    ``displacement`` no spring. With ``scales`` each is `tailor_to_record` to the record.
 
     Raises ModelError for an unknown name among the candidates, UnitError if an effect fits but its term has not the unit
     of its balance: a mistake in the catalogue.
     """
     wanted = [effect(name).name for name in model.candidates] or [entry.name for entry in CATALOGUE]
     fitting = [entry for entry in CATALOGUE if entry.name in wanted and _fits(model, entry)]
-    return [tailored(entry, scales) for entry in fitting] if scales else fitting
+    return [tailor_to_record(entry, scales) for entry in fitting] if scales else fitting
 
 
 def _fits(model: Model, entry: Effect) -> bool:

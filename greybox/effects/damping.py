@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import casadi as ca
 
+from greybox.effects.parameters import amplitude_parameter
 from greybox.effects.scales import Scales
-from greybox.effects.words import amplitude
 from greybox.model import Effect
-from greybox.signals import Expression, Named
+from greybox.model.signals import Expression, NamedValues
 
 # What tells the members of the family apart: quadratic_damping (in friction) is one of them.
 FAMILY = (
@@ -17,15 +17,15 @@ FAMILY = (
 )
 
 
-def _displacement(x: Named, u: Named, p: Named) -> Expression:
+def _displacement(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.D2 * x.displacement**2 * x.velocity
 
 
-def _cubic(x: Named, u: Named, p: Named) -> Expression:
+def _cubic(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.B3 * x.velocity**3
 
 
-def _directional(x: Named, u: Named, p: Named) -> Expression:
+def _directional(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.Ba * ca.fabs(x.velocity)
 
 
@@ -37,7 +37,9 @@ displacement_damping = Effect(
     "displacement_damping",
     site="force",
     parameters=[
-        amplitude("D2", "{force}/({displacement}**2*{velocity})", "damping over squared displacement, either sign")
+        amplitude_parameter(
+            "D2", "{force}/({displacement}**2*{velocity})", "damping over squared displacement, either sign"
+        )
     ],
     terms=_displacement,
     equation="-D2 x^2 v",
@@ -51,7 +53,7 @@ displacement_damping = Effect(
 cubic_damping = Effect(
     "cubic_damping",
     site="force",
-    parameters=[amplitude("B3", "{force}/{velocity}**3", "damping force over cubed velocity", low=0.0)],
+    parameters=[amplitude_parameter("B3", "{force}/{velocity}**3", "damping force over cubed velocity", low=0.0)],
     terms=_cubic,
     equation="-B3 v^3",
     parity="odd",
@@ -65,7 +67,9 @@ directional_damping = Effect(
     "directional_damping",
     site="force",
     parameters=[
-        amplitude("Ba", "{force}/{velocity}", "half the difference of the viscous friction by direction, either sign")
+        amplitude_parameter(
+            "Ba", "{force}/{velocity}", "half the difference of the viscous friction by direction, either sign"
+        )
     ],
     terms=_directional,
     equation="-Ba abs(v): damping B + Ba forward, B - Ba backward",

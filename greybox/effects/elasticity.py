@@ -7,10 +7,10 @@ from collections.abc import Mapping
 
 import casadi as ca
 
+from greybox.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
 from greybox.effects.scales import Scales
-from greybox.effects.words import amplitude, shape, spread
 from greybox.model import Balance, Effect
-from greybox.signals import Expression, Named, State
+from greybox.model.signals import Expression, NamedValues, State
 
 # Of the moving mass: a second mass this heavy is visible but small.
 SECOND_MASS = 0.04
@@ -21,36 +21,36 @@ SECOND_DAMPING = 0.02
 NO_COUPLING, COUPLED = 1e-9, 1e-12
 
 
-def _cubic(x: Named, u: Named, p: Named) -> Expression:
+def _cubic(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.K3 * x.displacement**3
 
 
-def _quadratic(x: Named, u: Named, p: Named) -> Expression:
+def _quadratic(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.K2 * x.displacement**2
 
 
-def _return_spring(x: Named, u: Named, p: Named) -> Expression:
+def _return_spring(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.Ks * x.displacement
 
 
-def _creep(x: Named, u: Named, p: Named) -> Expression:
+def _creep(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.K1 * (x.displacement - x.z)
 
 
-def _creeping(x: Named, u: Named, p: Named) -> list[Balance]:
+def _creeping(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("creep", "{displacement}", p.tau1, "z", stretch=x.displacement - x.z)]
 
 
 def _creep_grid(s: Scales) -> Mapping[str, list[float]]:
     # Faster than the body itself it is damping, slower than the record a stiffness.
-    return {"tau1": spread(max(s.fastest, 4 * s.period), 0.5 * s.duration, 5)}
+    return {"tau1": geometric_grid(max(s.fastest, 4 * s.period), 0.5 * s.duration, 5)}
 
 
-def _bouc_wen(x: Named, u: Named, p: Named) -> Expression:
+def _bouc_wen(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.alpha * x.z
 
 
-def _hysteresis(x: Named, u: Named, p: Named) -> list[Balance]:
+def _hysteresis(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     # With |gamma| > beta the loop turns into a hardening spring, which has a name of its own.
     gamma = ca.fmin(ca.fmax(p.gamma, -p.beta), p.beta)
     v = x.velocity
@@ -58,16 +58,16 @@ def _hysteresis(x: Named, u: Named, p: Named) -> list[Balance]:
     return [Balance("loop", "{velocity}", 1, "z", motion=v, **closing)]
 
 
-def _second(x: Named, p: Named) -> Expression:
+def _second(x: NamedValues, p: NamedValues) -> Expression:
     """Force of the second mass on the body."""
     return p.k2 * (x.z1 - x.displacement) + p.c2 * (x.z2 - x.velocity)
 
 
-def _second_mode(x: Named, u: Named, p: Named) -> Expression:
+def _second_mode(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return _second(x, p)
 
 
-def _second_mass(x: Named, u: Named, p: Named) -> list[Balance]:
+def _second_mass(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [
         Balance("second_position", "{velocity}", 1, "z1", velocity=x.z2),
         Balance("second_force", "{force}", p.m2, "z2", reaction=-_second(x, p)),
@@ -82,7 +82,7 @@ def _second_grid(s: Scales) -> Mapping[str, list[float]]:
     return {
         "m2": [m2],
         # Neighbours a quarter apart: a refit finds a sharp resonance only from nearby.
-        "k2": [m2 * w**2 for w in spread(low, high, 16)],
+        "k2": [m2 * w**2 for w in geometric_grid(low, high, 16)],
         "c2": [2 * SECOND_DAMPING * m2 * middle],
     }
 
@@ -101,7 +101,9 @@ def _second_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
 cubic_stiffness = Effect(
     "cubic_stiffness",
     site="force",
-    parameters=[amplitude("K3", "{force}/{displacement}**3", "cubic stiffness, positive for a spring that hardens")],
+    parameters=[
+        amplitude_parameter("K3", "{force}/{displacement}**3", "cubic stiffness, positive for a spring that hardens")
+    ],
     terms=_cubic,
     equation="-K3 x^3",
     parity="odd",
@@ -118,7 +120,7 @@ quadratic_stiffness = Effect(
     "quadratic_stiffness",
     site="force",
     parameters=[
-        amplitude(
+        amplitude_parameter(
             "K2", "{force}/{displacement}**2", "quadratic stiffness of a spring that differs by side, either sign"
         )
     ],
@@ -138,8 +140,8 @@ viscoelastic_creep = Effect(
     "viscoelastic_creep",
     site="force",
     parameters=[
-        amplitude("K1", "{force}/{displacement}", "stiffness of the branch that relaxes", low=0.0),
-        shape("tau1", "s", 0.1, (1e-7, 1e6), "time in which it relaxes"),
+        amplitude_parameter("K1", "{force}/{displacement}", "stiffness of the branch that relaxes", low=0.0),
+        shape_parameter("tau1", "s", 0.1, (1e-7, 1e6), "time in which it relaxes"),
     ],
     states=[State("z", "{displacement}", lambda p: p.sensor, relaxing=True, description="crept position")],
     terms=_creep,
@@ -160,9 +162,9 @@ bouc_wen_hysteresis = Effect(
     "bouc_wen_hysteresis",
     site="force",
     parameters=[
-        amplitude("alpha", "{force}/{displacement}", "stiffness of the hysteretic branch", low=0.0),
-        shape("beta", "1/{displacement}", 1e4, (1e-9, 1e12), "how soon the branch yields"),
-        shape(
+        amplitude_parameter("alpha", "{force}/{displacement}", "stiffness of the hysteretic branch", low=0.0),
+        shape_parameter("beta", "1/{displacement}", 1e4, (1e-9, 1e12), "how soon the branch yields"),
+        shape_parameter(
             "gamma",
             "1/{displacement}",
             0.0,
@@ -182,15 +184,17 @@ bouc_wen_hysteresis = Effect(
     source="R. Bouc 1967; Y. K. Wen 1976, Method for random vibration of hysteretic systems (exponent 1)",
     amplitudes=("alpha",),
     probe=lambda s: {"alpha": s.share / s.displacement},
-    grid=lambda s: {"beta": spread(0.3 / s.displacement, 30 / s.displacement, 5), "gamma": [0.0]},
+    grid=lambda s: {"beta": geometric_grid(0.3 / s.displacement, 30 / s.displacement, 5), "gamma": [0.0]},
 )
 
 second_mode = Effect(
     "second_mode",
     site="force",
     parameters=[
-        shape("m2", "{force}*s/{velocity}", 1e-9, (1e-15, 1e9), "mass that swings on the body", "small, until fitted"),
-        shape(
+        shape_parameter(
+            "m2", "{force}*s/{velocity}", 1e-9, (1e-15, 1e9), "mass that swings on the body", "small, until fitted"
+        ),
+        shape_parameter(
             "k2",
             "{force}/{displacement}",
             NO_COUPLING,
@@ -198,7 +202,7 @@ second_mode = Effect(
             "stiffness between the two",
             "small, until fitted",
         ),
-        shape(
+        shape_parameter(
             "c2", "{force}/{velocity}", NO_COUPLING, (COUPLED, 1e12), "damping between the two", "small, until fitted"
         ),
     ],
@@ -224,7 +228,9 @@ second_mode = Effect(
 return_spring = Effect(
     "return_spring",
     site="force",
-    parameters=[amplitude("Ks", "{force}/{displacement}", "stiffness of a spring towards zero displacement", low=0.0)],
+    parameters=[
+        amplitude_parameter("Ks", "{force}/{displacement}", "stiffness of a spring towards zero displacement", low=0.0)
+    ],
     terms=_return_spring,
     equation="-Ks s",
     parity="linear",

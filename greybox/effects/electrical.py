@@ -4,36 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from greybox.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
 from greybox.effects.scales import Scales
-from greybox.effects.words import amplitude, shape, spread
 from greybox.model import Balance, Effect
-from greybox.signals import Expression, Named, State
+from greybox.model.signals import Expression, NamedValues, State
 
 
-def _droop(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+def _droop(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     left = 1 - p.a * x.displacement**2
     return {"force_constant": p.force_constant * left, "back_emf_constant": p.back_emf_constant * left}
 
 
-def _warm(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+def _warm(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     return {"resistance": p.resistance * (1 + x.z)}
 
 
-def _heat(x: Named, u: Named, p: Named) -> list[Balance]:
+def _heat(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     # The resistance as it is used already carries the factor 1 + z.
     return [Balance("heat", "1", p.tau_th, "z", power=p.Rth * p.resistance * x.current**2, cooling=-x.z)]
 
 
-def _split(x: Named, u: Named, p: Named) -> Expression:
+def _split(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     """Current from the amplifier when the inductance carries ``x.current`` and ``Re`` the rest."""
     return (u.drive - p.back_emf_constant * x.velocity + p.Re * x.current) / (p.resistance + p.Re)
 
 
-def _eddy_current(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+def _eddy_current(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     return {"current": _split(x, u, p)}
 
 
-def _eddy_force(x: Named, u: Named, p: Named) -> Mapping[str, Mapping[str, Expression]]:
+def _eddy_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Mapping[str, Expression]]:
     # Only the current in the inductance makes force; the other terms take the current from the amplifier.
     return {"force": {"coil": p.force_constant * x.current}}
 
@@ -43,13 +43,15 @@ def _warming(s: Scales) -> Mapping[str, float]:
 
 
 def _warming_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"tau_th": spread(0.02 * s.duration, 2 * s.duration, 4)}
+    return {"tau_th": geometric_grid(0.02 * s.duration, 2 * s.duration, 4)}
 
 
 force_constant_droop = Effect(
     "force_constant_droop",
     site="force",
-    parameters=[amplitude("a", "1/{displacement}**2", "share of force and back EMF lost per squared displacement")],
+    parameters=[
+        amplitude_parameter("a", "1/{displacement}**2", "share of force and back EMF lost per squared displacement")
+    ],
     on_parameter=_droop,
     equation="Kf (1 - a x^2), Kv (1 - a x^2)",
     parity="odd",
@@ -66,8 +68,8 @@ winding_heating = Effect(
     "winding_heating",
     site="voltage",
     parameters=[
-        amplitude("Rth", "1/({voltage}*{current})", "rise of the resistance, as a share, per power", low=0.0),
-        shape("tau_th", "s", 1.0, (1e-3, 1e7), "time in which the winding warms"),
+        amplitude_parameter("Rth", "1/({voltage}*{current})", "rise of the resistance, as a share, per power", low=0.0),
+        shape_parameter("tau_th", "s", 1.0, (1e-3, 1e7), "time in which the winding warms"),
     ],
     states=[State("z", "", description="rise of the resistance, as a share")],
     on_parameter=_warm,
@@ -88,7 +90,7 @@ eddy_current = Effect(
     "eddy_current",
     site="voltage",
     parameters=[
-        shape(
+        shape_parameter(
             "Re", "{voltage}/{current}", 1e6, (1e-6, 1e9), "loop resistance in parallel with the inductance",
             "large: absent until fitted",
         )

@@ -6,17 +6,17 @@ from collections.abc import Mapping
 
 import casadi as ca
 
+from greybox.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
 from greybox.effects.scales import Scales
-from greybox.effects.words import amplitude, shape, spread
 from greybox.model import Balance, Effect
-from greybox.signals import Expression, Named, State
+from greybox.model.signals import Expression, NamedValues, State
 
 LAMINAR = 0.01  # phi^2 below which the flow is laminar: the root has no slope where both pressures are equal
 LEAST_VOLUME = 0.01  # of a chamber, where a trial step leaves the stroke
 LEAST_PRESSURE = 0.01  # of ambient, where a trial step would empty a chamber
 
 
-def _leakage(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+def _leakage(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     across = p.kl * (x.chamber_a - x.chamber_b)
     return {"pressure_a": -across, "pressure_b": across}
 
@@ -30,20 +30,20 @@ def _orifice(upstream: Expression, downstream: Expression, b: Expression) -> Exp
     return high * square / ca.sqrt(ca.fmax(ca.fabs(square), LAMINAR))
 
 
-def _flow(u: Expression, p: Named) -> Expression:
+def _flow(u: Expression, p: NamedValues) -> Expression:
     """``G max(u, 0)``, the rate of pressure by a choked flow."""
     gain = p.ambient_pressure * p.valve_gain * p.supply_pressure / (p.ambient_density * p.total_volume)
     return gain * ca.fmax(u, 0)
 
 
-def _filling(x: Named, u: Named, p: Named) -> Mapping[str, Mapping[str, Expression]]:
+def _filling(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Mapping[str, Expression]]:
     def filled(opening: Expression, pressure: Expression) -> Mapping[str, Expression]:
         return {"valve_flow": _flow(opening, p) * _orifice(p.supply_pressure, pressure, p.b) / p.supply_pressure}
 
     return {"pressure_a": filled(u.valve, x.chamber_a), "pressure_b": filled(-u.valve, x.chamber_b)}
 
 
-def _venting(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+def _venting(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     def vented(opening: Expression, pressure: Expression) -> Expression:
         inside = ca.fmax(pressure, LEAST_PRESSURE * p.ambient_pressure)
         return -p.ce * _flow(opening, p) * _orifice(inside, p.ambient_pressure, p.b) / p.supply_pressure
@@ -51,19 +51,19 @@ def _venting(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
     return {"pressure_a": vented(-u.valve, x.chamber_a), "pressure_b": vented(u.valve, x.chamber_b)}
 
 
-def _drooped(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+def _drooped(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     return {"valve_gain": p.valve_gain * (1 - x.z)}
 
 
-def _drain(x: Named, u: Named, p: Named) -> list[Balance]:
+def _drain(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("droop", "1", p.tau_d, "z", drain=p.r * ca.fabs(u.valve), recovery=-x.z)]
 
 
 def _droop_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"tau_d": spread(max(s.fastest, 4 * s.period), 0.2 * s.duration, 4)}
+    return {"tau_d": geometric_grid(max(s.fastest, 4 * s.period), 0.2 * s.duration, 4)}
 
 
-def _volumes(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+def _volumes(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     change = p.scale * p.piston_area * x.displacement / (p.total_volume / 2)
     return {"pressure_a": ca.fmax(1 + change, LEAST_VOLUME), "pressure_b": ca.fmax(1 - change, LEAST_VOLUME)}
 
@@ -71,7 +71,7 @@ def _volumes(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
 chamber_leakage = Effect(
     "chamber_leakage",
     site="pressure_a",
-    parameters=[amplitude("kl", "1/s", "rate at which the pressures of both chambers meet", low=0.0)],
+    parameters=[amplitude_parameter("kl", "1/s", "rate at which the pressures of both chambers meet", low=0.0)],
     terms=_leakage,
     equation="-kl (p_a - p_b) on chamber a, plus on chamber b",
     parity="linear",
@@ -89,8 +89,10 @@ choked_flow = Effect(
     "choked_flow",
     site="pressure_a",
     parameters=[
-        shape("b", "1", 0.3, (0.01, 0.9), "critical pressure ratio", "usual: spool valves have 0.2 to 0.4"),
-        shape("ce", "1", 1.0, (0.05, 20.0), "conductance of the exhaust over that of the inlet", "equal edges"),
+        shape_parameter("b", "1", 0.3, (0.01, 0.9), "critical pressure ratio", "usual: spool valves have 0.2 to 0.4"),
+        shape_parameter(
+            "ce", "1", 1.0, (0.05, 20.0), "conductance of the exhaust over that of the inlet", "equal edges"
+        ),
     ],
     on_term=_filling,
     terms=_venting,
@@ -111,8 +113,8 @@ supply_droop = Effect(
     "supply_droop",
     site="pressure_a",
     parameters=[
-        amplitude("r", "1/{valve}", "share of the flow lost per opening held", low=0.0),
-        shape("tau_d", "s", 0.5, (1e-6, 1e6), "time in which the supply follows"),
+        amplitude_parameter("r", "1/{valve}", "share of the flow lost per opening held", low=0.0),
+        shape_parameter("tau_d", "s", 0.5, (1e-6, 1e6), "time in which the supply follows"),
     ],
     states=[State("z", "", relaxing=True, description="share of the flow lost")],
     on_parameter=_drooped,
@@ -132,7 +134,9 @@ position_dependent_volume = Effect(
     "position_dependent_volume",
     site="pressure_a",
     parameters=[
-        amplitude("scale", "1", "share of the swept volume that changes the chambers: 1 is geometry", low=0.0, high=2.0)
+        amplitude_parameter(
+            "scale", "1", "share of the swept volume that changes the chambers: 1 is geometry", low=0.0, high=2.0
+        )
     ],
     on_storage=_volumes,
     equation="V/2 (1 +- scale A s/(V/2)) for the two chambers",

@@ -7,37 +7,37 @@ from itertools import product
 
 import casadi as ca
 
+from greybox.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
 from greybox.effects.scales import Scales
-from greybox.effects.words import amplitude, shape, spread
 from greybox.model import Balance, DryFriction, Effect
-from greybox.signals import Expression, Named, State
+from greybox.model.signals import Expression, NamedValues, State
 
 FULL = "Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky 1998, Friction models and compensation"
 FRICTION_LEVELS = (
-    amplitude("Fc", "{force}", "friction while sliding fast", low=0.0),
-    amplitude("Fs", "{force}", "friction at standstill", low=0.0),
-    shape("vs", "{velocity}", 0.01, (1e-9, 1e6), "velocity over which the friction falls from Fs to Fc"),
+    amplitude_parameter("Fc", "{force}", "friction while sliding fast", low=0.0),
+    amplitude_parameter("Fs", "{force}", "friction at standstill", low=0.0),
+    shape_parameter("vs", "{velocity}", 0.01, (1e-9, 1e6), "velocity over which the friction falls from Fs to Fc"),
 )
 # Friction at standstill over that of sliding, to start from: metals dry 1.2, seals and grease up to 2.5.
 RATIOS = (1.2, 1.6, 2.4)
 
 
-def _coulomb(x: Named, u: Named, p: Named) -> DryFriction:
+def _coulomb(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
     # Coulomb holds at standstill exactly what it takes while sliding.
     return DryFriction(sliding=p.Fc, static=p.Fc)
 
 
-def _level(x: Named, p: Named) -> Expression:
+def _level(x: NamedValues, p: NamedValues) -> Expression:
     """Friction of steady sliding at the present speed."""
     return p.Fc + (p.Fs - p.Fc) * ca.exp(-((x.velocity / p.vs) ** 2))
 
 
-def _stribeck(x: Named, u: Named, p: Named) -> DryFriction:
+def _stribeck(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
     return DryFriction(sliding=_level(x, p), static=p.Fs)
 
 
 def _speeds(s: Scales) -> list[float]:
-    return spread(0.01 * s.velocity, 0.5 * s.velocity, 4)
+    return geometric_grid(0.01 * s.velocity, 0.5 * s.velocity, 4)
 
 
 def _stribeck_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
@@ -48,17 +48,17 @@ def _stribeck_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mappi
     ]
 
 
-def _bristle_rate(x: Named, p: Named) -> Expression:
+def _bristle_rate(x: NamedValues, p: NamedValues) -> Expression:
     # Without friction (Fc = Fs = 0) the bristles bend freely and carry nothing: keep the quotient finite.
     level = _level(x, p)
     return x.velocity - p.s0 * ca.fabs(x.velocity) * x.z / ca.if_else(level > 0, level, ca.inf)
 
 
-def _lugre(x: Named, u: Named, p: Named) -> Expression:
+def _lugre(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return ca.if_else(_level(x, p) > 0, -(p.s0 * x.z + p.s1 * _bristle_rate(x, p)), 0)
 
 
-def _bristles(x: Named, u: Named, p: Named) -> list[Balance]:
+def _bristles(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("bristles", "{velocity}", 1, "z", bending=_bristle_rate(x, p))]
 
 
@@ -82,8 +82,8 @@ def _lugre_grid(s: Scales) -> Mapping[str, list[float]]:
     bristles = _bristle_grid(s.share, s)
     stiffest, softest = bristles[0], bristles[-1]
     return {
-        "vs": spread(0.03 * s.velocity, 0.3 * s.velocity, 2),
-        "s0": spread(softest["s0"], stiffest["s0"], 3),
+        "vs": geometric_grid(0.03 * s.velocity, 0.3 * s.velocity, 2),
+        "s0": geometric_grid(softest["s0"], stiffest["s0"], 3),
         "s1": [(stiffest["s1"] * softest["s1"]) ** 0.5],
     }
 
@@ -93,14 +93,16 @@ def _lugre_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     return {"s1": (0.0, 3 * s.storage / s.period)}
 
 
-def _quadratic_damping(x: Named, u: Named, p: Named) -> Expression:
+def _quadratic_damping(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.B2 * ca.fabs(x.velocity) * x.velocity
 
 
 coulomb_friction = Effect(
     "coulomb_friction",
     site="force",
-    parameters=[amplitude("Fc", "{force}", "friction while sliding, and the most it holds at standstill", low=0.0)],
+    parameters=[
+        amplitude_parameter("Fc", "{force}", "friction while sliding, and the most it holds at standstill", low=0.0)
+    ],
     dry=_coulomb,
     equation="-Fc sign(v)",
     parity="odd",
@@ -136,8 +138,8 @@ lugre_friction = Effect(
     site="force",
     parameters=(
         *FRICTION_LEVELS,
-        shape("s0", "{force}/{displacement}", 1e4, (1e-9, 1e15), "stiffness of the bristles"),
-        shape("s1", "{force}/{velocity}", 1.0, (0.0, 1e12), "damping of the bristles"),
+        shape_parameter("s0", "{force}/{displacement}", 1e4, (1e-9, 1e15), "stiffness of the bristles"),
+        shape_parameter("s1", "{force}/{velocity}", 1.0, (0.0, 1e12), "damping of the bristles"),
     ),
     states=(State("z", "{displacement}", relaxing=True, description="mean bending of the bristles"),),
     terms=_lugre,
@@ -160,7 +162,7 @@ lugre_friction = Effect(
 quadratic_damping = Effect(
     "quadratic_damping",
     site="force",
-    parameters=[amplitude("B2", "{force}/{velocity}**2", "drag force over squared velocity", low=0.0)],
+    parameters=[amplitude_parameter("B2", "{force}/{velocity}**2", "drag force over squared velocity", low=0.0)],
     terms=_quadratic_damping,
     equation="-B2 abs(v) v",
     parity="odd",

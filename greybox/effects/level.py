@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import casadi as ca
 
+from greybox.effects.parameters import amplitude_parameter, shape_parameter
 from greybox.effects.scales import Scales
-from greybox.effects.words import amplitude, shape
 from greybox.model import Effect
-from greybox.signals import Expression, Named
+from greybox.model.signals import Expression, NamedValues
 
 # Edges tried, as shares of the highest level; rates of overflow per sampling period, to start from and at most.
 EDGES, RATE, FASTEST = (0.95, 0.8, 0.65, 0.5, 0.35, 0.25), 0.1, 4.0
@@ -23,13 +23,13 @@ def _over(level: Expression, edge: Expression, rate: Expression) -> Expression:
     return rate * ca.fmax(level - edge, 0)
 
 
-def _upper(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+def _upper(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     spilt = _over(x.upper_head, p.edge, p.ko)
     # The outlet tells how the same water raises the two levels: it lowers one by upper_outlet, raises the other by lower_inlet.
     return {"upper_level": -spilt, "lower_level": p.share * spilt * p.lower_inlet / p.upper_outlet}
 
 
-def _lower(x: Named, u: Named, p: Named) -> Expression:
+def _lower(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -_over(x.lower_head, p.edge, p.ko)
 
 
@@ -50,12 +50,12 @@ def _limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     return {"ko": (0.0, FASTEST / s.period)}
 
 
-def _curved(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+def _curved(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     share = value / p.full
     return value + (1 - share) * (p.y0 - p.bow * value)
 
 
-def _ended(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+def _ended(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return ca.fmin(value, p.y_max)
 
 
@@ -63,9 +63,9 @@ upper_overflow = Effect(
     "upper_overflow",
     site="upper_level",
     parameters=[
-        amplitude("ko", "1/s", "rate at which what stands above the edge runs over", low=0.0),
-        shape("edge", "{upper_head}", 10.0, (1e-6, 1e6), "level of the edge"),
-        shape("share", "1", 0.5, (0.0, 1.0), "share of the spilt water that falls into the lower tank"),
+        amplitude_parameter("ko", "1/s", "rate at which what stands above the edge runs over", low=0.0),
+        shape_parameter("edge", "{upper_head}", 10.0, (1e-6, 1e6), "level of the edge"),
+        shape_parameter("share", "1", 0.5, (0.0, 1.0), "share of the spilt water that falls into the lower tank"),
     ],
     terms=_upper,
     equation="-ko max(x1 - edge, 0) on the upper tank, plus share k2/k1 of it on the lower",
@@ -85,8 +85,8 @@ lower_overflow = Effect(
     "lower_overflow",
     site="lower_level",
     parameters=[
-        amplitude("ko", "1/s", "rate at which what stands above the edge runs over", low=0.0),
-        shape("edge", "{lower_head}", 10.0, (1e-6, 1e6), "level of the edge"),
+        amplitude_parameter("ko", "1/s", "rate at which what stands above the edge runs over", low=0.0),
+        shape_parameter("edge", "{lower_head}", 10.0, (1e-6, 1e6), "level of the edge"),
     ],
     terms=_lower,
     equation="-ko max(x2 - edge, 0)",
@@ -106,13 +106,14 @@ reading_curve = Effect(
     "reading_curve",
     site="sensor",
     parameters=[
-        amplitude("y0", "{sensor}", "reading of an empty tank, either sign"),
-        amplitude(
+        amplitude_parameter("y0", "{sensor}", "reading of an empty tank, either sign"),
+        amplitude_parameter(
             "bow", "1", "how much lower than a straight line the reading runs in between, as a share; either sign"
         ),
         # Both figures describe the way from nothing to this reading; any other would do as well.
         replace(
-            shape("full", "{sensor}", 10.0, (1e-9, NO_END), "reading at which level and reading agree"), fixed=True
+            shape_parameter("full", "{sensor}", 10.0, (1e-9, NO_END), "reading at which level and reading agree"),
+            fixed=True,
         ),
     ],
     on_output=_curved,
@@ -128,7 +129,9 @@ reading_curve = Effect(
 sensor_saturation = Effect(
     "sensor_saturation",
     site="sensor",
-    parameters=[shape("y_max", "{sensor}", NO_END, (1e-9, NO_END), "largest reading", "large: absent until fitted")],
+    parameters=[
+        shape_parameter("y_max", "{sensor}", NO_END, (1e-9, NO_END), "largest reading", "large: absent until fitted")
+    ],
     on_output=_ended,
     equation="min(y, y_max)",
     parity="even",

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from greybox.effects.words import amplitude
+from greybox.effects.parameters import amplitude_parameter
 from greybox.model import Effect
-from greybox.signals import Expression, Named
+from greybox.model.signals import Expression, NamedValues
 
 
-def _constant(x: Named, u: Named, p: Named) -> Expression:
+def _constant(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return p.F0
 
 
 constant_load = Effect(
     "constant_load",
     site="force",
-    parameters=[amplitude("F0", "{force}", "constant external force (a weight), either sign")],
+    parameters=[amplitude_parameter("F0", "{force}", "constant external force (a weight), either sign")],
     terms=_constant,
     equation="+F0",
     parity="even",

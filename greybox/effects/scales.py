@@ -51,7 +51,7 @@ class Scales:
         return 0.02 * self.force
 
 
-def scales_of(model: Model, x: np.ndarray, u: np.ndarray, period: float) -> Scales:
+def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) -> Scales:
     """The scales of ``model`` along its states ``x`` (N, nx) and inputs ``u`` (N, nu), sampled every ``period`` seconds.
 
     Rows that are not finite are left out. Raises DataError if there is no other.
@@ -86,7 +86,7 @@ def scales_of(model: Model, x: np.ndarray, u: np.ndarray, period: float) -> Scal
     )  # fmt: skip
 
 
-def tailored(entry: Effect, scales: Scales) -> Effect:
+def tailor_to_record(entry: Effect, scales: Scales) -> Effect:
     """``entry`` for a record of these scales: shape parameters start inside the grid, and their bounds reach a thousand times further.
 
     A delay gets its longest value from here: the catalogue cannot know how the record is sampled.

@@ -7,24 +7,24 @@ from dataclasses import replace
 
 import casadi as ca
 
+from greybox.effects.parameters import amplitude_parameter, shape_parameter
 from greybox.effects.scales import Scales
-from greybox.effects.words import amplitude, shape
 from greybox.model import Balance, Effect
-from greybox.signals import Expression, Named, State
+from greybox.model.signals import Expression, NamedValues, State
 
 LONGEST_DELAY = 16  # sampling periods
 SMALLEST_LAG = 1e-8  # s
 
 
-def _offset(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+def _offset(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return value + p.u0
 
 
-def _clipped(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+def _clipped(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return ca.fmin(ca.fmax(value, -p.u_max), p.u_max)
 
 
-def _softly_clipped(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+def _softly_clipped(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return p.u_max * ca.tanh(value / p.u_max)
 
 
@@ -33,43 +33,43 @@ def _softer(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]
     return [{"u_max": factor * min(values["u_max"], s.input)} for factor in (1.0, 1.5, 3.0)]
 
 
-def _dead_zone(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+def _dead_zone(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return value - ca.fmin(ca.fmax(value, -p.d), p.d)
 
 
-def _spool(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+def _spool(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return x.w
 
 
-def _spooling(x: Named, u: Named, p: Named) -> list[Balance]:
+def _spooling(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("spool", "{valve}", p.tau_v, "w", voltage=u.valve, spool=-x.w)]
 
 
-def _delay(x: Named, u: Named, p: Named) -> Expression:
+def _delay(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return p.delay
 
 
-def _drifted(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+def _drifted(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return value + x.drift
 
 
-def _drifting(x: Named, u: Named, p: Named) -> list[Balance]:
+def _drifting(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("drift", "{sensor}/s", 1, "drift", rate=p.rate)]
 
 
-def _lagging(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+def _lagging(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return x.y
 
 
-def _lag(x: Named, u: Named, p: Named) -> list[Balance]:
+def _lag(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("lag", "{sensor}", p.tau_s, "y", value=x.sensor, reading=-x.y)]
 
 
-def _played(value: Expression, x: Named, u: Named, p: Named) -> Expression:
+def _played(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return x.w
 
 
-def _play(x: Named, u: Named, p: Named) -> Mapping[str, Expression]:
+def _play(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     return {"w": ca.fmin(ca.fmax(x.w, x.sensor - p.gap), x.sensor + p.gap)}
 
 
@@ -81,7 +81,9 @@ input_saturation = Effect(
     "input_saturation",
     site="input",
     parameters=[
-        shape("u_max", "{input}", 1e6, (1e-9, 1e9), "largest input that gets through", "large: absent until fitted")
+        shape_parameter(
+            "u_max", "{input}", 1e6, (1e-9, 1e9), "largest input that gets through", "large: absent until fitted"
+        )
     ],
     on_input=_clipped,
     equation="min(max(u, -u_max), u_max)",
@@ -99,7 +101,7 @@ input_saturation = Effect(
 soft_saturation = Effect(
     "soft_saturation",
     site="input",
-    parameters=[shape("u_max", "{input}", 1e6, (1e-9, 1e9), "input that is never exceeded")],
+    parameters=[shape_parameter("u_max", "{input}", 1e6, (1e-9, 1e9), "input that is never exceeded")],
     on_input=_softly_clipped,
     equation="u_max tanh(u / u_max)",
     parents=("input_saturation",),
@@ -118,7 +120,7 @@ soft_saturation = Effect(
 input_dead_zone = Effect(
     "input_dead_zone",
     site="drive",
-    parameters=[amplitude("d", "{drive}", "half-width of the zone without effect", low=0.0)],
+    parameters=[amplitude_parameter("d", "{drive}", "half-width of the zone without effect", low=0.0)],
     on_input=_dead_zone,
     equation="0 inside +-d, u -+ d outside",
     parity="odd",
@@ -135,7 +137,7 @@ valve_dead_zone = replace(
     input_dead_zone,
     name="valve_dead_zone",
     site="valve",
-    parameters=(amplitude("d", "{valve}", "half-width of the overlap of the spool", low=0.0),),
+    parameters=(amplitude_parameter("d", "{valve}", "half-width of the overlap of the spool", low=0.0),),
     tells_apart=(
         "Measure the pressures: in the dead zone none of them changes, while friction lets them build up until the"
         " piston moves."
@@ -147,7 +149,9 @@ valve_lag = Effect(
     "valve_lag",
     site="valve",
     parameters=[
-        shape("tau_v", "s", SMALLEST_LAG, (SMALLEST_LAG, 100.0), "lag of the spool", "small: absent until fitted")
+        shape_parameter(
+            "tau_v", "s", SMALLEST_LAG, (SMALLEST_LAG, 100.0), "lag of the spool", "small: absent until fitted"
+        )
     ],
     states=[State("w", "{valve}", relaxing=True, description="spool position, as the voltage that would hold it")],
     on_input=_spool,
@@ -168,7 +172,7 @@ valve_lag = Effect(
 transport_delay = Effect(
     "transport_delay",
     site="input",
-    parameters=[amplitude("delay", "s", "time by which the input arrives late", low=0.0, high=5e-3)],
+    parameters=[amplitude_parameter("delay", "s", "time by which the input arrives late", low=0.0, high=5e-3)],
     delay=_delay,
     equation="u(t - delay)",
     parity="linear",
@@ -185,7 +189,7 @@ transport_delay = Effect(
 input_offset = Effect(
     "input_offset",
     site="input",
-    parameters=[amplitude("u0", "{input}", "offset between the recorded and the acting input, either sign")],
+    parameters=[amplitude_parameter("u0", "{input}", "offset between the recorded and the acting input, either sign")],
     on_input=_offset,
     equation="u + u0",
     parity="even",
@@ -201,7 +205,7 @@ input_offset = Effect(
 sensor_drift = Effect(
     "sensor_drift",
     site="sensor",
-    parameters=[amplitude("rate", "{sensor}/s", "drift of the reading, either sign")],
+    parameters=[amplitude_parameter("rate", "{sensor}/s", "drift of the reading, either sign")],
     states=[State("drift", "{sensor}", description="how far the reading has drifted")],
     balances=_drifting,
     on_output=_drifted,
@@ -220,7 +224,9 @@ sensor_lag = Effect(
     "sensor_lag",
     site="sensor",
     parameters=[
-        shape("tau_s", "s", SMALLEST_LAG, (SMALLEST_LAG, 100.0), "lag of the sensor", "small: absent until fitted")
+        shape_parameter(
+            "tau_s", "s", SMALLEST_LAG, (SMALLEST_LAG, 100.0), "lag of the sensor", "small: absent until fitted"
+        )
     ],
     states=[State("y", "{sensor}", lambda p: p.sensor, relaxing=True, description="what the sensor shows")],
     balances=_lag,
@@ -241,7 +247,7 @@ sensor_lag = Effect(
 backlash = Effect(
     "backlash",
     site="sensor",
-    parameters=[amplitude("gap", "{sensor}", "half of the play between the body and its sensor", low=0.0)],
+    parameters=[amplitude_parameter("gap", "{sensor}", "half of the play between the body and its sensor", low=0.0)],
     states=[State("w", "{sensor}", lambda p: p.sensor, description="what the sensor shows")],
     update=_play,
     on_output=_played,

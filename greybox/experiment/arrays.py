@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 
-def read_only(what: str, values: ArrayLike, problems: list[str], rows: int | None = None) -> np.ndarray:
+def to_read_only_array(what: str, values: ArrayLike, problems: list[str], rows: int | None = None) -> np.ndarray:
     """A read-only copy (N,) in float64; what is wrong with it is added to ``problems``."""
     given = np.asarray(values)
     try:
@@ -28,7 +28,7 @@ def read_only(what: str, values: ArrayLike, problems: list[str], rows: int | Non
     return array
 
 
-def fingerprint(time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray]) -> str:
+def compute_fingerprint(time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray]) -> str:
     """16 hex digits of the SHA-256 over names and values, whatever the order of the signals."""
     digest = hashlib.sha256()
     for kind, signals in (("time", {"time": time}), ("input", inputs), ("output", outputs)):
@@ -39,7 +39,7 @@ def fingerprint(time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Map
     return digest.hexdigest()[:16]
 
 
-def extent(values: np.ndarray) -> str:
+def describe_range(values: np.ndarray) -> str:
     """Smallest and largest value, and how many are missing."""
     known = values[~np.isnan(values)]
     return f"{known.min():.6g} to {known.max():.6g}, {len(values) - len(known)} gaps" if len(known) else "no value"

@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.model import Model
-from greybox.units import convert, converter
+from greybox.units import convert, unit_converter
 
 TIME = "time"
 LISTED = 12  # headers named in a message
@@ -29,7 +29,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Signal:
+class RequestedSignal:
     """A signal wanted from a file: ``kind`` is time, input, output or condition; ``unit`` is the model's."""
 
     kind: str
@@ -43,16 +43,16 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Match:
+class ColumnMatch:
     """Signals with their columns in the model's order, headers not asked for, outputs without a column, problems."""
 
-    columns: Mapping[Signal, Column]
+    columns: Mapping[RequestedSignal, Column]
     ignored: tuple[str, ...]
     unmeasured: tuple[str, ...]
     problems: tuple[str, ...]
 
     @property
-    def unitless(self) -> tuple[Signal, ...]:
+    def unitless(self) -> tuple[RequestedSignal, ...]:
         """Signals taken in the model's unit because the header states none."""
         return tuple(s for s, c in self.columns.items() if not c.unit and s.unit not in ("", "-", "1"))
 
@@ -70,17 +70,17 @@ def parse_header(header: str, position: int) -> Column:
     return Column(text, text, "", position)
 
 
-def match(
-    headers: Sequence[str], model: Model, mapping: Mapping[str, str] | None, conditions: Sequence[Signal] = ()
-) -> Match:
+def match_columns(
+    headers: Sequence[str], model: Model, mapping: Mapping[str, str] | None, conditions: Sequence[RequestedSignal] = ()
+) -> ColumnMatch:
     """Find time and the model's inputs and outputs among ``headers``; ``mapping`` (signal -> header) goes first.
 
     An output may be missing as long as another is there, and so may ``conditions``.
     """
     columns = [parse_header(h, k) for k, h in enumerate(headers)]
-    signals = [Signal(TIME, TIME, "s")]
-    signals += [Signal("input", i.name, i.unit) for i in model.inputs]
-    signals += [Signal("output", o.name, o.unit) for o in model.outputs]
+    signals = [RequestedSignal(TIME, TIME, "s")]
+    signals += [RequestedSignal("input", i.name, i.unit) for i in model.inputs]
+    signals += [RequestedSignal("output", o.name, o.unit) for o in model.outputs]
     signals += conditions
     known = [s.name for s in signals]
     problems = [
@@ -89,7 +89,7 @@ def match(
         if n not in known
     ]
     found, free = _mapped(columns, signals, mapping or {}, problems)
-    missing: list[Signal] = []
+    missing: list[RequestedSignal] = []
     for signal in signals:
         if signal.name in (mapping or {}):
             continue
@@ -104,7 +104,7 @@ def match(
     used = {c.position for c in found.values()}
     spare = [c for c in columns if c.position not in used and c.header]
     problems += _without_column(missing, model, spare)
-    return Match(
+    return ColumnMatch(
         {s: found[s] for s in signals if s in found},
         tuple(c.header for c in spare),
         tuple(s.name for s in missing if s.kind == "output"),
@@ -112,7 +112,7 @@ def match(
     )
 
 
-def converted(values: np.ndarray, signal: Signal, column: Column, problems: list[str]) -> np.ndarray:
+def convert_column(values: np.ndarray, signal: RequestedSignal, column: Column, problems: list[str]) -> np.ndarray:
     """``values`` (N,) in the signal's unit; a unit that does not convert is added to ``problems``."""
     if not column.unit or column.unit == signal.unit:
         return values
@@ -124,10 +124,10 @@ def converted(values: np.ndarray, signal: Signal, column: Column, problems: list
 
 
 def _mapped(
-    columns: list[Column], signals: list[Signal], mapping: Mapping[str, str], problems: list[str]
-) -> tuple[dict[Signal, Column], list[Column]]:
+    columns: list[Column], signals: list[RequestedSignal], mapping: Mapping[str, str], problems: list[str]
+) -> tuple[dict[RequestedSignal, Column], list[Column]]:
     """Columns that ``mapping`` names, and those left for matching by name."""
-    found: dict[Signal, Column] = {}
+    found: dict[RequestedSignal, Column] = {}
     for signal in signals:
         header = mapping.get(signal.name)
         if header is None:
@@ -155,13 +155,13 @@ def _mapped(
     return found, [c for c in columns if c.position not in used]
 
 
-def _fits(column: Column, signal: Signal) -> bool:
+def _fits(column: Column, signal: RequestedSignal) -> bool:
     if signal.kind != TIME:
         return column.name == signal.name
     return column.name == "t" or column.name.lower() == TIME  # "T" is a temperature
 
 
-def _without_column(missing: Sequence[Signal], model: Model, spare: Sequence[Column]) -> list[str]:
+def _without_column(missing: Sequence[RequestedSignal], model: Model, spare: Sequence[Column]) -> list[str]:
     """Problems with the signals that no column is for; an output may be missing, but not all of them."""
     needed = [s for s in missing if s.kind in (TIME, "input")]
     found = [f"no column for {s.label}; {_nearest_headers(s, spare)}" for s in needed]
@@ -173,7 +173,7 @@ def _without_column(missing: Sequence[Signal], model: Model, spare: Sequence[Col
     return found
 
 
-def _nearest_headers(signal: Signal, spare: Sequence[Column]) -> str:
+def _nearest_headers(signal: RequestedSignal, spare: Sequence[Column]) -> str:
     wanted = signal.name.lower()
     close = difflib.get_close_matches(wanted, [c.name.lower() for c in spare], n=3, cutoff=0.5)
     near = [repr(c.header) for c in spare if c.name.lower() in close or wanted in re.split(r"[\W_]+", c.name.lower())]
@@ -184,7 +184,7 @@ def _nearest_headers(signal: Signal, spare: Sequence[Column]) -> str:
     return f"{guess}unused headers: {listing}; rename one, or {_say(signal)}"
 
 
-def _say(signal: Signal) -> str:
+def _say(signal: RequestedSignal) -> str:
     """How to choose a column by hand, in Python and in the shell."""
     return f"say columns={{{signal.name!r}: <header>}} (shell: --column {signal.name}=<header>)"
 
@@ -200,7 +200,7 @@ def _is_unit(text: str) -> bool:
     if not any(letter.isalpha() or letter in "%°" for letter in text):
         return False  # channel numbers: Laser (1)
     try:
-        converter(text, text)
+        unit_converter(text, text)
     except ModelError:
         return False
     return True

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.experiment.columns import Signal, parse_header
+from greybox.experiment.columns import RequestedSignal, parse_header
 from greybox.model import Model
 from greybox.units import convert
 
@@ -19,13 +19,16 @@ STEADY = 0.05
 _STATED = re.compile(r"^[#\s]*(?P<header>[^:=]+?)\s*[:=]\s*(?P<value>[^\s]+)\s*(?P<unit>.*?)\s*$")
 
 
-def wanted(model: Model, names: Sequence[str]) -> list[Signal]:
+def request_conditions(model: Model, names: Sequence[str]) -> list[RequestedSignal]:
     """The conditions ``names`` as signals to look for, in the units of the model's constants. Raises ModelError for other names."""
-    return [Signal(CONDITION, name, model.parameter(name).unit) for name in names]
+    return [RequestedSignal(CONDITION, name, model.parameter(name).unit) for name in names]
 
 
-def stated(
-    conditions: Sequence[Signal], columns: Mapping[str, np.ndarray], comments: Sequence[str], problems: list[str]
+def read_conditions(
+    conditions: Sequence[RequestedSignal],
+    columns: Mapping[str, np.ndarray],
+    comments: Sequence[str],
+    problems: list[str],
 ) -> tuple[dict[str, float], list[str]]:
     """The value of each condition and where it is from; what is missing or unfit goes to ``problems``.
 
@@ -44,7 +47,7 @@ def stated(
     return found, notes
 
 
-def _mean(signal: Signal, values: np.ndarray, problems: list[str]) -> float | None:
+def _mean(signal: RequestedSignal, values: np.ndarray, problems: list[str]) -> float | None:
     known = values[np.isfinite(values)]
     if not len(known):
         problems.append(f"{signal.label}: its column holds no number; fill it, or give the value")
@@ -59,7 +62,7 @@ def _mean(signal: Signal, values: np.ndarray, problems: list[str]) -> float | No
     return mean
 
 
-def _from_comments(signal: Signal, comments: Sequence[str], problems: list[str]) -> float | None:
+def _from_comments(signal: RequestedSignal, comments: Sequence[str], problems: list[str]) -> float | None:
     hits = [
         line for line in map(_STATED.match, comments) if line and parse_header(line["header"], 0).name == signal.name
     ]

@@ -12,11 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.errors import DataError
-from greybox.experiment.arrays import extent, fingerprint, read_only
-from greybox.experiment.checks import FEWEST_ROWS, Places, invariants, measured, refuse
-from greybox.experiment.holes import common_step, pieces
-from greybox.experiment.sensors import remarks
-from greybox.experiment.timebase import timing, uniform_step
+from greybox.experiment.arrays import compute_fingerprint, describe_range, to_read_only_array
+from greybox.experiment.problems import (
+    FEWEST_ROWS,
+    RowLabels,
+    find_array_problems,
+    find_measurement_problems,
+    raise_problems,
+)
+from greybox.experiment.sampling import describe_timing, find_sampling_time
+from greybox.experiment.sensor_faults import inspect_record
+from greybox.experiment.time_gaps import common_sampling_time, split_record
 
 Hold = Literal["zero", "first", "band-limited"]
 HOLDS = {
@@ -37,7 +43,7 @@ class Experiment:
     from, ``conditions`` are constants of this experiment alone, ``notes`` what one should know about it (a part keeps
     those of the whole).
 
-    ``sampling_time`` in seconds, None when time is irregular (rule: `greybox.experiment.timebase`). ``fingerprint``: 16
+    ``sampling_time`` in seconds, None when time is irregular (rule: `greybox.experiment.sampling`). ``fingerprint``: 16
     hex digits of the SHA-256 over names and arrays; equal data, equal fingerprint, whatever the file was called.
 
     Raises DataError when lengths differ, time does not increase, or an input is not finite. Measured arrays are better
@@ -62,21 +68,21 @@ class Experiment:
                 " say 'zero' (held) or 'first' (linear between samples) or 'band-limited' (no content above half the rate)"
             )
         problems: list[str] = []
-        time = read_only("time", self.time, problems)
+        time = to_read_only_array("time", self.time, problems)
         rows = None if problems else len(time)
-        inputs = {n: read_only(f"input {n!r}", v, problems, rows) for n, v in self.inputs.items()}
-        outputs = {n: read_only(f"output {n!r}", v, problems, rows) for n, v in self.outputs.items()}
+        inputs = {n: to_read_only_array(f"input {n!r}", v, problems, rows) for n, v in self.inputs.items()}
+        outputs = {n: to_read_only_array(f"output {n!r}", v, problems, rows) for n, v in self.outputs.items()}
         both = sorted(set(inputs) & set(outputs))
         problems += [f"{n!r} is both an input and an output; each signal needs its own name" for n in both]
         problems += [
             f"condition {n!r} is {v}; give a finite number" for n, v in self.conditions.items() if not math.isfinite(v)
         ]
-        refuse(f"experiment {self.name!r}", problems or invariants(time, inputs, outputs, Places()))
+        raise_problems(f"experiment {self.name!r}", problems or find_array_problems(time, inputs, outputs, RowLabels()))
         values = {
             "time": time, "inputs": MappingProxyType(inputs), "outputs": MappingProxyType(outputs),
             "conditions": MappingProxyType({n: float(v) for n, v in self.conditions.items()}),
-            "notes": tuple(self.notes), "sampling_time": uniform_step(time),
-            "fingerprint": fingerprint(time, inputs, outputs),
+            "notes": tuple(self.notes), "sampling_time": find_sampling_time(time),
+            "fingerprint": compute_fingerprint(time, inputs, outputs),
         }  # fmt: skip
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -103,8 +109,11 @@ class Experiment:
         ``allow_constant_input``.
         """
         bare = cls(name, time, inputs, outputs, hold, source, conditions or {})  # type: ignore[arg-type]
-        refuse(f"experiment {name!r}", measured(bare.inputs, bare.outputs, bare.rows, allow_constant_input))
-        said = (*remarks(bare.time, bare.inputs, bare.outputs), *timing(bare.time, bare.sampling_time))
+        raise_problems(
+            f"experiment {name!r}",
+            find_measurement_problems(bare.inputs, bare.outputs, bare.rows, allow_constant_input),
+        )
+        said = (*inspect_record(bare.time, bare.inputs, bare.outputs), *describe_timing(bare.time, bare.sampling_time))
         return replace(bare, notes=(*notes, *said))
 
     @property
@@ -160,16 +169,16 @@ class Experiment:
             )
         return self.window(0, row), self.window(row, self.rows)
 
-    def split_at_holes(self, fewest: int = FEWEST_ROWS) -> tuple[Experiment, ...]:
+    def split_at_time_gaps(self, fewest: int = FEWEST_ROWS) -> tuple[Experiment, ...]:
         """The pieces between holes in time, each a record of its own with an initial state of its own; itself without holes.
 
-        A hole is a step of more than one and a half usual ones (`greybox.experiment.timebase`): the logger dropped out, or two
+        A hole is a step of more than one and a half usual ones (`greybox.experiment.sampling`): the logger dropped out, or two
         runs were pasted together. In it the input is unknown, and what a fit simulates through it is made up. Pieces of fewer
         than ``fewest`` rows, or without a measured value, are left out, which ``notes`` say. Pieces that are sampled alike have the
         same `sampling_time`. Raises DataError where no piece is left.
         """
-        parts = pieces(self, fewest)
-        step = common_step(parts)
+        parts = split_record(self, fewest)
+        step = common_sampling_time(parts)
         return parts if step is None else tuple(_with_step(part, step) for part in parts)
 
     def with_hold(self, hold: Hold) -> Experiment:
@@ -186,7 +195,7 @@ class Experiment:
             f"{self.name}: {self.rows} rows {pace}, {self.duration:.6g} s, {HOLDS[self.hold]}, data {self.fingerprint}"
         ]
         for kind, signals in (("input", self.inputs), ("output", self.outputs)):
-            lines += [f"  {kind:<9} {name}: {extent(values)}" for name, values in signals.items()]
+            lines += [f"  {kind:<9} {name}: {describe_range(values)}" for name, values in signals.items()]
         lines += [f"  condition {name}: {value:g}" for name, value in self.conditions.items()]
         return "\n".join([*lines, *(f"  note      {note}" for note in self.notes)])
 

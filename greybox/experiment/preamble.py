@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from greybox.errors import ModelError
-from greybox.units import converter
+from greybox.units import unit_converter
 
 LOOKED_AT = 60  # lines in which the first row of numbers is looked for
 NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|inf|infinity|nan)", re.IGNORECASE)
@@ -14,13 +14,13 @@ _SEPARATOR_LINE = re.compile(r'"?sep=(?P<separator>.|\\t)"?', re.IGNORECASE)
 _BETWEEN = re.compile(r"[;,\s]+")
 
 
-def stated_separator(line: str) -> str | None:
+def read_separator_line(line: str) -> str | None:
     """The separator in the line ``sep=;`` that Excel writes first; None for any other line."""
     found = _SEPARATOR_LINE.fullmatch(line.strip(" \r"))
     return found["separator"].replace("\\t", "\t") if found else None
 
 
-def misplaced_header(lines: Sequence[str], numbers: Sequence[int]) -> str:
+def describe_misplaced_header(lines: Sequence[str], numbers: Sequence[int]) -> str:
     """What stands between the first of ``lines`` and the rows of numbers, with the remedy; "" where nothing does.
 
     ``numbers``: line of the file of each, counted from 1. Only lines that hold something are given.
@@ -55,7 +55,7 @@ def _are_units(line: str) -> bool:
     words = [word.strip("[]()") for word in _words(line)]
     try:
         for word in words:
-            converter(word, word)
+            unit_converter(word, word)
     except ModelError:
         return False
     return any(words)

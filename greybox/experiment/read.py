@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from greybox.errors import DataError
-from greybox.experiment.binary import read_mat, read_npz, read_parquet
-from greybox.experiment.checks import enumerated, invariants, measured, refuse
-from greybox.experiment.columns import TIME, Match, converted, match
-from greybox.experiment.conditions import CONDITION, stated, wanted
+from greybox.experiment.array_table import read_mat, read_npz, read_parquet
+from greybox.experiment.columns import TIME, ColumnMatch, convert_column, match_columns
+from greybox.experiment.conditions import CONDITION, read_conditions, request_conditions
 from greybox.experiment.experiment import Experiment, Hold
-from greybox.experiment.table import Table
-from greybox.experiment.text import read_text
+from greybox.experiment.problems import enumerate_first, find_array_problems, find_measurement_problems, raise_problems
+from greybox.experiment.table import DataTable
+from greybox.experiment.text_table import read_text
 from greybox.model import Model
 
-READERS: Mapping[str, Callable[[Path], Table]] = {
+READERS: Mapping[str, Callable[[Path], DataTable]] = {
     ".csv": read_text, ".tsv": read_text, ".txt": read_text, ".dat": read_text,
     ".mat": read_mat, ".npz": read_npz, ".parquet": read_parquet,
 }  # fmt: skip
@@ -66,20 +66,20 @@ def _runs(
     file = _existing(path)
     table = _opened(file)
     given = {name: value for name, value in (conditions or {}).items() if value is not None}
-    sought = wanted(model, [name for name in conditions or {} if name not in given])
-    found = match(table.headers, model, columns, sought)
-    refuse(file.name, found.problems)
+    sought = request_conditions(model, [name for name in conditions or {} if name not in given])
+    found = match_columns(table.headers, model, columns, sought)
+    raise_problems(file.name, found.problems)
     arrays, problems = _arrays(table, found)
-    refuse(file.name, problems)
+    raise_problems(file.name, problems)
     time, inputs, outputs, steady = arrays
-    read, said = stated(sought, steady, table.comments, problems)
+    read, said = read_conditions(sought, steady, table.comments, problems)
     found_runs = _cut(time, inputs, outputs, split)
     for rows, t, u, y in found_runs:
         # A file of too few rows is called so, and not by what else follows from it.
         if len(t) > 1:
-            problems += invariants(t, u, y, table.places.of(rows))
-        problems += measured(u, y, len(t), allow_constant_input)
-    refuse(file.name, problems)
+            problems += find_array_problems(t, u, y, table.places.of(rows))
+        problems += find_measurement_problems(u, y, len(t), allow_constant_input)
+    raise_problems(file.name, problems)
     one, title, notes = len(found_runs) == 1, name or file.stem, (*_notes(found), *said)
     if not one:
         notes = (*notes, f"one of {len(found_runs)} runs in its file, in which time starts anew")
@@ -154,12 +154,12 @@ def _existing(path: str | os.PathLike[str]) -> Path:
     remedy = (
         f"did you mean {' or '.join(map(repr, close))}?"
         if close
-        else f"records there: {enumerated(beside[:8], len(beside)) or 'none'}"
+        else f"records there: {enumerate_first(beside[:8], len(beside)) or 'none'}"
     )
     raise DataError(f"{file}: file not found; {remedy}")
 
 
-def _opened(file: Path) -> Table:
+def _opened(file: Path) -> DataTable:
     if not file.stat().st_size:
         raise DataError(f"{file.name}: the file is empty; it needs a header line and rows of numbers")
     try:
@@ -168,16 +168,16 @@ def _opened(file: Path) -> Table:
         raise DataError(f"{file}: cannot be read ({error})") from error
 
 
-def _arrays(table: Table, found: Match) -> tuple[tuple[np.ndarray, Arrays, Arrays, Arrays], list[str]]:
+def _arrays(table: DataTable, found: ColumnMatch) -> tuple[tuple[np.ndarray, Arrays, Arrays, Arrays], list[str]]:
     """Time, inputs, outputs and conditions in the model's units, and the problems met on the way."""
     raw, problems = table.values([c.position for c in found.columns.values()])
     groups: dict[str, Arrays] = {TIME: {}, "input": {}, "output": {}, CONDITION: {}}
     for signal, column in found.columns.items():
-        groups[signal.kind][signal.name] = converted(raw[column.position], signal, column, problems)
+        groups[signal.kind][signal.name] = convert_column(raw[column.position], signal, column, problems)
     return (groups[TIME][TIME], groups["input"], groups["output"], groups[CONDITION]), problems
 
 
-def _notes(found: Match) -> tuple[str, ...]:
+def _notes(found: ColumnMatch) -> tuple[str, ...]:
     notes: list[str] = []
     if found.unmeasured:
         notes.append(f"not measured: output {' and '.join(map(repr, found.unmeasured))}")
@@ -186,6 +186,6 @@ def _notes(found: Match) -> tuple[str, ...]:
         notes.append(f"no unit in the header of {names}: taken as {units}")
     if found.ignored:
         notes.append(
-            f"columns ignored: {enumerated([repr(h) for h in found.ignored[:IGNORED_SHOWN]], len(found.ignored))}"
+            f"columns ignored: {enumerate_first([repr(h) for h in found.ignored[:IGNORED_SHOWN]], len(found.ignored))}"
         )
     return tuple(notes)

@@ -8,14 +8,14 @@ from typing import Protocol
 
 import numpy as np
 
-from greybox.experiment.checks import SHOWN, Places, enumerated
+from greybox.experiment.problems import SHOWN, RowLabels, enumerate_first
 
 _DATE = re.compile(r"\d+[-/.]\d+[-/.]\d+|\d+:\d\d")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d+)?")
 
 
-class Table(Protocol):
+class DataTable(Protocol):
     """What every reader hands over: the ``headers`` in the order of the file, its ``comments``, and how its rows are called."""
 
     @property
@@ -27,16 +27,16 @@ class Table(Protocol):
         """Lines about the table that are not part of it."""
 
     @property
-    def places(self) -> Places:
+    def places(self) -> RowLabels:
         """How rows are called in messages."""
 
     def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
         """Columns (N,) as float64 with NaN for gaps, and problems; with problems the columns are not to be used."""
 
 
-def not_numbers(header: str, rows: Sequence[int], texts: Sequence[str], places: Places) -> str:
+def describe_non_numbers(header: str, rows: Sequence[int], texts: Sequence[str], places: RowLabels) -> str:
     """Message for text in a number column; ``texts`` belong to the first of ``rows``."""
-    quoted = enumerated([repr(t) for t in texts[:SHOWN]], len(rows))
+    quoted = enumerate_first([repr(t) for t in texts[:SHOWN]], len(rows))
     verb = "is not a number" if len(rows) == 1 else "are not numbers"
     return f"column {header!r}, {places.say(rows)}: {quoted} {verb}; {_remedy(texts)}"
 

@@ -6,16 +6,16 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from greybox.export.c_core import comment, core, rows
-from greybox.export.discrete import Interval, interval_of
-from greybox.export.identifiers import identifier, identifiers
-from greybox.export.plant import Plant, plant_of
-from greybox.kernel.emit import number
+from greybox.export.c_core import to_comment, write_initialisers, write_step
+from greybox.export.discrete_step import DiscreteStep, make_discrete_step
+from greybox.export.identifiers import to_identifier, to_identifiers
+from greybox.export.plant import Plant, to_plant
+from greybox.kernel.c_routine import c_literal
 from greybox.model import Model
-from greybox.model.show import equations
+from greybox.model.equations import equations_text
+from greybox.model.signals import Input, Output, State
 from greybox.result import Fit
-from greybox.signals import Input, Output, State
-from greybox.units import tidy
+from greybox.units import format_unit
 
 KEYWORDS = frozenset(
     re.findall(
@@ -38,28 +38,28 @@ def to_c(plant: Fit | Model, path: str | Path, *, dt: float | None = None, subst
 
     Raises ModelError where no sampling time is known, UnsupportedOperationError for an operation that C does not have.
     """
-    source = plant_of(plant)
-    interval = interval_of(source, dt, substeps=substeps)
+    source = to_plant(plant)
+    interval = make_discrete_step(source, dt, substeps=substeps)
     target = Path(path).with_suffix(".c")
-    header, text = code(source, interval, target.with_suffix(".h").name)
+    header, text = write_c(source, interval, target.with_suffix(".h").name)
     target.parent.mkdir(parents=True, exist_ok=True)
     target.with_suffix(".h").write_text(header, encoding="utf-8")
     target.write_text(text, encoding="utf-8")
     return target, target.with_suffix(".h")
 
 
-def code(plant: Plant, interval: Interval, header_name: str) -> tuple[str, str]:
+def write_c(plant: Plant, interval: DiscreteStep, header_name: str) -> tuple[str, str]:
     """The texts of header and source."""
     return _header(plant, interval), _source(plant, interval, header_name)
 
 
-def _header(plant: Plant, interval: Interval) -> str:
-    model, name = plant.model, identifier(plant.model.name)
+def _header(plant: Plant, interval: DiscreteStep) -> str:
+    model, name = plant.model, to_identifier(plant.model.name)
     past = _past_members(interval)
     lines = [
-        "/*", *(f"   {comment(line)}".rstrip() for line in _about(plant, interval)), "*/", "",
+        "/*", *(f"   {to_comment(line)}".rstrip() for line in _about(plant, interval)), "*/", "",
         f"#ifndef {name.upper()}_H", f"#define {name.upper()}_H", "",
-        f"#define {name.upper()}_SAMPLING_TIME {number(interval.dt)} /* s */", "",
+        f"#define {name.upper()}_SAMPLING_TIME {c_literal(interval.dt)} /* s */", "",
         *_struct(f"{name}_state", model.all_states, past), *_struct(f"{name}_input", model.inputs),
         *_struct(f"{name}_output", model.outputs),
         "/* The state at rest. */", f"void {name}_start(struct {name}_state *state);", "",
@@ -71,29 +71,30 @@ def _header(plant: Plant, interval: Interval) -> str:
     return "\n".join(lines)
 
 
-def _about(plant: Plant, interval: Interval) -> list[str]:
+def _about(plant: Plant, interval: DiscreteStep) -> list[str]:
     model = plant.model
     title = f"{model.title}: {model.description}" if model.description else model.title
     table = [
-        (q.name, repr(float(q.value)), tidy(q.unit) or "-", plant.provenance(q.name)) for q in model.all_parameters
+        (q.name, repr(float(q.value)), format_unit(q.unit) or "-", plant.provenance(q.name))
+        for q in model.all_parameters
     ]
     widths = [max(len(row[k]) for row in table) for k in range(3)] if table else [0, 0, 0]
     constants = ["  " + "  ".join(c.ljust(w) for c, w in zip(row, [*widths, 0], strict=True)).rstrip() for row in table]
     return [
-        title, "", *equations(model).splitlines(), "",
+        title, "", *equations_text(model).splitlines(), "",
         f"One step is {interval.dt:g} s with the input held; integrated by {interval.step.label}.", "",
         "Constants", *constants, "", *plant.origin(), *(f"Note: {note}" for note in plant.notes),
     ]  # fmt: skip
 
 
-def _source(plant: Plant, interval: Interval, header_name: str) -> str:
-    model, name = plant.model, identifier(plant.model.name)
-    remarks = [f"{q.name} [{tidy(q.unit) or '-'}] {plant.provenance(q.name)}" for q in model.all_parameters]
+def _source(plant: Plant, interval: DiscreteStep, header_name: str) -> str:
+    model, name = plant.model, to_identifier(plant.model.name)
+    remarks = [f"{q.name} [{format_unit(q.unit) or '-'}] {plant.provenance(q.name)}" for q in model.all_parameters]
     exact = interval.step.per_interval
     tables = [
         "/* The constants. */",
         "static const double constants[] = {",
-        rows(list(interval.p), remarks) or "    0",
+        write_initialisers(list(interval.p), remarks) or "    0",
         "};",
         "",
     ]
@@ -126,36 +127,38 @@ def _source(plant: Plant, interval: Interval, header_name: str) -> str:
         *(f"    state->{m} = past[{k}];" for k, m in enumerate(states[nx:])), "}", "",
     ]  # fmt: skip
     head = [
-        f"/* {comment(model.title)}: see {header_name}. Generated by greybox; edit the model and export it anew. */",
+        f"/* {to_comment(model.title)}: see {header_name}. Generated by greybox; edit the model and export it anew. */",
         "",
     ]
-    return "\n".join([*head, f'#include "{header_name}"', "", core(interval), *tables, *body])
+    return "\n".join([*head, f'#include "{header_name}"', "", write_step(interval), *tables, *body])
 
 
 def _struct(name: str, signals: Sequence[State | Input | Output], extra: Sequence[tuple[str, str]] = ()) -> list[str]:
-    remarks = [f"[{tidy(s.unit) or '-'}] {s.description}".rstrip() for s in signals] + [remark for _, remark in extra]
+    remarks = [f"[{format_unit(s.unit) or '-'}] {s.description}".rstrip() for s in signals] + [
+        remark for _, remark in extra
+    ]
     members = _members(signals, extra) or ["none"]
     remarks = remarks or ["nothing"]
     width = max(map(len, members)) + 1
-    lines = [f"    double {m + ';':{width}} /* {comment(r)} */" for m, r in zip(members, remarks, strict=True)]
+    lines = [f"    double {m + ';':{width}} /* {to_comment(r)} */" for m, r in zip(members, remarks, strict=True)]
     return [f"struct {name} {{", *lines, "};", ""]
 
 
 def _members(signals: Sequence[State | Input | Output], extra: Sequence[tuple[str, str]] = ()) -> list[str]:
-    return identifiers([*(s.name for s in signals), *(name for name, _ in extra)], KEYWORDS)
+    return to_identifiers([*(s.name for s in signals), *(name for name, _ in extra)], KEYWORDS)
 
 
-def _past_members(interval: Interval) -> list[tuple[str, str]]:
+def _past_members(interval: DiscreteStep) -> list[tuple[str, str]]:
     if not interval.past:
         return []
     late = interval.model.inputs[interval.late_input]
     return [
-        (f"{late.name}_{k + 1}", f"[{tidy(late.unit) or '-'}] {late.name} of {k + 1} steps ago")
+        (f"{late.name}_{k + 1}", f"[{format_unit(late.unit) or '-'}] {late.name} of {k + 1} steps ago")
         for k in range(interval.past)
     ]
 
 
-def _blocks(interval: Interval) -> list[str]:
+def _blocks(interval: DiscreteStep) -> list[str]:
     """The coefficients of the exact hold, block by block."""
     nx, nu = len(interval.x0), len(interval.model.inputs)
     sizes = {
@@ -168,7 +171,7 @@ def _blocks(interval: Interval) -> list[str]:
         *sizes.items(),
         ("of the delayed input, 0, 1, 2 ... intervals ago", len(q) - sum(sizes.values())),
     ]:
-        texts, q = [number(float(v)) for v in q[:size]], q[size:]
+        texts, q = [c_literal(float(v)) for v in q[:size]], q[size:]
         if texts:
             lines += [f"    /* {title} */", *("    " + ", ".join(texts[k : k + nx]) + "," for k in range(0, size, nx))]
     return lines

@@ -6,21 +6,21 @@ from importlib.resources import files
 
 import casadi as ca
 
-from greybox.export.discrete import Interval
-from greybox.integrators.past import extra_columns
-from greybox.kernel.emit import Routine, number
-from greybox.kernel.tape import read
+from greybox.export.discrete_step import DiscreteStep
+from greybox.integrators.input_delay import count_history_columns
+from greybox.kernel.c_routine import CRoutine, c_literal
+from greybox.kernel.tape import read_tape
 
 ADVANCE, OUTPUTS = ("x", "ua", "ub", "q", "h"), ("x", "u", "p")
 
 
-def core(interval: Interval) -> str:
+def write_step(interval: DiscreteStep) -> str:
     """Sizes, the step, the outputs and the state at rest: C99, for arrays of doubles, without memory of its own.
 
     Raises UnsupportedOperationError for an operation that C does not have.
     """
     step = interval.step
-    columns = len(interval.model.inputs) + extra_columns(step.past)
+    columns = len(interval.model.inputs) + count_history_columns(step.past)
     sizes = {
         "NX": len(interval.x0), "NU": len(interval.model.inputs), "NY": len(interval.model.outputs), "NP": len(interval.p),
         "NQ": len(interval.coefficients()), "PAST": interval.past, "LATE": interval.late_input, "COLUMNS": max(columns, 1),
@@ -29,28 +29,28 @@ def core(interval: Interval) -> str:
     system = interval.model.system
     start = ca.Function("start", [system.p], [ca.densify(system.start)])
     routines = [
-        Routine("advance", read(step.advance, varying=(0, 1, 2)), ADVANCE, (), 0),
-        Routine("outputs", read(step.outputs, varying=(0, 1)), OUTPUTS, (), 0),
-        Routine("start", read(start), ("p",), (), 0),
+        CRoutine("advance", read_tape(step.advance, varying=(0, 1, 2)), ADVANCE, (), 0),
+        CRoutine("outputs", read_tape(step.outputs, varying=(0, 1)), OUTPUTS, (), 0),
+        CRoutine("start", read_tape(start), ("p",), (), 0),
     ]
     return "\n".join(
         [
             "#include <math.h>", "", "#define INLINE static", *(f"#define {name} {size}" for name, size in sizes.items()), "",
-            *(routine.text() for routine in routines), template("step.c"),
+            *(routine.text() for routine in routines), read_template("step.c"),
         ]
     )  # fmt: skip
 
 
-def template(name: str) -> str:
+def read_template(name: str) -> str:
     """The text of a C file beside this one."""
     return files("greybox.export").joinpath(name).read_text(encoding="utf-8")
 
 
-def comment(text: str) -> str:
+def to_comment(text: str) -> str:
     """Text that cannot end a comment of C."""
     return text.replace("*/", "* /").replace("/*", "/ *")
 
 
-def rows(values: list[float], remarks: list[str]) -> str:
+def write_initialisers(values: list[float], remarks: list[str]) -> str:
     """Initialisers of an array, one a line, each with a remark."""
-    return "\n".join(f"    {number(float(v))}, /* {comment(r)} */" for v, r in zip(values, remarks, strict=True))
+    return "\n".join(f"    {c_literal(float(v))}, /* {to_comment(r)} */" for v, r in zip(values, remarks, strict=True))

@@ -10,16 +10,16 @@ import zipfile
 from pathlib import Path
 
 from greybox.errors import ModelError
-from greybox.export.c_core import core, rows, template
-from greybox.export.compiling import shared_library
-from greybox.export.discrete import Interval, delay_constants, interval_of
-from greybox.export.fmu_description import description
-from greybox.export.identifiers import identifier
-from greybox.export.plant import Plant, plant_of
-from greybox.kernel.emit import number
+from greybox.export.c_core import read_template, write_initialisers, write_step
+from greybox.export.discrete_step import DiscreteStep, find_delay_parameters, make_discrete_step
+from greybox.export.fmu_description import write_description
+from greybox.export.identifiers import to_identifier
+from greybox.export.plant import Plant, to_plant
+from greybox.export.shared_library import compile_shared_library
+from greybox.kernel.c_routine import c_literal
 from greybox.model import Model
 from greybox.result import Fit
-from greybox.units import tidy
+from greybox.units import format_unit
 
 PLATFORMS = {"linux": ("linux64", ".so"), "darwin": ("darwin64", ".dylib"), "win32": ("win64", ".dll")}
 SAME_DATE = (1980, 1, 1, 0, 0, 0)  # the same model gives the same file
@@ -37,22 +37,22 @@ def to_fmu(
 
     Raises ModelError where no sampling time is known, CompilerError where a binary is wanted and the C compiler is missing or fails.
     """
-    source = plant_of(plant)
-    interval = interval_of(source, dt, substeps=substeps, method="rk4")
+    source = to_plant(plant)
+    interval = make_discrete_step(source, dt, substeps=substeps, method="rk4")
     if interval.step.per_interval:
         raise ModelError(f"{source.model.title}: an FMU needs a step that takes the constants as they are; use rk4")
-    name = identifier(source.model.name)
+    name = to_identifier(source.model.name)
     text, guid = _source(source, interval)
     platform = next((value for key, value in PLATFORMS.items() if sys.platform.startswith(key)), None)
     target = Path(path).with_suffix(".fmu")
     contents: dict[str, bytes] = {
-        "modelDescription.xml": description(source, interval, name, guid).encode(),
+        "modelDescription.xml": write_description(source, interval, name, guid).encode(),
         f"sources/{name}.c": text.encode(),
     }
     if binary and platform is not None:
         folder, suffix = platform
         with tempfile.TemporaryDirectory() as place:
-            library = shared_library(text, Path(place) / f"{name}{suffix}")
+            library = compile_shared_library(text, Path(place) / f"{name}{suffix}")
             contents[f"binaries/{folder}/{name}{suffix}"] = library.read_bytes()
     target.parent.mkdir(parents=True, exist_ok=True)
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -61,17 +61,17 @@ def to_fmu(
     return target
 
 
-def _source(plant: Plant, interval: Interval) -> tuple[str, str]:
+def _source(plant: Plant, interval: DiscreteStep) -> tuple[str, str]:
     """The C text of the FMU and its identifier, which follows from the text."""
-    model, fixed = plant.model, delay_constants(plant.model)
-    remarks = [f"{q.name} [{tidy(q.unit) or '-'}] {plant.provenance(q.name)}" for q in model.all_parameters]
+    model, fixed = plant.model, find_delay_parameters(plant.model)
+    remarks = [f"{q.name} [{format_unit(q.unit) or '-'}] {plant.provenance(q.name)}" for q in model.all_parameters]
     body = [
-        core(interval), f"#define DT {number(interval.dt)}", f'#define DT_TEXT "{interval.dt:g}"', "",
-        "static const double constants[] = {", rows(list(interval.p), remarks) or "    0", "};",
+        write_step(interval), f"#define DT {c_literal(interval.dt)}", f'#define DT_TEXT "{interval.dt:g}"', "",
+        "static const double constants[] = {", write_initialisers(list(interval.p), remarks) or "    0", "};",
         f"static const int FIXED[] = {{{', '.join(str(int(q.name in fixed)) for q in model.all_parameters) or '0'}}};",
-        "", template("fmu.c"),
+        "", read_template("fmu.c"),
     ]  # fmt: skip
     guid = str(uuid.UUID(bytes=hashlib.sha256("\n".join(body).encode()).digest()[:16]))
     return "\n".join(
-        [f"/* {identifier(model.title)}: one model as an FMU. */", f'#define GUID "{{{guid}}}"', *body]
+        [f"/* {to_identifier(model.title)}: one model as an FMU. */", f'#define GUID "{{{guid}}}"', *body]
     ), f"{{{guid}}}"

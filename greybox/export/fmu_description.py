@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 from xml.etree import ElementTree as ET
 
-from greybox.export.discrete import Interval, delay_constants
-from greybox.export.identifiers import identifiers
+from greybox.export.discrete_step import DiscreteStep, find_delay_parameters
+from greybox.export.identifiers import to_identifiers
 from greybox.export.plant import Plant
-from greybox.signals import Input, Output, Parameter, State
-from greybox.units import parse, tidy
+from greybox.model.signals import Input, Output, Parameter, State
+from greybox.units import format_unit, parse_unit
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd")
 STEPS = 1000  # of the default experiment
 
 
-def description(plant: Plant, interval: Interval, name: str, guid: str) -> str:
+def write_description(plant: Plant, interval: DiscreteStep, name: str, guid: str) -> str:
     """The description of ``plant`` stepped over ``interval``; value references as in ``fmu.c``."""
     model = plant.model
     root = ET.Element(
@@ -45,21 +45,21 @@ def description(plant: Plant, interval: Interval, name: str, guid: str) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def names_of(plant: Plant) -> list[str]:
+def list_fmu_names(plant: Plant) -> list[str]:
     """The FMU's names of inputs, outputs, states (``state.x``) and constants, each once."""
     model = plant.model
-    plain = identifiers([*(i.name for i in model.inputs), *(o.name for o in model.outputs)])
-    states = [f"state.{name}" for name in identifiers(s.name for s in model.all_states)]
-    return [*plain, *states, *identifiers((q.name for q in model.all_parameters), plain)]
+    plain = to_identifiers([*(i.name for i in model.inputs), *(o.name for o in model.outputs)])
+    states = [f"state.{name}" for name in to_identifiers(s.name for s in model.all_states)]
+    return [*plain, *states, *to_identifiers((q.name for q in model.all_parameters), plain)]
 
 
 def _units(root: ET.Element, signals: Iterable[Input | Output | State | Parameter]) -> None:
-    units = dict.fromkeys(tidy(s.unit) for s in signals if tidy(s.unit) not in ("", "-", "1"))
+    units = dict.fromkeys(format_unit(s.unit) for s in signals if format_unit(s.unit) not in ("", "-", "1"))
     if not units:
         return
     group = ET.SubElement(root, "UnitDefinitions")
     for text in units:
-        value = parse(text)
+        value = parse_unit(text)
         powers = {symbol: str(int(e)) for symbol, e in value.dimensions if symbol in BASE and float(e).is_integer()}
         whole = len(powers) == len(value.dimensions)
         unit = ET.SubElement(group, "Unit", name=text)
@@ -68,11 +68,11 @@ def _units(root: ET.Element, signals: Iterable[Input | Output | State | Paramete
 
 
 def _variables(
-    root: ET.Element, plant: Plant, interval: Interval, signals: list[Input | Output | State | Parameter]
+    root: ET.Element, plant: Plant, interval: DiscreteStep, signals: list[Input | Output | State | Parameter]
 ) -> None:
-    group, fixed = ET.SubElement(root, "ModelVariables"), delay_constants(plant.model)
+    group, fixed = ET.SubElement(root, "ModelVariables"), find_delay_parameters(plant.model)
     starts = iter(interval.x0)
-    for reference, (name, signal) in enumerate(zip(names_of(plant), signals, strict=True)):
+    for reference, (name, signal) in enumerate(zip(list_fmu_names(plant), signals, strict=True)):
         remark = signal.description
         real: dict[str, str] = {}
         if isinstance(signal, Input):
@@ -91,7 +91,7 @@ def _variables(
                 key: repr(float(v)) for key, v in zip(("min", "max"), signal.bounds, strict=True) if abs(v) < 1e300
             }
             remark = f"{remark} ({plant.provenance(signal.name)})".strip()
-        unit = tidy(signal.unit)
+        unit = format_unit(signal.unit)
         variable = ET.SubElement(
             group, "ScalarVariable", {"name": name, "valueReference": str(reference), "description": remark, **kind}
         )

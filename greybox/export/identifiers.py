@@ -6,17 +6,17 @@ import re
 from collections.abc import Collection, Iterable
 
 
-def identifier(name: str) -> str:
+def to_identifier(name: str) -> str:
     """``micro_actuator + coulomb_friction`` as ``micro_actuator_coulomb_friction``."""
     text = re.sub(r"\W+", "_", name).strip("_")
     return text if text and not text[0].isdigit() else f"_{text}"
 
 
-def identifiers(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
+def to_identifiers(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
     """Each of ``names`` as an identifier that is none of the others and not ``taken``."""
     found: list[str] = []
     for name in names:
-        plain = unique = identifier(name)
+        plain = unique = to_identifier(name)
         number = 1
         while unique in found or unique in taken:
             number += 1

@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.export.equations import Equations
-from greybox.export.linear import Linearisation
-from greybox.export.plant import Plant, plant_of
-from greybox.export.point import OperatingPoint, point_of
-from greybox.export.sampled import sample
-from greybox.export.sides import Sides, sided
+from greybox.export.linearisation import Linearisation
+from greybox.export.model_functions import ModelFunctions
+from greybox.export.one_sided_derivatives import OneSidedDerivatives, differentiate_one_sided
+from greybox.export.operating_point import OperatingPoint, solve_operating_point
+from greybox.export.plant import Plant, to_plant
+from greybox.export.sampling import sample
 from greybox.model import Model
 from greybox.result import Fit
-from greybox.units import tidy
+from greybox.units import format_unit
 
 # Of the sum of a row: what is left of terms that cancel.
 ROUNDING = 1e-15
@@ -32,7 +32,7 @@ def linearise(
 ) -> Linearisation:
     """The linear model of a fit (or of a model at its present values) about an operating point, continuous or sampled.
 
-    ``at``: states and inputs by name, in the model's units; what it leaves out is solved for, see `operating_point`. ``dt``: sampling
+    ``at``: states and inputs by name, in the model's units; what it leaves out is solved for, see `find_operating_point`. ``dt``: sampling
     time in seconds (None: continuous), ``method`` ``zoh`` (exact for a held input) or ``tustin``, ``delay`` seconds by which every input
     arrives late besides what the model says itself, fractions of a sample included.
 
@@ -42,8 +42,8 @@ def linearise(
 
     Raises ModelError for unknown names, where there is no equilibrium, and where a slope is not finite.
     """
-    source = plant_of(plant)
-    linear = linear_model(source, Equations(source.model), source.p, at, dt, method, delay)
+    source = to_plant(plant)
+    linear = linearise_at(source, ModelFunctions(source.model), source.p, at, dt, method, delay)
     inputs, outputs = (
         {n: float(v) for n, v in zip(names, values, strict=True)}
         for names, values in ((linear.input_names, linear.u0), (linear.output_names, linear.y0))
@@ -51,19 +51,19 @@ def linearise(
     return replace(linear, notes=(*linear.notes, *source.unseen(inputs, outputs)))
 
 
-def linear_model(
-    plant: Plant, equations: Equations, p: np.ndarray, at: Mapping[str, float] | None,
+def linearise_at(
+    plant: Plant, equations: ModelFunctions, p: np.ndarray, at: Mapping[str, float] | None,
     dt: float | None = None, method: str = "zoh", delay: float = 0.0,
 ) -> Linearisation:  # fmt: skip
     """`linearise` with ``equations`` made already, at the constants ``p`` (np,): what a family of models repeats."""
-    point = point_of(equations, p, at)
+    point = solve_operating_point(equations, p, at)
     continuous = _about(plant, equations, p, point).late(delay)
     return continuous if dt is None else sample(continuous, dt, method)
 
 
-def _about(plant: Plant, equations: Equations, p: np.ndarray, point: OperatingPoint) -> Linearisation:
+def _about(plant: Plant, equations: ModelFunctions, p: np.ndarray, point: OperatingPoint) -> Linearisation:
     model, s, nx = plant.model, equations.system, equations.nx
-    sides = sided(equations, point.z, p)
+    sides = differentiate_one_sided(equations, point.z, p)
     rates, outputs, closed = _closed(equations, sides, point.z, p)
     sizes = equations.sizes(point.z, p)
     rates, outputs = _rounded(rates, sizes), _rounded(outputs, sizes)
@@ -76,8 +76,8 @@ def _about(plant: Plant, equations: Equations, p: np.ndarray, point: OperatingPo
         name=model.title,
         A=rates[np.ix_(rated, rated)], B=rates[rated, nx:], C=outputs[:, rated], D=outputs[:, nx:],
         state_names=tuple(x.name for x in states), input_names=s.input_names, output_names=s.output_names,
-        state_units=tuple(tidy(x.unit) for x in states), input_units=tuple(tidy(i.unit) for i in model.inputs),
-        output_units=tuple(tidy(o.unit) for o in model.outputs),
+        state_units=tuple(format_unit(x.unit) for x in states), input_units=tuple(format_unit(i.unit) for i in model.inputs),
+        output_units=tuple(format_unit(o.unit) for o in model.outputs),
         x0=point.z[rated], u0=point.z[nx:], y0=np.array(list(point.outputs.values())),
         rates=np.array([point.rates[x.name] for x in states]), delay=delay,
         parameters=dict(zip(s.parameter_names, map(float, p), strict=True)),
@@ -94,7 +94,7 @@ def _rounded(slopes: np.ndarray, sizes: np.ndarray) -> np.ndarray:
 
 
 def _closed(
-    equations: Equations, sides: Sides, z: np.ndarray, p: np.ndarray
+    equations: ModelFunctions, sides: OneSidedDerivatives, z: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Slopes with the states that are set after each step put in as functions of the others: play taken as closed."""
     rates, outputs, notes = sides.rates, sides.outputs, []
@@ -114,7 +114,7 @@ def _closed(
     return rates, outputs, notes
 
 
-def _engaged(equations: Equations, k: int, z: np.ndarray, p: np.ndarray) -> np.ndarray | None:
+def _engaged(equations: ModelFunctions, k: int, z: np.ndarray, p: np.ndarray) -> np.ndarray | None:
     """Slope (nx + nu,) of what a state is set to, where that does not depend on the state itself; None if it always does."""
     state = equations.system.updates[k].state
     far = 1e6 * (1.0 + np.abs(z).max(initial=0.0))
@@ -127,7 +127,9 @@ def _engaged(equations: Equations, k: int, z: np.ndarray, p: np.ndarray) -> np.n
     return None
 
 
-def _without_effect(equations: Equations, linear: Linearisation, point: OperatingPoint, p: np.ndarray) -> list[str]:
+def _without_effect(
+    equations: ModelFunctions, linear: Linearisation, point: OperatingPoint, p: np.ndarray
+) -> list[str]:
     """Inputs that move nothing at this point, with the effect that keeps them from it."""
     notes = []
     for j, name in enumerate(linear.input_names):
@@ -136,7 +138,7 @@ def _without_effect(equations: Equations, linear: Linearisation, point: Operatin
         guilty = [e.name for e in equations.model.effects if _input_acts(equations.model.without(e.name), point, j)]
         why = f" ({', '.join(guilty)})" if guilty else ""
         value = point.inputs[name]
-        unit = tidy(equations.model.inputs[j].unit)
+        unit = format_unit(equations.model.inputs[j].unit)
         notes.append(
             f"input {name!r} has no effect at {name} = {value:.6g} {unit}{why}: the linear model has no gain from it; choose a point with"
             f" another {name}"
@@ -145,8 +147,8 @@ def _without_effect(equations: Equations, linear: Linearisation, point: Operatin
 
 
 def _input_acts(model: Model, point: OperatingPoint, column: int) -> bool:
-    reduced = Equations(model)
+    reduced = ModelFunctions(model)
     everything = {**point.states, **point.inputs}
     z = np.array([everything[name] for name in reduced.names])
-    found = sided(reduced, z, np.array(list(model.values.values())))
+    found = differentiate_one_sided(reduced, z, np.array(list(model.values.values())))
     return bool(found.rates[:, reduced.nx + column].any() or found.outputs[:, reduced.nx + column].any())

@@ -8,12 +8,12 @@ from pathlib import Path
 import casadi as ca
 
 from greybox.errors import ModelError
-from greybox.export.identifiers import identifier
-from greybox.export.modelica_names import Names, declarations, safe
-from greybox.export.plant import Plant, plant_of
-from greybox.export.writer import ADD, AND, ATOM, OR, Dialect, Writer, Written, function_call
+from greybox.export.identifiers import to_identifier
+from greybox.export.modelica_names import ModelicaNames, to_modelica_string, write_declarations
+from greybox.export.plant import Plant, to_plant
+from greybox.export.printer import ADD, AND, ATOM, OR, Dialect, Printed, Printer, function_call
 from greybox.model import Balance, Model
-from greybox.model.system import BOUND_GUARD, Dry
+from greybox.model.system import BOUND_GUARD, DryFrictionTerm
 from greybox.result import Fit
 
 NAMES = {"fabs": "abs", "fmin": "min", "fmax": "max"}
@@ -28,14 +28,14 @@ def _call(name: str, arguments: Sequence[str]) -> str:
     return function_call(NAMES.get(name, name), arguments)
 
 
-def _choose(condition: str, yes: str, no: str) -> Written:
-    return Written(f"(if {condition} then {yes} else {no})", ATOM)
+def _choose(condition: str, yes: str, no: str) -> Printed:
+    return Printed(f"(if {condition} then {yes} else {no})", ATOM)
 
 
-def _logic(word: str, operands: Sequence[Written]) -> Written:
+def _logic(word: str, operands: Sequence[Printed]) -> Printed:
     if word == "not":
-        return Written(f"not ({operands[0].text})", AND)
-    return Written(f" {word} ".join(f"({operand.text})" for operand in operands), AND if word == "and" else OR)
+        return Printed(f"not ({operands[0].text})", AND)
+    return Printed(f" {word} ".join(f"({operand.text})" for operand in operands), AND if word == "and" else OR)
 
 
 MODELICA = Dialect("Modelica", "^", "1e300", _call, _choose, _logic, LACKS)
@@ -48,7 +48,7 @@ def to_modelica(plant: Fit | Model, path: str | Path) -> Path:
     becomes ``delay(u, T)``. Raises ModelError for an effect that sets a state after each step (play), which equations cannot say, and
     GreyboxError for a function that Modelica does not have.
     """
-    source = plant_of(plant)
+    source = to_plant(plant)
     target = Path(path).with_suffix(".mo")
     text = modelica_text(source)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -65,8 +65,8 @@ def modelica_text(plant: Plant) -> str:
             f"{model.title} cannot be written in Modelica: {setting} is set after each step and has no equation; leave the effect out, or"
             " export C or an FMU, which carry it exactly"
         )
-    names = Names.of(model)
-    writer = Writer(MODELICA, names.symbols)
+    names = ModelicaNames.of(model)
+    writer = Printer(MODELICA, names.symbols)
     rows = [_guarded(b, model) for b in s.balances]
     outputs = [s.outputs[k] for k in range(len(model.outputs))]
     writer.look_at([*(v for b in rows for v in (b.storage, *b.terms.values())), *outputs])
@@ -81,17 +81,24 @@ def modelica_text(plant: Plant) -> str:
         if seconds:
             late = writer.write(sum(seconds[1:], seconds[0]))
             equations.append(f"  {name} = delay({names.inputs[k]}, {late});")
-    head = identifier(model.title)
+    head = to_identifier(model.title)
     parts = [f"  {part} = {text};" for part, text in writer.shared]
     lines = [
-        *(f"// {line}".rstrip() for line in (*plant.origin(), *plant.notes)), f'model {head} "{safe(model.description or model.title)}"',
-        *declarations(plant, names, writer), *(f"  Real {part};" for part, _ in writer.shared),
-        *_start_of_friction(model, names), "equation", *parts, *equations, f"end {head};", "",
-    ]  # fmt: skip
+        *(f"// {line}".rstrip() for line in (*plant.origin(), *plant.notes)),
+        f'model {head} "{to_modelica_string(model.description or model.title)}"',
+        *write_declarations(plant, names, writer),
+        *(f"  Real {part};" for part, _ in writer.shared),
+        *_start_of_friction(model, names),
+        "equation",
+        *parts,
+        *equations,
+        f"end {head};",
+        "",
+    ]
     return "\n".join(lines)
 
 
-def _balance(b: Balance, model: Model, names: Names, writer: Writer) -> list[str]:
+def _balance(b: Balance, model: Model, names: ModelicaNames, writer: Printer) -> list[str]:
     """``M * der(v) = coil + ...``; with dry friction the way it slides decides which force it makes."""
     s = model.system
     state = names.symbols[b.state]
@@ -100,7 +107,7 @@ def _balance(b: Balance, model: Model, names: Names, writer: Writer) -> list[str
     storage = writer.written(b.storage)
     left = f"der({state})" if storage.text == "1" else f"{_bracketed(storage)} * der({state})"
     total = _sum([writer.written(term) for term in others.values()])
-    label = f'"{safe(b.name)}: {safe(", ".join(b.terms))}"'
+    label = f'"{to_modelica_string(b.name)}: {to_modelica_string(", ".join(b.terms))}"'
     if not dry:
         return [f"  {left} = {total} {label};"]
     return [
@@ -113,14 +120,14 @@ def _balance(b: Balance, model: Model, names: Names, writer: Writer) -> list[str
     ]  # fmt: skip
 
 
-def _levels(dry: Sequence[Dry], state: str, model: Model, writer: Writer) -> list[str]:
+def _levels(dry: Sequence[DryFrictionTerm], state: str, model: Model, writer: Printer) -> list[str]:
     sliding = _sum([writer.written(d.sliding) for d in dry])
     at_rest = model.system.x[dry[0].state]
     static = _sum([writer.written(ca.substitute(d.static, at_rest, 0)) for d in dry])
     return [f"  level_{state} = {sliding};", f"  most_{state} = {static};"]
 
 
-def _start_of_friction(model: Model, names: Names) -> list[str]:
+def _start_of_friction(model: Model, names: ModelicaNames) -> list[str]:
     bodies = sorted({d.state for d in model.system.dry})
     if not bodies:
         return []
@@ -149,7 +156,7 @@ def _guarded(b: Balance, model: Model) -> Balance:
     return Balance(b.name, b.unit, held(b.storage), b.state, **{name: held(term) for name, term in b.terms.items()})
 
 
-def _sum(terms: Sequence[Written]) -> str:
+def _sum(terms: Sequence[Printed]) -> str:
     text = ""
     for term in terms:
         if term.opposite:
@@ -160,5 +167,5 @@ def _sum(terms: Sequence[Written]) -> str:
     return text or "0"
 
 
-def _bracketed(value: Written) -> str:
+def _bracketed(value: Printed) -> str:
     return value.text if value.binds == ATOM else f"({value.text})"

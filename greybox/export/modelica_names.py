@@ -6,11 +6,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from greybox.export.identifiers import identifiers
+from greybox.export.identifiers import to_identifiers
 from greybox.export.plant import Plant
-from greybox.export.writer import Writer
+from greybox.export.printer import Printer
 from greybox.model import Model
-from greybox.units import tidy
+from greybox.units import format_unit
 
 RESERVED = frozenset(
     re.findall(
@@ -28,7 +28,7 @@ RESERVED = frozenset(
 
 
 @dataclass(frozen=True)
-class Names:
+class ModelicaNames:
     """What everything is called: ``shown`` outputs are states as they are and have no name of their own."""
 
     states: list[str]
@@ -40,14 +40,14 @@ class Names:
     symbols: Mapping[str, str]
 
     @classmethod
-    def of(cls, model: Model) -> Names:
+    def of(cls, model: Model) -> ModelicaNames:
         """The names of ``model`` as Modelica allows them; outputs that are states share theirs."""
         s = model.system
-        inner = identifiers([*s.state_names, *s.input_names, *s.parameter_names], RESERVED)
+        inner = to_identifiers([*s.state_names, *s.input_names, *s.parameter_names], RESERVED)
         nx, nu = len(s.state_names), len(s.input_names)
         states, inputs, parameters = inner[:nx], inner[nx : nx + nu], inner[nx + nu :]
         delayed = {d.column for d in s.delays}
-        late = [identifiers([f"{name}_late"], inner)[0] if k in delayed else name for k, name in enumerate(inputs)]
+        late = [to_identifiers([f"{name}_late"], inner)[0] if k in delayed else name for k, name in enumerate(inputs)]
         symbols = dict(
             zip((*s.state_names, *s.input_names, *s.parameter_names), (*states, *late, *parameters), strict=True)
         )
@@ -58,12 +58,12 @@ class Names:
             same = value.is_symbolic() and value.name() in s.state_names and symbols[value.name()] not in outputs
             shown.append(same)
             outputs.append(
-                symbols[value.name()] if same else identifiers([name], [*RESERVED, *inner, *late, *outputs])[0]
+                symbols[value.name()] if same else to_identifiers([name], [*RESERVED, *inner, *late, *outputs])[0]
             )
         return cls(states, inputs, outputs, parameters, late, shown, symbols)
 
 
-def declarations(plant: Plant, names: Names, writer: Writer) -> list[str]:
+def write_declarations(plant: Plant, names: ModelicaNames, writer: Printer) -> list[str]:
     """Parameters, inputs, states and outputs, and what dry friction needs, a line each."""
     model, s = plant.model, plant.model.system
     lines = []
@@ -71,9 +71,9 @@ def declarations(plant: Plant, names: Names, writer: Writer) -> list[str]:
         limits = {"min": q.bounds[0], "max": q.bounds[1]}
         inside = [*_unit(q.unit), *(f"{key} = {value!r}" for key, value in limits.items() if abs(value) < 1e300)]
         remark = f"{q.description} ({plant.provenance(q.name)})".strip()
-        lines.append(f'  parameter Real {name}{_brackets(inside)} = {float(q.value)!r} "{safe(remark)}";')
+        lines.append(f'  parameter Real {name}{_brackets(inside)} = {float(q.value)!r} "{to_modelica_string(remark)}";')
     lines += [
-        f'  input Real {name}{_brackets(_unit(i.unit))} "{safe(i.description)}";'
+        f'  input Real {name}{_brackets(_unit(i.unit))} "{to_modelica_string(i.description)}";'
         for name, i in zip(names.inputs, model.inputs, strict=True)
     ]
     lines += [
@@ -84,10 +84,10 @@ def declarations(plant: Plant, names: Names, writer: Writer) -> list[str]:
     for k, (name, x) in enumerate(zip(names.states, model.all_states, strict=True)):
         seen = "output " if name in [n for n, shown in zip(names.outputs, names.shown, strict=True) if shown] else ""
         inside = [*_unit(x.unit), f"start = {writer.write(s.start[k])}", "fixed = true"]
-        lines.append(f'  {seen}Real {name}{_brackets(inside)} "{safe(x.description)}";')
+        lines.append(f'  {seen}Real {name}{_brackets(inside)} "{to_modelica_string(x.description)}";')
     for name, o, shown in zip(names.outputs, model.outputs, names.shown, strict=True):
         if not shown:
-            lines.append(f'  output Real {name}{_brackets(_unit(o.unit))} "{safe(o.description)}";')
+            lines.append(f'  output Real {name}{_brackets(_unit(o.unit))} "{to_modelica_string(o.description)}";')
     for k in sorted({d.state for d in s.dry}):
         unit = _brackets(_unit(next(b.unit for b in s.balances if b.state == s.state_names[k])))
         lines += [
@@ -101,7 +101,7 @@ def declarations(plant: Plant, names: Names, writer: Writer) -> list[str]:
 
 def _unit(unit: str) -> list[str]:
     """``unit = "N.s/m"`` as Modelica writes units; nothing for one that it cannot write."""
-    text = tidy(unit).replace("*", ".").replace("^", "").replace("ohm", "Ohm")
+    text = format_unit(unit).replace("*", ".").replace("^", "").replace("ohm", "Ohm")
     if text in ("", "-", "1") or re.search(r"\.\d|%|\d\.", text):
         return []
     return [f'unit = "{text}"']
@@ -111,6 +111,6 @@ def _brackets(inside: Sequence[str]) -> str:
     return f"({', '.join(inside)})" if inside else ""
 
 
-def safe(text: str) -> str:
+def to_modelica_string(text: str) -> str:
     """Text inside a Modelica string."""
     return text.replace("\\", "\\\\").replace('"', "'")

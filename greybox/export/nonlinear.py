@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.export.discrete import Interval, delay_constants, interval_of, past_names
-from greybox.export.identifiers import identifier, identifiers
-from greybox.export.plant import Plant, plant_of
+from greybox.export.discrete_step import DiscreteStep, find_delay_parameters, make_discrete_step, name_past_inputs
+from greybox.export.identifiers import to_identifier, to_identifiers
+from greybox.export.plant import Plant, to_plant
 from greybox.model import Model
 from greybox.result import Fit
 
 
-def nonlinear_system(plant: Fit | Model, dt: float | None = None, *, substeps: int = 0) -> Any:
+def to_nonlinear_system(plant: Fit | Model, dt: float | None = None, *, substeps: int = 0) -> Any:
     """``control.NonlinearIOSystem`` of a fit or model, with signal names; its ``params`` are the constants by name (not of a delay).
 
     ``dt`` None: the continuous equations. ``dt`` in seconds: one sampling interval with held inputs, stepped as the library steps it,
@@ -23,11 +23,11 @@ def nonlinear_system(plant: Fit | Model, dt: float | None = None, *, substeps: i
 
     Raises ModelError for a continuous system of a model with an effect that is more than a differential equation; it names the effect.
     """
-    source = plant_of(plant)
-    return _continuous(source) if dt is None else _sampled(source, interval_of(source, dt, substeps=substeps))
+    source = to_plant(plant)
+    return _continuous(source) if dt is None else _sampled(source, make_discrete_step(source, dt, substeps=substeps))
 
 
-def beyond_equations(model: Model) -> list[str]:
+def find_discontinuous_effects(model: Model) -> list[str]:
     """Effects of ``model`` that ordinary differential equations cannot hold, each with the reason."""
     s = model.system
     return [
@@ -41,7 +41,7 @@ def _continuous(plant: Plant) -> Any:
     import control
 
     model, s = plant.model, plant.model.system
-    beyond = beyond_equations(model)
+    beyond = find_discontinuous_effects(model)
     if beyond:
         raise ModelError(
             f"{model.title} is no ordinary differential equation: {', '.join(beyond)}; give dt for a sampled system that holds it"
@@ -56,12 +56,12 @@ def _continuous(plant: Plant) -> Any:
         return outputs(_row(x, s.x.numel()), _row(u, s.u.numel()), values(params)).full().ravel()
 
     return control.NonlinearIOSystem(
-        update, read, inputs=identifiers(s.input_names), outputs=identifiers(s.output_names),
-        states=identifiers(s.state_names), params=own, name=identifier(model.title),
+        update, read, inputs=to_identifiers(s.input_names), outputs=to_identifiers(s.output_names),
+        states=to_identifiers(s.state_names), params=own, name=to_identifier(model.title),
     )  # fmt: skip
 
 
-def _sampled(plant: Plant, interval: Interval) -> Any:
+def _sampled(plant: Plant, interval: DiscreteStep) -> Any:
     import control
 
     model, s = plant.model, plant.model.system
@@ -78,8 +78,8 @@ def _sampled(plant: Plant, interval: Interval) -> Any:
         return interval.outputs(x[:nx], x[nx:], _row(u, s.u.numel()), values(params))
 
     return control.NonlinearIOSystem(
-        update, read, inputs=identifiers(s.input_names), outputs=identifiers(s.output_names),
-        states=identifiers([*s.state_names, *past_names(interval)]), params=own, name=identifier(model.title), dt=interval.dt,
+        update, read, inputs=to_identifiers(s.input_names), outputs=to_identifiers(s.output_names),
+        states=to_identifiers([*s.state_names, *name_past_inputs(interval)]), params=own, name=to_identifier(model.title), dt=interval.dt,
     )  # fmt: skip
 
 
@@ -89,8 +89,8 @@ def _row(values: Any, size: int) -> np.ndarray:
 
 def _constants(plant: Plant) -> tuple[dict[str, float], Callable[[Mapping[str, float]], np.ndarray]]:
     """The constants that may be changed, under names that control systems allow, and how they become an array again."""
-    names, fixed = plant.model.system.parameter_names, delay_constants(plant.model)
-    own = dict(zip(identifiers(names), map(float, plant.p), strict=True))
+    names, fixed = plant.model.system.parameter_names, find_delay_parameters(plant.model)
+    own = dict(zip(to_identifiers(names), map(float, plant.p), strict=True))
 
     def values(params: Mapping[str, float]) -> np.ndarray:
         return np.array([params.get(name, value) for name, value in own.items()])

@@ -11,7 +11,7 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.model import Model
 from greybox.result import Fit
-from greybox.units import tidy
+from greybox.units import format_unit
 
 # Of the range of a signal in the records: a point further out than this is far outside.
 BEYOND = 0.5
@@ -63,7 +63,7 @@ class Plant:
             low, high = float(min(r[0] for r in ranges)), float(max(r[1] for r in ranges))
             margin = BEYOND * (high - low) if high > low else abs(high)
             if not low - margin <= value <= high + margin:
-                unit = tidy(units[name])
+                unit = format_unit(units[name])
                 found.append(
                     f"{name} = {value:.6g} {unit}".rstrip()
                     + f" (records: {low:.4g} to {high:.4g} {unit}".rstrip()
@@ -81,15 +81,17 @@ class Plant:
         lines = [f"greybox {_version()}, model {self.model.title}"]
         if self.fit is not None:
             records = ", ".join(f"{t.name} ({t.fingerprint})" for t in self.fit.traces)
-            lines += [f"fitted to {records}", f"fit: {self.fit.solver.meaning}"]
+            lines += [f"fitted to {records}", f"fit: {self.fit.solver.status_message}"]
         return tuple(lines)
 
 
-def plant_of(given: Fit | Model) -> Plant:
+def to_plant(given: Fit | Model) -> Plant:
     """The plant behind what was handed over. Raises ModelError for anything that is neither a fit nor a model."""
     if isinstance(given, Fit):
         failed = (
-            () if given.success else (f"the fit did not succeed ({given.solver.meaning}); do not trust its numbers",)
+            ()
+            if given.success
+            else (f"the fit did not succeed ({given.solver.status_message}); do not trust its numbers",)
         )
         return Plant(given.model, given, failed)
     if isinstance(given, Model):
@@ -97,9 +99,9 @@ def plant_of(given: Fit | Model) -> Plant:
     raise ModelError(f"{given!r} cannot be exported; give a fit (gb.fit, gb.load_fit, discovery.best) or a model")
 
 
-def listed(names: Sequence[str], values: Sequence[float] | np.ndarray, units: Sequence[str]) -> str:
+def format_signals(names: Sequence[str], values: Sequence[float] | np.ndarray, units: Sequence[str]) -> str:
     """``x = 1e-05 m, u = 0.5 V``."""
-    return ", ".join(f"{n} = {v:.6g} {tidy(u)}".rstrip() for n, v, u in zip(names, values, units, strict=True))
+    return ", ".join(f"{n} = {v:.6g} {format_unit(u)}".rstrip() for n, v, u in zip(names, values, units, strict=True))
 
 
 def _version() -> str:

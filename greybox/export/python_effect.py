@@ -11,10 +11,10 @@ import casadi as ca
 from greybox.effects import CATALOGUE
 from greybox.export.plant import Plant
 from greybox.export.python_text import PYTHON, balance, call, items, keywords, literal, signal
-from greybox.export.writer import Writer
+from greybox.export.printer import Printer
 from greybox.model import Effect, Model
-from greybox.model.system import Bound
-from greybox.signals import Input, Named, Parameter, State
+from greybox.model.signals import Input, NamedValues, Parameter, State
+from greybox.model.system import BoundEffect
 
 HOOKS = (
     "terms",
@@ -35,7 +35,7 @@ SENSOR, SENSOR_AT_REST, VALUE = "reading of the sensor", "reading at rest", "val
 
 
 @dataclass(frozen=True)
-class Added:
+class AddedEffects:
     """Effects and values that a model has beyond its plant, as lines to stand below it."""
 
     effects: tuple[str, ...]
@@ -48,12 +48,12 @@ class Added:
         ]
 
 
-def added_effects(plant: Plant) -> Added:
+def write_added_effects(plant: Plant) -> AddedEffects:
     """The effects of the model, the values and bounds of their constants, and its ties."""
     model = plant.model
-    known = {b.effect.name: entry for b in model.bound_effects if (entry := catalogued(b.effect)) is not None}
+    known = {b.effect.name: entry for b in model.bound_effects if (entry := write_catalogued(b.effect)) is not None}
     effects = [
-        call("effect", [literal(b.effect.name)]) if b.effect.name in known else written(b, model)
+        call("effect", [literal(b.effect.name)]) if b.effect.name in known else write_effect(b, model)
         for b in model.bound_effects
     ]
     changes = []
@@ -72,10 +72,10 @@ def added_effects(plant: Plant) -> Added:
     changes += [call(".start", keywords(values))] * bool(values)
     changes += [call(".fix", [literal(name) for name in fixed])] * bool(fixed)
     changes += [call(".tie", keywords({tie.name: literal(tie.formula) for tie in model.ties}))] * bool(model.ties)
-    return Added(tuple(effects), tuple(changes))
+    return AddedEffects(tuple(effects), tuple(changes))
 
 
-def catalogued(effect: Effect) -> Effect | None:
+def write_catalogued(effect: Effect) -> Effect | None:
     """The entry of the catalogue that ``effect`` is, values and bounds aside; None if it is another."""
     for entry in CATALOGUE:
         if (
@@ -88,10 +88,10 @@ def catalogued(effect: Effect) -> Effect | None:
     return None
 
 
-def written(bound: Bound, model: Model) -> str:
+def write_effect(bound: BoundEffect, model: Model) -> str:
     """An effect as the call that makes it, each of its functions written out."""
     effect, (x, u, p) = bound.effect, _seen(bound, model)
-    writer = Writer(PYTHON, _symbols(bound, model))
+    writer = Printer(PYTHON, _symbols(bound, model))
     value = ca.SX.sym(VALUE)
     outer: Sequence[Parameter] = bound.parameters
     parameters = [Parameter(**{**vars(q), "name": own.name}) for own, q in zip(effect.parameters, outer, strict=True)]
@@ -119,7 +119,7 @@ def written(bound: Bound, model: Model) -> str:
     return call("Effect", arguments, 0, 2)
 
 
-def _result(hook: str, found: Any, writer: Writer) -> str:
+def _result(hook: str, found: Any, writer: Printer) -> str:
     """What a hook returns, as text."""
     if hook == "dry":
         return f"DryFriction({writer.write(found.sliding)}, {writer.write(found.static)})"
@@ -131,18 +131,18 @@ def _result(hook: str, found: Any, writer: Writer) -> str:
     return writer.write(found)
 
 
-def _seen(bound: Bound, model: Model) -> tuple[Named, Named, Named]:
+def _seen(bound: BoundEffect, model: Model) -> tuple[NamedValues, NamedValues, NamedValues]:
     """States, inputs and constants as the effect's functions see them."""
     signals: tuple[State | Input | Parameter, ...] = (*model.states, *model.inputs, *model.parameters)
     roles = {s.role: s.name for s in signals if s.role}
-    x = Named("state", {s.name: ca.SX.sym(s.name) for s in model.all_states}, roles)
-    u = Named("input", {i.name: ca.SX.sym(i.name) for i in model.inputs}, roles)
-    p = Named("parameter", {q.name: ca.SX.sym(q.name) for q in model.stated_parameters}, roles)
+    x = NamedValues("state", {s.name: ca.SX.sym(s.name) for s in model.all_states}, roles)
+    u = NamedValues("input", {i.name: ca.SX.sym(i.name) for i in model.inputs}, roles)
+    p = NamedValues("parameter", {q.name: ca.SX.sym(q.name) for q in model.stated_parameters}, roles)
     x, p = x.replaced({"sensor": ca.SX.sym(SENSOR)}), p.replaced({"sensor": ca.SX.sym(SENSOR_AT_REST)})
     return bound.within(x, bound.effect.states), u, bound.within(p, bound.effect.parameters)
 
 
-def _symbols(bound: Bound, model: Model) -> dict[str, str]:
+def _symbols(bound: BoundEffect, model: Model) -> dict[str, str]:
     """What each symbol is called inside the effect's functions: its own names come first."""
     own = {there: inner for inner, there in bound.own.items()}
     groups = (("x", model.all_states), ("u", model.inputs), ("p", model.stated_parameters))

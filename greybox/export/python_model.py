@@ -8,15 +8,15 @@ from pathlib import Path
 import casadi as ca
 
 from greybox.errors import GreyboxError
-from greybox.export.identifiers import identifier
-from greybox.export.plant import Plant, plant_of
-from greybox.export.python_effect import added_effects
+from greybox.export.identifiers import to_identifier
+from greybox.export.plant import Plant, to_plant
+from greybox.export.python_effect import write_added_effects
 from greybox.export.python_text import INDENT, NUMPY, PYTHON, balance, call, docstring, items, literal, signal
-from greybox.export.writer import Writer
+from greybox.export.printer import Printer
 from greybox.model import Model, Rule
-from greybox.model.show import equations
+from greybox.model.equations import equations_text
+from greybox.model.signals import NamedValues, Parameter
 from greybox.result import Fit
-from greybox.signals import Named, Parameter
 
 OUTPUT_VALUE = "measured value"  # a name that no signal can have
 
@@ -27,7 +27,7 @@ def to_python(plant: Fit | Model, path: str | Path) -> Path:
     Effects of the catalogue are added by name, others are written out. The file is one that ``greybox`` commands take as a MODEL; it
     gives the same simulation to rounding errors. Raises GreyboxError for an equation that cannot be written.
     """
-    source = plant_of(plant)
+    source = to_plant(plant)
     target = Path(path).with_suffix(".py")
     text = python_text(source)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -37,8 +37,8 @@ def to_python(plant: Fit | Model, path: str | Path) -> Path:
 
 def python_text(plant: Plant) -> str:
     """The text of the file."""
-    model, name = plant.model, identifier(plant.model.name)
-    effects = added_effects(plant)
+    model, name = plant.model, to_identifier(plant.model.name)
+    effects = write_added_effects(plant)
     body = [*_balances(model), "", f"{name} = {_model(plant)}", *effects.lines(name)]
     text = "\n".join(body)
     imports = [word for word in ("Balance", "DryFriction", "Effect", "Input", "Model", "Output", "Parameter", "State", "effect")
@@ -58,11 +58,11 @@ def symbols_of(model: Model) -> dict[str, str]:
     return {s.name: f"{letter}.{s.name}" for letter, group in groups for s in group}
 
 
-def named(model: Model) -> tuple[Named, Named, Named]:
+def named(model: Model) -> tuple[NamedValues, NamedValues, NamedValues]:
     """States, inputs and parameters of the plant as symbols, by name and by role."""
     groups = (("state", model.states), ("input", model.inputs), ("parameter", model.parameters))
     return tuple(  # type: ignore[return-value]
-        Named(kind, {s.name: ca.SX.sym(s.name) for s in group}, {s.role: s.name for s in group if s.role})
+        NamedValues(kind, {s.name: ca.SX.sym(s.name) for s in group}, {s.role: s.name for s in group if s.role})
         for kind, group in groups
     )
 
@@ -75,13 +75,15 @@ def _docstring(plant: Plant) -> list[str]:
         f"Left out, because its function cannot be written out: the rule {rule.name!r}. It only refuses values."
         for rule in model.rules if not _rule(rule, model)
     ]  # fmt: skip
-    return docstring(f"{title}.", [equations(model).splitlines(), source, [*plant.origin(), *plant.notes, *left_out]])
+    return docstring(
+        f"{title}.", [equations_text(model).splitlines(), source, [*plant.origin(), *plant.notes, *left_out]]
+    )
 
 
 def _balances(model: Model) -> list[str]:
     x, u, p = named(model)
     found = model.balances(x, u, p)
-    writer = Writer(PYTHON, symbols_of(model))
+    writer = Printer(PYTHON, symbols_of(model))
     writer.look_at(value for b in found for value in (b.storage, *b.terms.values()))
     rows = [balance(b, b.state, writer, 2) for b in found]
     shared = [f"{INDENT}{name} = {text}" for name, text in writer.shared]
@@ -93,8 +95,8 @@ def _model(plant: Plant) -> str:
     x, u, p = named(model)
     symbols = symbols_of(model)
 
-    def of_constants(function: Callable[[Named], object]) -> str:
-        return f"lambda p: {Writer(PYTHON, symbols).write(function(p))}"
+    def of_constants(function: Callable[[NamedValues], object]) -> str:
+        return f"lambda p: {Printer(PYTHON, symbols).write(function(p))}"
 
     states = []
     for s in model.states:
@@ -104,7 +106,7 @@ def _model(plant: Plant) -> str:
         signal(
             o,
             2,
-            written={"equation": f"lambda x, u, p: {Writer(PYTHON, symbols).write(o.equation(x, u, p))}"}
+            written={"equation": f"lambda x, u, p: {Printer(PYTHON, symbols).write(o.equation(x, u, p))}"}
             if o.equation
             else None,
         )
@@ -140,7 +142,7 @@ def _rule(rule: Rule, model: Model) -> str:
     symbols = symbols_of(model) | {OUTPUT_VALUE: "value"}
     value = ca.SX.sym(OUTPUT_VALUE)
     try:
-        margin = Writer(NUMPY, symbols).write(rule.margin(value, p) if rule.output else rule.margin(p))
+        margin = Printer(NUMPY, symbols).write(rule.margin(value, p) if rule.output else rule.margin(p))
     except (GreyboxError, NotImplementedError, RuntimeError, TypeError):
         return ""
     head = "lambda value, p: " if rule.output else "lambda p: "

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any
 
-from greybox.export.writer import ATOM, Dialect, Writer, Written, function_call
+from greybox.export.printer import ATOM, Dialect, Printed, Printer, function_call
 from greybox.model.balance import Balance
 
 WIDTH = 110
@@ -19,20 +19,20 @@ def _casadi(name: str, arguments: Sequence[str]) -> str:
     return function_call(f"ca.{name}", arguments)
 
 
-def _logic(word: str, operands: Sequence[Written]) -> Written:
-    return Written(_casadi(f"logic_{word}", [operand.text for operand in operands]), ATOM)
+def _logic(word: str, operands: Sequence[Printed]) -> Printed:
+    return Printed(_casadi(f"logic_{word}", [operand.text for operand in operands]), ATOM)
 
 
-def _choose(condition: str, yes: str, no: str) -> Written:
-    return Written(_casadi("if_else", [condition, yes, no]), ATOM)
+def _choose(condition: str, yes: str, no: str) -> Printed:
+    return Printed(_casadi("if_else", [condition, yes, no]), ATOM)
 
 
 PYTHON = Dialect("Python", "**", "ca.inf", _casadi, _choose, _logic)
 # Rules are asked with numbers and with arrays.
 NUMPY = Dialect(
     "Python", "**", "np.inf", lambda name, arguments: function_call(f"np.{name}", arguments),
-    lambda condition, yes, no: Written(function_call("np.where", [condition, yes, no]), ATOM),
-    lambda word, operands: Written(function_call(f"np.logical_{word}", [operand.text for operand in operands]), ATOM),
+    lambda condition, yes, no: Printed(function_call("np.where", [condition, yes, no]), ATOM),
+    lambda word, operands: Printed(function_call(f"np.logical_{word}", [operand.text for operand in operands]), ATOM),
 )  # fmt: skip
 
 
@@ -115,7 +115,7 @@ def keywords(entries: Mapping[str, str]) -> list[str]:
     return ["**{" + ", ".join(f"{literal(name)}: {text}" for name, text in entries.items()) + "}"] if entries else []
 
 
-def balance(value: Balance, state: str, writer: Writer, depth: int) -> str:
+def balance(value: Balance, state: str, writer: Printer, depth: int) -> str:
     """A balance as the call that makes it, its terms written out."""
     head = [literal(value.name), literal(value.unit), writer.write(value.storage), literal(state)]
     terms = keywords({name: writer.write(term) for name, term in value.terms.items()})

@@ -4,30 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 
-from greybox.export.channels import Channel
-from greybox.export.linear import Linearisation
-from greybox.export.plant import listed
-from greybox.result.summary import table
-from greybox.units import tidy
+from greybox.export.linearisation import Linearisation
+from greybox.export.plant import format_signals
+from greybox.export.transfer_channel import TransferChannel
+from greybox.result.summary import format_table
+from greybox.units import format_unit
 
 GONE = 1e-12  # a pole of a sampled model at zero, as a delay has it
 
 
-def summary(model: Linearisation) -> str:
+def summarise_linearisation(model: Linearisation) -> str:
     """Operating point, matrices, poles with natural frequency and damping, channels, notes."""
-    return "\n".join([*_head(model), "", *_matrices(model), "", *behaviour(model), *notes(model)])
+    return "\n".join([*_head(model), "", *_matrices(model), "", *format_behaviour(model), *format_notes(model)])
 
 
-def behaviour(model: Linearisation) -> list[str]:
+def format_behaviour(model: Linearisation) -> list[str]:
     """Lines about poles and channels."""
-    lines = poles_table(model.poles, model.dt)
+    lines = format_poles(model.poles, model.dt)
     for output in model.output_names:
         for name in model.input_names:
-            lines += ["", *channel_lines(model.channel(output, name))]
+            lines += ["", *format_channel(model.channel(output, name))]
     return lines
 
 
-def notes(model: Linearisation) -> list[str]:
+def format_notes(model: Linearisation) -> list[str]:
     """The notes, a line each, after an empty one."""
     return ["", *(f"note: {note}" for note in model.notes)] if model.notes else []
 
@@ -35,9 +35,9 @@ def notes(model: Linearisation) -> list[str]:
 def _head(model: Linearisation) -> list[str]:
     timing = f"sampled every {model.dt:g} s ({model.method})" if model.dt else "continuous"
     lines = [f"{model.name}: linear model, {timing}", ""]
-    lines += [f"  at   {listed(model.state_names, model.x0, model.state_units)}"]
-    lines += [f"       {listed(model.input_names, model.u0, model.input_units)}"] * bool(model.input_names)
-    lines += [f"       outputs {listed(model.output_names, model.y0, model.output_units)}"]
+    lines += [f"  at   {format_signals(model.state_names, model.x0, model.state_units)}"]
+    lines += [f"       {format_signals(model.input_names, model.u0, model.input_units)}"] * bool(model.input_names)
+    lines += [f"       outputs {format_signals(model.output_names, model.y0, model.output_units)}"]
     lines += [
         f"  delay of {name} {seconds:.6g} s, not in the matrices"
         for name, seconds in zip(model.input_names, model.delay, strict=True)
@@ -46,44 +46,44 @@ def _head(model: Linearisation) -> list[str]:
     return lines
 
 
-def poles_table(poles: np.ndarray, dt: float) -> list[str]:
+def format_poles(poles: np.ndarray, dt: float) -> list[str]:
     """Lines with pole, natural frequency, damping ratio, time constant."""
     rows = []
     for pole in poles[poles.imag >= 0]:
         if dt and abs(pole) < GONE:
-            rows.append([number(pole), "gone after one sample", "", ""])
+            rows.append([format_complex(pole), "gone after one sample", "", ""])
             continue
         s = np.log(pole) / dt if dt else pole
         speed = abs(s)
         rows.append(
             [
-                number(pole) + " and conjugate" * bool(pole.imag),
+                format_complex(pole) + " and conjugate" * bool(pole.imag),
                 f"{speed:.6g} rad/s" if speed else "integrates",
                 f"{-s.real / speed:.4g}" if speed else "",
                 f"{-1 / s.real:.4g} s" if s.real < 0 else "unstable" * bool(s.real > 0),
             ]
         )
-    return table(["poles" if not dt else "poles (z)", "natural frequency", "damping", "decays in"], rows)
+    return format_table(["poles" if not dt else "poles (z)", "natural frequency", "damping", "decays in"], rows)
 
 
-def channel_lines(channel: Channel) -> list[str]:
+def format_channel(channel: TransferChannel) -> list[str]:
     """Lines about one channel."""
     per = "/s" + (f"^{channel.integrators}" if channel.integrators > 1 else "") if channel.integrators else ""
-    unit = tidy(f"({channel.unit}){'/s**' + str(channel.integrators) if per else ''}")
+    unit = format_unit(f"({channel.unit}){'/s**' + str(channel.integrators) if per else ''}")
     kind = f"integrator gain {channel.gain:.10g} {unit}" if per else f"gain {channel.gain:.10g} {unit}"
     lines = [f"  {channel.input} -> {channel.output}: {kind}"]
-    lines.append("    zeros " + (", ".join(map(number, channel.zeros)) or "none"))
+    lines.append("    zeros " + (", ".join(map(format_complex, channel.zeros)) or "none"))
     width, (at, size) = channel.bandwidth, channel.peak
     if np.isfinite(width):
         lines.append(f"    bandwidth (-3 dB) {width:.6g} rad/s, {width / (2 * np.pi):.6g} Hz")
     elif np.isinf(width):
         lines.append("    bandwidth: the gain never stays 3 dB below that at rest")
     if np.isfinite(size) and size > 1.01 * abs(channel.gain):
-        lines.append(f"    largest gain {size:.6g} {tidy(channel.unit)} at {at:.6g} rad/s")
+        lines.append(f"    largest gain {size:.6g} {format_unit(channel.unit)} at {at:.6g} rad/s")
     return lines
 
 
-def number(value: complex) -> str:
+def format_complex(value: complex) -> str:
     """``-25.6``, ``-25.6+767.98j`` with ten digits."""
     if abs(value.imag) <= 1e-12 * abs(value):
         return f"{value.real:.10g}"

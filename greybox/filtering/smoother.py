@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.filtering.filter import KalmanFilter
-from greybox.filtering.passage import Passage
+from greybox.filtering.batch_filter import BatchFilter
+from greybox.filtering.kalman_filter import KalmanFilter
 from greybox.kernel import Record
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothedStates:
+class SmootherRun:
     """States of each of N rows: ``filtered`` (N, nx) given the measurements up to it, ``mean`` (N, nx) given all of them, each with its
     covariance (N, nx, nx); ``innovation`` (N, ny) standardised, NaN in gaps; ``log_likelihood`` of the measurements.
     """
@@ -25,9 +25,9 @@ class SmoothedStates:
     log_likelihood: float
 
 
-def smoothed(
+def smooth_states(
     kalman: KalmanFilter, record: Record, pn: np.ndarray, x0: np.ndarray, covariance: np.ndarray | None = None
-) -> SmoothedStates:
+) -> SmootherRun:
     """Rauch, Tung and Striebel's smoother (AIAA Journal 3, 1965), in the form of Bryson and Frazier (1963; de Jong, JASA 84, 1989).
 
     Backwards along the record ``r = H' S^-1 v + L' F' r`` and ``N = H' S^-1 H + L' F' N F L`` with ``L = I - K H``, then ``x + P r`` and
@@ -35,7 +35,7 @@ def smoothed(
     cases. For a nonlinear model ``F`` and ``H`` are the slopes along the filter's run.
     """
     run = kalman.run(record, pn, x0, covariance)
-    passage = Passage(kalman, record, pn)
+    passage = BatchFilter(kalman, record, pn)
     rows = np.arange(len(record.y))
     filtered, after = passage.correct(run.predicted, run.covariance)
     _, transitions = passage.move_with_slopes(filtered[:-1], rows[:-1])
@@ -57,6 +57,6 @@ def smoothed(
         information[k] = beneath = curvature[k] + kept[k].T @ beneath @ kept[k]
     mean = run.predicted + np.einsum("tij,tj->ti", run.covariance, r)
     whole = run.covariance - run.covariance @ information @ run.covariance
-    return SmoothedStates(
+    return SmootherRun(
         filtered, after, mean, (whole + whole.transpose(0, 2, 1)) / 2, run.innovation, run.log_likelihood
     )

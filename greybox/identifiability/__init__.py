@@ -1,12 +1,23 @@
 """What can be determined: by a model's structure, by the records at hand, and by the input that drove them."""
 
-from greybox.identifiability.after import missing_knowledge
-from greybox.identifiability.directions import Direction
-from greybox.identifiability.excitation import Excitation, excitation
-from greybox.identifiability.identifiability import Identifiability, identifiability
-from greybox.identifiability.practical import Expected, Practical, practical
+from greybox.identifiability.excitation import Excitation, analyse_excitation
+from greybox.identifiability.from_fit import recommend_after_fit
+from greybox.identifiability.open_directions import OpenDirection
+from greybox.identifiability.practical import (
+    ExpectedPrecision,
+    PracticalIdentifiability,
+    analyse_practical_identifiability,
+)
+from greybox.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 
 __all__ = [
-    "Direction", "Excitation", "Expected", "Identifiability", "Practical", "excitation", "identifiability",
-    "missing_knowledge", "practical",
-]  # fmt: skip
+    "Excitation",
+    "ExpectedPrecision",
+    "OpenDirection",
+    "PracticalIdentifiability",
+    "StructuralIdentifiability",
+    "analyse_excitation",
+    "analyse_practical_identifiability",
+    "analyse_structural_identifiability",
+    "recommend_after_fit",
+]

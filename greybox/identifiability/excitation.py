@@ -1,4 +1,4 @@
-"""`excitation`: how much an input can tell, whatever the model, and whether that is enough for a given one."""
+"""`analyse_excitation`: how much an input can tell, whatever the model, and whether that is enough for a given one."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from greybox.errors import DataError
 from greybox.experiment import Experiment
-from greybox.identifiability.generic import rates
-from greybox.identifiability.identifiability import Identifiability, identifiability
+from greybox.identifiability.generic_experiment import fastest_and_slowest_rate
+from greybox.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.model import Model
 
 MOST_ORDER = 40
@@ -47,8 +47,8 @@ class Excitation:
         return "\n".join([*said, *self.warnings])
 
 
-def excitation(
-    experiment: Experiment, model: Model | None = None, *, structure: Identifiability | None = None
+def analyse_excitation(
+    experiment: Experiment, model: Model | None = None, *, structure: StructuralIdentifiability | None = None
 ) -> Excitation:
     """Persistent excitation of the inputs of ``experiment``, against what ``model`` asks for.
 
@@ -68,20 +68,20 @@ def excitation(
             f"experiment {experiment.name!r} has no input {missing[0]!r}; it has {', '.join(experiment.inputs) or 'none'}"
         )
     limit = _limit(experiment.rows)
-    orders = {name: order(experiment.inputs[name]) for name in names}
-    bands = {name: band(experiment.time, experiment.inputs[name]) for name in names}
+    orders = {name: excitation_order(experiment.inputs[name]) for name in names}
+    bands = {name: excitation_bandwidth(experiment.time, experiment.inputs[name]) for name in names}
     if model is None or not names:
         return Excitation(orders, bands, limit)
-    fastest, _ = rates(model)
+    fastest, _ = fastest_and_slowest_rate(model)
     linear, needed = model.system.linear, None
     if linear:
         measured = [o.name for o in model.outputs if o.name in experiment.outputs]
-        found = structure or identifiability(model, measured or None)
+        found = structure or analyse_structural_identifiability(model, measured or None)
         needed = math.ceil(found.rank / len(found.outputs))
     return Excitation(orders, bands, limit, needed, fastest, tuple(_warnings(orders, bands, limit, needed, fastest)))
 
 
-def order(u: np.ndarray) -> int:
+def excitation_order(u: np.ndarray) -> int:
     """Order of persistent excitation of one input (N,), at most about a quarter of its rows and `MOST_ORDER`."""
     size = float(np.abs(u).max(initial=0.0))
     if size == 0.0:
@@ -100,7 +100,7 @@ def order(u: np.ndarray) -> int:
     return statistics.median_high(found)
 
 
-def band(time: np.ndarray, u: np.ndarray) -> float:
+def excitation_bandwidth(time: np.ndarray, u: np.ndarray) -> float:
     """Frequency in rad/s below which nearly all of the movement of an input (N,) lies."""
     grid = np.linspace(time[0], time[-1], len(time))
     even = np.interp(grid, time, u)

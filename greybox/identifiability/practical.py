@@ -1,4 +1,4 @@
-"""`practical`: what given records determine of the free constants, near their present values."""
+"""`analyse_practical_identifiability`: what given records determine of the free constants, near their present values."""
 
 from __future__ import annotations
 
@@ -7,14 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.estimation.problem import EstimationProblem, prepare_problem
 from greybox.experiment import Experiment
-from greybox.fitting.problem import Problem, prepare
-from greybox.identifiability.combinations import Combination, free_numbers, plainness, products, transfer, within
-from greybox.identifiability.excitation import Excitation, excitation
-from greybox.identifiability.frequency import frequency_sensitivity
-from greybox.identifiability.identifiability import Identifiability, identifiability
-from greybox.identifiability.sensitivity import Rank
-from greybox.identifiability.sensitivity import rank as rank_at
+from greybox.identifiability.determined_combinations import (
+    ParameterCombination,
+    find_product_combinations,
+    find_transfer_function_combinations,
+    free_parameter_indices,
+    is_determined,
+    simplicity_key,
+)
+from greybox.identifiability.excitation import Excitation, analyse_excitation
+from greybox.identifiability.sensitivity import SensitivityRank
+from greybox.identifiability.sensitivity import compute_rank as rank_at
+from greybox.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
+from greybox.identifiability.transfer_function_sensitivity import compute_transfer_function_sensitivity
 from greybox.model import Model
 
 # An interval that reaches further than this share of the value determines nothing.
@@ -26,7 +33,7 @@ PRIOR = np.log(10.0)  # what is known without data: the order of magnitude
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedPrecision:
     """What the records can say about one constant.
 
     ``std`` to expect, in ``unit``, at ``value``; None: infinite. ``determined``: the 95 % interval stays within 50 % of
@@ -43,7 +50,7 @@ class Expected:
 
 
 @dataclass(frozen=True)
-class Practical:
+class PracticalIdentifiability:
     """What records determine. ``constants``: free constants by name.
 
     ``rank``: combinations that show above the noise; ``averaged``: further ones that come from averaging alone.
@@ -52,7 +59,7 @@ class Practical:
     ``weakest_std`` its standard deviation (relative). ``remarks``: sentences, with what to do.
     """
 
-    constants: Mapping[str, Expected]
+    constants: Mapping[str, ExpectedPrecision]
     rank: int
     averaged: int
     combinations: Mapping[str, float]
@@ -69,7 +76,7 @@ class Practical:
         return tuple(name for name, c in self.constants.items() if not c.determined)
 
 
-def practical(
+def analyse_practical_identifiability(
     model: Model,
     experiments: Experiment | Sequence[Experiment],
     *,
@@ -77,30 +84,34 @@ def practical(
     at_rest: bool = False,
     method: str = "automatic",
     substeps: int = 0,
-    structure: Identifiability | None = None,
-) -> Practical:
+    structure: StructuralIdentifiability | None = None,
+) -> PracticalIdentifiability:
     """Which constants, and which combinations of them, the records determine near the present values of ``model``.
 
     From the slopes of a free run over each record; initial states are estimated along, unless ``at_rest``. ``noise``:
     standard deviation by output, estimated from the records if left out. The numbers hold for white noise and a model
-    that is right. ``structure``: the model's `identifiability` from the measured outputs, if it is at hand.
+    that is right. ``structure``: the model's `analyse_structural_identifiability` from the measured outputs, if it is at hand.
 
     Raises DataError and ModelError for records that do not go with the model.
     """
-    problem = prepare(model, experiments, noise, at_rest=at_rest, method=method, substeps=substeps)
-    return judge(problem, structure or identifiability(model, measured_outputs(problem), at_rest=at_rest))
+    problem = prepare_problem(model, experiments, noise, at_rest=at_rest, method=method, substeps=substeps)
+    return analyse_problem(
+        problem, structure or analyse_structural_identifiability(model, list_measured_outputs(problem), at_rest=at_rest)
+    )
 
 
-def measured_outputs(problem: Problem) -> list[str]:
+def list_measured_outputs(problem: EstimationProblem) -> list[str]:
     """Names of the outputs that at least one record has, but for sensors that were left out as dead."""
     names = [o.name for o in problem.model.outputs if any(o.name in e.outputs for e in problem.experiments)]
     return [name for name in names if name not in problem.still]
 
 
-def judge(problem: Problem, structure: Identifiability | None) -> Practical:
-    """`practical` for a problem that is laid out already; ``structure`` is None where it could not be found out."""
+def analyse_problem(
+    problem: EstimationProblem, structure: StructuralIdentifiability | None
+) -> PracticalIdentifiability:
+    """`analyse_practical_identifiability` for a problem that is laid out already; ``structure`` is None where it could not be found out."""
     variables, n = problem.variables, len(problem.variables.names)
-    drives = tuple(excitation(e, problem.model, structure=structure) for e in problem.experiments)
+    drives = tuple(analyse_excitation(e, problem.model, structure=structure) for e in problem.experiments)
     if not n:
         return _nothing(drives, "no constant is free: nothing to determine")
     evaluation = problem.shooting(variables).evaluate(np.zeros(variables.size))
@@ -111,7 +122,7 @@ def judge(problem: Problem, structure: Identifiability | None) -> Practical:
             drives, f"the model overflows on {name} after {time:.3g} s at the start values; give others with --start"
         )
     information = _projected(evaluation.hessian / 2, n)
-    samples = evaluation.count / max(len(measured_outputs(problem)), 1)
+    samples = evaluation.count / max(len(list_measured_outputs(problem)), 1)
     values, vectors = np.linalg.eigh(information)
     spans = 1 / np.sqrt(np.maximum(values, 1e-300))
     shown, reached = spans * np.sqrt(samples) < HALF, REACH * spans < HALF
@@ -130,14 +141,14 @@ def judge(problem: Problem, structure: Identifiability | None) -> Practical:
     constants = _constants(problem, information, samples)
     remarks = _remarks(structure, rank, averaged, drives)
     span = float(spans[min(missing, n - 1)])
-    return Practical(constants, rank, averaged, sure, thin, weakest, span, drives, remarks)
+    return PracticalIdentifiability(constants, rank, averaged, sure, thin, weakest, span, drives, remarks)
 
 
-def _nothing(drives: tuple[Excitation, ...], failure: str) -> Practical:
-    return Practical({}, 0, 0, {}, {}, {}, 0.0, drives, (), failure)
+def _nothing(drives: tuple[Excitation, ...], failure: str) -> PracticalIdentifiability:
+    return PracticalIdentifiability({}, 0, 0, {}, {}, {}, 0.0, drives, (), failure)
 
 
-def _constants(problem: Problem, information: np.ndarray, samples: float) -> dict[str, Expected]:
+def _constants(problem: EstimationProblem, information: np.ndarray, samples: float) -> dict[str, ExpectedPrecision]:
     variables = problem.variables
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
@@ -148,21 +159,25 @@ def _constants(problem: Problem, information: np.ndarray, samples: float) -> dic
     for k, name in enumerate(variables.names):
         value, unit = float(variables.base[k]), variables.quantities[k].unit
         if not np.isfinite(variance[k]):
-            found[name] = Expected(value, unit, None, False)
+            found[name] = ExpectedPrecision(value, unit, None, False)
             continue
         std = float(np.sqrt(variance[k]) * abs(variables.spans[k]))
         share = std / abs(value) if value else 0.0
-        found[name] = Expected(value, unit, std, REACH * share <= HALF, bool(share * np.sqrt(samples) > HALF))
+        found[name] = ExpectedPrecision(value, unit, std, REACH * share <= HALF, bool(share * np.sqrt(samples) > HALF))
     return found
 
 
 def _combinations(
-    problem: Problem, structure: Identifiability | None, information: np.ndarray, samples: float, most: int
+    problem: EstimationProblem,
+    structure: StructuralIdentifiability | None,
+    information: np.ndarray,
+    samples: float,
+    most: int,
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Formulas that the records determine, above the noise and by averaging, each with its relative deviation."""
     if structure is None:
         return {}, {}
-    p, which = problem.variables.fixed, free_numbers(problem.model)
+    p, which = problem.variables.fixed, free_parameter_indices(problem.model)
     covariance = np.linalg.inv(information + np.eye(len(which)) / PRIOR**2)
     found = []
     for candidate in _candidates(problem.model, structure, p):
@@ -180,21 +195,26 @@ def _combinations(
     return groups
 
 
-def _candidates(model: Model, structure: Identifiability, p: np.ndarray) -> list[Combination]:
+def _candidates(model: Model, structure: StructuralIdentifiability, p: np.ndarray) -> list[ParameterCombination]:
     """The formulas that the structure determines at the parameters ``p``, plain ones first."""
-    names, which = list(structure.constants), free_numbers(model)
+    names, which = list(structure.constants), free_parameter_indices(model)
     scalings = [[d.weights.get(name, 0.0) for name in names] for d in structure.directions]
     null = np.array(scalings).reshape(-1, len(names)).T
     basis = np.linalg.qr(null)[0] if null.shape[1] else np.zeros((len(names), 0))
-    found = list(products(model, [Rank(structure.rank, basis, basis[:, :0], np.zeros(0), 1.0, True)]))
+    found = list(
+        find_product_combinations(model, [SensitivityRank(structure.rank, basis, basis[:, :0], np.zeros(0), 1.0, True)])
+    )
     if model.system.linear:
         generator = np.random.default_rng(0)
         slopes = np.where(p[which] != 0, p[which], 1.0)
         here = rank_at(
-            frequency_sensitivity(model.system, p, which, slopes, structure.at_rest, generator), structure.outputs
+            compute_transfer_function_sensitivity(model.system, p, which, slopes, structure.at_rest, generator),
+            structure.outputs,
         )
-        found = [c for c in [*found, *transfer(model)] if within(c.slope(p, which), here)]
-    return sorted(found, key=plainness)
+        found = [
+            c for c in [*found, *find_transfer_function_combinations(model)] if is_determined(c.slope(p, which), here)
+        ]
+    return sorted(found, key=simplicity_key)
 
 
 def _new(chosen: list[np.ndarray], slope: np.ndarray) -> bool:
@@ -213,7 +233,7 @@ def _projected(information: np.ndarray, n: int) -> np.ndarray:
 
 
 def _remarks(
-    structure: Identifiability | None, rank: int, averaged: int, drives: Sequence[Excitation]
+    structure: StructuralIdentifiability | None, rank: int, averaged: int, drives: Sequence[Excitation]
 ) -> tuple[str, ...]:
     found = []
     if structure and rank + averaged < structure.rank:

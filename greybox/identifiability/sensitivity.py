@@ -22,7 +22,7 @@ class Sensitivity:
     blocks: dict[str, tuple[np.ndarray, np.ndarray]]
     doubtful: float = INFORMATION
 
-    def compressed(self) -> Sensitivity:
+    def compress(self) -> Sensitivity:
         """The same information in as few rows as there are columns."""
         small = {}
         for name, (states, constants) in self.blocks.items():
@@ -46,7 +46,7 @@ class Sensitivity:
 
 
 @dataclass(frozen=True, eq=False)
-class Rank:
+class SensitivityRank:
     """``rank`` of the sensitivities; ``null`` (np, k) and ``row`` (np, rank) span what is open and what is determined.
 
     ``values`` are the singular values, ``gap`` the ratio of the last that counts to the first that does not. ``certain``
@@ -62,7 +62,7 @@ class Rank:
     point: int = 0
 
 
-def rank(point: Sensitivity, outputs: Sequence[str]) -> Rank:
+def compute_rank(point: Sensitivity, outputs: Sequence[str]) -> SensitivityRank:
     """Rank at one point, with only ``outputs`` measured."""
     matrix, lengths = point.of(outputs), point.lengths(outputs)
     n = matrix.shape[1]
@@ -76,12 +76,12 @@ def rank(point: Sensitivity, outputs: Sequence[str]) -> Rank:
     scale = np.where(lengths > 0, lengths, 1.0)
     null = _orthonormal(vt[count:].T / scale[:, None])
     row = _orthonormal(vt[:count].T * scale[:, None])
-    return Rank(count, null, row, values, float(last / max(following, 1e-16)), not doubtful)
+    return SensitivityRank(count, null, row, values, float(last / max(following, 1e-16)), not doubtful)
 
 
-def best(points: Sequence[Sensitivity], outputs: Sequence[str]) -> list[Rank]:
+def highest_ranks(points: Sequence[Sensitivity], outputs: Sequence[str]) -> list[SensitivityRank]:
     """The ranks at the generic points: where it is highest, among those that are certain if there are any."""
-    ranks = [replace(rank(point, outputs), point=k) for k, point in enumerate(points)]
+    ranks = [replace(compute_rank(point, outputs), point=k) for k, point in enumerate(points)]
     ranks = [r for r in ranks if r.certain] or ranks
     highest = max(r.rank for r in ranks)
     return [r for r in ranks if r.rank == highest]

@@ -6,27 +6,27 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.integrators.call import call
-from greybox.integrators.exponential import exponentials, places_of
-from greybox.integrators.late_hold import LateInput
-from greybox.integrators.past import extra_columns, late_outputs
-from greybox.integrators.step import Past, Step
+from greybox.integrators.casadi_call import call_function
+from greybox.integrators.delayed_hold import DelayedHold
+from greybox.integrators.input_delay import count_history_columns, delay_outputs
+from greybox.integrators.matrix_exponential import compute_exponentials, index_hold_entries
+from greybox.integrators.step import InputHistory, Step
 from greybox.model.system import System
 
 
-def exact_hold(system: System, past: Past | None = None) -> Step:
+def exact_hold(system: System, past: InputHistory | None = None) -> Step:
     """``x+ = Phi x + G1 [ua; 1] + G2 [ub - ua; 0]``, exact for ``dx/dt = A x + B u + c``.
 
     With ``n`` states and ``m`` inputs the three blocks are the first rows of ``expm([[A h, B h, 0], [0, 0, I], [0, 0, 0]])``
     (Van Loan 1978; Franklin, Powell, Workman, first-order hold). A delayed input needs its ``past``: see
-    `greybox.integrators.late_hold`. Raises ModelError for a model that is not linear.
+    `greybox.integrators.delayed_hold`. Raises ModelError for a model that is not linear.
     """
     if not system.linear:
         raise ModelError("the exact hold needs equations that are linear in the states and inputs; use RK4")
     if system.delays and past is None:
         raise ModelError(f"the delayed input of {system.delays[0].effect!r} needs its past; use discretise")
     nx, nu = system.x.numel(), system.u.numel()
-    columns = nu + extra_columns(past)
+    columns = nu + count_history_columns(past)
     x, ua, ub, h = ca.SX.sym("x", nx), ca.SX.sym("ua", columns), ca.SX.sym("ub", columns), ca.SX.sym("h")
     phi, g1, g2 = ca.SX.sym("phi", nx, nx), ca.SX.sym("g1", nx, nu + 1), ca.SX.sym("g2", nx, nu)
     q = ca.vertcat(ca.vec(phi), ca.vec(g1), ca.vec(g2))
@@ -35,17 +35,17 @@ def exact_hold(system: System, past: Past | None = None) -> Step:
     late = None
     if past is not None:
         run = run * ua[-2]
-        late = LateInput(system, past, ua, ub)
+        late = DelayedHold(system, past, ua, ub)
         begin[past.column] = run[past.column] = 0
-        q, outputs = ca.vertcat(q, late.q), late_outputs(system, past)
+        q, outputs = ca.vertcat(q, late.q), delay_outputs(system, past)
     following = phi @ x + g1 @ ca.vertcat(begin, 1) + g2 @ run + (late.share if late else 0)
-    places = places_of(nx, nu)
+    places = index_hold_entries(nx, nu)
 
     def coefficients(p: np.ndarray, lengths: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        generator, along = call(matrices, p)
+        generator, along = call_function(matrices, p)
         size = len(generator)
         slopes = along.T.reshape(-1, size, size)[which].transpose(0, 2, 1)
-        whole = exponentials(generator, slopes, lengths, nx)
+        whole = compute_exponentials(generator, slopes, lengths, nx)
         q, dq = whole.flat(places)
         if late is None:
             return q, dq

@@ -11,31 +11,31 @@ from collections.abc import Callable
 import casadi as ca
 
 from greybox.errors import ModelError
-from greybox.integrators.compose import stepped
-from greybox.integrators.step import Advance, Past, Rate, Step
+from greybox.integrators.composition import make_step
+from greybox.integrators.step import AdvanceFunction, InputHistory, RateFunction, Step
 from greybox.model.system import System
 
 MOST_STATES = 8
 ITERATIONS = 4  # each gains one order in h, and the methods are of order 2 and 3
 
 
-def midpoint(system: System, substeps: int = 1, past: Past | None = None) -> Step:
+def midpoint(system: System, substeps: int = 1, past: InputHistory | None = None) -> Step:
     """``x+ = x + h f((x + x+) / 2)``: order 2, symplectic, stable for every decaying mode (A-stable), damps none of them.
 
     A mode much faster than the step rings on without decay: take `radau` for those. Raises ModelError beyond 8 states.
     """
-    return stepped("implicit midpoint", _small(system), midpoint_step, substeps, past)
+    return make_step("implicit midpoint", _small(system), midpoint_step, substeps, past)
 
 
-def radau(system: System, substeps: int = 1, past: Past | None = None) -> Step:
+def radau(system: System, substeps: int = 1, past: InputHistory | None = None) -> Step:
     """Radau IIA with two stages: order 3, L-stable, modes much faster than the step die out at once.
 
     Hairer, Wanner, Solving Ordinary Differential Equations II, table IV.5.5. Raises ModelError beyond 8 states.
     """
-    return stepped("Radau IIA", _small(system), radau_step, substeps, past)
+    return make_step("Radau IIA", _small(system), radau_step, substeps, past)
 
 
-def midpoint_step(rate: Rate) -> Advance:
+def midpoint_step(rate: RateFunction) -> AdvanceFunction:
     """The implicit midpoint rule for ``dx/dt = rate(x, u, p)``."""
 
     def advance(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
@@ -50,7 +50,7 @@ def midpoint_step(rate: Rate) -> Advance:
     return advance
 
 
-def radau_step(rate: Rate) -> Advance:
+def radau_step(rate: RateFunction) -> AdvanceFunction:
     """Radau IIA (two stages) for ``dx/dt = rate(x, u, p)``."""
     (a11, a12), (a21, a22) = (5 / 12, -1 / 12), (3 / 4, 1 / 4)
 
@@ -80,7 +80,7 @@ def _small(system: System) -> System:
     return system
 
 
-def _jacobian(rate: Rate, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+def _jacobian(rate: RateFunction, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
     point = ca.SX.sym("point", x.numel())
     return ca.densify(ca.substitute(ca.jacobian(rate(point, u, p), point), point, x))
 

@@ -12,14 +12,14 @@ import numpy as np
 from greybox.errors import ModelError
 
 # (p (np,), interval lengths (nh,), which parameters (na,)) -> coefficients q (nh, nq) and d q / d p[which] (nh, nq, na)
-Coefficients = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+CoefficientFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
-Rate = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]  # (x, u, p) -> dx/dt
-Advance = Callable[[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]  # (x, ua, ub, p, h) -> x after h seconds
-Method = Callable[[Rate], Advance]  # what one substep does with smooth equations
+RateFunction = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]  # (x, u, p) -> dx/dt
+AdvanceFunction = Callable[[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]  # (x, ua, ub, p, h) -> x after h seconds
+IntegrationMethod = Callable[[RateFunction], AdvanceFunction]  # what one substep does with smooth equations
 
 
-class Past(NamedTuple):
+class InputHistory(NamedTuple):
     """What a step sees of the past: ``rows`` earlier rows of input number ``column``."""
 
     column: int
@@ -42,17 +42,18 @@ class Step:
     ``generator``: None, or for an exact hold the CasADi function ``p -> vec([A, B, c])`` (nx (nx + nu + 1),) per second whose exponential
     has the coefficients as entries, column by column as `exact_hold` states them; a kernel may then compute them itself.
 
-    ``past``: None, or what of the past a delay needs; then ``ua``, ``ub`` and ``u`` are rows of `greybox.integrators.past.with_past`,
+    ``past``: None, or what of the past a delay needs; then ``ua``, ``ub`` and ``u`` are rows of
+    `greybox.integrators.input_delay.add_input_history`,
     which `Record.seen_by` makes.
     """
 
     name: str
     advance: ca.Function
     outputs: ca.Function
-    coefficients: Coefficients
+    coefficients: CoefficientFunction
     substeps: int = 1
     per_interval: bool = False
-    past: Past | None = None
+    past: InputHistory | None = None
     generator: ca.Function | None = None
 
     def __post_init__(self) -> None:

@@ -9,14 +9,26 @@ from functools import lru_cache
 
 from greybox.errors import GreyboxError
 from greybox.integrators.step import Step
-from greybox.kernel.compile import CompilerError, GreyboxWarning
+from greybox.kernel.c_compiler import CompilerError, GreyboxWarning
 from greybox.kernel.compiled import CompiledKernel
+from greybox.kernel.interface import GaussNewtonSums, Kernel
 from greybox.kernel.interpreted import InterpretedKernel
-from greybox.kernel.protocol import Kernel, Sums
 from greybox.kernel.record import Record
 from greybox.kernel.tape import UnsupportedOperationError
 
-__all__ = ["CompilerError", "GreyboxWarning", "Kernel", "Record", "Sums", "UnsupportedOperationError", "make_kernel"]
+__all__ = [
+    "CompiledKernel",
+    "CompilerError",
+    "GaussNewtonSums",
+    "GreyboxError",
+    "GreyboxWarning",
+    "InterpretedKernel",
+    "Kernel",
+    "Record",
+    "Step",
+    "UnsupportedOperationError",
+    "make_kernel",
+]
 
 # Kernels that are kept, for the next fit with the same step.
 KEPT = 64

@@ -12,7 +12,7 @@ from greybox.kernel.record import Record
 
 
 @dataclass(frozen=True)
-class Sizes:
+class StepSizes:
     """How many states, inputs, coefficients, parameters and outputs a step has."""
 
     nx: int
@@ -22,17 +22,17 @@ class Sizes:
     ny: int
 
     @staticmethod
-    def of(step: Step) -> Sizes:
+    def of(step: Step) -> StepSizes:
         """The sizes of ``step``."""
         advance, outputs = step.advance, step.outputs
-        return Sizes(
+        return StepSizes(
             advance.size1_in(0), advance.size1_in(1), advance.size1_in(3), outputs.size1_in(2), outputs.size1_out(0)
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Arguments:
-    """A checked call; see `greybox.kernel.protocol.Kernel`. ``row`` is None where one row of ``q`` serves every
+class KernelArguments:
+    """A checked call; see `greybox.kernel.interface.Kernel`. ``row`` is None where one row of ``q`` serves every
     interval."""
 
     q: np.ndarray
@@ -50,8 +50,8 @@ class Arguments:
         return self.dx0.shape[1]
 
 
-def checked(
-    sizes: Sizes,
+def check_arguments(
+    sizes: StepSizes,
     record: Record,
     q: np.ndarray,
     p: np.ndarray,
@@ -61,7 +61,7 @@ def checked(
     dp: np.ndarray | None = None,
     dx0: np.ndarray | None = None,
     weight: np.ndarray | None = None,
-) -> Arguments:
+) -> KernelArguments:
     """The arguments as contiguous float64 arrays of the right shapes; None means no directions, weight one. Raises
     DataError."""
     directions = 0 if dx0 is None else np.shape(dx0)[-1]
@@ -76,7 +76,7 @@ def checked(
             f"kernel: the record has {record.u.shape[1]} inputs and {record.y.shape[1]} outputs,"
             f" the step {sizes.nu} and {sizes.ny}; build the record from the same model"
         )
-    return Arguments(
+    return KernelArguments(
         q=_array("q", q, (rows, sizes.nq)),
         dq=_array("dq", dq, (rows, sizes.nq, directions)),
         p=_array("p", p, (sizes.np,)),
@@ -88,7 +88,7 @@ def checked(
     )
 
 
-def chained(step: Step, lengths: np.ndarray, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def chain_coefficients(step: Step, lengths: np.ndarray, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (rows, nq) of ``step`` at the parameters ``p`` (np,) and their slopes (rows, nq, L) along ``dp`` (np, L)."""
     which = np.flatnonzero(dp.any(axis=1))
     q, along = step.coefficients(p, lengths, which)

@@ -13,19 +13,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greybox.integrators.step import Step
-from greybox.kernel.arguments import Arguments, Sizes, chained, checked
-from greybox.kernel.compile import load, vector_width
-from greybox.kernel.emit import Routine
-from greybox.kernel.protocol import Sums, finished
+from greybox.kernel.arguments import KernelArguments, StepSizes, chain_coefficients, check_arguments
+from greybox.kernel.c_compiler import choose_vector_width, load_library
+from greybox.kernel.c_routine import CRoutine
+from greybox.kernel.interface import GaussNewtonSums, check_sums
 from greybox.kernel.record import Record
-from greybox.kernel.shorten import shorten
-from greybox.kernel.tape import Tape, read
+from greybox.kernel.simplify import simplify_tape
+from greybox.kernel.tape import Tape, read_tape
 
 ADVANCE = ("x", "ua", "ub", "q", "h")
 OUTPUTS = ("x", "u", "p")
 
 
-class Library(NamedTuple):
+class KernelLibrary(NamedTuple):
     """Functions of a compiled library; ``hold`` where the kernel computes the coefficients itself."""
 
     sums: Any
@@ -33,7 +33,7 @@ class Library(NamedTuple):
 
 
 class CompiledKernel:
-    """Runs a step as compiled C; see `greybox.kernel.protocol.Kernel` for the arguments.
+    """Runs a step as compiled C; see `greybox.kernel.interface.Kernel` for the arguments.
 
     The library for simulation is compiled on construction, the one with tangents when it is first asked for (one for
     each number of blocks of directions, and for held inputs). Raises CompilerError, and UnsupportedOperationError for an
@@ -46,13 +46,13 @@ class CompiledKernel:
     def __init__(self, step: Step) -> None:
         self.step = step
         self.description = f"compiled C, {step.label}"
-        self.sizes = Sizes.of(step)
-        self._libraries: dict[tuple[int, int, bool], Library] = {}
+        self.sizes = StepSizes.of(step)
+        self._libraries: dict[tuple[int, int, bool], KernelLibrary] = {}
         self._simulate = _declared(self._load(0, 0, True).simulate, None, (ctypes.c_int, ctypes.c_int), 8)
 
     def _load(self, width: int, blocks: int, first_order: bool) -> ctypes.CDLL:
         """The library of `source`. Writing that takes longer than loading one that was compiled before, so it is known by the functions."""
-        return load(
+        return load_library(
             lambda: self.source(width, blocks, first_order),
             f"{self._functions} {width} {blocks} {first_order} {self._once}",
         )
@@ -65,8 +65,8 @@ class CompiledKernel:
 
     @cached_property
     def _tapes(self) -> tuple[Tape, Tape]:
-        advance = read(self.step.advance, active=(0, 3), varying=(0, 1, 2))
-        return shorten(advance), shorten(read(self.step.outputs, active=(0, 2), varying=(0, 1)))
+        advance = read_tape(self.step.advance, active=(0, 3), varying=(0, 1, 2))
+        return simplify_tape(advance), simplify_tape(read_tape(self.step.outputs, active=(0, 2), varying=(0, 1)))
 
     def source(self, width: int = 0, blocks: int = 0, first_order: bool = True) -> str:
         """The C text with room for ``blocks`` blocks of ``width`` directions; without blocks it is the simulation.
@@ -81,15 +81,15 @@ class CompiledKernel:
             parts += [f"#define W {width}", f"#define NB {blocks}", _template("lanes.h")]
             parts.append(f"#define FIRST_ORDER {'first_order' if first_order else 0}")
             parts.append(f"#define SUBSTEPS {1 if self._once else 'substeps'}")
-        parts.append(Routine("advance", advance, ADVANCE, (0, 3), blocks).text())
-        parts.append(Routine("outputs", outputs, OUTPUTS, (0, 2), blocks).text())
+        parts.append(CRoutine("advance", advance, ADVANCE, (0, 3), blocks).text())
+        parts.append(CRoutine("outputs", outputs, OUTPUTS, (0, 2), blocks).text())
         parts.append(_template("sums.c" if blocks else "simulate.c"))
         if blocks and self.step.generator is not None:
-            tape = shorten(read(self.step.generator, active=(0,), varying=(0,)))
-            parts += [Routine("generator", tape, ("p",), (0,), blocks).text(), _template("hold.c")]
+            tape = simplify_tape(read_tape(self.step.generator, active=(0,), varying=(0,)))
+            parts += [CRoutine("generator", tape, ("p",), (0,), blocks).text(), _template("hold.c")]
         return "\n".join(parts)
 
-    def repeated(self, substeps: int) -> CompiledKernel:
+    def with_substeps(self, substeps: int) -> CompiledKernel:
         """The same step with another number of substeps in an interval; nothing is compiled anew."""
         other = copy.copy(self)
         other.step = replace(self.step, substeps=substeps)
@@ -106,7 +106,7 @@ class CompiledKernel:
     def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
         if self.step.generator is None:
-            return chained(self.step, record.lengths, p, dp)
+            return chain_coefficients(self.step, record.lengths, p, dp)
         directions, rows = dp.shape[1], len(record.lengths)
         p, dp = (np.ascontiguousarray(a, dtype=np.float64) for a in (p, _lanes(dp)))
         q, dq = np.empty((rows, self.sizes.nq)), np.empty((rows, self.sizes.nq, _padded(directions)))
@@ -115,7 +115,7 @@ class CompiledKernel:
 
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
-        a = checked(self.sizes, record, q, p, x0)
+        a = check_arguments(self.sizes, record, q, p, x0)
         y, x = np.empty((len(record.y), self.sizes.ny)), np.empty((len(record.y), self.sizes.nx))
         self._simulate(*self._head(record, len(y)), *map(_address, (record.h, a.row, a.q, a.p, a.x0, y, x)))
         return y, x
@@ -131,9 +131,9 @@ class CompiledKernel:
         dx0: np.ndarray,
         weight: np.ndarray,
         rows: int | None = None,
-    ) -> Sums:
+    ) -> GaussNewtonSums:
         """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
-        a = checked(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        a = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
         n, lanes, ny, used = (
             len(record.y) if rows is None else min(rows, len(record.y)),
             _padded(a.directions),
@@ -143,7 +143,7 @@ class CompiledKernel:
         found = np.zeros(2 * ny + lanes + lanes * lanes)
         failed = self._pass(record, n, a, (found, None, None))
         gradient, matrix = found[2 * ny : 2 * ny + used], found[2 * ny + lanes :].reshape(lanes, lanes)[:used, :used]
-        return finished(found[:ny], found[ny : 2 * ny], gradient, matrix, None if failed < 0 else failed, n)
+        return check_sums(found[:ny], found[ny : 2 * ny], gradient, matrix, None if failed < 0 else failed, n)
 
     def residuals(
         self,
@@ -157,27 +157,27 @@ class CompiledKernel:
         weight: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
-        a = checked(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        a = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
         n = len(record.y)
         r, jacobian = np.full((n, self.sizes.ny), np.nan), np.full((n, self.sizes.ny, _padded(a.directions)), np.nan)
         self._pass(record, n, a, (None, r, jacobian))
         return r, np.ascontiguousarray(jacobian[:, :, : a.directions])
 
-    def _pass(self, record: Record, n: int, a: Arguments, results: tuple[np.ndarray | None, ...]) -> int:
+    def _pass(self, record: Record, n: int, a: KernelArguments, results: tuple[np.ndarray | None, ...]) -> int:
         """One pass over the first ``n`` samples; the first sample that failed, or -1."""
         arrays = (record.y, record.h, a.row, a.q, _lanes(a.dq), a.p, _lanes(a.dp), a.x0, _lanes(a.dx0), a.weight)
         run = self._library(a.directions, record.first_order).sums
         return run(*self._head(record, n), *map(_address, (*arrays, *results)))
 
-    def _library(self, directions: int, first_order: bool) -> Library:
+    def _library(self, directions: int, first_order: bool) -> KernelLibrary:
         """The functions with tangents, compiled when first asked for."""
-        width = vector_width(directions)
+        width = choose_vector_width(directions)
         shape = (width, _padded(directions) // width, first_order)
         if shape not in self._libraries:
             library = self._load(*shape)
             sums = _declared(library.sums, ctypes.c_long, (ctypes.c_int, ctypes.c_int), 14)
             hold = _declared(library.hold, None, (), 5) if self.step.generator is not None else None
-            self._libraries[shape] = Library(sums, hold)
+            self._libraries[shape] = KernelLibrary(sums, hold)
         return self._libraries[shape]
 
     def _head(self, record: Record, n: int) -> tuple[Any, ...]:
@@ -197,7 +197,7 @@ def _template(name: str) -> str:
 
 def _padded(directions: int) -> int:
     """Room for the directions in whole blocks, at least one."""
-    width = vector_width(directions)
+    width = choose_vector_width(directions)
     return max(1, -(-directions // width)) * width
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.errors import DataError
-from greybox.integrators.past import with_past
+from greybox.integrators.input_delay import add_input_history
 from greybox.integrators.step import Step
 
 
@@ -56,7 +56,7 @@ class Record:
         """Of an array with one entry for each row (N, ...) the entries that are samples."""
         return values[:: self.every]
 
-    def seen_by(self, step: Step) -> Record:
+    def read_by(self, step: Step) -> Record:
         """The record as ``step`` reads it: one row of coefficients where it needs one, the past of a delayed input beside it.
 
         Raises DataError for a delayed input and intervals of different lengths.
@@ -64,5 +64,5 @@ class Record:
         record = self if step.per_interval else replace(self, row=np.zeros_like(self.row))
         if step.past is None:
             return record
-        u = with_past(self.u, self.lengths, step.past, self.first_order)
+        u = add_input_history(self.u, self.lengths, step.past, self.first_order)
         return replace(record, u=u, first_order=True)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from greybox.errors import GreyboxError
-from greybox.kernel.slopes import BINARY, FLAT, PICKS, UNARY, Slope
+from greybox.kernel.derivative_rules import BINARY, FLAT, PICKS, UNARY, Slope
 
 COMMUTATIVE = frozenset([ca.OP_ADD, ca.OP_MUL, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_HYPOT])
 
@@ -27,7 +27,7 @@ class Node(NamedTuple):
     varying: bool  # changes from substep to substep; the others can be computed once
 
 
-class Lane(NamedTuple):
+class Tangent(NamedTuple):
     """One tangent instruction: ``sum coefficient * lane``; ``condition ? first : second``; or the tangent of an
     input."""
 
@@ -44,7 +44,7 @@ class Tape:
     ``i``."""
 
     nodes: list[Node] = field(default_factory=list)
-    lanes: list[Lane] = field(default_factory=list)
+    tangents: list[Tangent] = field(default_factory=list)
     order: list[tuple[str, int]] = field(default_factory=list)
     outputs: list[list[tuple[int, int | None]]] = field(default_factory=list)
     _known: dict = field(default_factory=dict, repr=False)
@@ -73,13 +73,13 @@ class Tape:
             numbers = tuple(sorted(numbers))
         return self._node(op, numbers, None, any(a.varying for a in args))
 
-    def lane(self, lane: Lane) -> int:
+    def tangent(self, tangent: Tangent) -> int:
         """Append a tangent instruction."""
-        if lane not in self._known:
-            self.lanes.append(lane)
-            self._known[lane] = len(self.lanes) - 1
-            self.order.append(("lane", len(self.lanes) - 1))
-        return self._known[lane]
+        if tangent not in self._known:
+            self.tangents.append(tangent)
+            self._known[tangent] = len(self.tangents) - 1
+            self.order.append(("lane", len(self.tangents) - 1))
+        return self._known[tangent]
 
     def keep(self, k: int) -> None:
         """Let the node ``k``, which is in the list already, run at this place."""
@@ -162,7 +162,7 @@ class Scalar:
         return self._with(ca.OP_LT, other, swapped=True)
 
 
-def read(function: ca.Function, *, active: Sequence[int] = (), varying: Sequence[int] = ()) -> Tape:
+def read_tape(function: ca.Function, *, active: Sequence[int] = (), varying: Sequence[int] = ()) -> Tape:
     """The instructions of ``function`` with tangents carried from the ``active`` inputs.
 
     ``varying`` inputs change at every substep; what depends on the others alone is marked as computed once. Raises
@@ -178,15 +178,15 @@ def read(function: ca.Function, *, active: Sequence[int] = (), varying: Sequence
     for k in range(function.n_instructions()):
         op, source, target = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
         if op == ca.OP_OUTPUT:
-            scalar, lane = work[source[0]]
-            tape.outputs[target[0]][rows_out[target[0]][target[1]]] = (scalar.index, lane)
+            scalar, tangent = work[source[0]]
+            tape.outputs[target[0]][rows_out[target[0]][target[1]]] = (scalar.index, tangent)
         elif op == ca.OP_CONST:
             work[target[0]] = (tape.constant(function.instruction_constant(k)), None)
         elif op == ca.OP_INPUT:
             which, element = source[0], rows_in[source[0]][source[1]]
             scalar = tape.input(which, element, which in varying)
-            lane = tape.lane(Lane((), None, (which, element), which in varying)) if which in active else None
-            work[target[0]] = (scalar, lane)
+            tangent = tape.tangent(Tangent((), None, (which, element), which in varying)) if which in active else None
+            work[target[0]] = (scalar, tangent)
         elif op in (ca.OP_ASSIGN, ca.OP_LIFT):
             work[target[0]] = work[source[0]]
         else:
@@ -200,37 +200,37 @@ def _step(tape: Tape, op: int, args: list[tuple[Scalar, int | None]]) -> tuple[S
         raise UnsupportedOperationError(
             f"CasADi operation number {op} ({operation_name(op)}) has no tangent rule; write the term without it"
         )
-    scalars, lanes = [a[0] for a in args], [a[1] for a in args]
+    scalars, tangents = [a[0] for a in args], [a[1] for a in args]
     result = tape.apply(op, *scalars)
-    if op in FLAT or all(lane is None for lane in lanes):
+    if op in FLAT or all(tangent is None for tangent in tangents):
         return result, None
     if op in PICKS:
-        return result, _pick(tape, op, (*scalars, result), lanes)
+        return result, _pick(tape, op, (*scalars, result), tangents)
     rules: Sequence[Callable[..., Slope]] = BINARY[op] if op in BINARY else (UNARY[op],)
     terms: list[tuple[int | None, int | None]] = []
-    for rule, lane in zip(rules, lanes, strict=True):
-        if lane is None:
+    for rule, tangent in zip(rules, tangents, strict=True):
+        if tangent is None:
             continue
         slope = rule(*scalars, result)
         scalar = slope if not isinstance(slope, float) else tape.constant(slope)
         if scalar.number != 0:
-            terms.append((None if scalar.number == 1 else scalar.index, lane))
+            terms.append((None if scalar.number == 1 else scalar.index, tangent))
     if not terms:
         return result, None
     if len(terms) == 1 and terms[0][0] is None:
         return result, terms[0][1]
-    moving = any(tape.lanes[lane].varying or (c is not None and tape.nodes[c].varying) for c, lane in terms)  # type: ignore[index]
-    return result, tape.lane(Lane(tuple(terms), None, None, moving))
+    moving = any(tape.tangents[tangent].varying or (c is not None and tape.nodes[c].varying) for c, tangent in terms)  # type: ignore[index]
+    return result, tape.tangent(Tangent(tuple(terms), None, None, moving))
 
 
-def _pick(tape: Tape, op: int, scalars: Sequence[Scalar], lanes: list[int | None]) -> int | None:
+def _pick(tape: Tape, op: int, scalars: Sequence[Scalar], tangents: list[int | None]) -> int | None:
     rule, sides = PICKS[op]
     condition = rule(*scalars)
-    chosen = [None if side is None else lanes[side] for side in sides]
+    chosen = [None if side is None else tangents[side] for side in sides]
     if chosen[0] == chosen[1]:
         return chosen[0]
-    moving = condition.varying or any(tape.lanes[lane].varying for lane in chosen if lane is not None)
-    return tape.lane(Lane(tuple((None, lane) for lane in chosen), condition.index, None, moving))
+    moving = condition.varying or any(tape.tangents[tangent].varying for tangent in chosen if tangent is not None)
+    return tape.tangent(Tangent(tuple((None, tangent) for tangent in chosen), condition.index, None, moving))
 
 
 def operation_name(op: int) -> str:

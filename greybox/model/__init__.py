@@ -3,7 +3,7 @@
 from greybox.model.balance import Balance
 from greybox.model.effect import DryFriction, Effect
 from greybox.model.model import Model
-from greybox.model.rule import Rule
+from greybox.model.rules import Rule
 from greybox.model.system import System
 
 __all__ = ["Balance", "DryFriction", "Effect", "Model", "Rule", "System"]

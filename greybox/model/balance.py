@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from greybox.errors import ModelError, nearest
-from greybox.signals import Expression
+from greybox.model.signals import Expression
 
 
 @dataclass(frozen=True, init=False)

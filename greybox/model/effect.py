@@ -7,18 +7,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from greybox.model.balance import Balance
-from greybox.signals import Expression, Named, Parameter, State
+from greybox.model.signals import Expression, NamedValues, Parameter, State
 
-Equation = Callable[[Named, Named, Named], Expression]
-Terms = Callable[[Named, Named, Named], "Expression | Mapping[str, Expression]"]
-Transform = Callable[[Expression, Named, Named, Named], Expression]
+Equation = Callable[[NamedValues, NamedValues, NamedValues], Expression]
+Terms = Callable[[NamedValues, NamedValues, NamedValues], "Expression | Mapping[str, Expression]"]
+Transform = Callable[[Expression, NamedValues, NamedValues, NamedValues], Expression]
 
 
 @dataclass(frozen=True)
 class DryFriction:
     """Friction that sticks: magnitudes (not negative) while sliding and the most it holds at standstill.
 
-    The integrator treats it exactly (no smoothing): see `greybox.integrators.dry`.
+    The integrator treats it exactly (no smoothing): see `greybox.integrators.dry_friction`.
     """
 
     sliding: Expression
@@ -72,17 +72,17 @@ class Effect:
     site: str
     parameters: Sequence[Parameter]
     terms: Terms | None = None
-    dry: Callable[[Named, Named, Named], DryFriction] | None = None
+    dry: Callable[[NamedValues, NamedValues, NamedValues], DryFriction] | None = None
     states: Sequence[State] = ()
-    balances: Callable[[Named, Named, Named], list[Balance]] | None = None
-    update: Callable[[Named, Named, Named], Mapping[str, Expression]] | None = None
+    balances: Callable[[NamedValues, NamedValues, NamedValues], list[Balance]] | None = None
+    update: Callable[[NamedValues, NamedValues, NamedValues], Mapping[str, Expression]] | None = None
     delay: Equation | None = None
     on_input: Transform | None = None
     on_output: Transform | None = None
-    on_parameter: Callable[[Named, Named, Named], Mapping[str, Expression]] | None = None
-    on_state: Callable[[Named, Named, Named], Mapping[str, Expression]] | None = None
-    on_term: Callable[[Named, Named, Named], Mapping[str, Mapping[str, Expression]]] | None = None
-    on_storage: Callable[[Named, Named, Named], Mapping[str, Expression]] | None = None
+    on_parameter: Callable[[NamedValues, NamedValues, NamedValues], Mapping[str, Expression]] | None = None
+    on_state: Callable[[NamedValues, NamedValues, NamedValues], Mapping[str, Expression]] | None = None
+    on_term: Callable[[NamedValues, NamedValues, NamedValues], Mapping[str, Mapping[str, Expression]]] | None = None
+    on_storage: Callable[[NamedValues, NamedValues, NamedValues], Mapping[str, Expression]] | None = None
     hold: str = ""
     equation: str = ""
     parents: Sequence[str] = ()
@@ -96,7 +96,7 @@ class Effect:
     limits: Callable[[Any], Mapping[str, tuple[float, float]]] | None = None
     from_parent: Callable[[Mapping[str, float], Any], list[Mapping[str, float]]] | None = None
 
-    def same_equations(self, other: Effect) -> bool:
+    def has_same_equations(self, other: Effect) -> bool:
         """Whether both write the same equations: they may differ in the values and bounds of their parameters, and in what is told."""
         alike = all(getattr(self, name) == getattr(other, name) for name in EQUATIONS)
         return alike and _names(self.parameters) == _names(other.parameters)

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 import casadi as ca
 
 from greybox.errors import ModelError, nearest
-from greybox.model.walk import walk
-from greybox.signals import Expression, Named
+from greybox.expressions.graph import walk
+from greybox.model.signals import Expression, NamedValues
 
 OPERATORS: dict[type[ast.operator], Callable[[ca.SX, ca.SX], ca.SX]] = {
     ast.Add: lambda a, b: a + b, ast.Sub: lambda a, b: a - b, ast.Mult: lambda a, b: a * b,
@@ -26,7 +26,7 @@ PREFIX = {getattr(ca, f"OP_{name.upper()}"): name for name in FUNCTIONS}
 Written = tuple[str, int]
 
 
-def read(subject: str, text: str, p: Named) -> ca.SX:
+def evaluate_formula(subject: str, text: str, p: NamedValues) -> ca.SX:
     """The formula ``text`` with the values of ``p`` (symbols or numbers) for its names.
 
     ``subject`` begins the message of a ModelError, which is raised for text that is no formula and for an unknown name.
@@ -34,7 +34,7 @@ def read(subject: str, text: str, p: Named) -> ca.SX:
     return _value(_parsed(subject, text), subject, text, p)
 
 
-def names_in(subject: str, text: str) -> list[str]:
+def list_formula_names(subject: str, text: str) -> list[str]:
     """The names that a formula speaks of, each once, in their order."""
 
     def found(node: ast.AST) -> Iterator[str]:
@@ -54,7 +54,7 @@ def _parsed(subject: str, text: str) -> ast.expr:
         raise ModelError(f"{subject}: {text!r} is no formula; {REMEDY}") from None
 
 
-def _value(node: ast.expr, subject: str, text: str, p: Named) -> ca.SX:
+def _value(node: ast.expr, subject: str, text: str, p: NamedValues) -> ca.SX:
     if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
         return ca.SX(node.value)
     if isinstance(node, ast.Name | ast.Attribute):  # an effect's constant may be called 'creep.K'
@@ -78,7 +78,7 @@ def _value(node: ast.expr, subject: str, text: str, p: Named) -> ca.SX:
     raise ModelError(f"{subject}: {ast.unparse(node)!r} in {text!r} is no part of a formula; {REMEDY}")
 
 
-def write(subject: str, value: Expression) -> str:
+def format_formula(subject: str, value: Expression) -> str:
     """A CasADi expression of constants as text that `read` reads back; raises ModelError for an operation without a name."""
 
     def combined(node: ca.SX, operands: list[Written]) -> Written:

@@ -13,15 +13,15 @@ import numpy as np
 from greybox.errors import ModelError, nearest
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
-from greybox.model.noise import check_noise, noise_parameters, noisy_states, with_process_noise
-from greybox.model.rule import Rule, check_constants, check_measured, check_outputs_known
-from greybox.model.schedule import scheduled
-from greybox.model.show import show
-from greybox.model.stated import check_names, check_stated
-from greybox.model.system import Bound, System, bind, expand, inner_signals
-from greybox.model.tie import Formula, Tie, check_tie, check_value, formula_of, ordered, tied
-from greybox.model.units_check import check_units
-from greybox.signals import Input, Named, Output, Parameter, State
+from greybox.model.equations import model_text
+from greybox.model.process_noise import check_process_noise, noise_parameters, noisy_states, with_process_noise
+from greybox.model.rules import Rule, check_constants, check_measured, check_outputs_known
+from greybox.model.schedules import schedule_effect
+from greybox.model.signals import Input, NamedValues, Output, Parameter, State
+from greybox.model.system import BoundEffect, System, bind_effects, build_system, inner_signals
+from greybox.model.ties import Formula, Tie, apply_ties, as_formula, check_tie, check_tied_value, order_ties
+from greybox.model.unit_check import check_units
+from greybox.model.validation import check_expressions, check_names
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Model:
     inputs: Sequence[Input]
     outputs: Sequence[Output]
     parameters: Sequence[Parameter]
-    balances: Callable[[Named, Named, Named], list[Balance]]
+    balances: Callable[[NamedValues, NamedValues, NamedValues], list[Balance]]
     effects: tuple[Effect, ...] = ()
     description: str = ""
     source: str = ""
@@ -62,26 +62,26 @@ class Model:
                     f"model {self.name!r}: the name {twice[0]!r} is used twice; every signal and parameter needs its own"
                 )
         check_names(self)
-        check_stated(self)
-        ordered(self.ties)
+        check_expressions(self)
+        order_ties(self.ties)
         check_units(self)
         check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
         self._check_numbers()
 
     def _check_numbers(self) -> None:
         """What depends on the values and bounds of the parameters."""
-        check_noise(self)
+        check_process_noise(self)
         check_constants(self.title, self.rules, self._constants)
 
     @cached_property
     def system(self) -> System:
         """The equations as CasADi expressions."""
-        return expand(self)
+        return build_system(self)
 
     @cached_property
-    def bound_effects(self) -> tuple[Bound, ...]:
+    def bound_effects(self) -> tuple[BoundEffect, ...]:
         """Each effect with the names and units it has in this model."""
-        return bind(self)
+        return bind_effects(self)
 
     @property
     def all_states(self) -> tuple[State, ...]:
@@ -102,7 +102,7 @@ class Model:
     @property
     def tied_values(self) -> dict[str, float]:
         """Name -> present value of every constant that is tied to others."""
-        p = self.constants_at(list(self.values.values()))
+        p = self.parameters_at(list(self.values.values()))
         return {tie.name: float(p[tie.name]) for tie in self.ties}
 
     @property
@@ -143,19 +143,21 @@ class Model:
         raise ModelError(f"model {self.title!r} has no parameter {name!r}; {nearest(name, self.values)}")
 
     @property
-    def _constants(self) -> Named:
-        return self.constants_at(list(self.values.values()))
+    def _constants(self) -> NamedValues:
+        return self.parameters_at(list(self.values.values()))
 
-    def constants_at(self, p: Sequence[float] | np.ndarray) -> Named:
+    def parameters_at(self, p: Sequence[float] | np.ndarray) -> NamedValues:
         """All constants by name and role at the values ``p`` (np,), in the order of ``system.p``; tied ones as their ties say."""
         return self._named(dict(zip(self.values, map(float, p), strict=True)))
 
-    def constants_of(self, p: ca.SX) -> Named:
+    def parameters_as_symbols(self, p: ca.SX) -> NamedValues:
         """The same with ``p`` as symbols, in the order of ``system.p``."""
         return self._named(dict(zip(self.values, ca.vertsplit(p), strict=True)))
 
-    def _named(self, values: Mapping[str, Any]) -> Named:
-        return tied(self.ties, Named("parameter", values, {q.role: q.name for q in self.parameters if q.role}))
+    def _named(self, values: Mapping[str, Any]) -> NamedValues:
+        return apply_ties(
+            self.ties, NamedValues("parameter", values, {q.role: q.name for q in self.parameters if q.role})
+        )
 
     def check_measured(self, subject: str, measured: Mapping[str, np.ndarray]) -> None:
         """Refuse measured outputs, name -> (N,), that break a rule of this model; ``subject`` begins the message.
@@ -168,7 +170,7 @@ class Model:
         if not isinstance(effect, Effect):
             return NotImplemented
         effects = (*self.effects, effect)
-        known = next((system for before, system in self.system.extended if before.same_equations(effect)), None)
+        known = next((system for before, system in self.system.extended if before.has_same_equations(effect)), None)
         if known is not None:
             return self._written_as(known, effects=effects)
         found = replace(self, effects=effects)
@@ -234,17 +236,17 @@ class Model:
         model = replace(self, parameters=(*self.parameters, *new)) if new else self
         known = {q.name: q for q in model.stated_parameters}
         roles = {q.role: q.name for q in model.parameters if q.role}
-        p = Named("constant", {name: ca.SX.sym(name) for name in known}, roles)
+        p = NamedValues("constant", {name: ca.SX.sym(name) for name in known}, roles)
         before = {tie.name: tie for tie in model.ties}
         for name in formulas:
             if name in before:
                 raise ModelError(f"tie {name}: it is tied already, {before[name]}; first untie({name!r})")
-        ties = [check_tie(Tie(name, formula_of(name, given, p)), known, roles) for name, given in formulas.items()]
+        ties = [check_tie(Tie(name, as_formula(name, given, p)), known, roles) for name, given in formulas.items()]
         found = replace(model, ties=(*model.ties, *ties))
         for tie in ties:
             if tie.formula in found.values:
                 found = _within(found, tie, known[tie.name])
-            check_value(tie, known[tie.name], found.tied_values[tie.name])
+            check_tied_value(tie, known[tie.name], found.tied_values[tie.name])
         return found
 
     def untie(self, *names: str) -> Model:
@@ -259,7 +261,7 @@ class Model:
         """The model with the constant ``name`` following an operating condition: ``schedule("K2", by="P_S")``.
 
         ``by`` is a parameter that each experiment gives itself (its conditions), or a measured input; ``about`` the value of it at
-        which ``name`` holds, by default the model's own. See `greybox.model.schedule.scheduled`.
+        which ``name`` holds, by default the model's own. See `greybox.model.schedules.schedule_effect`.
 
         Raises ModelError for unknown names, and for an input without ``about``.
         """
@@ -278,7 +280,7 @@ class Model:
             raise ModelError(
                 f"schedule of {name} by {by}: {by} is an input; say about which value of it, as in about=7e5"
             )
-        return self + scheduled(name, by, self.values[by] if about is None else about, order=order)
+        return self + schedule_effect(name, by, self.values[by] if about is None else about, order=order)
 
     def _changed(self, changes: dict[str, dict]) -> Model:
         problems = []
@@ -316,14 +318,14 @@ class Model:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
     def __str__(self) -> str:
-        return show(self)
+        return model_text(self)
 
 
 def _within(model: Model, tie: Tie, quantity: Parameter) -> Model:
     """``model`` with the bounds of the one constant that a tie speaks of narrowed to those of the tied one."""
     other = model.parameter(tie.formula)
     low, high = max(other.bounds[0], quantity.bounds[0]), min(other.bounds[1], quantity.bounds[1])
-    check_value(tie, quantity, other.value)
+    check_tied_value(tie, quantity, other.value)
     return model.bound(**{other.name: (low, high)})
 
 

@@ -14,11 +14,11 @@ import numpy as np
 from greybox.errors import ModelError, nearest
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
-from greybox.model.hooks import Delay, Update, delay_of, relaxing_states, updates_of
-from greybox.model.noise import diffusion_of
-from greybox.model.tie import tied
-from greybox.signals import Named, Output, Parameter, Signal, State
-from greybox.units import tidy
+from greybox.model.effect_hooks import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
+from greybox.model.process_noise import build_diffusion
+from greybox.model.signals import NamedValues, Output, Parameter, Quantity, State
+from greybox.model.ties import apply_ties
+from greybox.units import format_unit
 
 if TYPE_CHECKING:
     from greybox.model.model import Model
@@ -29,7 +29,7 @@ KEPT = 64  # extended systems, for the next time: more than the catalogue has ef
 
 
 @dataclass(frozen=True)
-class Bound:
+class BoundEffect:
     """An effect as it sits in one model: names made unique, units resolved, site found."""
 
     effect: Effect
@@ -40,17 +40,17 @@ class Bound:
     @property
     def own(self) -> dict[str, str]:
         """The effect's own names -> the model's names."""
-        inner: tuple[Signal, ...] = (*self.effect.parameters, *self.effect.states)
-        outer: tuple[Signal, ...] = (*self.parameters, *self.states)
+        inner: tuple[Quantity, ...] = (*self.effect.parameters, *self.effect.states)
+        outer: tuple[Quantity, ...] = (*self.parameters, *self.states)
         return {own.name: there.name for own, there in zip(inner, outer, strict=True)}
 
-    def within(self, names: Named, of: Sequence[Parameter] | Sequence[State]) -> Named:
+    def within(self, names: NamedValues, of: Sequence[Parameter] | Sequence[State]) -> NamedValues:
         """``names`` as the effect's functions see them: its own names come first."""
         return names.replaced({inner.name: names[self.own[inner.name]] for inner in of})
 
 
 @dataclass(frozen=True)
-class Dry:
+class DryFrictionTerm:
     """Dry friction in a system: it acts against the rate of state number ``state``; magnitudes are of the rate's unit times storage."""
 
     effect: str
@@ -87,9 +87,9 @@ class System:
     outputs: ca.SX
     start: ca.SX
     diffusion: ca.SX
-    dry: tuple[Dry, ...]
-    updates: tuple[Update, ...] = ()
-    delays: tuple[Delay, ...] = ()
+    dry: tuple[DryFrictionTerm, ...]
+    updates: tuple[StateUpdate, ...] = ()
+    delays: tuple[InputDelay, ...] = ()
     relaxing: tuple[int, ...] = ()
     # What was added last to a model of these equations, and the equations with it.
     extended: deque[tuple[Effect, System]] = field(default_factory=partial(deque, maxlen=KEPT), repr=False)
@@ -103,7 +103,7 @@ class System:
         return ca.substitute(self.rhs, self.direction, signs)
 
     @property
-    def deterministic(self) -> list[ca.SX]:
+    def free_run_expressions(self) -> list[ca.SX]:
         """Every expression of the free run: all but the process noise."""
         parts = [self.rhs, self.outputs, self.start, *(d.static for d in self.dry)]
         return parts + [update.value for update in self.updates] + [delay.seconds for delay in self.delays]
@@ -144,7 +144,7 @@ class System:
         return ca.Function("start", [self.p], [self.start, ca.jacobian(self.start, self.p)])
 
 
-def bind(model: Model) -> tuple[Bound, ...]:
+def bind_effects(model: Model) -> tuple[BoundEffect, ...]:
     """Each effect of ``model`` with unique names, resolved units and its site; refuses what does not fit the model."""
     taken = {s.name for s in inner_signals(model)}
     base = _base_balances(model)
@@ -153,7 +153,7 @@ def bind(model: Model) -> tuple[Bound, ...]:
     places = {"sensor": model.outputs[0].name} | {i.role: i.name for i in model.inputs if i.role}
     if model.inputs:
         places = {"input": model.inputs[0].name} | places
-    bound: list[Bound] = []
+    bound: list[BoundEffect] = []
     for effect in model.effects:
         if any(effect.name == other.effect.name for other in bound):
             raise ModelError(
@@ -171,11 +171,11 @@ def bind(model: Model) -> tuple[Bound, ...]:
 
         parameters, states = tuple(map(resolved, effect.parameters)), tuple(map(resolved, effect.states))
         taken |= {item.name for item in (*parameters, *states)}
-        bound.append(Bound(effect, parameters, states, site))
+        bound.append(BoundEffect(effect, parameters, states, site))
     return tuple(bound)
 
 
-def expand(model: Model) -> System:
+def build_system(model: Model) -> System:
     """Write out ``model``, effects applied in the order in which they were added."""
     effects = model.bound_effects
     states = (*model.states, *(s for b in effects for s in b.states))
@@ -185,16 +185,16 @@ def expand(model: Model) -> System:
         ca.vertcat(*[n[s.name] for s in group]) for n, group in ((x, states), (u, model.inputs), (p, parameters))
     )
 
-    p = tied(model.ties, p)
-    diffusion = diffusion_of(model.states, effects, p)
+    p = apply_ties(model.ties, p)
+    diffusion = build_diffusion(model.states, effects, p)
     x, u, p, coming = _transformed(model, x, u, p)
     balances = {b.name: b for b in model.balances(x, u, p)}
     y = {o.name: _output(o, x, u, p) for o in model.outputs}
     start = _start(model, p, y[model.outputs[0].name], raw_x, raw_u)
     words = _unit_words(model, balances.values())
-    dry: list[Dry] = []
-    updates: list[Update] = []
-    delays: list[Delay] = []
+    dry: list[DryFrictionTerm] = []
+    updates: list[StateUpdate] = []
+    delays: list[InputDelay] = []
     order = [s.name for s in states]
     for b in effects:
         seen, entering = coming.get(b.effect.name, (x, u))
@@ -212,7 +212,9 @@ def expand(model: Model) -> System:
             target = _at(balances, b.site, b.effect)
             friction = b.effect.dry(*names)
             dry.append(
-                Dry(b.effect.name, b.site, order.index(target.state), ca.SX(friction.sliding), ca.SX(friction.static))
+                DryFrictionTerm(
+                    b.effect.name, b.site, order.index(target.state), ca.SX(friction.sliding), ca.SX(friction.static)
+                )
             )
             balances[b.site] = target.with_term(
                 b.effect.name, -friction.sliding * ca.sign(raw_x[order.index(target.state)])
@@ -228,10 +230,10 @@ def expand(model: Model) -> System:
                 )
                 balances[renamed.name] = renamed
         if b.effect.update:
-            updates += updates_of(b.effect.name, b.effect.update(*names), b.own, order)
+            updates += collect_updates(b.effect.name, b.effect.update(*names), b.own, order)
         if b.effect.delay:
             delays.append(
-                delay_of(b.effect.name, b.effect.delay(*names), b.site, [i.name for i in model.inputs], parameters)
+                build_delay(b.effect.name, b.effect.delay(*names), b.site, [i.name for i in model.inputs], parameters)
             )
         if b.effect.on_output:
             y[b.site] = b.effect.on_output(y[b.site], *names)
@@ -248,20 +250,22 @@ def expand(model: Model) -> System:
         state_names=tuple(order), input_names=tuple(i.name for i in model.inputs),
         output_names=tuple(y), parameter_names=tuple(q.name for q in parameters),
         balances=ordered, storages=storages, rhs=rhs, outputs=ca.vertcat(*y.values()), start=start, diffusion=diffusion, dry=tuple(dry),
-        updates=tuple(updates), delays=tuple(delays), relaxing=relaxing_states(model.name, states, rhs, raw_x),
+        updates=tuple(updates), delays=tuple(delays), relaxing=find_relaxing_states(model.name, states, rhs, raw_x),
     )  # fmt: skip
 
 
 def _transformed(
-    model: Model, x: Named, u: Named, p: Named
-) -> tuple[Named, Named, Named, dict[str, tuple[Named, Named]]]:
+    model: Model, x: NamedValues, u: NamedValues, p: NamedValues
+) -> tuple[NamedValues, NamedValues, NamedValues, dict[str, tuple[NamedValues, NamedValues]]]:
     """States, inputs and parameters as the balances see them, and for effects that change them what came to each of these."""
     effects = model.bound_effects
     for b in effects:  # parameters where they are used
         if b.effect.on_parameter:
             used = b.effect.on_parameter(b.within(x, b.effect.states), u, b.within(p, b.effect.parameters))
             p = p.replaced({_canonical(name, model.parameters): value for name, value in used.items()})
-    coming: dict[str, tuple[Named, Named]] = {}  # states and inputs as they come to an effect that changes them
+    coming: dict[
+        str, tuple[NamedValues, NamedValues]
+    ] = {}  # states and inputs as they come to an effect that changes them
     for b in effects:  # inputs on their way in
         if b.effect.on_input:
             coming[b.effect.name] = x, u
@@ -275,13 +279,13 @@ def _transformed(
     return x, u, p, coming
 
 
-def inner_signals(model: Model) -> tuple[Signal, ...]:
+def inner_signals(model: Model) -> tuple[Quantity, ...]:
     """States, inputs and parameters of the plant: what its equations speak of."""
     return (*model.states, *model.inputs, *model.parameters)
 
 
-def _symbols(kind: str, items: Sequence[Signal]) -> Named:
-    return Named(kind, {i.name: ca.SX.sym(i.name) for i in items}, {i.role: i.name for i in items if i.role})
+def _symbols(kind: str, items: Sequence[Quantity]) -> NamedValues:
+    return NamedValues(kind, {i.name: ca.SX.sym(i.name) for i in items}, {i.role: i.name for i in items if i.role})
 
 
 def _base_balances(model: Model) -> list[Balance]:
@@ -289,7 +293,7 @@ def _base_balances(model: Model) -> list[Balance]:
     return model.balances(*(_symbols(kind, items) for kind, items in groups))
 
 
-def _start(model: Model, p: Named, reading: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX:
+def _start(model: Model, p: NamedValues, reading: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX:
     """The state at rest: that of the plant, and those of effects, which may speak of the main output ``reading`` at rest."""
     plant = _started(model.states, p)
     at_rest = ca.substitute(
@@ -300,7 +304,7 @@ def _start(model: Model, p: Named, reading: ca.SX, x: ca.SX, u: ca.SX) -> ca.SX:
     return ca.vertcat(plant, *own)
 
 
-def _started(states: Sequence[State], p: Named) -> ca.SX:
+def _started(states: Sequence[State], p: NamedValues) -> ca.SX:
     return ca.vertcat(*[ca.SX(s.start(p) if callable(s.start) else s.start) for s in states])
 
 
@@ -320,7 +324,7 @@ def _unit_words(model: Model, balances: Iterable[Balance]) -> dict[str, str]:
 
 def _fill(unit: str, words: Mapping[str, str], effect: Effect, model: str) -> str:
     try:
-        return tidy(unit.format_map(words))
+        return format_unit(unit.format_map(words))
     except KeyError as missing:
         raise ModelError(
             f"effect {effect.name!r} needs a {missing.args[0]}, which model {model!r} does not have; {nearest(missing.args[0], words)}"
@@ -335,7 +339,7 @@ def _at(balances: Mapping[str, Balance], site: str, effect: Effect) -> Balance:
     return balances[site]
 
 
-def _output(output: Output, x: Named, u: Named, p: Named) -> ca.SX:
+def _output(output: Output, x: NamedValues, u: NamedValues, p: NamedValues) -> ca.SX:
     return ca.SX(output.equation(x, u, p) if output.equation else x[output.name])
 
 
@@ -370,7 +374,7 @@ def _one_balance_each(
     return tuple(by_state[n] for n in names)
 
 
-def _sums(ordered: Sequence[Balance], dry: Sequence[Dry], direction: ca.SX) -> ca.SX:
+def _sums(ordered: Sequence[Balance], dry: Sequence[DryFrictionTerm], direction: ca.SX) -> ca.SX:
     """Sum of the terms of each balance, dry friction written with the direction of motion as a symbol."""
     rows = []
     for balance in ordered:

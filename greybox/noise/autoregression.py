@@ -29,7 +29,7 @@ class AutoRegression:
         return len(self.reflection)
 
     @cached_property
-    def ladder(self) -> tuple[tuple[np.ndarray, float], ...]:
+    def predictors(self) -> tuple[tuple[np.ndarray, float], ...]:
         """Best predictors from the last 0, 1, ... p samples: coefficients (m,), nearest sample first, and error variance."""
         rungs = [(np.zeros(0), 1.0)]
         for k in self.reflection:  # Levinson and Durbin
@@ -40,17 +40,17 @@ class AutoRegression:
     @property
     def coefficients(self) -> np.ndarray:
         """``a1 ... ap`` (p,)."""
-        return self.ladder[-1][0]
+        return self.predictors[-1][0]
 
     @property
-    def innovation(self) -> float:
+    def innovation_variance(self) -> float:
         """Variance of ``e`` as a share of the variance of the noise: one for white noise."""
-        return self.ladder[-1][1]
+        return self.predictors[-1][1]
 
-    def correlations(self, count: int) -> np.ndarray:
+    def autocorrelation(self, count: int) -> np.ndarray:
         """Autocorrelation at lags 0 ... count-1."""
         rho = np.ones(1)
-        for k, (a, variance) in zip(self.reflection, self.ladder, strict=False):
+        for k, (a, variance) in zip(self.reflection, self.predictors, strict=False):
             rho = np.append(rho, k * variance + a @ rho[:0:-1][: len(a)])
         if count <= len(rho):
             return rho[:count]
@@ -74,7 +74,7 @@ class AutoRegression:
         there = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
         behind = _samples_behind(there, self.order)
         result = np.full(values.shape, np.nan)
-        for m, (a, variance) in enumerate(self.ladder):
+        for m, (a, variance) in enumerate(self.predictors):
             rows = np.flatnonzero(there & (behind == m))
             predicted = sum((c * values[rows - j - 1] for j, c in enumerate(a)), np.zeros_like(values[rows]))
             result[rows] = (values[rows] - predicted) / np.sqrt(variance)
@@ -87,7 +87,7 @@ class AutoRegression:
         behind = _samples_behind(there, self.order) + there  # samples in a row up to and with this one
         guess = np.zeros((len(known), steps))
         for m in range(1, self.order + 1):
-            a = self.ladder[m][0]
+            a = self.predictors[m][0]
             rows = np.flatnonzero(there & ((behind == m) | (behind > m) & (m == self.order)))
             past = np.stack([known[rows - j] for j in range(m)], axis=1)
             for ahead in range(steps):
@@ -102,15 +102,15 @@ class AutoRegression:
     def __str__(self) -> str:
         if not self.order:
             return "white"
-        return f"AR({self.order}), correlation {self.correlations(2)[1]:.2g} from sample to sample"
+        return f"AR({self.order}), correlation {self.autocorrelation(2)[1]:.2g} from sample to sample"
 
 
-def segments(parts: Iterable[np.ndarray]) -> np.ndarray:
+def join_series(parts: Iterable[np.ndarray]) -> np.ndarray:
     """Several series (n,) as one, with a NaN between them, so that nothing is carried over."""
     return np.concatenate([piece for part in parts for piece in (np.asarray(part, float), [np.nan])] or [np.zeros(0)])
 
 
-def autoregression(values: np.ndarray, *, most: int = MOST_ORDERS, copies: float = 1.0) -> AutoRegression:
+def fit_autoregression(values: np.ndarray, *, most: int = MOST_ORDERS, copies: float = 1.0) -> AutoRegression:
     """The autoregression of a series (N,) of mean zero with NaN in gaps; order up to ``most`` by Schwarz's criterion (BIC).
 
     ``copies``: how many times over the series holds the same information (deviations from the mean of two repeats are each

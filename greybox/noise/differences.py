@@ -12,7 +12,7 @@ ORDERS = range(1, 9)
 NORMAL = 1.482602218505602
 
 
-def difference_noise(values: np.ndarray, *, robust: bool = False) -> float:
+def estimate_noise_from_differences(values: np.ndarray, *, robust: bool = False) -> float:
     """Standard deviation of white noise on a sampled signal, from its high-order differences.
 
     The difference of order ``d`` has variance ``binomial(2 d, d) sigma^2`` for white noise, and little left of a smooth signal. An
@@ -27,24 +27,26 @@ def difference_noise(values: np.ndarray, *, robust: bool = False) -> float:
         variance *= 2 * (2 * order - 1) / order
         usable = difference[np.isfinite(difference)]
         if len(usable) >= 10:
-            estimates.append(spread(usable, robust=robust) / float(np.sqrt(variance)))
+            estimates.append(estimate_spread(usable, robust=robust) / float(np.sqrt(variance)))
     return min(estimates, default=float("nan"))
 
 
-def record_noise(records: Iterable[np.ndarray], *, robust: bool = False) -> float:
-    """`difference_noise` over several records of one sensor, pooled by their number of samples.
+def estimate_noise_of_records(records: Iterable[np.ndarray], *, robust: bool = False) -> float:
+    """`estimate_noise_from_differences` over several records of one sensor, pooled by their number of samples.
 
     A record in which the sensor does not move at all tells nothing of its noise, and is left out if there are others.
     """
     columns = list(records)
-    columns = [c for c in columns if not still(c)] or columns
-    pairs = [(difference_noise(values, robust=robust), int(np.isfinite(values).sum())) for values in columns]
+    columns = [c for c in columns if not is_constant_signal(c)] or columns
+    pairs = [
+        (estimate_noise_from_differences(values, robust=robust), int(np.isfinite(values).sum())) for values in columns
+    ]
     usable = [(noise, count) for noise, count in pairs if np.isfinite(noise)]
     total = sum(count for _, count in usable)
     return float(np.sqrt(sum(noise**2 * count for noise, count in usable) / total)) if total else float("nan")
 
 
-def spread(values: np.ndarray, *, robust: bool = False) -> float:
+def estimate_spread(values: np.ndarray, *, robust: bool = False) -> float:
     """Root mean square of a series of mean zero, NaN left out; ``robust``: 1.48 times the median size, the same for normal values.
 
     More than half of the values may be exactly zero (a coarse sensor); then the root mean square says more.
@@ -56,7 +58,7 @@ def spread(values: np.ndarray, *, robust: bool = False) -> float:
     return middle or float(np.sqrt(np.mean(usable**2)))
 
 
-def still(values: np.ndarray) -> bool:
+def is_constant_signal(values: np.ndarray) -> bool:
     """Whether a sensor reads the same in every row (gaps aside)."""
     usable = values[np.isfinite(values)]
     return bool(len(usable) == 0 or np.ptp(usable) == 0)

@@ -16,7 +16,7 @@ LEAST_ROWS = 20
 SETTLED = 1.5
 
 
-def period(inputs: np.ndarray) -> int | None:
+def find_period(inputs: np.ndarray) -> int | None:
     """The period in rows of ``inputs`` (N, nu), if they repeat to the last digits for two periods or more."""
     rows = len(inputs)
     span = np.ptp(inputs, axis=0) if rows else np.zeros(0)
@@ -35,7 +35,7 @@ def period(inputs: np.ndarray) -> int | None:
     return None
 
 
-def period_deviations(experiment: Experiment, output: str, inputs: Sequence[str]) -> list[np.ndarray]:
+def deviations_between_periods(experiment: Experiment, output: str, inputs: Sequence[str]) -> list[np.ndarray]:
     """Each period of ``output`` minus the mean of all periods; empty where the input is not periodic.
 
     Of three periods or more the first is left out, and further ones as long as they are clearly louder than those that follow:
@@ -43,7 +43,9 @@ def period_deviations(experiment: Experiment, output: str, inputs: Sequence[str]
     """
     if not experiment.regular or output not in experiment.outputs:
         return []
-    rows = period(np.column_stack([experiment.inputs[n] for n in inputs]) if inputs else np.zeros((experiment.rows, 0)))
+    rows = find_period(
+        np.column_stack([experiment.inputs[n] for n in inputs]) if inputs else np.zeros((experiment.rows, 0))
+    )
     if rows is None:
         return []
     count = experiment.rows // rows
@@ -51,10 +53,12 @@ def period_deviations(experiment: Experiment, output: str, inputs: Sequence[str]
     folded = folded[1:] if count > 2 else folded
     while len(folded) > 2 and _louder(folded[0], folded[1:]):
         folded = folded[1:]
-    return deviations(list(folded))
+    return deviations_from_mean(list(folded))
 
 
-def repeat_deviations(group: Sequence[Experiment], output: str, inputs: Sequence[str]) -> list[list[np.ndarray]]:
+def deviations_between_repeats(
+    group: Sequence[Experiment], output: str, inputs: Sequence[str]
+) -> list[list[np.ndarray]]:
     """Deviations of ``output`` in each set of experiments that had the same inputs at the same times, and the same conditions."""
     left = [e for e in group if output in e.outputs]
     found = []
@@ -62,12 +66,12 @@ def repeat_deviations(group: Sequence[Experiment], output: str, inputs: Sequence
         first, *others = left
         alike = [e for e in others if _same(first, e, inputs)]
         if alike:
-            found.append(deviations([e.outputs[output] for e in (first, *alike)]))
+            found.append(deviations_from_mean([e.outputs[output] for e in (first, *alike)]))
         left = [e for e in others if not any(e is a for a in alike)]
     return [f for f in found if f]
 
 
-def deviations(repeats: list[np.ndarray]) -> list[np.ndarray]:
+def deviations_from_mean(repeats: list[np.ndarray]) -> list[np.ndarray]:
     """Repeats (n,) each of the same signal minus their mean, enlarged so that their variance is that of the noise.
 
     ``(y - mean) sqrt(K / (K - 1))`` for K repeats. Each repeat's own mean is removed. Where the first half is clearly louder

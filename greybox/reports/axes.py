@@ -38,12 +38,12 @@ def band(half: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def stretches(curves: int) -> int:
+def envelope_length(curves: int) -> int:
     """Stretches for each of so many curves, so that a page of many records stays small."""
     return int(np.clip(ALL_STRETCHES // max(curves, 1), FEWEST, STRETCHES))
 
 
-def density(values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+def amplitude_density(values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies in Hz and one-sided amplitude density of evenly sampled ``values`` (N,) by a Hann window.
 
     Gaps count as the mean of the rest, and not as rows: white noise has the same density with gaps and without.
@@ -58,7 +58,7 @@ def density(values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
     return frequency[1:], np.sqrt(2 * step * np.abs(spectrum[1:]) ** 2 / np.sum(window[known] ** 2))
 
 
-def thinned(f: np.ndarray, values: np.ndarray, most: int = STRETCHES) -> tuple[np.ndarray, np.ndarray]:
+def thin_spectrum(f: np.ndarray, values: np.ndarray, most: int = STRETCHES) -> tuple[np.ndarray, np.ndarray]:
     """A long spectrum by the largest value of each stretch, the stretches equally wide on a logarithmic axis."""
     if len(f) <= most:
         return f, values
@@ -66,14 +66,14 @@ def thinned(f: np.ndarray, values: np.ndarray, most: int = STRETCHES) -> tuple[n
     return f[edges], np.maximum.reduceat(values, edges)
 
 
-def even_step(time: np.ndarray) -> float | None:
+def uniform_sampling_time(time: np.ndarray) -> float | None:
     """Seconds between rows, None where they are not evenly spaced."""
     steps = np.diff(time)
     even = len(steps) > 0 and float(np.ptp(steps)) < 1e-3 * float(steps.mean())
     return float(steps.mean()) if even else None
 
 
-def extent(values: np.ndarray) -> str:
+def format_range(values: np.ndarray) -> str:
     """``-3.1 to 2.7``, for a description."""
     known = values[np.isfinite(values)]
     return f"{known.min():.4g} to {known.max():.4g}".replace("-", "−") if len(known) else "nothing"

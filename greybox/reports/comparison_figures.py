@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from greybox.comparison import Comparison, Entry, Run
-from greybox.figures.envelope import envelope
-from greybox.figures.scale import label, scaled
-from greybox.reports.axes import SERIES, axes, line, rms, stretches
+from greybox.comparison import Comparison, ComparisonEntry, ComparisonRun
+from greybox.plots.thinning import min_max_envelope
+from greybox.plots.units import axis_label, scale_to_prefix
+from greybox.reports.axes import SERIES, axes, envelope_length, line, rms
 from greybox.reports.page import Figure, View
-from greybox.reports.words import typeset_number
+from greybox.reports.typography import typeset_number
 
 FAR = 2.0  # ranges of the measured signal beyond which a run that grows away is cut off
 LONGEST = 34  # letters of a name beside a bar
 
 
-def colours_of(entries: Sequence[Entry]) -> dict[str, str]:
+def colours_of(entries: Sequence[ComparisonEntry]) -> dict[str, str]:
     """A colour for each model: grey boxes first, in the colour of models elsewhere."""
     ordered = sorted(entries, key=lambda e: e.kind != "grey")
     return {e.name: SERIES[k % len(SERIES)] for k, e in enumerate(ordered)}
@@ -29,7 +29,7 @@ def errors_figure(comparison: Comparison) -> Figure:
     colours, data, views, words = colours_of(comparison.entries), [], {}, []
     for k, (output, unit) in enumerate(comparison.outputs.items()):
         scores = {e.name: s for e in comparison.entries if (s := comparison.judged(e).get(output)) is not None}
-        factor, text = scaled(unit, np.array([_finite(s.rmse) for s in scores.values()] or [np.nan]))
+        factor, text = scale_to_prefix(unit, np.array([_finite(s.rmse) for s in scores.values()] or [np.nan]))
         ranked = sorted(scores, key=lambda n: -_finite(scores[n].rmse) if np.isfinite(scores[n].rmse) else -np.inf)
         sizes = np.array([factor * _finite(scores[n].rmse) for n in ranked])
         ahead = np.array([factor * _finite(scores[n].one_step_rmse) for n in ranked])
@@ -67,7 +67,7 @@ def _bar_layout(title: str, unit: str, *values: np.ndarray) -> dict[str, Any]:
     known = every[np.isfinite(every) & (every > 0)]
     low, high = (float(np.log10(known.min())), float(np.log10(known.max()))) if len(known) else (0.0, 1.0)
     reach = max(high - low, 0.5)
-    return {"xaxis": {"title": {"text": label(title, unit)}, "range": [low - 0.15 * reach, high + 0.25 * reach]}}
+    return {"xaxis": {"title": {"text": axis_label(title, unit)}, "range": [low - 0.15 * reach, high + 0.25 * reach]}}
 
 
 def short(name: str) -> str:
@@ -80,7 +80,7 @@ def runs_figures(
 ) -> list[Figure]:
     """Runs over one record, and what each model leaves over; a button for each output, both zoom together."""
     found = {(e.name, r.output): r for e in comparison.entries for r in _of(comparison, e) if r.record == record}
-    most = stretches(records * (2 * len(found) + len(comparison.outputs)))
+    most = envelope_length(records * (2 * len(found) + len(comparison.outputs)))
     top: list[dict[str, Any]] = []
     bottom: list[dict[str, Any]] = []
     over, under, words = {}, {}, []
@@ -89,22 +89,30 @@ def runs_figures(
         if not runs:
             continue
         first = next(iter(runs.values()))
-        factor, text = scaled(unit, first.measured)
-        small, small_text = scaled(unit, np.array([_finite(rms(r.measured - r.simulated)) for r in runs.values()]))
+        factor, text = scale_to_prefix(unit, first.measured)
+        small, small_text = scale_to_prefix(
+            unit, np.array([_finite(rms(r.measured - r.simulated)) for r in runs.values()])
+        )
         starts = len(top), len(bottom)
-        top.append(line(*envelope(first.time, factor * first.measured, most), "measured", "--measured", width=3.0))
+        top.append(
+            line(*min_max_envelope(first.time, factor * first.measured, most), "measured", "--measured", width=3.0)
+        )
         for n, r in runs.items():
             top.append(
-                line(*envelope(r.time, _cut(factor * r.simulated, factor * r.measured), most), short(n), colours[n])
+                line(
+                    *min_max_envelope(r.time, _cut(factor * r.simulated, factor * r.measured), most),
+                    short(n),
+                    colours[n],
+                )
             )
             error = _cut(small * (r.measured - r.simulated), small * r.measured)
-            bottom.append(line(*envelope(r.time, error, most), short(n), colours[n], width=1.0))
-        over[output] = View(list(range(starts[0], len(top))), {"yaxis": {"title": {"text": label(output, text)}}})
+            bottom.append(line(*min_max_envelope(r.time, error, most), short(n), colours[n], width=1.0))
+        over[output] = View(list(range(starts[0], len(top))), {"yaxis": {"title": {"text": axis_label(output, text)}}})
         under[output] = View(
             list(range(starts[1], len(bottom))),
             {
                 "yaxis": {
-                    "title": {"text": label(f"error of {output}", small_text)},
+                    "title": {"text": axis_label(f"error of {output}", small_text)},
                     "range": _range(runs.values(), small),
                 }
             },
@@ -119,14 +127,14 @@ def runs_figures(
     ]  # fmt: skip
 
 
-def _range(runs: Iterable[Run], factor: float) -> list[float]:
+def _range(runs: Iterable[ComparisonRun], factor: float) -> list[float]:
     """Four times the largest typical error, so that one model that grows away does not hide the others."""
     sizes = [size for r in runs if np.isfinite(size := rms(r.measured - r.simulated)) and size < 1e100]
     reach = 4 * factor * max(sizes, default=1.0) or 1.0
     return [-reach, reach]
 
 
-def _of(comparison: Comparison, entry: Entry) -> tuple[Run, ...]:
+def _of(comparison: Comparison, entry: ComparisonEntry) -> tuple[ComparisonRun, ...]:
     return entry.validation_runs if comparison.validation else entry.training_runs
 
 

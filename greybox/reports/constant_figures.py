@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.reports.axes import axes
 from greybox.reports.page import Figure
-from greybox.reports.words import typeset_number
+from greybox.reports.typography import typeset_number
 from greybox.result import Estimate, Fit
 
 TOGETHER = 0.95  # constants that are correlated more than this are called tied
@@ -17,7 +17,7 @@ TOGETHER = 0.95  # constants that are correlated more than this are called tied
 
 def intervals_figure(fit: Fit) -> Figure | None:
     """Half width of each 95 % interval in percent of the value; None where fewer than two constants have one."""
-    percent = {name: half for name, e in fit.parameters.items() if (half := half_width(e)) is not None}
+    percent = {name: half for name, e in fit.parameters.items() if (half := relative_half_width(e)) is not None}
     return spread_figure(percent, "How well each constant is known: further to the left is better.")
 
 
@@ -40,7 +40,7 @@ def spread_figure(percent: Mapping[str, float], caption: str) -> Figure | None:
     return Figure("intervals", caption, words + ".", data, layout, height=90 + 28 * len(names))
 
 
-def half_width(e: Estimate) -> float | None:
+def relative_half_width(e: Estimate) -> float | None:
     """Half the 95 % interval in percent of the value; None where there is no interval."""
     if e.interval is None or not e.value or not all(map(math.isfinite, e.interval)):
         return None
@@ -54,7 +54,7 @@ def correlations(fit: Fit) -> np.ndarray:
         return np.asarray(fit.uncertainty.covariance / np.outer(std, std))
 
 
-def tied(fit: Fit) -> list[str]:
+def strongly_correlated_pairs(fit: Fit) -> list[str]:
     """Pairs of constants that the data hardly tell apart, in words."""
     rho = correlations(fit)
     pairs = [
@@ -89,7 +89,7 @@ def correlation_figure(fit: Fit) -> Figure | None:
         "colorscale": [[0, "--residual"], [0.5, "--paper"], [1, "--model"]], "showscale": False, "xgap": 2, "ygap": 2,
         "hovertemplate": "%{x} and %{y}: %{z:.3f}<extra></extra>",
     }]  # fmt: skip
-    words = "; ".join(tied(fit)) or f"no two constants are correlated more than {TOGETHER}"
+    words = "; ".join(strongly_correlated_pairs(fit)) or f"no two constants are correlated more than {TOGETHER}"
     return Figure(
         "together", "Correlation of the fitted constants: near 1 or −1 the data tell the pair, not each.", words + ".", data, layout,
         height=110 + 34 * len(names),

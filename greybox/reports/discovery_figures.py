@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from greybox.discovery import Discovery, Missing, Rank, StandIn, Unexplained
-from greybox.figures.envelope import envelope
-from greybox.figures.scale import label, scaled
-from greybox.reports.axes import axes, band, density, even_step, line, rms, thinned
+from greybox.discovery import Discovery, EffectSignal, RankedCandidate, ResidualLocalisation, Surrogate
+from greybox.plots.thinning import min_max_envelope
+from greybox.plots.units import axis_label, scale_to_prefix
+from greybox.reports.axes import amplitude_density, axes, band, line, rms, thin_spectrum, uniform_sampling_time
 from greybox.reports.page import Figure, View
 from greybox.reports.record_figures import known_noise, signals_of
-from greybox.reports.words import typeset_number
+from greybox.reports.typography import typeset_number
 from greybox.result import Trace
 
 CANDIDATES = 15  # that are drawn
@@ -29,12 +29,12 @@ def gap_figure(found: Discovery) -> Figure:
     extended = " + ".join(found.best.model.title.split(" + ")[1:]) or "the same model"
     for k, (output, gap) in enumerate(found.gap.items()):
         steps = [("plain model", gap.before, BEFORE), (f"with {extended}", gap.after, AFTER)]
-        curve = found.stand_in
+        curve = found.surrogate
         if curve is not None and output in curve.gap:
             steps.append((f"with {curve.title}", curve.gap[output].after, "--third"))
         steps.append(("noise", gap.floor, "--measured"))
         steps = steps[::-1]
-        factor, text = scaled(gap.unit, np.array([s[1] for s in steps]))
+        factor, text = scale_to_prefix(gap.unit, np.array([s[1] for s in steps]))
         sizes = [factor * s[1] for s in steps]
         data.append({
             "type": "bar", "orientation": "h", "x": sizes, "y": [s[0] for s in steps], "marker": {"color": [s[2] for s in steps]},
@@ -45,11 +45,11 @@ def gap_figure(found: Discovery) -> Figure:
         reach = max(float(high - low), 0.3)
         spread = [float(low - 0.35 * reach), float(high + 0.55 * reach)]
         views[output] = View(
-            [k], {"xaxis": {"title": {"text": label(f"rms misfit of {output}", text)}, "range": spread}}
+            [k], {"xaxis": {"title": {"text": axis_label(f"rms misfit of {output}", text)}, "range": spread}}
         )
         words.append(
             f"{output}: from {gap.before / gap.floor:.3g} to {gap.after / gap.floor:.3g} times the noise,"
-            f" {100 * min(gap.closed, 1.0):.1f} % of the gap is closed"
+            f" {100 * min(gap.explained_fraction, 1.0):.1f} % of the gap is closed"
         )
     layout = axes("", "", logarithmic="x") | {"showlegend": False, "hovermode": "closest"}
     layout["yaxis"] |= {"type": "category"}
@@ -68,7 +68,7 @@ def steps_of(found: Discovery) -> list[tuple[str, float]]:
         nearer = [r for r in found.ranking if held < set(r.effects) <= wanted and len(r.effects) == len(held) + 1]
         if not nearer:
             break
-        step: Rank = min(nearer, key=lambda r: r.misfit)
+        step: RankedCandidate = min(nearer, key=lambda r: r.misfit)
         new = set(step.effects) - held
         held |= new
         way.append((f"+ {', '.join(sorted(new))}", step.misfit))
@@ -86,7 +86,7 @@ def before_after_figures(
 ) -> list[Figure]:
     """The residual of one record with the plain model and with the extended one, and both spectra; a button for each output."""
     time = before.time
-    step = even_step(time) or float(np.median(np.diff(time)))
+    step = uniform_sampling_time(time) or float(np.median(np.diff(time)))
     runs: list[dict[str, Any]] = []
     spectra: list[dict[str, Any]] = []
     over, under, words = {}, {}, []
@@ -96,12 +96,14 @@ def before_after_figures(
             (before.residual(output), "plain model", BEFORE),
             (after.residual(output), extended, AFTER),
         ]
-        factor, text = scaled(units[output], pair[0][0], np.array([2 * std]))
+        factor, text = scale_to_prefix(units[output], pair[0][0], np.array([2 * std]))
         first, start = len(runs), len(spectra)
         for residual, title, colour in pair:
-            runs.append(line(*envelope(time, factor * residual, most), title, colour, width=1.0))
-            spectra.append(line(*thinned(*density(factor * residual, step), most), title, colour, width=1.0))
-        layout: dict[str, Any] = {"yaxis": {"title": {"text": label(f"residual of {output}", text)}}, "shapes": []}
+            runs.append(line(*min_max_envelope(time, factor * residual, most), title, colour, width=1.0))
+            spectra.append(
+                line(*thin_spectrum(*amplitude_density(factor * residual, step), most), title, colour, width=1.0)
+            )
+        layout: dict[str, Any] = {"yaxis": {"title": {"text": axis_label(f"residual of {output}", text)}}, "shapes": []}
         if std > 0:
             layout["shapes"] = [band(factor * 2 * std)]
             f = (
@@ -114,7 +116,7 @@ def before_after_figures(
         linked = [(residual, f"spectra-{name}", start + k) for k, (residual, _, _) in enumerate(pair)]
         over[output] = View([first, first + 1], layout, signals_of(time, linked, factor))
         under[output] = View(
-            list(range(start, len(spectra))), {"yaxis": {"title": {"text": label(output, f"{text}/√Hz")}}}
+            list(range(start, len(spectra))), {"yaxis": {"title": {"text": axis_label(output, f"{text}/√Hz")}}}
         )
         words.append(
             f"residual of {output}: rms {factor * rms(pair[0][0]):.3g} {text} before, {factor * rms(pair[1][0]):.3g} {text} after"
@@ -133,10 +135,10 @@ def before_after_figures(
     ]  # fmt: skip
 
 
-def missing_figure(found: Missing, name: str) -> Figure:
+def missing_figure(found: EffectSignal, name: str) -> Figure:
     """The missing signal against the variable that it depends on, with the named effect's curve through it; and in time."""
-    x, across = scaled(found.variable_unit, found.variable)
-    y, unit = scaled(found.unit, found.value)
+    x, across = scale_to_prefix(found.variable_unit, found.variable)
+    y, unit = scale_to_prefix(found.unit, found.value)
     kept = np.unique(np.linspace(0, len(found.time) - 1, DOTS).astype(int)) if len(found.time) else np.array([], int)
     curve = _through(found.variable, found.modelled, ordered=found.region.loop <= LOOPING)
     data = [
@@ -145,10 +147,10 @@ def missing_figure(found: Missing, name: str) -> Figure:
         line(found.time, y * found.value, "from the data", "--measured", width=2.4),
         line(found.time, y * found.modelled, found.effect, AFTER, width=1.4),
     ]
-    title = {"yaxis": {"title": {"text": label("missing signal", unit)}}}
+    title = {"yaxis": {"title": {"text": axis_label("missing signal", unit)}}}
     views = {
         f"against {found.variable_name}": View(
-            [0, 1], title | {"xaxis": {"title": {"text": label(found.variable_name, across)}}}
+            [0, 1], title | {"xaxis": {"title": {"text": axis_label(found.variable_name, across)}}}
         ),
         "in time": View([2, 3], title | {"xaxis": {"title": {"text": "time [s]"}}}),
     }
@@ -173,43 +175,43 @@ def _through(variable: np.ndarray, values: np.ndarray, *, ordered: bool) -> tupl
     return np.add.reduceat(variable[order], edges) / count, np.add.reduceat(values[order], edges) / count
 
 
-def stand_in_figure(found: StandIn) -> Figure:
+def stand_in_figure(found: Surrogate) -> Figure:
     """The curve or tone that stands in for an unknown effect, over the signal that the data show."""
-    x, across = scaled(found.variable_unit, found.values)
-    y, unit = scaled(found.unit, found.curve, found.signal.value)
+    x, across = scale_to_prefix(found.variable_unit, found.values)
+    y, unit = scale_to_prefix(found.unit, found.curve, found.signal.value)
     data = [
         _cloud(x * found.seen, y * found.signal.value, "from the data"),
         line(x * found.values, y * found.curve, found.title.removeprefix("a "), "--third", width=2.6),
     ]
-    layout = axes(label(found.variable, across), label("missing signal", unit)) | {"hovermode": "closest"}
+    layout = axes(axis_label(found.variable, across), axis_label("missing signal", unit)) | {"hovermode": "closest"}
     what = "A smooth curve" if found.tone is None else "A tone, whatever the motion,"
     return Figure(
         "stand-in", f"{what} stands in for the effect that the catalogue does not have.", f"{found}.", data, layout, height=360
     )  # fmt: skip
 
 
-def signal_figure(look: Unexplained) -> Figure | None:
+def signal_figure(look: ResidualLocalisation) -> Figure | None:
     """The unexplained signal at the likeliest place, against each variable; a button for each."""
     signal = look.signal
     if signal is None or not signal.variables:
         return None
-    y, unit = scaled(signal.unit, signal.value)
-    ranked = [r.variable for r in look.regions if r.variable in signal.variables]
+    y, unit = scale_to_prefix(signal.unit, signal.value)
+    ranked = [r.variable for r in look.dependences if r.variable in signal.variables]
     names = [*ranked, *(n for n in signal.variables if n not in ranked)]
     data, views = [], {}
     for k, variable in enumerate(names):
-        x, across = scaled(signal.units[variable], signal.variables[variable])
+        x, across = scale_to_prefix(signal.units[variable], signal.variables[variable])
         data.append(_cloud(x * signal.variables[variable], y * signal.value, variable))
-        views[variable] = View([k], {"xaxis": {"title": {"text": label(variable, across)}}})
-    layout = axes("", label("unexplained", unit)) | {"hovermode": "closest", "showlegend": False}
-    words = "; ".join(str(r) for r in look.regions[:3]) or "no function of any one variable"
+        views[variable] = View([k], {"xaxis": {"title": {"text": axis_label(variable, across)}}})
+    layout = axes("", axis_label("unexplained", unit)) | {"hovermode": "closest", "showlegend": False}
+    words = "; ".join(str(r) for r in look.dependences[:3]) or "no function of any one variable"
     return Figure(
         "unexplained", f"What the fitted plain model leaves unexplained at the {signal.site}, against each variable. Its constants have"
         " absorbed what they could.", words + ".", data, layout, height=330, views=views,
     )  # fmt: skip
 
 
-def when_figure(look: Unexplained) -> Figure | None:
+def when_figure(look: ResidualLocalisation) -> Figure | None:
     """The misfit of each window of time."""
     if not look.windows:
         return None
@@ -230,7 +232,7 @@ def when_figure(look: Unexplained) -> Figure | None:
     return Figure("when", "When the plain model fails.", words, data, layout, height=230, views=views)
 
 
-def candidates_figure(ranking: Sequence[Rank], chosen: Sequence[str]) -> Figure | None:
+def candidates_figure(ranking: Sequence[RankedCandidate], chosen: Sequence[str]) -> Figure | None:
     """Misfit over noise of the best candidates on the records that they were fitted to."""
     if not ranking:
         return None

@@ -6,26 +6,26 @@ from collections.abc import Iterator
 
 import casadi as ca
 
+from greybox.expressions.latex import expression_latex, symbol_latex
 from greybox.model import Balance, Model
-from greybox.model.show import equations as in_text
-from greybox.reports.latex import latex, symbol
+from greybox.model.equations import equations_text as in_text
 from greybox.reports.page import Equation, Equations
-from greybox.units import tidy
+from greybox.units import format_unit
 
 
-def typeset(model: Model) -> Equations:
+def typeset_equations(model: Model) -> Equations:
     """The equations of ``model`` with every effect written out, and the same as text."""
     return Equations([*_balances(model), *_standstill(model), *_updates(model), *_outputs(model)], in_text(model))
 
 
 def _balances(model: Model) -> Iterator[Equation]:
     for balance in model.system.balances:
-        yield Equation(balance.name, tidy(balance.unit), f"{_storage(balance)} = {_terms(balance)}")
+        yield Equation(balance.name, format_unit(balance.unit), f"{_storage(balance)} = {_terms(balance)}")
 
 
 def _storage(balance: Balance) -> str:
-    rate = rf"\frac{{\mathrm{{d}}{symbol(balance.state)}}}{{\mathrm{{d}}t}}"
-    factor = latex(balance.storage)
+    rate = rf"\frac{{\mathrm{{d}}{symbol_latex(balance.state)}}}{{\mathrm{{d}}t}}"
+    factor = expression_latex(balance.storage)
     if factor == "1":
         return rate
     return (rf"\left({factor}\right)" if " + " in factor or " - " in factor else factor) + rf"\,{rate}"
@@ -35,7 +35,7 @@ def _terms(balance: Balance) -> str:
     """The terms with their names below."""
     text = ""
     for name, value in balance.terms.items():
-        term = latex(value)
+        term = expression_latex(value)
         minus = term.startswith("-") and " + " not in term and " - " not in term[1:]
         sign = "-" if minus else ("+" if text else "")
         body = term.removeprefix("-") if minus else term
@@ -47,21 +47,29 @@ def _standstill(model: Model) -> Iterator[Equation]:
     for dry in model.system.dry:
         if dry.static.element_hash() != dry.sliding.element_hash():
             unit = next(b.unit for b in model.system.balances if b.name == dry.balance)
-            yield Equation(f"{_words(dry.effect)} holds at standstill up to", tidy(unit), latex(dry.static))
+            yield Equation(
+                f"{_words(dry.effect)} holds at standstill up to", format_unit(unit), expression_latex(dry.static)
+            )
 
 
 def _updates(model: Model) -> Iterator[Equation]:
     for update in model.system.updates:
         state = model.all_states[update.state]
         yield Equation(
-            f"{state.name} after each step", tidy(state.unit), rf"{symbol(state.name)} = {latex(update.value)}"
+            f"{state.name} after each step",
+            format_unit(state.unit),
+            rf"{symbol_latex(state.name)} = {expression_latex(update.value)}",
         )
 
 
 def _outputs(model: Model) -> Iterator[Equation]:
     for k, output in enumerate(model.outputs):
         value: ca.SX = model.system.outputs[k]
-        yield Equation(f"measured {output.name}", tidy(output.unit), rf"{symbol(output.name)}^\ast = {latex(value)}")
+        yield Equation(
+            f"measured {output.name}",
+            format_unit(output.unit),
+            rf"{symbol_latex(output.name)}^\ast = {expression_latex(value)}",
+        )
 
 
 def _words(name: str) -> str:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from greybox.reports.constant_figures import half_width
+from greybox.reports.constant_figures import relative_half_width
 from greybox.reports.page import Table, Text, Tone
-from greybox.reports.words import counted, listed, sentence, typeset_number, unit_text
+from greybox.reports.typography import as_sentence, count_noun, join_names, typeset_number, typeset_page_unit
 from greybox.result import Fit
-from greybox.result.summary import constant_rows
+from greybox.result.summary import to_constant_rows
 
 # A misfit up to this many times the noise is called good.
 GOOD = 1.2
@@ -21,21 +21,21 @@ def verdict(fit: Fit) -> Text:
     """In plain words whether the fit succeeded and what to know before trusting it."""
     if not fit.success:
         said = [
-            f"This fit did not succeed: {fit.solver.meaning}.",
+            f"This fit did not succeed: {fit.solver.status_message}.",
             "The numbers below are where the search stopped. They are shown to find the reason, not to be used.",
         ]
-        return Text([*said, *(sentence(typeset_number(n)) for n in fit.notes[:LEADING])], "bad")
+        return Text([*said, *(as_sentence(typeset_number(n)) for n in fit.notes[:LEADING])], "bad")
     worst = max((m.noise_ratio for m in fit.misfit.values() if math.isfinite(m.noise_ratio)), default=math.nan)
     loose = [n for n in fit.uncertainty.free if n in fit.parameters and not fit.parameters[n].determined]
     fine = worst <= GOOD and not loose
     tone: Tone = "good" if fine else "caution"
     said = [_followed(fit, worst), _determined(fit, loose), *_judged(fit)]
     further = [n for n in fit.notes if not n.startswith("not determined")]
-    return Text([*filter(None, said), *(sentence(typeset_number(n)) for n in further[:LEADING])], tone)
+    return Text([*filter(None, said), *(as_sentence(typeset_number(n)) for n in further[:LEADING])], tone)
 
 
 def _followed(fit: Fit, worst: float) -> str:
-    sizes = listed([f"{m.noise_ratio:.3g} times the noise in {name}" for name, m in fit.misfit.items()])
+    sizes = join_names([f"{m.noise_ratio:.3g} times the noise in {name}" for name, m in fit.misfit.items()])
     if not math.isfinite(worst):
         return "The model follows the fitted records; the noise is not known, so nothing tells whether well enough."
     if worst <= GOOD:
@@ -50,8 +50,10 @@ def _determined(fit: Fit, loose: list[str]) -> str:
     if not fit.uncertainty.free:
         return "No constant was fitted."
     if loose:
-        return f"The records do not determine {listed(loose)}: the 95 % interval reaches further than half the value."
-    sides = [half for name in fit.uncertainty.free if (half := half_width(fit.parameters[name])) is not None]
+        return (
+            f"The records do not determine {join_names(loose)}: the 95 % interval reaches further than half the value."
+        )
+    sides = [half for name in fit.uncertainty.free if (half := relative_half_width(fit.parameters[name])) is not None]
     known = f" to ± {typeset_number(f'{max(sides):.2g}')} % or better" if sides else ""
     if len(fit.uncertainty.free) == 1:
         return f"{fit.uncertainty.free[0]} is determined{known}."
@@ -60,8 +62,8 @@ def _determined(fit: Fit, loose: list[str]) -> str:
 
 def _judged(fit: Fit) -> Iterator[str]:
     if fit.validation:
-        sizes = listed([f"{m.noise_ratio:.3g} times the noise in {n}" for n, m in fit.validation.misfit.items()])
-        yield f"On {counted(len(fit.validation.traces), 'record')} that the fit has not seen it leaves over {sizes}."
+        sizes = join_names([f"{m.noise_ratio:.3g} times the noise in {n}" for n, m in fit.validation.misfit.items()])
+        yield f"On {count_noun(len(fit.validation.traces), 'record')} that the fit has not seen it leaves over {sizes}."
     else:
         yield "It was not judged on other records; a second record would tell whether the constants hold there."
 
@@ -69,8 +71,8 @@ def _judged(fit: Fit) -> Iterator[str]:
 def constants_table(fit: Fit, note: str = "") -> Table:
     """The constants of a fit as a table."""
     rows = [
-        [name, typeset_number(value), typeset_number(limits), unit_text(unit) if unit else "", remark]
-        for name, value, limits, unit, remark in constant_rows(fit)
+        [name, typeset_number(value), typeset_number(limits), typeset_page_unit(unit) if unit else "", remark]
+        for name, value, limits, unit, remark in to_constant_rows(fit)
     ]
     title = "Constants with their standard deviations and 95 % intervals"
     return Table(title, ["constant", "value", "95 % interval", "unit", "remark"], rows, note)

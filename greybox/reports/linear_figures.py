@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from greybox.export import Family, Linearisation
-from greybox.figures.scale import label
+from greybox.export import Linearisation, ModelFamily
+from greybox.plots.units import axis_label
 from greybox.reports.axes import axes, line
 from greybox.reports.page import Figure, View
-from greybox.reports.words import typeset_number, unit_text
+from greybox.reports.typography import typeset_number, typeset_page_unit
 
 POINTS = 500  # frequencies of a curve
 REACH = 20.0  # times the slowest and the fastest pole
@@ -28,7 +28,7 @@ def frequencies(linear: Linearisation) -> np.ndarray:
     return np.unique(grid[grid <= high])
 
 
-def bode_figures(linear: Linearisation, family: Family | None) -> list[Figure]:
+def bode_figures(linear: Linearisation, family: ModelFamily | None) -> list[Figure]:
     """Gain and phase, a button for each channel; around them the spread of the family (95 %)."""
     if not linear.input_names or not linear.output_names:
         return []
@@ -41,14 +41,14 @@ def bode_figures(linear: Linearisation, family: Family | None) -> list[Figure]:
     for r, output in enumerate(linear.output_names):
         for c, name in enumerate(linear.input_names):
             channel, start, size = f"{name} → {output}", len(gains), np.abs(response[:, r, c])
-            unit = unit_text(f"({linear.output_units[r] or '1'})/({linear.input_units[c] or '1'})")
+            unit = typeset_page_unit(f"({linear.output_units[r] or '1'})/({linear.input_units[c] or '1'})")
             if bounds is not None:
                 low, high = (line(hertz, b[:, r, c], "95 % of the models", "--soft", width=0.5) for b in bounds)
                 gains += [low, high | {"fill": "tonexty", "fillcolor": "--band", "showlegend": False}]
             gains.append(line(hertz, np.where(size > 0, size, np.nan), "gain", "--model"))
             angle = np.degrees(np.unwrap(np.angle(response[:, r, c])))
             phases.append(line(hertz, angle, "phase", "--residual"))
-            up[channel] = View(list(range(start, len(gains))), {"yaxis": {"title": {"text": label("gain", unit)}}})
+            up[channel] = View(list(range(start, len(gains))), {"yaxis": {"title": {"text": axis_label("gain", unit)}}})
             down[channel] = View([len(phases) - 1])
             top = int(np.argmax(size))
             words.append(
@@ -78,7 +78,7 @@ def bode_figures(linear: Linearisation, family: Family | None) -> list[Figure]:
     ]
 
 
-def poles_figure(linear: Linearisation, family: Family | None) -> Figure | None:
+def poles_figure(linear: Linearisation, family: ModelFamily | None) -> Figure | None:
     """Poles in the complex plane, with those of the family."""
     poles = linear.poles
     if not len(poles):

@@ -4,63 +4,68 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from greybox.check import Check
+from greybox.check import ModelCheck
+from greybox.estimation.findings import collect_record_notes
+from greybox.estimation.versions import read_versions
 from greybox.experiment import Experiment
-from greybox.experiment.sensors import doubtful
-from greybox.fitting.notes import of_records
-from greybox.fitting.versions import versions
-from greybox.identifiability import Expected
-from greybox.reports.axes import stretches
+from greybox.experiment.sensor_faults import is_sensor_fault
+from greybox.identifiability import ExpectedPrecision
+from greybox.reports.axes import envelope_length
 from greybox.reports.constant_figures import spread_figure
-from greybox.reports.equations import typeset
+from greybox.reports.equations import typeset_equations
 from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text
+from greybox.reports.provenance import command_block, name_value_table
 from greybox.reports.record_figures import inputs_figure, outputs_figure
-from greybox.reports.records import pace, units_of
-from greybox.reports.repeat import named, shell
-from greybox.reports.words import listed, number, sentence, typeset_number, unit_text
+from greybox.reports.records import format_sampling_time, signal_units
+from greybox.reports.typography import as_sentence, format_number, join_names, typeset_number, typeset_page_unit
 
 MOST_DRAWN = 10
 
 
-def report_of_check(check: Check, *, command: str = "") -> Page:
+def report_of_check(check: ModelCheck, *, command: str = "") -> Page:
     """The page of a check; ``command`` is what was typed."""
     sections = [
         Section("constants", "What the records can tell", list(_constants(check))),
         Section("structure", "What any record could tell", list(_structure(check))),
-        Section("model", "The model", [_integration(check), typeset(check.model)]),
+        Section("model", "The model", [_integration(check), typeset_equations(check.model)]),
         Section("data", "The data", list(_data(check))),
-        Section("repeat", "How to repeat it", [*shell(command), named("Versions", versions())]),
+        Section("repeat", "How to repeat it", [*command_block(command), name_value_table("Versions", read_versions())]),
     ]
     names = [q.name for q in check.model.free_parameters]
-    question = f"Can {listed(names) or 'the constants'} be determined, before anything is fitted?"
+    question = f"Can {join_names(names) or 'the constants'} be determined, before anything is fitted?"
     return Page(f"Check of {check.model.title}", question, _verdict(check), sections, "check")
 
 
-def _verdict(check: Check) -> Text:
-    told, doubts = _told(check), [sentence(f"record {n}") for n in of_records(check.experiments) if doubtful(n)]
+def _verdict(check: ModelCheck) -> Text:
+    told, doubts = (
+        _told(check),
+        [as_sentence(f"record {n}") for n in collect_record_notes(check.experiments) if is_sensor_fault(n)],
+    )
     return Text([*doubts, *told.paragraphs], "caution" if doubts and told.tone == "good" else told.tone)
 
 
-def _told(check: Check) -> Text:
+def _told(check: ModelCheck) -> Text:
     of = "such a record" if check.assumed else "these records"
     if check.doubt:
-        return Text([f"Nothing can be said: {sentence(check.doubt)}"], "bad")
+        return Text([f"Nothing can be said: {as_sentence(check.doubt)}"], "bad")
     if check.failure:
-        return Text([sentence(check.failure)], "caution")
+        return Text([as_sentence(check.failure)], "caution")
     if check.complete:
         return Text([f"Every free constant can be determined from {of}, if the model is right."], "good")
-    said = [sentence(check.structure.verdict)] if check.structure is not None and not check.structure.complete else []
+    said = (
+        [as_sentence(check.structure.verdict)] if check.structure is not None and not check.structure.complete else []
+    )
     weak = [name for name, c in check.constants.items() if not c.determined]
     if weak:
-        said.append(f"{listed(weak)} cannot be determined from {of}.")
+        said.append(f"{join_names(weak)} cannot be determined from {of}.")
     if check.structure is not None and check.structure.remedies:
         said.append(f"What would help: {check.structure.remedies[0].rstrip('.')}.")
     return Text(said, "caution")
 
 
-def _constants(check: Check) -> Iterator[Block]:
+def _constants(check: ModelCheck) -> Iterator[Block]:
     if check.failure:
-        yield Text([sentence(check.failure)], "caution")
+        yield Text([as_sentence(check.failure)], "caution")
         return
     rows = [[name, *_expected(c)] for name, c in check.constants.items()]
     yield Table(
@@ -76,36 +81,42 @@ def _constants(check: Check) -> Iterator[Block]:
         rows = [[text, typeset_number(f"{100 * std:.2g} %")] for text, std in found.combinations.items()]
         yield Table("Combinations that show above the noise", ["combination", "expected std"], rows)
     if found.remarks:
-        yield Listing([sentence(r) for r in found.remarks])
+        yield Listing([as_sentence(r) for r in found.remarks])
 
 
-def _expected(c: Expected) -> list[str]:
-    unit = unit_text(c.unit)
+def _expected(c: ExpectedPrecision) -> list[str]:
+    unit = typeset_page_unit(c.unit)
     if c.std is None:
-        return [typeset_number(number(c.value)), "", "", unit, "not determined"]
+        return [typeset_number(format_number(c.value)), "", "", unit, "not determined"]
     share = f"{100 * c.std / abs(c.value):.2g} %" if c.value else ""
     remark = "not determined" if not c.determined else "by averaging the noise alone" if c.averaged else ""
-    return [typeset_number(number(c.value)), typeset_number(number(c.std, 2)), typeset_number(share), unit, remark]
+    return [
+        typeset_number(format_number(c.value)),
+        typeset_number(format_number(c.std, 2)),
+        typeset_number(share),
+        unit,
+        remark,
+    ]
 
 
-def _structure(check: Check) -> Iterator[Block]:
+def _structure(check: ModelCheck) -> Iterator[Block]:
     structure = check.structure
     if structure is None:
-        yield Text([sentence(check.doubt)], "bad")
+        yield Text([as_sentence(check.doubt)], "bad")
         return
-    yield Text([sentence(structure.verdict)], "good" if structure.complete else "caution")
+    yield Text([as_sentence(structure.verdict)], "good" if structure.complete else "caution")
     if structure.complete:
         return
     if structure.determined:
         yield Table("Determined whatever the record", ["combination"], [[text] for text in structure.determined])
     yield Heading("What stays open")
-    yield Listing([sentence(str(d)) for d in structure.directions])
+    yield Listing([as_sentence(str(d)) for d in structure.directions])
     if structure.remedies:
         yield Heading("What would close it")
-        yield Listing([sentence(r) for r in structure.remedies])
+        yield Listing([as_sentence(r) for r in structure.remedies])
 
 
-def _integration(check: Check) -> Table:
+def _integration(check: ModelCheck) -> Table:
     rows = [
         ["equations", "linear in states and inputs" if check.linear else "nonlinear"],
         ["units", "every term has the unit of its balance"],
@@ -115,20 +126,22 @@ def _integration(check: Check) -> Table:
     return Table("How it is computed", ["what", "how"], rows)
 
 
-def _data(check: Check) -> Iterator[Block]:
+def _data(check: ModelCheck) -> Iterator[Block]:
     if check.assumed:
-        yield Text([f"No records were given; a simulated one stands in: {sentence(check.assumed)}"])
+        yield Text([f"No records were given; a simulated one stands in: {as_sentence(check.assumed)}"])
     head = ["record", "rows", "duration", "sampling time", "fingerprint"]
     yield Table("Records", head, [_record(e) for e in check.experiments], "" if check.assumed else _noise(check))
-    known = [n for n in of_records(check.experiments) if not doubtful(n)]  # those stand above, with the verdict
+    known = [
+        n for n in collect_record_notes(check.experiments) if not is_sensor_fault(n)
+    ]  # those stand above, with the verdict
     if known:
-        yield Listing([sentence(f"record {n}") for n in known])
+        yield Listing([as_sentence(f"record {n}") for n in known])
     if not check.assumed:
         lines = dict.fromkeys(line for e in check.practical.excitation for line in str(e).splitlines())
-        yield Listing([sentence(line) for line in lines])
-    units = units_of(check.model)
+        yield Listing([as_sentence(line) for line in lines])
+    units = signal_units(check.model)
     drawn = check.experiments[:MOST_DRAWN]
-    most = stretches(sum(len(e.inputs) + len(e.outputs) for e in drawn))
+    most = envelope_length(sum(len(e.inputs) + len(e.outputs) for e in drawn))
     for k, e in enumerate(drawn):
         figures = [outputs_figure(e, units, f"{k}", most), inputs_figure(e, units, f"{k}", most)]
         shown = [f for f in figures if f is not None]
@@ -136,10 +149,13 @@ def _data(check: Check) -> Iterator[Block]:
 
 
 def _record(e: Experiment) -> list[str]:
-    return [e.name, str(e.rows), f"{e.duration:.6g} s", pace(e.time), e.fingerprint[:12]]
+    return [e.name, str(e.rows), f"{e.duration:.6g} s", format_sampling_time(e.time), e.fingerprint[:12]]
 
 
-def _noise(check: Check) -> str:
+def _noise(check: ModelCheck) -> str:
     units = {o.name: o.unit for o in check.model.outputs}
-    sizes = [typeset_number(f"{n} {number(std, 3)} {unit_text(units[n])}".rstrip()) for n, std in check.noise.items()]
-    return f"Noise: {listed(sizes)}; {check.noise_source}."
+    sizes = [
+        typeset_number(f"{n} {format_number(std, 3)} {typeset_page_unit(units[n])}".rstrip())
+        for n, std in check.noise.items()
+    ]
+    return f"Noise: {join_names(sizes)}; {check.noise_source}."

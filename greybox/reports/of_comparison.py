@@ -5,14 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from greybox.comparison import Comparison, Entry, Score
-from greybox.fitting.versions import versions
+from greybox.comparison import Comparison, ComparisonEntry, ComparisonScore
+from greybox.estimation.versions import read_versions
 from greybox.reports.comparison_figures import colours_of, errors_figure, runs_figures
-from greybox.reports.equations import typeset
+from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import constants_table
 from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text
-from greybox.reports.repeat import named, shell
-from greybox.reports.words import counted, listed, number, sentence, typeset_number, unit_text
+from greybox.reports.provenance import command_block, name_value_table
+from greybox.reports.typography import (
+    as_sentence,
+    count_noun,
+    format_number,
+    join_names,
+    typeset_number,
+    typeset_page_unit,
+)
 from greybox.result import Fit
 
 MOST_DRAWN = 8  # records with curves; the tables have all
@@ -35,10 +42,12 @@ def report_of_comparison(
     if fits:
         sections.append(Section("physics", "The physical models", list(_physics(fits))))
     sections.append(_data(comparison, data or {}, known))
-    sections.append(Section("repeat", "How to repeat it", [*shell(command), named("Versions", versions())]))
-    outputs = listed(list(comparison.outputs))
+    sections.append(
+        Section("repeat", "How to repeat it", [*command_block(command), name_value_table("Versions", read_versions())])
+    )
+    outputs = join_names(list(comparison.outputs))
     where = "records that none of them was fitted to" if comparison.validation else "the records they were fitted to"
-    question = f"Does the physics pay? {counted(len(comparison.entries), 'model')} of {outputs}, judged on the same rows of {where}."
+    question = f"Does the physics pay? {count_noun(len(comparison.entries), 'model')} of {outputs}, judged on the same rows of {where}."
     return Page("Grey boxes and black boxes side by side", question, verdict(comparison), sections, "comparison")
 
 
@@ -47,10 +56,12 @@ def verdict(comparison: Comparison) -> Text:
     best = [_best(comparison, output) for output in comparison.outputs]
     failed = any(n.startswith("the fit did not succeed") for e in comparison.entries for n in e.notes)
     won = all(e is not None and e.kind == "grey" for e in best) and bool(best)
-    return Text([sentence(typeset_number(s)) for s in comparison.verdict], "good" if won and not failed else "caution")
+    return Text(
+        [as_sentence(typeset_number(s)) for s in comparison.verdict], "good" if won and not failed else "caution"
+    )
 
 
-def _best(comparison: Comparison, output: str) -> Entry | None:
+def _best(comparison: Comparison, output: str) -> ComparisonEntry | None:
     judged = [
         (comparison.judged(e)[output].rmse, k)
         for k, e in enumerate(comparison.entries)
@@ -72,13 +83,13 @@ def errors(comparison: Comparison) -> Iterator[Block]:
 
 
 def _table(comparison: Comparison, group: str, output: str, title: str) -> Table:
-    found: dict[str, Score] = {}
+    found: dict[str, ComparisonScore] = {}
     for e in comparison.entries:
-        scores: Mapping[str, Score] = getattr(e, group)
+        scores: Mapping[str, ComparisonScore] = getattr(e, group)
         if output in scores:
             found[e.name] = scores[output]
     ranked = sorted(found.items(), key=lambda item: item[1].rmse if math.isfinite(item[1].rmse) else math.inf)
-    unit = unit_text(comparison.outputs[output])
+    unit = typeset_page_unit(comparison.outputs[output])
     further = sorted({k for s in found.values() for k in s.ahead_rmse})
     rows = [
         [
@@ -94,7 +105,7 @@ def _table(comparison: Comparison, group: str, output: str, title: str) -> Table
 def _error(value: float, unit: str) -> str:
     if math.isnan(value):
         return "–"
-    return typeset_number(f"{number(value, 4)} {unit}".rstrip()) if math.isfinite(value) else "grows away"
+    return typeset_number(f"{format_number(value, 4)} {unit}".rstrip()) if math.isfinite(value) else "grows away"
 
 
 def _percent(value: float) -> str:
@@ -112,7 +123,7 @@ def runs(comparison: Comparison) -> Iterator[Block]:
             yield Heading(f"Record {record}")
         yield from figures if k == 0 else [Folded(f"Record {record}", figures)]
     if len(records) > MOST_DRAWN:
-        yield Text([f"{counted(len(records) - MOST_DRAWN, 'more record')} in the tables, but not drawn."])
+        yield Text([f"{count_noun(len(records) - MOST_DRAWN, 'more record')} in the tables, but not drawn."])
 
 
 def models(comparison: Comparison) -> Table:
@@ -121,7 +132,7 @@ def models(comparison: Comparison) -> Table:
         [
             e.name, e.kind, ", ".join(dict.fromkeys(e.structure.values())), str(e.parameters),
             f"{e.bic:.0f}".replace("-", "−") if math.isfinite(e.bic) else "–", "yes" if e.stable else "no",
-            typeset_number(", ".join(number(v, 3) for v in e.feedthrough.values())) or "none",
+            typeset_number(", ".join(format_number(v, 3) for v in e.feedthrough.values())) or "none",
             f"{e.seconds:.1f} s" if e.seconds else "–",
         ]
         for e in comparison.entries
@@ -134,12 +145,12 @@ def models(comparison: Comparison) -> Table:
 def _notes(comparison: Comparison) -> Iterator[Block]:
     said = [*comparison.notes, *(f"{e.name}: {n}" for e in comparison.entries for n in e.notes)]
     if said:
-        yield Listing([sentence(s) for s in said])
+        yield Listing([as_sentence(s) for s in said])
 
 
 def _physics(fits: Mapping[str, Fit]) -> Iterator[Block]:
     for k, (name, fit) in enumerate(fits.items()):
-        blocks: list[Block] = [constants_table(fit), typeset(fit.model)]
+        blocks: list[Block] = [constants_table(fit), typeset_equations(fit.model)]
         if k == 0:
             yield Heading(name)
         yield from blocks if k == 0 else [Folded(name, blocks)]
@@ -154,6 +165,6 @@ def _data(comparison: Comparison, prints: Mapping[str, str], known: Sequence[str
             length = [str(len(run.time)), f"{run.time[-1] - run.time[0]:.6g} s"] if run is not None else ["", ""]
             rows.append([record, use, *length, prints.get(record, "")[:12]])
     left = f"The first {comparison.skip} rows of each judging record do not count." if comparison.skip else ""
-    said = [Listing([sentence(f"record {note}") for note in known])] if known else []
+    said = [Listing([as_sentence(f"record {note}") for note in known])] if known else []
     table = Table("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, left)
     return Section("data", "The data", [table, *said])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from greybox.reports.equations import typeset
+from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import verdict as fit_verdict
 from greybox.reports.of_comparison import errors, models
 from greybox.reports.of_comparison import verdict as comparison_verdict
@@ -13,11 +13,11 @@ from greybox.reports.of_discovery import discovery_sections, extended_name
 from greybox.reports.of_discovery import verdict as discovery_verdict
 from greybox.reports.of_linearisation import linear_sections
 from greybox.reports.page import Block, Page, Section, Table, Text
+from greybox.reports.provenance import provenance_section
 from greybox.reports.records import records_section
-from greybox.reports.repeat import repeat_section
-from greybox.reports.words import listed, number, sentence, typeset_number, unit_text
+from greybox.reports.typography import as_sentence, format_number, join_names, typeset_number, typeset_page_unit
 from greybox.result import Estimate
-from greybox.result.summary import MISFIT_HEADS, misfit_cells
+from greybox.result.summary import MISFIT_HEADS, to_misfit_cells
 
 if TYPE_CHECKING:
     from greybox.demo import Demo
@@ -31,11 +31,11 @@ def report_of_demo(demo: Demo, *, command: str = "") -> Page:
         Section("fit", "The model as it was", list(_plain(demo))),
         *discovery_sections(found),
         Section("constants", "The constants beside the truth", [_constants(demo)]),
-        Section("model", "The extended model", [typeset(best.model)]),
+        Section("model", "The extended model", [typeset_equations(best.model)]),
         Section("errors", "Beside black boxes", list(_beside(demo))),
         *linear_sections(demo.plant, None),
         records_section([*best.traces], [*best.validation.traces], best),
-        repeat_section(best, command),
+        provenance_section(best, command),
     ]
     question = (
         "A simulated micro-motion actuator has something that its model knows nothing of. Does the program notice, does it name what"
@@ -50,14 +50,14 @@ def _verdict(demo: Demo) -> Text:
     first = f"The model as it was misses {worst[0]} by {worst[1].noise_ratio:.3g} times the noise."
     names = [n for n in demo.truth if n in demo.deviations]
     off = max((abs(demo.deviations[n]) for n in names), default=0.0)
-    true = f"Every constant of the rig is met within {off:.1f} standard deviations: {listed(names)}."
-    beside = [sentence(typeset_number(s)) for s in demo.comparison.verdict[:1]]
+    true = f"Every constant of the rig is met within {off:.1f} standard deviations: {join_names(names)}."
+    beside = [as_sentence(typeset_number(s)) for s in demo.comparison.verdict[:1]]
     return Text([first, *found.paragraphs, true, *beside], found.tone)
 
 
 def _plain(demo: Demo) -> Iterator[Block]:
     yield fit_verdict(demo.plain)
-    rows = [[name, *map(typeset_number, misfit_cells(m))] for name, m in demo.plain.misfit.items()]
+    rows = [[name, *map(typeset_number, to_misfit_cells(m))] for name, m in demo.plain.misfit.items()]
     yield Table("Free run of the plain model on the fitted record", ["output", *MISFIT_HEADS], rows)
 
 
@@ -71,13 +71,13 @@ def _constants(demo: Demo) -> Table:
     rows = []
     for name, truth in demo.truth.items():
         e, before = demo.fit.parameters.get(name), demo.plain.parameters.get(name)
-        start = number(demo.start[name], 4) if name in demo.start else "–"
+        start = format_number(demo.start[name], 4) if name in demo.start else "–"
         off = f"{abs(demo.deviations[name]):.1f} std" if name in demo.deviations else ""
-        cells = [number(truth), start, _value(before), _value(e), off]
-        rows.append([name, *map(typeset_number, cells), unit_text(e.unit) if e is not None else ""])
+        cells = [format_number(truth), start, _value(before), _value(e), off]
+        rows.append([name, *map(typeset_number, cells), typeset_page_unit(e.unit) if e is not None else ""])
     head = ["constant", "true", "start of the search", "plain model", extended_name(demo.discovery), "off by", "unit"]
     return Table("What the search began with, what it found, and what is true", head, rows)
 
 
 def _value(e: Estimate | None) -> str:
-    return "–" if e is None else number(e.value) + (f" +- {e.std:.1g}" if e.std is not None else "")
+    return "–" if e is None else format_number(e.value) + (f" +- {e.std:.1g}" if e.std is not None else "")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from greybox.discovery import Deepened, Discovery, Gap
-from greybox.reports.axes import stretches
+from greybox.discovery import Discovery, HoldoutError, Refinement
+from greybox.reports.axes import envelope_length
 from greybox.reports.discovery_figures import (
     before_after_figures,
     candidates_figure,
@@ -16,13 +16,20 @@ from greybox.reports.discovery_figures import (
     steps_of,
     when_figure,
 )
-from greybox.reports.equations import typeset
+from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import constants_table
 from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text, Tone
-from greybox.reports.records import records_section, units_of
-from greybox.reports.repeat import repeat_section
-from greybox.reports.words import counted, listed, number, sentence, typeset_number, unit_text
-from greybox.result.summary import constant_cells
+from greybox.reports.provenance import provenance_section
+from greybox.reports.records import records_section, signal_units
+from greybox.reports.typography import (
+    as_sentence,
+    count_noun,
+    format_number,
+    join_names,
+    typeset_number,
+    typeset_page_unit,
+)
+from greybox.result.summary import to_constant_cells
 
 NO_GAP = 1.05  # a misfit up to this many times the noise
 MOST_DRAWN = 8  # judging records with curves
@@ -38,10 +45,10 @@ def report_of_discovery(found: Discovery, *, command: str = "") -> Page:
     """The page of a discovery; ``command`` is what was typed."""
     sections = [*discovery_sections(found)]
     sections.append(Section("constants", "The constants, before and after", [constants_before_after(found)]))
-    model: list[Block] = [typeset(found.best.model)]
+    model: list[Block] = [typeset_equations(found.best.model)]
     sections.append(Section("model", "The extended model" if found.best.model.effects else "The model", model))
     sections.append(records_section([*found.best.traces], [*found.best.validation.traces], found.best))
-    sections.append(repeat_section(found.best, command))
+    sections.append(provenance_section(found.best, command))
     plain = found.base.model.title
     return Page(
         f"What {plain} lacks", f"Which effect, if any, does {plain} lack?", verdict(found), sections, "discovery"
@@ -53,26 +60,26 @@ def verdict(found: Discovery) -> Text:
     said = [ANSWERS[found.verdict], found.story]
     for effect in found.effects if found.verdict != "complete" else []:
         values = [
-            typeset_number(f"{name} = {number(c['value'])}" + (f" +- {c['std']:.2g}" if c["std"] else ""))
-            + f" {unit_text(c['unit'])}"
+            typeset_number(f"{name} = {format_number(c['value'])}" + (f" +- {c['std']:.2g}" if c["std"] else ""))
+            + f" {typeset_page_unit(c['unit'])}"
             for name, c in effect["parameters"].items()
         ]
         looks = "The look-alike " if found.verdict == "unknown" else ""
-        said.append(f"{looks}{effect['name']} ({effect['site']}): {listed([v.rstrip() for v in values])}.")
-    said += [f"Next: {sentence(step)[0].lower()}{sentence(step)[1:]}" for step in found.next_steps]
-    return Text([*said, *map(sentence, found.notes)], TONES[found.verdict])
+        said.append(f"{looks}{effect['name']} ({effect['site']}): {join_names([v.rstrip() for v in values])}.")
+    said += [f"Next: {as_sentence(step)[0].lower()}{as_sentence(step)[1:]}" for step in found.next_steps]
+    return Text([*said, *map(as_sentence, found.notes)], TONES[found.verdict])
 
 
 def discovery_sections(found: Discovery) -> Iterator[Section]:
     """The story: the gap, the missing signal, where and when, the candidates."""
     yield Section("gap", "The gap", list(_gap(found)))
     signal: list[Block] = [missing_figure(m, f"missing-{k}") for k, m in enumerate(found.missing)]
-    if found.stand_in is not None:
-        signal += [Text([sentence(str(found.stand_in))]), stand_in_figure(found.stand_in)]
+    if found.surrogate is not None:
+        signal += [Text([as_sentence(str(found.surrogate))]), stand_in_figure(found.surrogate)]
     if signal:
         yield Section("signal", "The missing signal", signal)
-    if found.deeper is not None:
-        yield Section("further", "What comes after", list(_further(found.deeper)))
+    if found.refinement is not None:
+        yield Section("further", "What comes after", list(_further(found.refinement)))
     if found.look.missing:
         yield Section("where", "Where, when and in which region", list(_where(found)))
     if found.ranking:
@@ -83,7 +90,7 @@ def _gap(found: Discovery) -> Iterator[Block]:
     yield gap_figure(found)
     rows = [
         [
-            output, *(typeset_number(f"{v:.4g} {unit_text(g.unit)}".rstrip()) for v in (g.before, g.after, g.floor)),
+            output, *(typeset_number(f"{v:.4g} {typeset_page_unit(g.unit)}".rstrip()) for v in (g.before, g.after, g.floor)),
             _closed(g),
         ]
         for output, g in found.gap.items()
@@ -94,9 +101,9 @@ def _gap(found: Discovery) -> Iterator[Block]:
     if len(way) > 2:
         steps = [[name, typeset_number(f"{misfit:.4g} × noise")] for name, misfit in way]
         yield Table("Step by step, on the records that were fitted", ["model", "misfit"], steps)
-    units = units_of(found.base.model)
+    units = signal_units(found.base.model)
     pairs = list(zip(found.base.validation.traces, found.best.validation.traces, strict=False))[:MOST_DRAWN]
-    most = stretches(sum(4 * len(b.measured) for b, _ in pairs))
+    most = envelope_length(sum(4 * len(b.measured) for b, _ in pairs))
     for k, (before, after) in enumerate(pairs):
         figures = before_after_figures(
             before, after, units, found.best.noise.std, f"judged-{k}", most, extended_name(found)
@@ -106,10 +113,10 @@ def _gap(found: Discovery) -> Iterator[Block]:
         yield from figures if k == 0 else [Folded(f"Record {before.name}", figures)]
 
 
-def _closed(gap: Gap) -> str:
+def _closed(gap: HoldoutError) -> str:
     if gap.before <= NO_GAP * gap.floor:
         return "no gap"
-    return f"{100 * gap.closed:.1f} %" if gap.closed > 0 else "it grew"
+    return f"{100 * gap.explained_fraction:.1f} %" if gap.explained_fraction > 0 else "it grew"
 
 
 def extended_name(found: Discovery) -> str:
@@ -117,18 +124,18 @@ def extended_name(found: Discovery) -> str:
     return "with the nearest look-alike" if found.verdict == "unknown" else "with what was found"
 
 
-def _further(deeper: Deepened) -> Iterator[Block]:
+def _further(refinement: Refinement) -> Iterator[Block]:
     """The steps beyond the answer, and what they leave."""
-    yield Text([deeper.story])
-    if not deeper.steps:
+    yield Text([refinement.story])
+    if not refinement.steps:
         return
     steps = [
         [s.name, _percent(s.fitted), _percent(s.held_out), ", ".join(f"{n} {_percent(v)}" for n, v in s.alike.items())]
-        for s in deeper.steps
+        for s in refinement.steps
     ]
     head = ["effect", "of the misfit fitted", "of that on the validation records", "nearly as well"]
     yield Table("Further effects, each with the share of the rms misfit that it takes away", head, steps)
-    yield constants_table(deeper.fit)
+    yield constants_table(refinement.fit)
 
 
 def _percent(share: float) -> str:
@@ -137,7 +144,7 @@ def _percent(share: float) -> str:
 
 def _where(found: Discovery) -> Iterator[Block]:
     look = found.look
-    yield Listing([sentence(line.strip()) for line in str(look).splitlines()])
+    yield Listing([as_sentence(line.strip()) for line in str(look).splitlines()])
     picture = signal_figure(look)
     if picture is not None:
         yield picture
@@ -147,7 +154,7 @@ def _where(found: Discovery) -> Iterator[Block]:
             str(s),
             str(sets[str(s)]),
             typeset_number(f"{s.gain:.4g}"),
-            typeset_number(f"{s.size:.3g} {unit_text(s.unit)}".rstrip()),
+            typeset_number(f"{s.size:.3g} {typeset_page_unit(s.unit)}".rstrip()),
         ]
         for s in look.sites
     ]
@@ -171,7 +178,7 @@ def _candidates(found: Discovery) -> Iterator[Block]:
     ]
     note = "Behind: by how much Schwarz's criterion is above that of the best; 10 and more are decisive."
     yield Folded(
-        f"All {counted(len(rows), 'candidate')}", [Table("Candidates", ["effects", "misfit", "behind"], rows, note)]
+        f"All {count_noun(len(rows), 'candidate')}", [Table("Candidates", ["effects", "misfit", "behind"], rows, note)]
     )
 
 
@@ -182,8 +189,8 @@ def constants_before_after(found: Discovery) -> Table:
     rows = []
     for name, e in found.best.parameters.items():
         before = found.base.parameters.get(name)
-        _, after, limits, _, remark = map(typeset_number, constant_cells(name, e))
-        told = typeset_number(constant_cells(name, before)[1]) if before is not None else "–"
-        rows.append([name, told, after, limits, unit_text(e.unit), remark])
+        _, after, limits, _, remark = map(typeset_number, to_constant_cells(name, e))
+        told = typeset_number(to_constant_cells(name, before)[1]) if before is not None else "–"
+        rows.append([name, told, after, limits, typeset_page_unit(e.unit), remark])
     head = ["constant", "plain model", extended_name(found), "95 % interval", "unit", "remark"]
     return Table("Constants: what a model lacks, its other constants have to make up for", head, rows)

@@ -6,16 +6,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from greybox.export import Family, Linearisation
-from greybox.reports.equations import typeset
+from greybox.export import Linearisation, ModelFamily
+from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import constants_table
 from greybox.reports.fit_parts import verdict as fit_verdict
 from greybox.reports.of_linearisation import linear_sections
 from greybox.reports.of_linearisation import question as linear_question
 from greybox.reports.of_linearisation import verdict as linear_verdict
 from greybox.reports.page import Block, Code, Folded, Page, Section, Table, Text
-from greybox.reports.repeat import named, shell
-from greybox.reports.words import counted
+from greybox.reports.provenance import command_block, name_value_table
+from greybox.reports.typography import count_noun
 from greybox.result import Fit
 
 LONGEST = 60_000  # letters of a listing
@@ -30,7 +30,7 @@ class Export:
     kind: str
     files: tuple[Path, ...]
     linear: Linearisation | None = None
-    family: Family | None = None
+    family: ModelFamily | None = None
 
 
 def report_of_export(export: Export, *, command: str = "") -> Page:
@@ -40,8 +40,12 @@ def report_of_export(export: Export, *, command: str = "") -> Page:
     sections = [
         *behaviour,
         Section("files", "The files", list(_files(export))),
-        Section("fit", "The fit behind it", [fit_verdict(fit), constants_table(fit), typeset(fit.model)]),
-        Section("repeat", "How to repeat it", [*shell(command), named("Versions", fit.provenance.versions)]),
+        Section("fit", "The fit behind it", [fit_verdict(fit), constants_table(fit), typeset_equations(fit.model)]),
+        Section(
+            "repeat",
+            "How to repeat it",
+            [*command_block(command), name_value_table("Versions", fit.provenance.versions)],
+        ),
     ]
     asked = (
         linear_question(linear) if linear is not None else f"{fit.model.title}, fitted, to run outside this program."
@@ -50,7 +54,7 @@ def report_of_export(export: Export, *, command: str = "") -> Page:
 
 
 def _verdict(export: Export) -> Text:
-    written = f"{counted(len(export.files), 'file')} written: {', '.join(f.name for f in export.files)}."
+    written = f"{count_noun(len(export.files), 'file')} written: {', '.join(f.name for f in export.files)}."
     if export.linear is not None:
         said = linear_verdict(export.linear)
         return Text([*said.paragraphs, written], said.tone)

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from greybox.diagnose import ResidualTests, diagnose_residuals
-from greybox.figures import misfits_of
-from greybox.identifiability import missing_knowledge
-from greybox.reports.axes import stretches
-from greybox.reports.constant_figures import correlation_figure, intervals_figure, tied
-from greybox.reports.equations import typeset
+from greybox.estimation.restore import has_free_run
+from greybox.identifiability import recommend_after_fit
+from greybox.plots import misfits_of
+from greybox.reports.axes import envelope_length
+from greybox.reports.constant_figures import correlation_figure, intervals_figure, strongly_correlated_pairs
+from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import LEADING, constants_table, verdict
 from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text
+from greybox.reports.provenance import provenance_section
 from greybox.reports.record_figures import WHOLE, inputs_figure, record_figures
-from greybox.reports.records import records_section, units_of
-from greybox.reports.repeat import repeat_section
+from greybox.reports.records import records_section, signal_units
 from greybox.reports.residual_figures import memory_figure
-from greybox.reports.words import counted, listed, sentence, typeset_number
+from greybox.reports.typography import as_sentence, count_noun, join_names, typeset_number
+from greybox.residuals import ResidualTests, residual_tests
 from greybox.result import Fit, Misfit, Trace
-from greybox.result.summary import MISFIT_HEADS, misfit_cells
-from greybox.uncertainty.again import runs_freely
+from greybox.result.summary import MISFIT_HEADS, to_misfit_cells
 
 # Records whose curves stand open on the page, and those that are drawn at all; all are in the tables.
 OPEN, MOST_DRAWN = 2, 20
@@ -37,9 +37,9 @@ def report_of_fit(fit: Fit, *, command: str = "", tests: ResidualTests | None = 
         Section("constants", "Constants", list(_constants(fit))),
         Section("misfit", "Measured and simulated", list(_misfit(fit, skip))),
         Section("residual", "What the residual says", list(_residual(fit, tests))),
-        Section("model", "The model", [typeset(fit.model)]),
+        Section("model", "The model", [typeset_equations(fit.model)]),
         records_section([*fit.traces], [*fit.validation.traces], fit),
-        repeat_section(fit, command),
+        provenance_section(fit, command),
     ]
     return Page(f"Fit of {fit.model.title}", _question(fit), verdict(fit), sections, "fit")
 
@@ -47,27 +47,28 @@ def report_of_fit(fit: Fit, *, command: str = "", tests: ResidualTests | None = 
 def _question(fit: Fit) -> str:
     rows = sum(len(t.time) for t in fit.traces)
     known = [n for n, e in fit.parameters.items() if e.fixed]
-    told = f"; {listed(known)} {'is' if len(known) == 1 else 'are'} given" if known else ""
+    told = f"; {join_names(known)} {'is' if len(known) == 1 else 'are'} given" if known else ""
     return (
-        f"Which values of {listed(fit.uncertainty.free) or 'its constants'} make the model follow {counted(len(fit.traces), 'record')}"
-        f" ({counted(rows, 'row')}){told}?"
+        f"Which values of {join_names(fit.uncertainty.free) or 'its constants'} make the model"
+        f" follow {count_noun(len(fit.traces), 'record')}"
+        f" ({count_noun(rows, 'row')}){told}?"
     )
 
 
 def _constants(fit: Fit) -> Iterator[Block]:
     yield constants_table(fit, _interval_words(fit))
-    missing = missing_knowledge(fit)
+    missing = recommend_after_fit(fit)
     if missing:
         yield Heading("What would determine the rest")
-        yield Listing([sentence(m) for m in missing])
+        yield Listing([as_sentence(m) for m in missing])
     known = intervals_figure(fit)
     if known is not None:
         yield known
     together = correlation_figure(fit)
     if together is not None:
-        pairs = tied(fit)
+        pairs = strongly_correlated_pairs(fit)
         if pairs:
-            yield Listing([sentence(p) for p in pairs])
+            yield Listing([as_sentence(p) for p in pairs])
         yield Folded("Which constants the data move together", [together])
 
 
@@ -95,9 +96,9 @@ def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
     ]
     if len(runs) > 2:
         yield _by_record(fit, runs)
-    units = units_of(fit.model)
+    units = signal_units(fit.model)
     drawn = runs[:MOST_DRAWN]
-    most = stretches(sum(3 * len(t.measured) + len(t.inputs) for _, t, _ in drawn))
+    most = envelope_length(sum(3 * len(t.measured) + len(t.inputs) for _, t, _ in drawn))
     whole = sum(len(t.measured) * min(len(t.time), WHOLE) for _, t, _ in drawn) <= ALL_WHOLE
     for k, (kind, trace, _) in enumerate(drawn):
         blocks: list[Block] = [*record_figures(trace, units, fit.noise.std, f"{k}", most, whole=whole)]
@@ -113,7 +114,7 @@ def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
 
 def _by_record(fit: Fit, runs: list[tuple[str, Trace, int]]) -> Table:
     rows = [
-        [trace.name, kind, output, *map(typeset_number, misfit_cells(m))]
+        [trace.name, kind, output, *map(typeset_number, to_misfit_cells(m))]
         for kind, trace, left_out in runs
         for output, m in misfits_of(fit, trace, left_out).items()
     ]
@@ -121,24 +122,24 @@ def _by_record(fit: Fit, runs: list[tuple[str, Trace, int]]) -> Table:
 
 
 def _misfit_table(title: str, misfit: Mapping[str, Misfit]) -> Table:
-    rows = [[name, *map(typeset_number, misfit_cells(m))] for name, m in misfit.items()]
+    rows = [[name, *map(typeset_number, to_misfit_cells(m))] for name, m in misfit.items()]
     return Table(title, ["output", *MISFIT_HEADS], rows)
 
 
 def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
     notes = fit.notes if fit.success else fit.notes[LEADING:]  # of a failure the first stand above, with the verdict
     if notes:
-        yield Listing([sentence(typeset_number(n)) for n in notes])
+        yield Listing([as_sentence(typeset_number(n)) for n in notes])
     if not fit.success:
         yield Text(["The fit did not succeed: tests of its residual would say nothing about the model."], "caution")
         return
-    if not (runs_freely(fit) or fit.prediction.process_noise):
+    if not (has_free_run(fit) or fit.prediction.process_noise):
         yield Text(
             ["No tests of the residual: states that are set anew along the record take up what the model lacks."],
             "caution",
         )
         return
-    tests = tests or diagnose_residuals(fit)
+    tests = tests or residual_tests(fit)
     loud, count = len(tests.alarms), len(tests.tests)
     if loud:
         yield Text(

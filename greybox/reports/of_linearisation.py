@@ -6,18 +6,18 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from greybox.export import Family, Linearisation
-from greybox.export.summary import channel_lines, number
-from greybox.fitting.versions import versions
+from greybox.estimation.versions import read_versions
+from greybox.export import Linearisation, ModelFamily
+from greybox.export.summary import format_channel, format_complex
 from greybox.reports.linear_figures import bode_figures, poles_figure
 from greybox.reports.page import Block, Code, Folded, Listing, Page, Section, Table, Text
-from greybox.reports.repeat import named, shell
-from greybox.reports.words import counted, listed, sentence, typeset_number, unit_text
+from greybox.reports.provenance import command_block, name_value_table
+from greybox.reports.typography import as_sentence, count_noun, join_names, typeset_number, typeset_page_unit
 
 GONE = 1e-12  # a pole of a sampled model at zero, as a delay has it
 
 
-def report_of_linearisation(linear: Linearisation, *, family: Family | None = None, command: str = "") -> Page:
+def report_of_linearisation(linear: Linearisation, *, family: ModelFamily | None = None, command: str = "") -> Page:
     """The page of a linear model; ``family``: models drawn from the covariance of its constants, shown around it."""
     sections = [*linear_sections(linear, family), Section("repeat", "How to repeat it", list(_repeat(linear, command)))]
     return Page(f"{linear.name} as a linear model", question(linear), verdict(linear), sections, "export")
@@ -25,7 +25,7 @@ def report_of_linearisation(linear: Linearisation, *, family: Family | None = No
 
 def question(linear: Linearisation) -> str:
     """What a linear model is for."""
-    inputs, outputs = listed(list(linear.input_names)) or "nothing", listed(list(linear.output_names))
+    inputs, outputs = join_names(list(linear.input_names)) or "nothing", join_names(list(linear.output_names))
     return f"How do small moves of {inputs} show in {outputs}, for the design of a controller?"
 
 
@@ -35,21 +35,21 @@ def verdict(linear: Linearisation) -> Text:
     size = np.abs(linear.poles) if linear.dt else linear.poles.real + 1
     stable = "stable" if (size < 1).all() else "at the border of stability" if (size <= 1).all() else "unstable"
     said = [
-        f"A {kind} linear model with {counted(len(linear.A), 'state')}; it is {stable}.",
+        f"A {kind} linear model with {count_noun(len(linear.A), 'state')}; it is {stable}.",
         f"It holds for small moves about {_point(linear)}.",
     ]
-    return Text([*said, *map(sentence, linear.notes)], "caution" if linear.notes or stable != "stable" else "good")
+    return Text([*said, *map(as_sentence, linear.notes)], "caution" if linear.notes or stable != "stable" else "good")
 
 
 def _point(linear: Linearisation) -> str:
     names = (*linear.state_names, *linear.input_names)
     values, units = (*linear.x0, *linear.u0), (*linear.state_units, *linear.input_units)
-    return listed([
-        typeset_number(f"{n} = {v:.4g} {unit_text(u) if u else ''}".rstrip()) for n, v, u in zip(names, values, units, strict=True)
+    return join_names([
+        typeset_number(f"{n} = {v:.4g} {typeset_page_unit(u) if u else ''}".rstrip()) for n, v, u in zip(names, values, units, strict=True)
     ])  # fmt: skip
 
 
-def linear_sections(linear: Linearisation, family: Family | None) -> list[Section]:
+def linear_sections(linear: Linearisation, family: ModelFamily | None) -> list[Section]:
     """Behaviour and matrices, with the family's spread where there is one."""
     behaviour: list[Block] = [poles(linear), *bode_figures(linear, family)]
     picture = poles_figure(linear, family)
@@ -58,15 +58,15 @@ def linear_sections(linear: Linearisation, family: Family | None) -> list[Sectio
         line.strip()
         for o in linear.output_names
         for i in linear.input_names
-        for line in channel_lines(linear.channel(o, i))
+        for line in format_channel(linear.channel(o, i))
     ]
     behaviour.append(Code("\n".join(lines), "Channel by channel"))
     if family is not None:
-        drawn = counted(len(family.members), "model")
+        drawn = count_noun(len(family.members), "model")
         behaviour.append(
             Text([f"{drawn} drawn from the covariance of the constants (seed {family.seed}) show how sure this is."])
         )
-        behaviour += [Listing([sentence(n) for n in family.notes])] if family.notes else []
+        behaviour += [Listing([as_sentence(n) for n in family.notes])] if family.notes else []
     return [
         Section("behaviour", "How it behaves", behaviour),
         Section("matrices", "The matrices", list(matrices(linear))),
@@ -79,7 +79,7 @@ def poles(linear: Linearisation) -> Table:
     rows = []
     for pole in linear.poles[linear.poles.imag >= 0]:
         if linear.dt and abs(pole) < GONE:
-            rows.append([number(pole), "gone after one sample", "", ""])
+            rows.append([format_complex(pole), "gone after one sample", "", ""])
             continue
         s = np.log(pole) / linear.dt if linear.dt else pole
         speed = abs(s)
@@ -128,7 +128,7 @@ def _basis(linear: Linearisation) -> Iterator[Block]:
         (*linear.state_units, *linear.input_units, *linear.output_units),
     )
     rows = [
-        [name, kind, typeset_number(f"{value:.6g}").replace("-", "−"), unit_text(unit) if unit else ""]
+        [name, kind, typeset_number(f"{value:.6g}").replace("-", "−"), typeset_page_unit(unit) if unit else ""]
         for name, kind, value, unit in zip(names, kinds, values, units, strict=True)
     ]
     yield Table("The operating point", ["signal", "what", "value", "unit"], rows)
@@ -140,5 +140,5 @@ def _basis(linear: Linearisation) -> Iterator[Block]:
 
 
 def _repeat(linear: Linearisation, command: str) -> Iterator[Block]:
-    yield from shell(command)
-    yield named("Versions", versions())
+    yield from command_block(command)
+    yield name_value_table("Versions", read_versions())

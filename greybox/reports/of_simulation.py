@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.figures.scale import scaled
-from greybox.fitting.versions import versions
+from greybox.estimation.versions import read_versions
 from greybox.model import Model
-from greybox.reports.axes import extent, stretches
-from greybox.reports.equations import typeset
+from greybox.plots.units import scale_to_prefix
+from greybox.reports.axes import envelope_length, format_range
+from greybox.reports.equations import typeset_equations
 from greybox.reports.page import Block, Page, Section, Table, Text
+from greybox.reports.provenance import command_block, name_value_table
 from greybox.reports.record_figures import curves_figure
-from greybox.reports.records import pace, units_of
-from greybox.reports.repeat import named, shell
-from greybox.reports.words import counted, listed, number, typeset_number, unit_text
+from greybox.reports.records import format_sampling_time, signal_units
+from greybox.reports.typography import count_noun, format_number, join_names, typeset_number, typeset_page_unit
 from greybox.simulation import Simulation
 
 
@@ -22,8 +22,8 @@ def report_of_simulation(run: Simulation, *, model: Model | None = None, command
     """The page of a run of ``model``; ``noise`` says what was added to its outputs. Raises ModelError without the model."""
     if model is None:
         raise ModelError("report of a simulation: which model ran? give model=")
-    units = units_of(model) | {s.name: s.unit for s in model.all_states}
-    most = stretches(len(run.inputs) + len(run.outputs) + len(run.states))
+    units = signal_units(model) | {s.name: s.unit for s in model.all_states}
+    most = envelope_length(len(run.inputs) + len(run.outputs) + len(run.states))
     curves = (
         ("outputs", run.outputs, "What the sensors would show, before noise.", "--residual"),
         ("inputs", run.inputs, "What drives it.", "--fourth"),
@@ -36,10 +36,10 @@ def report_of_simulation(run: Simulation, *, model: Model | None = None, command
     ]
     sections = [
         Section("run", "The run", [*shown, _reach(run, units)]),
-        Section("model", "The model", [_constants(model), typeset(model)]),
-        Section("repeat", "How to repeat it", [*shell(command), named("Versions", versions())]),
+        Section("model", "The model", [_constants(model), typeset_equations(model)]),
+        Section("repeat", "How to repeat it", [*command_block(command), name_value_table("Versions", read_versions())]),
     ]
-    question = f"What does {model.title} do when {listed(list(run.inputs)) or 'nothing'} drives it?"
+    question = f"What does {model.title} do when {join_names(list(run.inputs)) or 'nothing'} drives it?"
     return Page(f"Simulation of {model.title}", question, _verdict(run, noise), sections, "simulation")
 
 
@@ -47,7 +47,8 @@ def _verdict(run: Simulation, noise: str) -> Text:
     if run.overflow is not None:
         return Text([f"The run overflows {run.overflow:.4g} s after its start: what follows is not there."], "bad")
     said = (
-        f"A free run over {counted(len(run.time), 'row')}, {run.time[-1] - run.time[0]:.4g} s, one every {pace(run.time)};"
+        f"A free run over {count_noun(len(run.time), 'row')}, {run.time[-1] - run.time[0]:.4g}"
+        f" s, one every {format_sampling_time(run.time)};"
         f" integrated by {run.discretisation}."
     )
     return Text(
@@ -59,11 +60,13 @@ def _reach(run: Simulation, units: dict[str, str]) -> Table:
     rows = []
     for use, group in (("input", run.inputs), ("output", run.outputs), ("state", run.states)):
         for name, values in group.items():
-            factor, text = scaled(units[name], np.asarray(values))
-            rows.append([name, use, f"{extent(factor * np.asarray(values))} {text}"])
+            factor, text = scale_to_prefix(units[name], np.asarray(values))
+            rows.append([name, use, f"{format_range(factor * np.asarray(values))} {text}"])
     return Table("How far each signal goes", ["signal", "what", "from … to"], rows)
 
 
 def _constants(model: Model) -> Table:
-    rows = [[q.name, typeset_number(number(q.value, 7)), unit_text(q.unit)] for q in model.all_parameters]
+    rows = [
+        [q.name, typeset_number(format_number(q.value, 7)), typeset_page_unit(q.unit)] for q in model.all_parameters
+    ]
     return Table("Constants of this run", ["constant", "value", "unit"], rows)

@@ -8,9 +8,18 @@ from typing import Any
 import numpy as np
 
 from greybox.experiment import Experiment
-from greybox.figures.envelope import envelope
-from greybox.figures.scale import label, scaled
-from greybox.reports.axes import axes, band, density, even_step, extent, line, rms, thinned
+from greybox.plots.thinning import min_max_envelope
+from greybox.plots.units import axis_label, scale_to_prefix
+from greybox.reports.axes import (
+    amplitude_density,
+    axes,
+    band,
+    format_range,
+    line,
+    rms,
+    thin_spectrum,
+    uniform_sampling_time,
+)
 from greybox.reports.page import Figure, View
 from greybox.result import Trace
 
@@ -58,12 +67,12 @@ def curves_figure(
     data, views, words = [], {}, []
     for k, (own, given) in enumerate(signals.items()):
         values = np.asarray(given)
-        factor, text = scaled(units[own], values)
-        data.append(line(*envelope(time, factor * values, most), own, colour, width=1.2))
-        views[own] = View([k], {"yaxis": {"title": {"text": label(own, text)}}})
+        factor, text = scale_to_prefix(units[own], values)
+        data.append(line(*min_max_envelope(time, factor * values, most), own, colour, width=1.2))
+        views[own] = View([k], {"yaxis": {"title": {"text": axis_label(own, text)}}})
         gaps = int((~np.isfinite(values)).sum())
         words.append(
-            f"{own} runs from {extent(factor * values)} {text}" + (f", {gaps} values are missing" if gaps else "")
+            f"{own} runs from {format_range(factor * values)} {text}" + (f", {gaps} values are missing" if gaps else "")
         )
     return Figure(
         name,
@@ -81,14 +90,16 @@ def _run(trace: Trace, outputs: list[str], units: Mapping[str, str], name: str, 
     data, views, words = [], {}, []
     for k, output in enumerate(outputs):
         measured, simulated = trace.measured[output], trace.simulated[output]
-        factor, text = scaled(units[output], measured, simulated)
-        data.append(line(*envelope(trace.time, factor * measured, most), "measured", "--measured", width=2.4))
-        data.append(line(*envelope(trace.time, factor * simulated, most), "model, free run", "--model", width=1.2))
-        views[output] = View([2 * k, 2 * k + 1], {"yaxis": {"title": {"text": label(output, text)}}})
+        factor, text = scale_to_prefix(units[output], measured, simulated)
+        data.append(line(*min_max_envelope(trace.time, factor * measured, most), "measured", "--measured", width=2.4))
+        data.append(
+            line(*min_max_envelope(trace.time, factor * simulated, most), "model, free run", "--model", width=1.2)
+        )
+        views[output] = View([2 * k, 2 * k + 1], {"yaxis": {"title": {"text": axis_label(output, text)}}})
         gaps = int(np.isnan(measured).sum())
         words.append(
-            f"{output} over {trace.time[-1] - trace.time[0]:.4g} s: measured from {extent(factor * measured)} {text}, simulated from "
-            f"{extent(factor * simulated)} {text}"
+            f"{output} over {trace.time[-1] - trace.time[0]:.4g} s: measured from {format_range(factor * measured)} {text}, simulated from "
+            f"{format_range(factor * simulated)} {text}"
             + (f"; {gaps} of {len(measured)} values are missing, the measured curve has gaps there" if gaps else "")
         )
     return Figure(
@@ -103,9 +114,9 @@ def _residual(
     data, views, words = [], {}, []
     for k, output in enumerate(outputs):
         residual, std = trace.residual(output), known_noise(noise.get(output))
-        factor, text = scaled(units[output], residual, np.array([2 * std]))
-        data.append(line(*envelope(trace.time, factor * residual, most), "residual", "--residual", width=1.0))
-        layout: dict[str, Any] = {"yaxis": {"title": {"text": label(f"residual of {output}", text)}}, "shapes": []}
+        factor, text = scale_to_prefix(units[output], residual, np.array([2 * std]))
+        data.append(line(*min_max_envelope(trace.time, factor * residual, most), "residual", "--residual", width=1.0))
+        layout: dict[str, Any] = {"yaxis": {"title": {"text": axis_label(f"residual of {output}", text)}}, "shapes": []}
         said = f"residual of {output}: rms {factor * rms(residual):.3g} {text}"
         if std > 0:
             layout["shapes"] = [band(factor * 2 * std)]
@@ -128,17 +139,18 @@ def _residual(
 def _spectrum(
     trace: Trace, outputs: list[str], units: Mapping[str, str], noise: Mapping[str, float], name: str, most: int
 ) -> Figure:
-    step = even_step(trace.time) or float(np.median(np.diff(trace.time)))
+    step = uniform_sampling_time(trace.time) or float(np.median(np.diff(trace.time)))
     data, views, words = [], {}, []
     for k, output in enumerate(outputs):
         residual, std = trace.residual(output), known_noise(noise.get(output))
-        factor, text = scaled(units[output], residual, np.array([2 * std]))
-        f, amplitude = thinned(*density(factor * residual, step), most)
+        factor, text = scale_to_prefix(units[output], residual, np.array([2 * std]))
+        f, amplitude = thin_spectrum(*amplitude_density(factor * residual, step), most)
         floor = np.array([factor * std * np.sqrt(2 * step)] * 2) if std > 0 else np.array([])
         data.append(line(f, amplitude, "residual", "--residual", width=1.0))
         data.append(line(f[[0, -1]] if len(f) and len(floor) else f[:0], floor, "noise", "--model", dash="dash"))
         views[output] = View(
-            [2 * k, 2 * k + 1] if std > 0 else [2 * k], {"yaxis": {"title": {"text": label(output, f"{text}/√Hz")}}}
+            [2 * k, 2 * k + 1] if std > 0 else [2 * k],
+            {"yaxis": {"title": {"text": axis_label(output, f"{text}/√Hz")}}},
         )
         if len(f):
             words.append(f"the residual of {output} is strongest at {f[int(np.argmax(amplitude))]:.4g} Hz")
@@ -151,7 +163,7 @@ def _spectrum(
 
 def signals_of(time: np.ndarray, spectra: Sequence[tuple[np.ndarray, str, int]], factor: float) -> list[dict[str, Any]]:
     """Residuals (N,), each with the figure and the number of the curve that shows its spectrum; none where a spectrum says little."""
-    step = even_step(time)
+    step = uniform_sampling_time(time)
     if step is None or len(time) > WHOLE:
         return []
     start = float(time[0])

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.figures.scale import scaled
 from greybox.model import Model
-from greybox.reports.axes import extent
+from greybox.plots.units import scale_to_prefix
+from greybox.reports.axes import format_range
 from greybox.reports.page import Section, Table
-from greybox.reports.words import listed, sentence
+from greybox.reports.typography import as_sentence, join_names
 from greybox.result import Fit, Trace
 
 HEAD = ["record", "use", "rows", "duration", "sampling time", "missing values", "fingerprint"]
@@ -19,20 +19,20 @@ HEAD = ["record", "use", "rows", "duration", "sampling time", "missing values", 
 def records_section(fitted: Sequence[Trace], judging: Sequence[Trace], fit: Fit) -> Section:
     """Names, lengths, gaps and fingerprints of the records, and what their columns hold."""
     rows = [*(_record(t, "fitted") for t in fitted), *(_record(t, "judged by") for t in judging)]
-    noise = sentence(f"noise: {fit.noise.source}")
+    noise = as_sentence(f"noise: {fit.noise.source}")
     return Section("data", "The data", [Table("Records", HEAD, rows, noise), _signals([*fitted, *judging], fit)])
 
 
 def _record(trace: Trace, use: str) -> list[str]:
     missing = {name: int(np.isnan(v).sum()) for name, v in trace.measured.items()}
-    gaps = listed([f"{count} of {name}" for name, count in missing.items() if count])
+    gaps = join_names([f"{count} of {name}" for name, count in missing.items() if count])
     return [
-        trace.name, use, str(len(trace.time)), f"{trace.time[-1] - trace.time[0]:.6g} s", pace(trace.time), gaps or "none",
+        trace.name, use, str(len(trace.time)), f"{trace.time[-1] - trace.time[0]:.6g} s", format_sampling_time(trace.time), gaps or "none",
         trace.fingerprint[:12],
     ]  # fmt: skip
 
 
-def pace(time: np.ndarray) -> str:
+def format_sampling_time(time: np.ndarray) -> str:
     """The sampling time, or its range where it varies."""
     steps = np.diff(time)
     if not len(steps):
@@ -41,7 +41,7 @@ def pace(time: np.ndarray) -> str:
     return f"{float(steps.mean()):.6g} s" if even else f"{float(steps.min()):.4g} to {float(steps.max()):.4g} s"
 
 
-def units_of(model: Model) -> dict[str, str]:
+def signal_units(model: Model) -> dict[str, str]:
     """Unit of each output and input."""
     return {o.name: o.unit for o in model.outputs} | {i.name: i.unit for i in model.inputs}
 
@@ -54,8 +54,8 @@ def _signals(traces: Sequence[Trace], fit: Fit) -> Table:
             values = [np.asarray(g[signal.name]) for g in groups if signal.name in g]
             std = fit.noise.std.get(signal.name) if use == "measured" else None
             every = np.concatenate(values) if values else np.array([])
-            factor, text = scaled(signal.unit, every)
+            factor, text = scale_to_prefix(signal.unit, every)
             known = f"{factor * std:.3g} {text}" if std is not None and np.isfinite(std) else ""
-            reach = f"{extent(factor * every)} {text}" if values else "not recorded"
+            reach = f"{format_range(factor * every)} {text}" if values else "not recorded"
             rows.append([signal.name, use, reach, known])
     return Table("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)

@@ -13,7 +13,7 @@ from greybox.reports.render import write
 # What has a page, and the module with its builder; loaded when needed, because a check should not load what a fit needs.
 PAGES = {
     "Fit": "of_fit",
-    "Check": "of_check",
+    "ModelCheck": "of_check",
     "Comparison": "of_comparison",
     "Demo": "of_demo",
     "Discovery": "of_discovery",

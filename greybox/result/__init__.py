@@ -1,7 +1,6 @@
 """Results as values: a fit, its constants, its misfit; saved and loaded as JSON."""
 
-from greybox.result.store import fit_data, layout, load_fit, plain
-from greybox.result.values import (
+from greybox.result.fit import (
     Estimate,
     Fit,
     FitConstraints,
@@ -12,12 +11,13 @@ from greybox.result.values import (
     PredictionErrors,
     PriorCheck,
     Provenance,
-    RobustLoss,
+    RobustReport,
     SolverReport,
     StartResult,
     Trace,
     Validation,
 )
+from greybox.result.fit_file import fit_data, format_json, load_fit, to_json_data
 
 __all__ = [
     "Estimate",
@@ -30,13 +30,13 @@ __all__ = [
     "PredictionErrors",
     "PriorCheck",
     "Provenance",
-    "RobustLoss",
+    "RobustReport",
     "SolverReport",
     "StartResult",
     "Trace",
     "Validation",
     "fit_data",
-    "layout",
+    "format_json",
     "load_fit",
-    "plain",
+    "to_json_data",
 ]

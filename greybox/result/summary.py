@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from greybox.result.values import Estimate, Fit, Misfit
-from greybox.units import tidy
+from greybox.result.fit import Estimate, Fit, Misfit
+from greybox.units import format_unit
 
 MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
 
 
-def summary(fit: Fit) -> str:
+def format_fit(fit: Fit) -> str:
     """Status beside misfit over noise, the constants with intervals, the misfit by output, and what to know before trusting them."""
-    lines = [f"{fit.model.title}: {fit.solver.meaning}", ""]
-    lines += table(["constant", "value", "95 % interval", "unit", ""], constant_rows(fit))
+    lines = [f"{fit.model.title}: {fit.solver.status_message}", ""]
+    lines += format_table(["constant", "value", "95 % interval", "unit", ""], to_constant_rows(fit))
     if fit.constraints.priors:
         lines += ["", *_priors(fit)]
     lines += ["", *_misfits("misfit (free run)", fit.misfit)]
@@ -41,29 +41,29 @@ def summary(fit: Fit) -> str:
 def _left(fit: Fit) -> str:
     """What is left of the integrator's error; nothing where the discretisation is exact."""
     error = max((e for e in fit.discretisation.error.values() if math.isfinite(e)), default=0.0)
-    moved = max((m for m in fit.discretisation.shift.values() if math.isfinite(m)), default=0.0)
-    if not error and not moved:
+    shift = max((m for m in fit.discretisation.shift.values() if math.isfinite(m)), default=0.0)
+    if not error and not shift:
         return ""
-    return f"; it leaves an error of {error:.2g} x noise, half the step moves no constant by more than {moved:.2g} std"
+    return f"; it leaves an error of {error:.2g} x noise, half the step moves no constant by more than {shift:.2g} std"
 
 
-def number(value: float, digits: int = 5) -> str:
+def format_number(value: float, digits: int = 5) -> str:
     """A number for people: ``digits`` significant digits, short."""
     return f"{value:.{digits}g}"
 
 
-def with_std(value: float, std: float) -> str:
+def format_with_std(value: float, std: float) -> str:
     """``value +- std`` with two digits of the uncertainty: ``0.26910 +- 0.00034``."""
     if not (std > 0 and math.isfinite(std)):
-        return number(value)
-    write = beside(value, std)
+        return format_number(value)
+    write = make_formatter(value, std)
     return f"{write(value)} +- {write(std)}"
 
 
-def beside(value: float, std: float) -> Callable[[float], str]:
+def make_formatter(value: float, std: float) -> Callable[[float], str]:
     """How to write numbers beside ``value +- std``, such as the ends of its interval: to two digits of the uncertainty."""
     if not (std > 0 and math.isfinite(std)):
-        return number
+        return format_number
     exponent = math.floor(math.log10(std))
     digits = max(1 - exponent, 0)
     if not (abs(value) >= 1e6 or 0 < abs(value) < 1e-3 or digits > 8):
@@ -76,18 +76,19 @@ def beside(value: float, std: float) -> Callable[[float], str]:
     return scientific
 
 
-def constant_rows(fit: Fit) -> list[list[str]]:
+def to_constant_rows(fit: Fit) -> list[list[str]]:
     """Rows of the table of constants: each one, its values in experiments that have their own, then those that are tied."""
     rows = []
     for name, e in fit.parameters.items():
-        rows.append(constant_cells(name, e))
+        rows.append(to_constant_cells(name, e))
         if name in fit.constraints.per_experiment:
             rows[-1][-1] = "mean"
             rows += [
-                constant_cells(f"{name} ({title})", own) for title, own in fit.constraints.per_experiment[name].items()
+                to_constant_cells(f"{name} ({title})", per_experiment)
+                for title, per_experiment in fit.constraints.per_experiment[name].items()
             ]
     for name, e in fit.constraints.tied.items():
-        rows.append(constant_cells(name, e))
+        rows.append(to_constant_cells(name, e))
         rows[-1][-1] = f"= {fit.constraints.ties[name]}"
     return rows
 
@@ -95,39 +96,47 @@ def constant_rows(fit: Fit) -> list[list[str]]:
 def _priors(fit: Fit) -> list[str]:
     rows = []
     for name, c in fit.constraints.priors.items():
-        conflict = "" if c.conflict is None else f"{number(abs(c.conflict), 2)} std"
-        rows.append([name, with_std(c.mean, c.std), f"{number(c.moved, 2)} std", f"{100 * c.learnt:.3g} %", conflict])
-    return table(["prior", "known before", "moved by", "told by the data", "disagreement"], rows)
+        conflict = "" if c.conflict is None else f"{format_number(abs(c.conflict), 2)} std"
+        rows.append(
+            [
+                name,
+                format_with_std(c.mean, c.std),
+                f"{format_number(c.shift, 2)} std",
+                f"{100 * c.variance_reduction:.3g} %",
+                conflict,
+            ]
+        )
+    return format_table(["prior", "known before", "moved by", "told by the data", "disagreement"], rows)
 
 
-def constant_cells(name: str, e: Estimate) -> list[str]:
+def to_constant_cells(name: str, e: Estimate) -> list[str]:
     """Name, value, interval, unit and remark of one constant, as tables show them."""
     if e.fixed:
-        return [name, number(e.value, 7), "", tidy(e.unit), "fixed"]
+        return [name, format_number(e.value, 7), "", format_unit(e.unit), "fixed"]
     remark = "at its bound" if e.at_bound else ""
     if e.std is None or e.interval is None:
-        limits = "" if e.interval is None else f"[{number(e.interval[0], 3)}, {number(e.interval[1], 3)}]"
-        return [name, number(e.value), limits, tidy(e.unit), remark or "not determined by these data"]
+        limits = "" if e.interval is None else f"[{format_number(e.interval[0], 3)}, {format_number(e.interval[1], 3)}]"
+        return [name, format_number(e.value), limits, format_unit(e.unit), remark or "not determined by these data"]
     if not remark and not e.determined:
         remark = "not determined: interval over 50 %"
-    low, high = map(beside(e.value, e.std), e.interval)
-    return [name, with_std(e.value, e.std), f"[{low}, {high}]", tidy(e.unit), remark]
+    low, high = map(make_formatter(e.value, e.std), e.interval)
+    return [name, format_with_std(e.value, e.std), f"[{low}, {high}]", format_unit(e.unit), remark]
 
 
-def misfit_cells(m: Misfit) -> list[str]:
+def to_misfit_cells(m: Misfit) -> list[str]:
     """rmse, best fit and rmse over noise, as tables show them."""
     return [
-        f"{number(m.rmse, 4)} {tidy(m.unit)}".rstrip(),
+        f"{format_number(m.rmse, 4)} {format_unit(m.unit)}".rstrip(),
         f"{m.best_fit_percent:.2f} %",
-        f"{number(m.noise_ratio, 4)} x noise",
+        f"{format_number(m.noise_ratio, 4)} x noise",
     ]
 
 
 def _misfits(title: str, misfit: Mapping[str, Misfit]) -> list[str]:
-    return table([title, *MISFIT_HEADS], [[name, *misfit_cells(m)] for name, m in misfit.items()])
+    return format_table([title, *MISFIT_HEADS], [[name, *to_misfit_cells(m)] for name, m in misfit.items()])
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+def format_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table, indented by two; each column as wide as it must be."""
     widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
     return [

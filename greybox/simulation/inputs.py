@@ -8,7 +8,7 @@ from pathlib import Path
 
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
-from greybox.experiment.columns import TIME, Column, Signal, converted, parse_header
+from greybox.experiment.columns import TIME, Column, RequestedSignal, convert_column, parse_header
 from greybox.experiment.experiment import Hold
 from greybox.experiment.read import READERS
 from greybox.model import Model
@@ -33,18 +33,18 @@ def read_inputs(
             f"{file.name}: files of type {file.suffix!r} cannot be read; export it as one of {', '.join(READERS)}"
         )
     table = READERS[file.suffix.lower()](file)
-    signals = [Signal(TIME, TIME, "s"), *(Signal("input", i.name, i.unit) for i in model.inputs)]
+    signals = [RequestedSignal(TIME, TIME, "s"), *(RequestedSignal("input", i.name, i.unit) for i in model.inputs)]
     headers = [parse_header(header, k) for k, header in enumerate(table.headers)]
     found = {signal: _column(file.name, signal, headers, columns or {}) for signal in signals}
     raw, problems = table.values([c.position for c in found.values()])
-    values = {} if problems else {s.name: converted(raw[c.position], s, c, problems) for s, c in found.items()}
+    values = {} if problems else {s.name: convert_column(raw[c.position], s, c, problems) for s, c in found.items()}
     if problems:
         raise DataError(f"{file.name}: {'; '.join(problems)}")
     time = values.pop(TIME)
     return Experiment(file.stem, time, values, {}, hold, source=file.name)
 
 
-def _column(file: str, signal: Signal, headers: Sequence[Column], mapping: Mapping[str, str]) -> Column:
+def _column(file: str, signal: RequestedSignal, headers: Sequence[Column], mapping: Mapping[str, str]) -> Column:
     wanted = mapping.get(signal.name)
     if wanted is not None:
         hits = [c for c in headers if wanted.strip() in (c.header, c.name)]

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from greybox.errors import DataError, ModelError, nearest
 from greybox.experiment import Experiment
-from greybox.integrators import Step, discretise, substeps_for
+from greybox.integrators import Step, choose_substeps, discretise
 from greybox.kernel import Record, make_kernel
 from greybox.model import Model
-from greybox.transcription import record_of
+from greybox.transcription import to_record
 
 # The step is halved until that changes no output by more than this share of its movement.
 PRECISION, HALVINGS = 1e-6, 6
@@ -47,7 +47,7 @@ class Simulation:
 
         Raises ModelError for noise on an unknown output or without a generator, DataError for a run that overflowed.
         """
-        outputs = with_noise(self.outputs, noise or {}, generator)
+        outputs = add_noise(self.outputs, noise or {}, generator)
         return self.source.with_outputs(outputs)
 
 
@@ -69,13 +69,13 @@ def simulate(
     `Simulation.overflow`.
     """
     experiment = inputs.with_outputs({}) if isinstance(inputs, Experiment) else _experiment(model, inputs)
-    record = record_of(model, experiment)
-    p, x0 = np.array(list(model.values.values())), initial_state(model, initial)
+    record = to_record(model, experiment)
+    p, x0 = np.array(list(model.values.values())), declared_initial_state(model, initial)
     step = discretise(model.system, p, x0[None, :], record.lengths, method=method, substeps=substeps)
     y, x = _run(step, record, p, x0)
     for _ in range(0 if substeps or step.per_interval else HALVINGS):
         visited = x[np.isfinite(x).all(axis=1)][:: max(1, len(x) // 10)]
-        needed = substeps_for(model.system, p, visited, float(record.lengths.max(initial=0.0)))
+        needed = choose_substeps(model.system, p, visited, float(record.lengths.max(initial=0.0)))
         finer = discretise(
             model.system, p, visited, record.lengths, method=method, substeps=max(2 * step.substeps, needed)
         )
@@ -90,7 +90,7 @@ def simulate(
     )  # fmt: skip
 
 
-def initial_state(model: Model, given: Mapping[str, float] | None = None) -> np.ndarray:
+def declared_initial_state(model: Model, given: Mapping[str, float] | None = None) -> np.ndarray:
     """The declared initial state (nx,) of ``model`` at its present values, with the ``given`` states put in."""
     p = np.array(list(model.values.values()))
     x0 = np.asarray(model.system.start_function(p)[0]).ravel().copy()
@@ -102,7 +102,7 @@ def initial_state(model: Model, given: Mapping[str, float] | None = None) -> np.
     return x0
 
 
-def with_noise(
+def add_noise(
     outputs: Mapping[str, np.ndarray], noise: Mapping[str, float], generator: np.random.Generator | None
 ) -> dict[str, np.ndarray]:
     """``outputs`` with white Gaussian noise of the given standard deviations."""
@@ -132,7 +132,7 @@ def _experiment(model: Model, arrays: Mapping[str, ArrayLike]) -> Experiment:
 def _run(step: Step, record: Record, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Outputs (N, ny) and states (N, nx)."""
     q, _ = step.coefficients(p, record.lengths, np.empty(0, int))
-    record = record.seen_by(step)
+    record = record.read_by(step)
     y, x = make_kernel(step).simulate(record, q, p, x0)
     return record.samples(y), record.samples(x)
 

@@ -1,19 +1,42 @@
 """From experiments and a discrete step to a cost with its derivatives, or to a program for a sparse solver."""
 
-from greybox.transcription.arcs import arcs_of, cut
+from greybox.transcription.arcs import cut_into_arcs, split_into_arcs
 from greybox.transcription.collocation import Collocation
-from greybox.transcription.conditions import conditions_of, under
-from greybox.transcription.guess import guess_nodes, run_pieces
-from greybox.transcription.multiple import End, Lifted, MultipleShooting, rows_of_segment
-from greybox.transcription.pick import Pick, growth_of, pick
-from greybox.transcription.projected import ProjectedShooting
-from greybox.transcription.records import record_of
-from greybox.transcription.relax import relaxed_start
-from greybox.transcription.shooting import Evaluation, SingleShooting
-from greybox.transcription.variables import InitialStates, Variables
+from greybox.transcription.conditions import apply_conditions, resolve_conditions
+from greybox.transcription.decision_vector import DecisionVector, InitialStates
+from greybox.transcription.initialisation import estimate_nodes, simulate_segments
+from greybox.transcription.multiple_shooting import (
+    MultipleShooting,
+    MultipleShootingResult,
+    MultipleShootingStatus,
+    choose_segment_rows,
+)
+from greybox.transcription.projected_initial_states import ProjectedShooting
+from greybox.transcription.records import to_record
+from greybox.transcription.relaxation import initialise_without_continuity
+from greybox.transcription.select import TranscriptionProposal, estimate_error_growth, propose_transcription
+from greybox.transcription.single_shooting import Evaluation, SingleShooting
 
 __all__ = [
-    "Collocation", "End", "Evaluation", "InitialStates", "Lifted", "MultipleShooting", "Pick", "ProjectedShooting", "SingleShooting",
-    "Variables", "arcs_of", "conditions_of", "cut", "growth_of", "guess_nodes", "pick", "record_of", "relaxed_start",
-    "rows_of_segment", "run_pieces", "under",
-]  # fmt: skip
+    "Collocation",
+    "DecisionVector",
+    "Evaluation",
+    "InitialStates",
+    "MultipleShooting",
+    "MultipleShootingResult",
+    "MultipleShootingStatus",
+    "ProjectedShooting",
+    "SingleShooting",
+    "TranscriptionProposal",
+    "apply_conditions",
+    "choose_segment_rows",
+    "cut_into_arcs",
+    "estimate_error_growth",
+    "estimate_nodes",
+    "initialise_without_continuity",
+    "propose_transcription",
+    "resolve_conditions",
+    "simulate_segments",
+    "split_into_arcs",
+    "to_record",
+]

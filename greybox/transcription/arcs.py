@@ -15,14 +15,14 @@ import numpy as np
 from greybox.errors import DataError
 from greybox.experiment import Experiment
 from greybox.kernel import Record
-from greybox.transcription.shooting import SingleShooting
-from greybox.transcription.variables import InitialStates, Variables
+from greybox.transcription.decision_vector import DecisionVector, InitialStates
+from greybox.transcription.single_shooting import SingleShooting
 
 # An arc needs this many samples at least: its initial state is estimated from them.
 FEWEST = 3
 
 
-def arcs_of(
+def split_into_arcs(
     experiments: Experiment | Iterable[Experiment], *, seconds: float | None = None, rows: int | None = None
 ) -> tuple[Experiment, ...]:
     """Each experiment cut in arcs of ``seconds`` or of ``rows``, in the order of time: give one of the two.
@@ -30,65 +30,67 @@ def arcs_of(
     No row is left out or used twice; a remainder shorter than half an arc joins the arc before it. An experiment that is
     shorter than an arc stays whole. The arcs are ordinary experiments ``name[first:last]``: fit them with estimated initial
     states (they begin anywhere, not at rest). A delayed or band-limited input is only known inside an arc; where that matters
-    cut the records (`cut`), which keep what came before.
+    cut the records (`cut_into_arcs`), which keep what came before.
 
     Raises DataError for a length that is not positive, or shorter than three rows.
     """
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
     found: list[Experiment] = []
     for experiment in group:
-        cuts = cuts_of(experiment.name, experiment.time - experiment.time[0], seconds=seconds, rows=rows)
+        cuts = place_cuts(experiment.name, experiment.time - experiment.time[0], seconds=seconds, rows=rows)
         whole = len(cuts) == 2
         found += [experiment] if whole else [experiment.window(a, b) for a, b in pairwise(cuts)]
     return tuple(found)
 
 
 @dataclass(frozen=True)
-class Cut:
+class ArcProblem:
     """Arcs of some records: their cost, where each record was cut (first rows and, at the end, its number of rows), and which
     arcs begin a record."""
 
     shooting: SingleShooting
     cuts: tuple[tuple[int, ...], ...]
-    begins: tuple[bool, ...]
+    starts_record: tuple[bool, ...]
 
 
-def cut(whole: SingleShooting, *, seconds: float | None = None, rows: int | None = None) -> Cut:
-    """The cost of ``whole`` with every record cut in arcs, all their initial states estimated; arguments as for `arcs_of`.
+def cut_into_arcs(whole: SingleShooting, *, seconds: float | None = None, rows: int | None = None) -> ArcProblem:
+    """The cost of ``whole`` with every record cut in arcs, all their initial states estimated; arguments as for `split_into_arcs`.
 
     States that are outputs begin at their first measured value, the others as in ``whole``. Many arcs are many initial states:
     `ProjectedShooting(cut(...).shooting)` keeps them from the optimiser.
     """
     cuts = [
-        cuts_of(f"record {e + 1}", np.concatenate([[0.0], np.cumsum(r.h)]), seconds=seconds, rows=rows, every=r.every)
+        place_cuts(
+            f"record {e + 1}", np.concatenate([[0.0], np.cumsum(r.h)]), seconds=seconds, rows=rows, every=r.every
+        )
         for e, r in enumerate(whole.records)
     ]
-    return cut_at(whole, cuts)
+    return cut_at_rows(whole, cuts)
 
 
-def cut_at(whole: SingleShooting, cuts: Sequence[Sequence[int]]) -> Cut:
+def cut_at_rows(whole: SingleShooting, cuts: Sequence[Sequence[int]]) -> ArcProblem:
     """The same with the cuts of each record given: first rows and, at the end, the number of rows."""
     v = whole.variables
-    pieces, guesses, conditions, begins, groups = [], [], [], [], []
+    pieces, guesses, conditions, starts_record, groups = [], [], [], [], []
     for e, (record, places) in enumerate(zip(whole.records, cuts, strict=True)):
-        guess = first_guess(v, e, record, places[:-1])
-        pieces += [piece(record, a, b) for a, b in pairwise(places)]
+        guess = guess_arc_states(v, e, record, places[:-1])
+        pieces += [slice_rows(record, a, b) for a, b in pairwise(places)]
         guesses.append(guess)
         conditions += [v.conditions[e]] * len(guess) if v.conditions else []
-        begins += [k == 0 for k in range(len(guess))]
+        starts_record += [k == 0 for k in range(len(guess))]
         groups += [v.groups[e]] * len(guess)
     every = np.concatenate(guesses)
     spread = np.ptp(every, axis=0)
     initial = InitialStates(every, np.ones(every.shape[1], bool), np.where(spread > 0, spread, v.initial.scale))
     variables = replace(v, initial=initial, conditions=tuple(conditions), groups=tuple(groups))
     shooting = SingleShooting(variables, whole.step, whole.kernel, pieces, whole.weight)
-    return Cut(shooting, tuple(tuple(map(int, places)) for places in cuts), tuple(begins))
+    return ArcProblem(shooting, tuple(tuple(map(int, places)) for places in cuts), tuple(starts_record))
 
 
-def first_guess(variables: Variables, e: int, record: Record, starts: Sequence[int]) -> np.ndarray:
+def guess_arc_states(variables: DecisionVector, e: int, record: Record, starts: Sequence[int]) -> np.ndarray:
     """States (arcs, nx) at the ``starts`` of record ``e``: measured where a state is an output, else as the record begins."""
     guess = np.tile(variables.initial.guess[e], (len(starts), 1))
-    for k, column in shown_states(variables).items():
+    for k, column in find_measured_states(variables).items():
         values = record.y[:, column]
         known = np.flatnonzero(np.isfinite(values))
         if len(known):
@@ -99,7 +101,7 @@ def first_guess(variables: Variables, e: int, record: Record, starts: Sequence[i
     return guess
 
 
-def shown_states(variables: Variables) -> dict[int, int]:
+def find_measured_states(variables: DecisionVector) -> dict[int, int]:
     """States that are themselves an output: position of the state -> position of the output."""
     system = variables.model.system
     outputs = [system.outputs[j] for j in range(system.outputs.numel())]
@@ -107,17 +109,17 @@ def shown_states(variables: Variables) -> dict[int, int]:
     return {k: names[name] for k, name in enumerate(system.state_names) if name in names}
 
 
-def piece(record: Record, a: int, b: int) -> Record:
+def slice_rows(record: Record, a: int, b: int) -> Record:
     """Rows ``a`` up to but without ``b``."""
     return replace(record, u=record.u[a:b], y=record.y[a:b], h=record.h[a : b - 1], row=record.row[a : b - 1])
 
 
-def cuts_of(
+def place_cuts(
     name: str, since: np.ndarray, *, seconds: float | None = None, rows: int | None = None, every: int = 1
 ) -> tuple[int, ...]:
     """First rows of the arcs and, at the end, the number of rows, for rows ``since`` (N,) seconds after the first.
 
-    ``every``: how many rows make a sample; ``rows`` counts samples. Raises DataError as `arcs_of` does.
+    ``every``: how many rows make a sample; ``rows`` counts samples. Raises DataError as `split_into_arcs` does.
     """
     if (seconds is None) == (rows is None):
         raise DataError("arcs: give their length either in seconds or in rows")

@@ -17,9 +17,9 @@ import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.kernel import Record
-from greybox.transcription.elimination import slopes_of_states
-from greybox.transcription.shooting import Evaluation, penalised
-from greybox.transcription.variables import Variables
+from greybox.transcription.condensing import compute_state_slopes
+from greybox.transcription.decision_vector import DecisionVector
+from greybox.transcription.single_shooting import Evaluation, add_prior_penalty
 
 SCHEMES = ("radau", "legendre")
 HESSIANS = ("gauss-newton", "exact")
@@ -28,13 +28,13 @@ AT_BOUND = 1e-6
 
 
 @dataclass(frozen=True)
-class Collocated:
+class CollocationResult:
     """The point that a solver found: ``variables`` with ``z = 0`` there, and the states (N, nx) of each record at its samples.
 
     ``held``: of how many samples a state lies at one of its bounds.
     """
 
-    variables: Variables
+    variables: DecisionVector
     states: tuple[np.ndarray, ...]
     held: int = 0
 
@@ -43,15 +43,16 @@ class Collocation:
     """The sparse nonlinear program of a fit by direct collocation.
 
     ``records`` and ``weight`` (ny,) as for `SingleShooting`; ``start`` are states (N, nx) of each record to begin with, see
-    `guess_nodes` and `run_pieces`. ``elements`` divide each sampling interval. ``hessian``: ``gauss-newton`` leaves out the curvature
+    `estimate_nodes` and `simulate_segments`. ``elements`` divide each sampling interval. ``hessian``: ``gauss-newton`` leaves out
+    the curvature
     of residuals and constraints (right where the misfit is small, and safe far from the optimum), ``exact`` does not.
 
-    The program is ``problem()``; a solver's answer becomes a `Collocated` by ``found(w)``. Raises ModelError for equations that are
+    The program is ``problem()``; a solver's answer becomes a `CollocationResult` by ``found(w)``. Raises ModelError for equations that are
     not smooth (dry friction, states that are set after each step), and for an unknown scheme or Hessian.
     """
 
     def __init__(
-        self, variables: Variables, records: Sequence[Record], weight: np.ndarray, start: Sequence[np.ndarray], *,
+        self, variables: DecisionVector, records: Sequence[Record], weight: np.ndarray, start: Sequence[np.ndarray], *,
         scheme: str = "radau", degree: int = 3, elements: int = 1, hessian: str = "gauss-newton",
     ) -> None:  # fmt: skip
         _check(variables, scheme, degree, elements, hessian)
@@ -64,7 +65,7 @@ class Collocation:
         self.nx = together.shape[1]
 
     def problem(self) -> dict[str, Any]:
-        """The program as keyword arguments of `greybox.optimiser.solve_sparse`: ``nlp`` (x, f, g as MX), ``start``, ``low``, ``high``,
+        """The program as keyword arguments of `greybox.optim.solve_sparse`: ``nlp`` (x, f, g as MX), ``start``, ``low``, ``high``,
         ``hessian``; every constraint is an equation ``g = 0``."""
         w, r, g = self._expressions()
         r = ca.vertcat(r, self._priors(w[: len(self.variables.which)]))
@@ -79,9 +80,9 @@ class Collocation:
         nlp = {"x": w, "f": cost / scale, "g": g}
         return {"nlp": nlp, "start": start, "low": low, "high": high, "hessian": curvature, "scale": scale}
 
-    def linearised(self, w: np.ndarray) -> tuple[Evaluation, tuple[tuple[np.ndarray, np.ndarray], ...]]:
+    def linearise(self, w: np.ndarray) -> tuple[Evaluation, tuple[tuple[np.ndarray, np.ndarray], ...]]:
         """The cost at a point ``w`` that satisfies the equations, and the weighted residuals (N, ny) of each record with their
-        Jacobian (N, ny, L) along `Variables.columns`: every state at its best for the constants, so that the columns of the
+        Jacobian (N, ny, L) along `DecisionVector.columns`: every state at its best for the constants, so that the columns of the
         initial states are zero. Bounds of states do not count in it."""
         n, ny = len(self.variables.which), len(self.weight)
         x, r, g = self._expressions()
@@ -89,7 +90,7 @@ class Collocation:
         residual = values[0].full().ravel()
         along, equations = (m.sparse()[:, :n].tocsc() for m in values[1:])
         states, constraints = (m.sparse()[:, n:].tocsc() for m in values[1:])
-        slopes = along.toarray() + states @ slopes_of_states(along, states, equations, constraints)
+        slopes = along.toarray() + states @ compute_state_slopes(along, states, equations, constraints)
         rows, at = [], 0
         squares, counts = np.zeros(ny), np.zeros(ny, int)
         for record in self.records:
@@ -97,8 +98,8 @@ class Collocation:
             here = slice(at, at + int(there.sum()))
             of_record = np.full(record.y.shape, np.nan)
             of_record[there] = residual[here]
-            jacobian = np.full((*record.y.shape, n + len(self.variables.states_each)), np.nan)
-            jacobian[there] = np.pad(slopes[here], ((0, 0), (0, len(self.variables.states_each))))
+            jacobian = np.full((*record.y.shape, n + len(self.variables.free_states)), np.nan)
+            jacobian[there] = np.pad(slopes[here], ((0, 0), (0, len(self.variables.free_states))))
             rows.append((of_record, jacobian))
             squares += np.nansum(of_record**2, axis=0)
             counts += there.sum(axis=0)
@@ -107,9 +108,9 @@ class Collocation:
         gradient, hessian = np.zeros(size), np.zeros((size, size))
         gradient[:n], hessian[:n, :n] = 2 * slopes.T @ residual, 2 * slopes.T @ slopes
         evaluation = Evaluation(float(residual @ residual), gradient, hessian, squares, counts)
-        return penalised(self.variables, w, evaluation), tuple(rows)
+        return add_prior_penalty(self.variables, w, evaluation), tuple(rows)
 
-    def found(self, w: np.ndarray) -> Collocated:
+    def found(self, w: np.ndarray) -> CollocationResult:
         """What a point ``w`` of the program means."""
         v, n = self.variables, len(self.variables.which)
         z, states, at, held = np.zeros(v.size), [], n, 0
@@ -120,12 +121,12 @@ class Collocation:
             first = w[at : at + nodes * self.nx].reshape(nodes, self.nx)
             points = w[at + first.size : at + first.size + count].reshape(len(record.h), self._inner)
             x = (first if nodes > 1 else np.vstack([first, points[:, -self.nx :]])) * self.scale
-            own = v.states_each
+            own = v.free_states
             z[v.columns(e)[n:]] = (x[0, own] - v.initial.guess[e, own]) / v.initial.scale[own]
             states.append(x)
             held += int((np.abs(x[:, None, :] - edges) <= AT_BOUND * self.scale).any(axis=(1, 2)).sum())
             at += first.size + count
-        return Collocated(v.moved(z), tuple(states), held)
+        return CollocationResult(v.moved(z), tuple(states), held)
 
     def _expressions(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         """All variables, all residuals, all equations."""
@@ -200,10 +201,10 @@ class Collocation:
         return ca.Function("interval", [x, points, ua, ub, h, p], [ca.vertcat(*equations), here], {"cse": True})
 
     def _parameters(self, z: ca.MX, e: int) -> ca.MX:
-        """All parameters as expressions of the scaled constants, as `Variables.parameters` computes them."""
+        """All parameters as expressions of the scaled constants, as `DecisionVector.parameters` computes them."""
         v = self.variables
         p = [ca.MX(value) for value in v.fixed]
-        for k in np.flatnonzero(~v.foreign(e)):
+        for k in np.flatnonzero(~v.is_foreign(e)):
             p[v.which[k]] = self._constant(z, int(k))
         for place, value in (v.conditions[e] if v.conditions else {}).items():
             p[place] = ca.MX(value)
@@ -238,7 +239,7 @@ class Collocation:
         return np.concatenate(starts), np.concatenate(lows), np.concatenate(highs)
 
 
-def _check(variables: Variables, scheme: str, degree: int, elements: int, hessian: str) -> None:
+def _check(variables: DecisionVector, scheme: str, degree: int, elements: int, hessian: str) -> None:
     system = variables.model.system
     if scheme not in SCHEMES:
         raise ModelError(f"unknown collocation points {scheme!r}; {nearest(scheme, SCHEMES)}")

@@ -10,7 +10,7 @@ from greybox.errors import ModelError, nearest
 from greybox.model import Model
 
 
-def conditions_of(
+def resolve_conditions(
     model: Model, conditions: Sequence[Mapping[str, float]], own: Sequence[str] = ()
 ) -> tuple[dict[int, float], ...]:
     """For each experiment its conditions, as position in ``system.p`` -> value.
@@ -50,7 +50,7 @@ def conditions_of(
     return tuple({names.index(n): float(v) for n, v in given.items()} for given in conditions)
 
 
-def check_own(model: Model, own: Sequence[str], experiments: int) -> None:
+def check_own_constants(model: Model, own: Sequence[str], experiments: int) -> None:
     """Refuse constants that cannot be each experiment's own: ModelError with all offenders, why, and what to do."""
     problems = []
     for name in own:
@@ -69,7 +69,7 @@ def check_own(model: Model, own: Sequence[str], experiments: int) -> None:
         raise ModelError(f"own constants: {'; '.join(problems)}")
 
 
-def under(p: np.ndarray, conditions: Mapping[int, float]) -> np.ndarray:
+def apply_conditions(p: np.ndarray, conditions: Mapping[int, float]) -> np.ndarray:
     """The parameters (np,) with those that an experiment gives replaced; ``p`` itself is left alone."""
     p = p.copy()
     p[list(conditions)] = list(conditions.values())

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
-from greybox.experiment.holes import refuse_guessed_input
+from greybox.experiment.time_gaps import refuse_unknown_input
 from greybox.kernel.record import Record
 from greybox.model import Model
 
@@ -20,7 +20,7 @@ FINER = 12
 HALF_LENGTH, KAISER = 32, 9.0
 
 
-def experiments_of(given: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
+def to_experiments(given: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
     """One or several measured experiments as a tuple.
 
     Raises DataError for none, for what is no experiment (the path of a file), for one without a measured output, and for one with a
@@ -36,11 +36,11 @@ def experiments_of(given: Experiment | Iterable[Experiment]) -> tuple[Experiment
             )
         if not item.outputs:
             raise DataError(f"experiment {item.name!r} has no measured output; there is nothing to compare with")
-    refuse_guessed_input(group)
+    refuse_unknown_input(group)
     return group
 
 
-def record_of(model: Model, experiment: Experiment) -> Record:
+def to_record(model: Model, experiment: Experiment) -> Record:
     """``experiment`` as `Record`; an output that was not measured is a column of NaN.
 
     An effect of the model may say what the input does between samples; else the experiment does. A band-limited input becomes a
@@ -80,13 +80,13 @@ def _finer(experiment: Experiment, u: np.ndarray, y: np.ndarray) -> Record:
     measured = np.full((rows, y.shape[1]), np.nan)
     measured[::FINER] = y
     length = np.array([experiment.sampling_time / FINER])
-    between = interpolated(u, FINER)
+    between = interpolate_band_limited(u, FINER)
     return Record(
         between, measured, np.full(rows - 1, length[0]), np.zeros(rows - 1), length, first_order=True, every=FINER
     )
 
 
-def interpolated(u: np.ndarray, finer: int) -> np.ndarray:
+def interpolate_band_limited(u: np.ndarray, finer: int) -> np.ndarray:
     """A band-limited signal (N, n) at ``finer`` points in each interval: ``(finer (N - 1) + 1, n)``.
 
     A windowed sinc, flat up to 0.45 of the sampling rate (0.01 %); towards its ends the record is continued as its mirror image

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.errors import FitError
-from greybox.fitting.predictive_again import innovations_of, likelihood_of_fit
-from greybox.fitting.sandwich import Layout, colour_of
-from greybox.fitting.uncertainty import information_of
+from greybox.estimation.covariance import compute_information
+from greybox.estimation.restore import restore_problem
+from greybox.estimation.restore_likelihood import compute_innovations, restore_likelihood
+from greybox.estimation.sandwich import ColumnLayout, estimate_residual_colour
 from greybox.result import Fit
-from greybox.transcription import Variables
-from greybox.uncertainty.again import problem_of
+from greybox.transcription import DecisionVector
 
 # A block covers this many correlation times of the residual, and at least the cube root of the record (Kunsch 1989).
 CORRELATION_TIMES = 5.0
@@ -54,7 +54,7 @@ def bootstrap(
     v, size = at.variables, at.layout.size
     shortest = min(len(r) for r, *_ in at.rows)
     if block is None:
-        colour = colour_of([(r, slopes) for r, slopes, _ in at.rows], size, at.noise_given)
+        colour = estimate_residual_colour([(r, slopes) for r, slopes, _ in at.rows], size, at.noise_given)
         time = max((t for t, _ in colour.times), default=1.0)
         block = max(1, min(int(np.ceil(max(CORRELATION_TIMES * time, shortest ** (1 / 3)))), shortest // LEAST_BLOCKS))
     if not 1 <= block <= shortest // LEAST_BLOCKS:
@@ -81,26 +81,26 @@ class _Optimum:
     logarithm of their variance; half the curvature of the cost.
     """
 
-    variables: Variables
-    layout: Layout
+    variables: DecisionVector
+    layout: ColumnLayout
     rows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
     information: np.ndarray
     noise_given: bool
 
 
 def _of_free_runs(fit: Fit) -> _Optimum:
-    problem = problem_of(fit)
+    problem = restore_problem(fit)
     v = problem.variables
     zero = np.zeros(v.size)
     rows = problem.shooting(v).residuals(zero)
     prior = np.pad(v.penalty(zero)[2] / 2, (0, v.size - len(v.which)))
-    information = information_of(v, rows) + np.diag(prior)
+    information = compute_information(v, rows) + np.diag(prior)
     return _Optimum(v, v, [(r, slopes, None) for r, slopes in rows], information, problem.noise.given)
 
 
 def _of_predictions(fit: Fit) -> _Optimum:
-    cost = likelihood_of_fit(fit)
-    found = innovations_of(cost)
+    cost = restore_likelihood(fit)
+    found = compute_innovations(cost)
     return _Optimum(cost.unknowns.variables, cost.unknowns, found.rows, found.evaluation.hessian / 2, True)
 
 
@@ -151,7 +151,7 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     )
 
 
-def _summary(v: Variables, steps: np.ndarray, block: int) -> Bootstrap:
+def _summary(v: DecisionVector, steps: np.ndarray, block: int) -> Bootstrap:
     samples, std, interval = np.empty_like(steps), {}, {}
     for k, name in enumerate(v.names):
 

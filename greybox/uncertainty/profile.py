@@ -9,14 +9,14 @@ from typing import Protocol
 import numpy as np
 
 from greybox.errors import ModelError, nearest
-from greybox.fitting.predictive_again import likelihood_of_fit
-from greybox.fitting.solve import Solution, solve
-from greybox.fitting.uncertainty import quantile, uncertainty
+from greybox.estimation.covariance import compute_quantile, estimate_covariance
+from greybox.estimation.restore import restore_options, restore_problem
+from greybox.estimation.restore_likelihood import restore_likelihood
+from greybox.estimation.solve import Solution, solve
 from greybox.result import Fit
-from greybox.transcription import Variables
-from greybox.transcription.variables import SHARED
-from greybox.uncertainty.again import options_of, problem_of
-from greybox.uncertainty.predicted import Held
+from greybox.transcription import DecisionVector
+from greybox.transcription.decision_vector import SHARED
+from greybox.uncertainty.likelihood_profile import HeldLikelihood
 
 # First step in standard deviations, growth of the following ones, at most so many to a side.
 FIRST, GROWTH, STEPS = 1.0, 1.6, 9
@@ -65,13 +65,13 @@ def profile(fit: Fit, name: str) -> Profile:
     """
     if fit.prediction.process_noise:
         return _of_predictions(fit, name)
-    problem = problem_of(fit)
+    problem = restore_problem(fit)
     v = problem.variables
     _check(name, v)
     shooting = problem.shooting(v)
     z = np.zeros(v.size)
     evaluation = shooting.evaluate(z)
-    found = uncertainty(v, evaluation, problem.noise.given, shooting.residuals(z), least=problem.least)
+    found = estimate_covariance(v, evaluation, problem.noise.given, shooting.residuals(z), least=problem.least)
     k = v.names.index(name)
     variance = found.covariance[k, k]
     std = float(np.sqrt(variance)) if np.isfinite(variance) else None
@@ -83,7 +83,7 @@ def profile(fit: Fit, name: str) -> Profile:
         place = int(np.searchsorted(inside, k))
         scale = float(variance / v.spans[k] ** 2 / np.linalg.pinv(whole, hermitian=True)[place, place])
     search = _Search(fit, v, k, evaluation.cost, scale)
-    return _followed(search, v, name, std, quantile(found.degrees) ** 2)
+    return _followed(search, v, name, std, compute_quantile(found.degrees) ** 2)
 
 
 def _of_predictions(fit: Fit, name: str) -> Profile:
@@ -92,7 +92,7 @@ def _of_predictions(fit: Fit, name: str) -> Profile:
         raise ModelError(
             f"profile of {name!r}: its most likely value is zero, and its interval in the fit is its profile's limit already"
         )
-    cost = likelihood_of_fit(fit)
+    cost = restore_likelihood(fit)
     v = cost.unknowns.variables
     _check(name, v)
     k = v.names.index(name)
@@ -100,10 +100,10 @@ def _of_predictions(fit: Fit, name: str) -> Profile:
     stated = fit.constraints.per_experiment[v.quantities[k].name][owner] if owner else fit.parameters[name]
     widened = fit.uncertainty.inflation.get(name, 1.0)
     scale = widened**2 if np.isfinite(widened) else 1.0
-    return _followed(Held(cost, k, cost.cost(), scale), v, name, stated.std, quantile(np.inf) ** 2)
+    return _followed(HeldLikelihood(cost, k, cost.cost(), scale), v, name, stated.std, compute_quantile(np.inf) ** 2)
 
 
-def _check(name: str, v: Variables) -> None:
+def _check(name: str, v: DecisionVector) -> None:
     if name not in v.names:
         raise ModelError(f"profile of {name!r}: not a fitted constant; {nearest(name, v.names)}")
 
@@ -111,11 +111,11 @@ def _check(name: str, v: Variables) -> None:
 class _Refits(Protocol):
     """Refits with one constant held."""
 
-    def rise(self, value: float, near: Variables | None) -> tuple[float, Variables]:
+    def rise(self, value: float, near: DecisionVector | None) -> tuple[float, DecisionVector]:
         """Rise of the minimal cost with the constant at ``value``, and where; begun at ``near``."""
 
 
-def _followed(search: _Refits, v: Variables, name: str, std: float | None, threshold: float) -> Profile:
+def _followed(search: _Refits, v: DecisionVector, name: str, std: float | None, threshold: float) -> Profile:
     k = v.names.index(name)
     quantity, best = v.quantities[k], float(v.base[k])
     low, points_low = _side(search, best, std, quantity.positive, quantity.bounds[0], -1, threshold)
@@ -128,17 +128,17 @@ def _followed(search: _Refits, v: Variables, name: str, std: float | None, thres
 class _Search:
     """Refits with one constant held, each begun at the last."""
 
-    def __init__(self, fit: Fit, variables: Variables, k: int, least: float, scale: float) -> None:
+    def __init__(self, fit: Fit, variables: DecisionVector, k: int, least: float, scale: float) -> None:
         self.fit, self.name, self.least, self.scale = fit, variables.quantities[k].name, least, scale
         self.owner, (self.mean, self.std) = int(variables.owner[k]), variables.prior[k]
-        self.options = options_of(fit)
+        self.options = restore_options(fit)
 
-    def rise(self, value: float, near: Variables | None) -> tuple[float, Variables]:
+    def rise(self, value: float, near: DecisionVector | None) -> tuple[float, DecisionVector]:
         """Rise of the minimal cost with the constant at ``value``; infinite where there is no fit."""
         if self.owner == SHARED:
-            problem = problem_of(self.fit, self.fit.model.fix(**{self.name: value}))
+            problem = restore_problem(self.fit, self.fit.model.fix(**{self.name: value}))
         else:
-            problem = problem_of(self.fit, held={self.owner: {self.name: value}})
+            problem = restore_problem(self.fit, held={self.owner: {self.name: value}})
         if near is not None:
             fixed = near.fixed.copy()
             fixed[list(problem.model.values).index(self.name)] = value
@@ -181,7 +181,7 @@ def _crossing(
     place: Callable[[float], float],
     inner: tuple[float, float],
     outer: tuple[float, float],
-    near: Variables,
+    near: DecisionVector,
     threshold: float,
     points: list[tuple[float, float]],
 ) -> float:

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 from greybox.errors import UnitError
-from greybox.units.grammar import read
-from greybox.units.symbols import has_zero_point, parse, registry
+from greybox.units.grammar import parse_powers
+from greybox.units.symbols import has_zero_point, parse_unit, registry
 
 
-def converter(source: str, target: str) -> Callable[[Any], np.ndarray]:
+def unit_converter(source: str, target: str) -> Callable[[Any], np.ndarray]:
     """The function that turns numbers in ``source`` into numbers in ``target``, zero points (degC to K) included.
 
     Raises UnitError when the two measure different things, ModelError for an unknown unit.
     """
     if has_zero_point(source) or has_zero_point(target):
         return _by_pint(source, target)
-    first, second = parse(source), parse(target)
+    first, second = parse_unit(source), parse_unit(target)
     if first.dimensions != second.dimensions:
         raise _unlike(source, target)
     ratio = first.factor / second.factor
@@ -27,15 +27,15 @@ def converter(source: str, target: str) -> Callable[[Any], np.ndarray]:
 
 
 def convert(values: Any, source: str, target: str) -> np.ndarray:
-    """``values`` in ``source`` as numbers in ``target``; errors as for `converter`."""
-    return converter(source, target)(values)
+    """``values`` in ``source`` as numbers in ``target``; errors as for `unit_converter`."""
+    return unit_converter(source, target)(values)
 
 
 def _by_pint(source: str, target: str) -> Callable[[Any], np.ndarray]:
     import pint
 
     known = registry()
-    first, second = ("*".join(read(u)[1]) for u in (source, target))
+    first, second = ("*".join(parse_powers(u)[1]) for u in (source, target))
     try:
         known.Quantity(1.0, first).to(second)
     except pint.DimensionalityError:

@@ -17,7 +17,7 @@ SPELLINGS |= {"\u00b5": "u", "\u03bc": "u", "\u03a9": "ohm", "\u2126": "ohm"}
 
 
 @lru_cache(maxsize=4096)
-def read(unit: str) -> tuple[float, Powers]:
+def parse_powers(unit: str) -> tuple[float, Powers]:
     """Number and powers of symbols in a unit's text, multiplied out from left to right."""
     text = unit.strip()
     for special, plain in SPELLINGS.items():
@@ -102,7 +102,7 @@ def _expect(tokens: list[str], token: str) -> None:
         raise ValueError(token)
 
 
-def written(factor: float, powers: Powers, digits: int = 6) -> str:
+def format_powers(factor: float, powers: Powers, digits: int = 6) -> str:
     """``N*s/m``, ``m^3/(s*Pa)``, ``1000 N``, ``1/s``: the text of a unit, in the order of ``powers``."""
     above = [_raised(s, e) for s, e in powers.items() if e > 0]
     below = [_raised(s, -e) for s, e in powers.items() if e < 0]

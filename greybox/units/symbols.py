@@ -12,12 +12,12 @@ from functools import cache, lru_cache
 from typing import Any
 
 from greybox.errors import ModelError, nearest
-from greybox.units.grammar import read
-from greybox.units.unit import ONE, Unit, added
+from greybox.units.grammar import parse_powers
+from greybox.units.unit import ONE, Unit, add_exponents
 
 
 def _si(kg: float = 0, m: float = 0, s: float = 0, A: float = 0, *, factor: float = 1.0) -> Unit:
-    return Unit(factor, added((), (("kg", kg), ("m", m), ("s", s), ("A", A)), 1.0))
+    return Unit(factor, add_exponents((), (("kg", kg), ("m", m), ("s", s), ("A", A)), 1.0))
 
 
 PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
@@ -65,13 +65,13 @@ RUN_TOGETHER = {"Nm": "N*m", "Ns": "N*s", "Vs": "V*s", "As": "A*s", "Nms": "N*m*
 
 
 @lru_cache(maxsize=4096)
-def parse(unit: str) -> Unit:
+def parse_unit(unit: str) -> Unit:
     """The unit that a text such as ``N*s/m``, ``kPa``, ``m^3/(s*Pa)`` or ``V**0.5/s`` stands for; ``''`` and ``-``: 1.
 
     Raises ModelError for a text that is no unit, and for one with a zero point of its own (degC), which no equation
     can hold.
     """
-    factor, powers = read(unit)
+    factor, powers = parse_powers(unit)
     offset = [symbol for symbol in powers if _symbol(symbol, unit)[1]]
     if offset and powers == {offset[0]: 1.0}:
         raise ModelError(
@@ -86,7 +86,7 @@ def parse(unit: str) -> Unit:
 
 def has_zero_point(unit: str) -> bool:
     """Whether numbers in this unit count from another zero than SI (degC)."""
-    powers = read(unit)[1]
+    powers = parse_powers(unit)[1]
     return len(powers) == 1 and all(e == 1 and _symbol(s, unit)[1] for s, e in powers.items())
 
 
@@ -118,4 +118,4 @@ def _symbol(symbol: str, unit: str) -> tuple[Unit, bool]:
         raise ModelError(f"unit {unit!r}: {symbol!r} is not a unit; {nearest(symbol, PREFIXED)}") from None
     # What is left out (radian, count, bit) has no dimension.
     powers = tuple((BASE[unit_name], float(e)) for unit_name, e in base.unit_items() if unit_name in BASE)
-    return Unit(float(base.magnitude), added((), powers, 1.0)), shifted
+    return Unit(float(base.magnitude), add_exponents((), powers, 1.0)), shifted

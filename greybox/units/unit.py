@@ -20,13 +20,13 @@ class Unit:
     dimensions: Dimensions = ()
 
     def __mul__(self, other: Unit) -> Unit:
-        return Unit(self.factor * other.factor, added(self.dimensions, other.dimensions, 1.0))
+        return Unit(self.factor * other.factor, add_exponents(self.dimensions, other.dimensions, 1.0))
 
     def __truediv__(self, other: Unit) -> Unit:
-        return Unit(self.factor / other.factor, added(self.dimensions, other.dimensions, -1.0))
+        return Unit(self.factor / other.factor, add_exponents(self.dimensions, other.dimensions, -1.0))
 
     def __pow__(self, exponent: float) -> Unit:
-        return Unit(self.factor**exponent, added((), self.dimensions, float(exponent)))
+        return Unit(self.factor**exponent, add_exponents((), self.dimensions, float(exponent)))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Unit):
@@ -38,7 +38,7 @@ class Unit:
 
 
 @lru_cache(maxsize=4096)
-def added(first: Dimensions, second: Dimensions, times: float) -> Dimensions:
+def add_exponents(first: Dimensions, second: Dimensions, times: float) -> Dimensions:
     """The exponents of ``first`` times ``second ** times``."""
     powers = dict(first)
     for symbol, exponent in second:

@@ -1,0 +1,56 @@
+"""What segments and collocated points cannot weigh is weighed by a free run that begins at their optimum."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.errors import ModelError
+from greybox.estimation.options import FitOptions, FitProgressCallback
+from greybox.estimation.problem import EstimationProblem
+from greybox.estimation.solution import Solution
+from greybox.estimation.solve_single_shooting import solve_single
+from greybox.noise import AutoRegression
+from greybox.transcription import SingleShooting
+
+# A free run follows the joined one if its cost is at most this much larger (or its misfit over noise by this much).
+FOLLOWS, PERFECT = 1.1, 1e-3
+
+
+def is_plain_least_squares(problem: EstimationProblem) -> bool:
+    """Whether the cost is the sum of squared errors over white noise alone."""
+    return type(problem.shooting(problem.variables)) is SingleShooting and not problem.variables.held.any()
+
+
+def with_white_noise(problem: EstimationProblem) -> EstimationProblem:
+    """The same with the noise taken to be white."""
+    return problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in problem.noise.colour)))
+
+
+def finish_by_simulation_error(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
+    """``solution``, found with white noise and least squares; carried on by single shooting where its problem asks for more.
+
+    Where the free run does not follow it (an unstable plant) the noise's colour is left to the intervals, and the strategy says so;
+    anything else is refused with ModelError.
+    """
+    problem = replace(solution.problem, variables=solution.variables)
+    if is_plain_least_squares(problem) or not solution.status.success:
+        return solution
+    run = SingleShooting(problem.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
+    cost, count = run.evaluate(np.zeros(problem.variables.size)).cost, solution.evaluation.count
+    if cost <= FOLLOWS * solution.evaluation.cost + PERFECT**2 * count:
+        found = solve_single(problem, replace(options, progressive=False), report)
+        return replace(
+            found, strategy=f"{solution.strategy}; then by a free run from there, as the noise or the cost asks",
+            iterations=found.iterations + solution.iterations, evaluations=found.evaluations + solution.evaluations,
+            seconds=found.seconds + solution.seconds,
+        )  # fmt: skip
+    if is_plain_least_squares(with_white_noise(problem)):
+        said = "the noise is weighed as white, since a free run does not follow this plant; the intervals allow for its colour"
+        return replace(solution, problem=with_white_noise(solution.problem), strategy=f"{solution.strategy}; {said}")
+    title = "multiple shooting" if solution.transcription == "multiple" else "collocation"
+    raise ModelError(
+        f"{problem.model.title}: {title} minimises plain squares of the error; a robust loss needs a free run, and that does not"
+        " follow this plant: leave it out"
+    )

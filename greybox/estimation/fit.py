@@ -1,0 +1,246 @@
+"""`fit`: a model and records in, constants with intervals out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Literal
+
+import numpy as np
+
+from greybox.errors import FitError, ModelError, nearest
+from greybox.estimation.covariance import estimate_covariance
+from greybox.estimation.estimates import (
+    check_priors,
+    locate_fitted,
+    to_estimates,
+    to_experiment_estimates,
+    to_model_covariance,
+    to_tied_estimates,
+)
+from greybox.estimation.findings import add_record_notes, describe_status, find_fit_issues, find_validation_issues
+from greybox.estimation.option_findings import find_option_issues
+from greybox.estimation.options import FitOptions, FitProgressCallback, resolve_options
+from greybox.estimation.parameter_constancy import find_solution_shifts
+from greybox.estimation.prediction_error_fit import fit_by_prediction
+from greybox.estimation.problem import prepare_problem
+from greybox.estimation.robust_estimation import refit_robustly, summarise_outliers
+from greybox.estimation.sandwich import estimate_residual_colour
+from greybox.estimation.solve import Solution, solve
+from greybox.estimation.step_size_sensitivity import measure_discretisation_shift, polish_by_gauss_newton
+from greybox.estimation.traces import compute_misfits, make_traces, to_noise_by_output
+from greybox.estimation.validate import validate
+from greybox.estimation.versions import read_versions
+from greybox.experiment import Experiment
+from greybox.experiment.time_gaps import refuse_long_time_gaps
+from greybox.model import Model
+from greybox.model.equations import equations_text
+from greybox.noise import AutoRegression, NoiseModel
+from greybox.noise.noise_sources import LEAST_NOISE, RESIDUAL
+from greybox.result import (
+    Fit,
+    FitConstraints,
+    FitDiscretisation,
+    FitNoise,
+    FitUncertainty,
+    Provenance,
+    RobustReport,
+    SolverReport,
+)
+from greybox.transcription.records import to_experiments
+
+ColourTreatment = Literal["known", "residual", "white"]
+COLOURINGS = ("known", "residual", "white")
+
+
+def fit(
+    model: Model,
+    experiments: Experiment | Sequence[Experiment],
+    *,
+    noise: Mapping[str, float] | NoiseModel | None = None,
+    quiet: Experiment | Sequence[Experiment] = (),
+    colour: ColourTreatment = "known",
+    validation: Experiment | Sequence[Experiment] = (),
+    skip: int = 0,
+    per_experiment: Sequence[str] = (),
+    initial: Sequence[Mapping[str, float]] = (),
+    options: FitOptions | None = None,
+    report: FitProgressCallback | None = None,
+    raise_on_failure: bool = False,
+) -> Fit:
+    """Fit the free constants of ``model`` to one or more experiments.
+
+    Minimises the sum of squared free-run errors, each output over its noise standard deviation,
+    ``sum ((y - yhat) / noise)^2``, over the free constants and each experiment's initial state, with IPOPT and a Gauss-Newton
+    Hessian. ``model`` is not changed; `Fit.model` carries the fitted values.
+
+    ``noise``: standard deviation by output, in the model's units (or a `NoiseModel` that is known already). Outputs left out are
+    estimated, in this order of trust: from ``quiet`` (records with the input at rest and the same columns), from repetition in the
+    records (a periodic input, several experiments with the same input), from high-order differences. A quiet record and repetition
+    also tell the noise's colour: then residual and sensitivities are whitened by its autoregression, which is maximum likelihood for
+    such noise. ``colour``: ``known`` does that where the colour is known; ``residual`` takes it from the residual of a first fit
+    where it is not (right only if the model lacks nothing); ``white`` never does. Where the residual stays coloured the
+    intervals allow for it (`Fit.interval_kind`).
+
+    ``own``: constants of which each experiment has a value of its own (``own=["B"]``): `Fit.own` has them all, ``parameters`` and the
+    fitted model their mean, which is what a validation uses. Priors of constants (`Model.prior`) are weighed as measurements.
+    ``options.loss`` makes the fit robust against outliers; the noise is then estimated so that they do not pass for it.
+    The constants begin at the values of ``model`` (`Model.start`), each record's estimated initial state at the declared values, or at
+    the first readings of an output that is a state. ``initial`` begins it elsewhere: one mapping from state to value for each
+    experiment, in their order; states left out begin as without it. Where a former fit ended: ``fit(former.model, experiments,
+    initial=[t.initial_state for t in former.traces])``, with ``FitOptions(progressive=False)`` so that nothing leads away from there.
+    A model with process noise (`State`) is fitted by its likelihood through a Kalman filter instead (`Fit.process_noise`).
+    ``validation``: records that are only judged (`validate`), without their first ``skip`` rows. ``report`` is called as the
+    fit goes on. ``raise_on_failure`` raises FitError where the fit does not succeed.
+
+    Raises DataError and ModelError for records, or initial states, that do not go with the model.
+    """
+    options = resolve_options(options)
+    options = replace(
+        options,
+        per_experiment=(
+            *options.per_experiment,
+            *((per_experiment,) if isinstance(per_experiment, str) else per_experiment),
+        ),
+    )
+    if colour not in COLOURINGS:
+        raise ModelError(f"unknown colour {colour!r}; {nearest(colour, COLOURINGS)}")
+    judges = to_experiments(validation) if validation else ()  # refused before the work is done, and not after it
+    if model.noisy_states:
+        if colour == "residual":
+            raise ModelError(
+                "colour 'residual': process noise is what makes the innovations white; leave out the colour, or the process noise"
+            )
+        if options.transcription not in ("automatic", "single") or options.arc_length:
+            raise ModelError(
+                f"transcription {options.transcription!r}: a model with process noise is fitted by its one-step predictions, which have"
+                " none; leave out transcription and arc_length, or the process noise"
+            )
+        result = fit_by_prediction(model, experiments, noise, quiet, options, report, initial)
+        return _judged(result, judges, skip, options, raise_on_failure)
+    problem = prepare_problem(
+        model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet,
+        per_experiment=options.per_experiment, robust=options.robust, initial=initial,
+    )  # fmt: skip
+    if not problem.step.per_interval:
+        refuse_long_time_gaps(judges)
+    if colour == "white":
+        problem = problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in model.outputs)))
+    solution = solve(problem, options, report)
+    if RESIDUAL in problem.noise.sources.values() and solution.status.success:
+        solution = _weighted_by_residual(solution, options, report)
+    solution = refit_robustly(solution, options, report)
+    if colour == "residual" and solution.status.success:
+        solution = refit_robustly(_coloured_by_residual(solution, options, report), options, report)
+    solution = polish_by_gauss_newton(solution)
+    return _judged(_result(model, solution, options), judges, skip, options, raise_on_failure)
+
+
+def _judged(
+    result: Fit, validation: Experiment | Sequence[Experiment], skip: int, options: FitOptions, raise_on_failure: bool
+) -> Fit:
+    """``result`` with its misfit on validation records; FitError for a failure that is to be raised."""
+    if validation and result.success:
+        judged = validate(result.model, validation, noise=result.noise.std, skip=skip, options=options)
+        result = replace(
+            result, validation=judged, notes=(*result.notes, *find_validation_issues(result.misfit, judged.misfit))
+        )
+    if raise_on_failure and not result.success:
+        raise FitError(f"fit of {result.model.title}: {result.solver.status_message}")
+    return result
+
+
+def _weighted_by_residual(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
+    """The fit repeated with the residual's own size as the noise of the outputs whose noise nothing else tells."""
+    problem, evaluation = solution.problem, solution.evaluation
+    counts = np.maximum(evaluation.counts, 1)
+    size = np.sqrt(evaluation.squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
+    told = np.array([problem.noise.sources.get(o.name) == RESIDUAL for o in problem.model.outputs])
+    std = problem.noise.std * np.where(told & (size > 0), np.maximum(size, LEAST_NOISE), 1.0)
+    weighted = replace(problem.with_noise(replace(problem.noise, std=std)), variables=solution.variables)
+    return solve(weighted, replace(options, progressive=False), report)
+
+
+def _coloured_by_residual(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
+    """The fit repeated with the noise coloured as the residual is, where its colour is not known already."""
+    problem, variables = solution.problem, solution.variables
+    residual = estimate_residual_colour(solution.residuals(), solution.unknowns, problem.noise.given)
+    models = tuple(
+        known if known.order else found for known, found in zip(problem.noise.colour, residual.models, strict=True)
+    )
+    if all(a is b for a, b in zip(models, problem.noise.colour, strict=True)):
+        return solution
+    coloured = replace(problem.with_noise(replace(problem.noise, colour=models)), variables=variables)
+    return solve(coloured, replace(options, progressive=False), report)
+
+
+def _result(model: Model, solution: Solution, options: FitOptions) -> Fit:
+    problem, variables = solution.problem, solution.variables
+    runs, rows = make_traces(problem, solution.simulate()), solution.residuals()
+    misfit = compute_misfits(problem, runs)
+    found = estimate_covariance(
+        variables, solution.evaluation, problem.noise.given, rows, solution.unknowns, problem.least
+    )
+    constants, priors, robust = (
+        to_estimates(variables, found),
+        check_priors(variables, found),
+        summarise_outliers(solution),
+    )
+    per_experiment, tied = to_experiment_estimates(variables, found), to_tied_estimates(variables, found)
+    shift = measure_discretisation_shift(solution, np.sqrt(np.diag(found.covariance)))
+    remarks = find_fit_issues(solution, found, constants, misfit, runs, find_solution_shifts(solution, rows), shift)
+    remarks = add_record_notes(
+        (*remarks, *find_option_issues(problem, constants, tied, per_experiment, priors, robust)), problem.experiments
+    )
+    measured = [j for j, o in enumerate(model.outputs) if o.name in misfit]
+    widened = np.ones(len(variables.names)) if found.inflation is None else found.inflation
+    return Fit(
+        model=model.start(**{name: float(variables.fixed[k]) for k, name in enumerate(model.values)}),
+        parameters=constants,
+        misfit=misfit,
+        traces=runs,
+        solver=SolverReport(
+            solution.status.name.lower(),
+            solution.status.success,
+            describe_status(solution, misfit),
+            float(solution.evaluation.cost),
+            _statistics(solution),
+        ),
+        noise=FitNoise(
+            to_noise_by_output(problem, misfit),
+            problem.noise.source,
+            dict(problem.noise.sources),
+            {
+                o.name: a.reflection
+                for o, a in zip(model.outputs, problem.noise.colour, strict=True)
+                if o.name in misfit
+            },
+        ),
+        uncertainty=FitUncertainty(
+            tuple(model.all_parameters[k].name for k in locate_fitted(variables)),
+            to_model_covariance(variables, found.covariance),
+            found.kind,
+            dict(zip(variables.names, widened.tolist(), strict=True)),
+        ),
+        discretisation=FitDiscretisation(
+            solution.discretisation or problem.step.label,
+            {model.outputs[j].name: float(solution.integration_error[j]) for j in measured},
+            dict(zip(variables.names, shift.tolist(), strict=True)),
+        ),
+        provenance=Provenance(
+            {**asdict(options), "per_experiment": list(options.per_experiment)}, equations_text(model), read_versions()
+        ),
+        constraints=FitConstraints({tie.name: tie.formula for tie in model.ties}, tied, per_experiment, priors),
+        robust=RobustReport(robust.loss, robust.scale, robust.outliers),
+        notes=remarks,
+    )
+
+
+def _statistics(solution: Solution) -> dict[str, object]:
+    return {
+        "optimiser": "IPOPT", "ipopt_status": solution.solver_status, "iterations": solution.iterations,
+        "passes": solution.evaluations, "seconds": solution.seconds, "record_shares": list(solution.shares),
+        "strategy": solution.strategy, "transcription": solution.transcription, "free_run": solution.free_run,
+        "method": solution.problem.method,
+        "kernel": solution.problem.kernel.name, "substeps": solution.problem.step.substeps,
+    }  # fmt: skip

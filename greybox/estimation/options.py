@@ -1,0 +1,109 @@
+"""What can be chosen about a fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from greybox.errors import ModelError, nearest
+from greybox.transcription.robust_loss import parse_loss
+
+TRANSCRIPTIONS = ("automatic", "single", "multiple", "collocation-radau", "collocation-legendre", "arcs")
+HESSIANS = ("gauss-newton", "exact")
+
+
+@dataclass(frozen=True)
+class FitProgress:
+    """Where a running fit is: stage ``stage`` of ``stages`` (a growing part of the record), iteration, misfit over noise."""
+
+    stage: int
+    stages: int
+    iteration: int
+    noise_ratio: float
+
+
+FitProgressCallback = Callable[[FitProgress], None]
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Choices of a fit, kept with its result.
+
+    ``at_rest``: every record starts at the states the model declares, instead of estimated ones (but for states with `State.free_start`).
+    ``method``: ``automatic``,
+    ``exact`` or ``rk4``. ``substeps`` of RK4 a sample, 0 to choose. ``progressive``: fit a growing part of the record, so that a start
+    far off does not lock onto a wrong oscillation. ``iterations`` at most in each stage; ``tolerance`` of IPOPT; as a rule the
+    search ends earlier, when a further step would change nothing that matters. ``thorough``: where the cost has a kink (dry
+    friction) and its gradient misleads, search on without it; that takes many passes.
+
+    ``transcription``: ``single`` shooting runs the model freely from each record's initial state. ``multiple`` shooting runs it in
+    segments that meet at the optimum, for unstable plants. ``collocation-radau`` and ``collocation-legendre`` solve the equations at
+    points of each interval together with the fit: for smooth equations, with the states' bounds as path constraints; their
+    ``hessian`` is ``gauss-newton`` or ``exact``. ``arcs`` of ``arc_length`` seconds have an initial state each and need not meet: short
+    ones show the structure of the fast motion, long ones what drifts. ``automatic`` picks by the model, and by the record's length
+    (arcs where ``arc_length`` is given); the result says what, and why.
+
+    ``loss``: ``squares``, or a robust one that outliers cannot pull: ``huber`` or ``student``, with a threshold of its own if need be
+    (``huber:2`` noise standard deviations, ``student:3`` degrees of freedom), see `greybox.transcription.robust_loss.RobustLoss`.
+    ``own``: constants
+    of which each experiment has a value of its own.
+
+    Raises ModelError for a choice that does not exist, or one that contradicts another.
+    """
+
+    at_rest: bool = False
+    method: str = "automatic"
+    substeps: int = 0
+    progressive: bool = True
+    iterations: int = 200
+    tolerance: float = 1e-12
+    thorough: bool = True
+    transcription: str = "automatic"
+    arc_length: float = 0.0
+    hessian: str = "gauss-newton"
+    loss: str = "squares"
+    per_experiment: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self,
+            "per_experiment",
+            (self.per_experiment,) if isinstance(self.per_experiment, str) else tuple(self.per_experiment),
+        )
+        parse_loss(self.loss)
+        if self.transcription not in TRANSCRIPTIONS:
+            raise ModelError(
+                f"unknown transcription {self.transcription!r}; {nearest(self.transcription, TRANSCRIPTIONS)}"
+            )
+        if self.hessian not in HESSIANS:
+            raise ModelError(f"unknown Hessian {self.hessian!r}; {nearest(self.hessian, HESSIANS)}")
+        if not (math.isfinite(self.arc_length) and self.arc_length >= 0):
+            raise ModelError(f"arc_length {self.arc_length} s: give a positive number of seconds, or 0 for no arcs")
+        if self.arc_length and self.transcription not in ("automatic", "arcs"):
+            raise ModelError(
+                f"arc_length {self.arc_length:g} s: transcription {self.transcription!r} has no arcs; leave out one of the two"
+            )
+        if self.transcription == "arcs" and not self.arc_length:
+            raise ModelError("transcription 'arcs' needs their length: give arc_length, in seconds")
+        if self.hessian == "exact" and not self.transcription.startswith("collocation"):
+            raise ModelError(
+                f"hessian 'exact': transcription {self.transcription!r} has none; take 'collocation-radau' or"
+                " 'collocation-legendre', or 'gauss-newton'"
+            )
+
+    @property
+    def robust(self) -> bool:
+        """Whether the loss is a robust one."""
+        return parse_loss(self.loss) is not None
+
+
+def resolve_options(options: Any) -> FitOptions:
+    """``options``, or the usual ones for None. Raises ModelError for anything that is not `FitOptions`."""
+    if options is None:
+        return FitOptions()
+    if not isinstance(options, FitOptions):
+        shown = ", ".join(f"{k}={v!r}" for k, v in options.items()) if isinstance(options, dict) else "at_rest=True"
+        raise ModelError(f"options: {options!r} is no FitOptions; write options=FitOptions({shown})")
+    return options

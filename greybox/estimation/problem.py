@@ -1,0 +1,197 @@
+"""A fit before it starts: records, weights, first guesses, one discrete step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.errors import ModelError, nearest
+from greybox.experiment import Experiment
+from greybox.experiment.time_gaps import refuse_long_time_gaps
+from greybox.integrators import Step, discretise
+from greybox.kernel import Kernel, Record, make_kernel
+from greybox.model import Model
+from greybox.noise import NoiseModel, estimate_noise
+from greybox.noise.differences import is_constant_signal
+from greybox.transcription import DecisionVector, InitialStates, SingleShooting, to_record
+from greybox.transcription.records import to_experiments
+from greybox.transcription.robust_loss import RobustLoss
+from greybox.transcription.robust_shooting import RobustShooting
+from greybox.transcription.whitened_shooting import WhitenedShooting
+
+
+@dataclass(frozen=True)
+class EstimationProblem:
+    """Everything a fit needs, in plain arrays.
+
+    ``loss``: None for least squares. ``still``: outputs that were left out because they read the same in every row.
+    """
+
+    model: Model
+    experiments: tuple[Experiment, ...]
+    records: tuple[Record, ...]
+    noise: NoiseModel
+    variables: DecisionVector
+    step: Step
+    kernel: Kernel
+    method: str
+    loss: RobustLoss | None = None
+    still: tuple[str, ...] = ()
+
+    def shooting(self, variables: DecisionVector, share: float = 1.0) -> SingleShooting:
+        """The cost over the first ``share`` of every record; whitened where the noise is known to be coloured, with the ``loss``."""
+        if self.loss is not None:
+            return RobustShooting(
+                variables, self.step, self.kernel, self.records, 1 / self.noise.std, self.noise.colour, self.loss, share
+            )  # fmt: skip
+        if self.noise.coloured:
+            return WhitenedShooting(
+                variables, self.step, self.kernel, self.records, 1 / self.noise.std, self.noise.colour, share
+            )  # fmt: skip
+        return SingleShooting(variables, self.step, self.kernel, self.records, 1 / self.noise.std, share)
+
+    @property
+    def least(self) -> np.ndarray | None:
+        """What the loss leaves of the variance of known noise, by output (ny,); None for least squares."""
+        return None if self.loss is None else self.loss.least()
+
+    def with_noise(self, noise: NoiseModel) -> EstimationProblem:
+        """The same with other weights."""
+        return replace(self, noise=noise)
+
+    def with_step(self, substeps: int, p: np.ndarray) -> EstimationProblem:
+        """The same with another number of substeps."""
+        step = _discretise(self.model, self.records, p, None, self.method, substeps)
+        return replace(self, step=step, kernel=make_kernel(step))
+
+
+def prepare_problem(
+    model: Model,
+    experiments: Experiment | Sequence[Experiment],
+    noise: Mapping[str, float] | NoiseModel | None,
+    *,
+    at_rest: bool,
+    method: str,
+    substeps: int,
+    quiet: Experiment | Sequence[Experiment] = (),
+    per_experiment: Sequence[str] = (),
+    robust: bool = False,
+    initial: Sequence[Mapping[str, float]] = (),
+) -> EstimationProblem:
+    """Check model and data against each other and lay out the problem; ``quiet`` records tell the noise (`greybox.noise`).
+
+    ``noise`` as `greybox.noise.noise_of` takes it, or a `NoiseModel` that is known from an earlier fit. ``own``: constants of which each
+    experiment has a value of its own. ``robust``: outliers must not pass for noise. ``initial``: the first guess of each record's
+    initial state, see `apply_initial_guess`. An output that reads the same in every row, and whose noise nothing tells, is left out
+    (`Problem.still`).
+
+    Raises DataError or ModelError with what is wrong and what to do.
+    """
+    group = to_experiments(experiments)
+    for e in group:
+        model.check_measured(f"experiment {e.name!r}", e.outputs)
+    deviation = (
+        noise
+        if isinstance(noise, NoiseModel)
+        else estimate_noise(model, group, noise or {}, quiet, robust=robust, alike=not per_experiment)
+    )
+    resting = _resting(model, group, deviation)
+    records = tuple(_without(to_record(model, e), [o.name in resting for o in model.outputs]) for e in group)
+    beginning = guess_initial_states(model, records, at_rest, [e.conditions for e in group])
+    if initial:
+        beginning = apply_initial_guess(model, beginning, initial)
+    p = np.array(list(model.values.values()))
+    step = _discretise(model, records, p, beginning.guess, method, substeps)
+    if not step.per_interval:
+        refuse_long_time_gaps(group)
+    conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
+    variables = DecisionVector.of(model, beginning, conditions, per_experiment, [e.name for e in group])
+    return EstimationProblem(
+        model, group, records, deviation, variables, step, make_kernel(step), method, still=resting
+    )
+
+
+def _resting(model: Model, experiments: Sequence[Experiment], noise: NoiseModel) -> tuple[str, ...]:
+    """Outputs that read the same in every row and have no noise from anywhere."""
+    columns = {o.name: [e.outputs[o.name] for e in experiments if o.name in e.outputs] for o in model.outputs}
+    return tuple(
+        n for n, found in columns.items() if found and n not in noise.sources and all(map(is_constant_signal, found))
+    )
+
+
+def _without(record: Record, outputs: Sequence[bool]) -> Record:
+    """``record`` as if some of its outputs had not been measured."""
+    return replace(record, y=np.where(outputs, np.nan, record.y)) if any(outputs) else record
+
+
+def guess_initial_states(
+    model: Model, records: Sequence[Record], at_rest: bool, conditions: Sequence[Mapping[str, float]] = ()
+) -> InitialStates:
+    """First guess of each record's initial state: as declared under its ``conditions``, and as measured where a state is an output."""
+    known = model.values
+    given = [
+        known | {n: v for n, v in per_experiment.items() if n in known}
+        for per_experiment in conditions or [{}] * len(records)
+    ]
+    guess = np.array([model.system.start_function(list(p.values()))[0].full().ravel() for p in given])
+    declared = np.abs(guess).max(axis=0)
+    names = model.system.state_names
+    if not at_rest:
+        for j in range(len(model.outputs)):
+            state = model.system.outputs[j]
+            if state.is_symbolic() and state.name() in names:
+                for e, record in enumerate(records):
+                    first = record.y[:5, j]
+                    if np.isfinite(first).any():
+                        guess[e, names.index(state.name())] = first[np.isfinite(first)][0]
+    scale = np.where(declared != 0, declared, 1.0)
+    return InitialStates(guess, np.array([not at_rest or s.free_start for s in model.all_states], bool), scale)
+
+
+def apply_initial_guess(
+    model: Model, beginning: InitialStates, initial: Sequence[Mapping[str, float]]
+) -> InitialStates:
+    """``beginning`` with the first guesses of ``initial``: one mapping from state to value for each record, in their order.
+
+    States that a mapping leaves out keep their guess. Raises ModelError for states that the model does not have, values that are not
+    finite or lie outside the state's bounds, a wrong number of mappings, and states that are not estimated.
+    """
+    if isinstance(initial, Mapping) or len(initial) != len(beginning.guess):
+        given = "a bare mapping" if isinstance(initial, Mapping) else _several(len(initial), "mapping")
+        raise ModelError(
+            f"initial states: {given} for {_several(len(beginning.guess), 'experiment')}: give a sequence with one mapping from state to"
+            " value for each experiment, in their order"
+        )
+    names, guess, wrong = model.system.state_names, beginning.guess.copy(), []
+    bounds = {s.name: (s.bounds, s.unit) for s in model.all_states}
+    for e, values in enumerate(initial):
+        for name, value in values.items():
+            if name not in names:
+                raise ModelError(f"initial states: {model.title} has no state {name!r}; {nearest(name, names)}")
+            if not beginning.free[names.index(name)]:
+                raise ModelError(
+                    f"initial states: at_rest=True begins {name!r} at the value that the model declares; leave out one of the two"
+                )
+            (low, high), unit = bounds[name]
+            if not (np.isfinite(value) and low <= value <= high):
+                wrong.append(
+                    f"{name} = {value:g} {unit}".rstrip() + f" of experiment {e + 1} (bounds [{low:g}, {high:g}])"
+                )
+            guess[e, names.index(name)] = value
+    if wrong:
+        raise ModelError(f"initial states: {'; '.join(wrong)}: give finite values within the states' bounds")
+    return replace(beginning, guess=guess)
+
+
+def _several(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _discretise(
+    model: Model, records: Sequence[Record], p: np.ndarray, x: np.ndarray | None, method: str, substeps: int
+) -> Step:
+    lengths = np.unique(np.concatenate([r.lengths for r in records]))
+    states = np.zeros((0, len(model.system.state_names))) if x is None else x
+    return discretise(model.system, p, states, lengths, method=method, substeps=substeps)

@@ -1,0 +1,95 @@
+"""A finished fit as the problem it was, at its optimum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.errors import FitError
+from greybox.estimation.options import FitOptions
+from greybox.estimation.problem import EstimationProblem, prepare_problem
+from greybox.model import Model
+from greybox.noise import AutoRegression, NoiseModel
+from greybox.noise.noise_sources import GIVEN, QUIET
+from greybox.result import Fit
+from greybox.transcription.robust_loss import RobustLoss, parse_loss
+
+
+def restore_options(fit: Fit) -> FitOptions:
+    """The options of ``fit`` for a search that begins next to its optimum, with the step it ended with."""
+    options = FitOptions(**fit.provenance.options)
+    return replace(
+        options,
+        progressive=False,
+        method=str(fit.solver.statistics.get("method", options.method)),
+        substeps=int(fit.solver.statistics.get("substeps", options.substeps)),
+        transcription="single",
+        arc_length=0.0,
+        hessian="gauss-newton",
+    )
+
+
+def has_free_run(fit: Fit) -> bool:
+    """Whether the run of ``fit`` is a free one from each record's initial state, and not arcs or the segments of an unstable plant."""
+    return fit.solver.statistics.get("transcription", "single") != "arcs" and bool(
+        fit.solver.statistics.get("free_run", True)
+    )
+
+
+def restore_problem(
+    fit: Fit, model: Model | None = None, held: Mapping[int, Mapping[str, float]] | None = None
+) -> EstimationProblem:
+    """The problem of ``fit`` with its records, its noise, its loss and its initial states, at its optimum.
+
+    With another ``model`` if given, and with constants ``held`` at a value in some experiments (by their number).
+
+    Raises FitError for a fit that did not succeed, that was saved without its inputs, or whose run is not a free one (arcs, or
+    the segments of an unstable plant).
+    """
+    if not fit.success:
+        raise FitError(
+            f"fit of {fit.model.title}: {fit.solver.status_message}; intervals need a fit that has succeeded"
+        )
+    if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
+        raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
+    if not has_free_run(fit):
+        raise FitError(
+            f"fit of {fit.model.title}: its run is not a free one ({fit.solver.statistics['transcription']}), and what is"
+            " asked for needs that; read the intervals of the fit itself, or fit by single shooting where the plant is stable"
+        )
+    options = restore_options(fit)
+    records = [t.experiment for t in fit.traces]
+    for e, values in (held or {}).items():
+        records[e] = replace(records[e], conditions={**records[e].conditions, **values})
+    problem = prepare_problem(
+        model or fit.model, records, restore_noise(fit), at_rest=options.at_rest, method=options.method,
+        substeps=options.substeps, per_experiment=options.per_experiment,
+    )  # fmt: skip
+    each = {
+        f"{name} ({title})": e.value
+        for name, found in fit.constraints.per_experiment.items()
+        for title, e in found.items()
+    }
+    variables = problem.variables.at(each)
+    problem = replace(problem, loss=restore_loss(fit))
+    start = np.array([[t.initial_state[name] for name in problem.model.system.state_names] for t in fit.traces])
+    initial = replace(variables.initial, guess=start)
+    return replace(problem, variables=replace(variables, initial=initial))
+
+
+def restore_loss(fit: Fit) -> RobustLoss | None:
+    """The robust loss of ``fit`` with its scales; None for least squares."""
+    loss = parse_loss(FitOptions(**fit.provenance.options).loss)
+    scale = np.array([fit.robust.scale.get(o.name, 1.0) for o in fit.model.outputs])
+    return None if loss is None else replace(loss, scale=scale)
+
+
+def restore_noise(fit: Fit) -> NoiseModel:
+    """The noise that ``fit`` was weighted with."""
+    outputs = fit.model.outputs
+    std = np.array([fit.noise.std.get(o.name, 1.0) for o in outputs])
+    colour = tuple(AutoRegression(tuple(fit.noise.colour.get(o.name, ()))) for o in outputs)
+    known = bool(fit.noise.sources) and set(fit.noise.sources.values()) <= {GIVEN, QUIET}
+    return NoiseModel(std, fit.noise.source, known, fit.noise.sources, colour)

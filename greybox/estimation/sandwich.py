@@ -1,0 +1,150 @@
+"""The middle of the sandwich: covariance of the scores ``J'r`` when the residual is correlated from sample to sample.
+
+With the residual of each output a stationary autoregression with covariance ``R``, the scores have covariance ``J' R J``. A kernel
+estimate (Newey and West, Econometrica 55, 1987) from the scores themselves, which also sees a residual that is larger where the
+sensitivities are, widens the result where it is larger. The autoregression leads because a kernel estimate falls short by a tenth or more
+on strongly correlated noise, however its bandwidth is chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+
+from greybox.noise import AutoRegression, fit_autoregression, join_series
+
+# The kernel estimate looks this many correlation times back, and at most at this share of a record.
+CORRELATION_TIMES, SHARE = 5.0, 0.125
+# A residual of fewer samples shows no colour that could be told from chance: it counts as white.
+LEAST_SAMPLES = 50
+# Numbers that one transform may hold.
+CHUNK = 4_000_000
+
+
+@dataclass(frozen=True)
+class ResidualColour:
+    """Autoregression and variance of the weighted residual of each output, and its samples (ny,)."""
+
+    models: tuple[AutoRegression, ...]
+    variance: tuple[float, ...] = ()
+    counts: tuple[int, ...] = ()
+    unknowns: int = 0
+
+    @property
+    def coloured(self) -> bool:
+        """Whether any output's residual is not white."""
+        return any(m.order for m in self.models)
+
+    @property
+    def white(self) -> ResidualColour:
+        """The same variances without the colour."""
+        return replace(self, models=tuple(AutoRegression() for _ in self.models))
+
+    @cached_property
+    def times(self) -> list[tuple[float, float]]:
+        """For each output the sums of its autocorrelation, and of its square, over positive and negative lags."""
+        result = []
+        for model, count in zip(self.models, self.counts, strict=True):
+            rho = model.autocorrelation(max(count, 1))
+            result.append((float(2 * np.abs(rho).sum() - 1), float(2 * (rho @ rho) - 1)))
+        return result
+
+    @property
+    def degrees(self) -> float:
+        """Independent samples that the variance rests on (Bartlett 1935), less the unknowns."""
+        independent = sum(n / squares for n, (_, squares) in zip(self.counts, self.times, strict=True))
+        return max(independent - self.unknowns, 1.0)
+
+
+def estimate_residual_colour(
+    rows: Sequence[tuple[np.ndarray, np.ndarray]], unknowns: int, noise_given: bool, least: np.ndarray | None = None
+) -> ResidualColour:
+    """Autoregression of each output's weighted residual over all records, and its variance.
+
+    If the noise is given that is at least one, or the ``least`` (ny,) that a robust loss leaves of it.
+    """
+    outputs = rows[0][0].shape[1]
+    total = sum(int(np.isfinite(r).sum()) for r, _ in rows)
+    models, variances, counts = [], [], []
+    for j in range(outputs):
+        series = join_series([r[:, j] for r, _ in rows])
+        count = int(np.isfinite(series).sum())
+        square = float(np.nansum(series**2)) / max(count, 1) * total / max(total - unknowns, 1)
+        models.append(fit_autoregression(series) if count >= LEAST_SAMPLES else AutoRegression())
+        variances.append(max(square, 1.0 if least is None else float(least[j])) if noise_given else square)
+        counts.append(count)
+    return ResidualColour(tuple(models), tuple(variances), tuple(counts), unknowns)
+
+
+class ColumnLayout(Protocol):
+    """Where the Jacobian's columns of each record belong among all unknowns (`greybox.transcription.Variables`)."""
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+
+    def columns(self, experiment: int) -> np.ndarray:
+        """Which unknowns one experiment concerns."""
+
+
+def estimate_score_covariance(
+    variables: ColumnLayout,
+    rows: Sequence[tuple[np.ndarray, np.ndarray]],
+    colour: ResidualColour,
+    experiments: Sequence[int] = (),
+) -> np.ndarray:
+    """Covariance (size, size) of the scores if the residual is the stationary process that ``colour`` says.
+
+    ``experiments``: which one each of ``rows`` is, in their order if left out.
+    """
+    total = np.zeros((variables.size, variables.size))
+    for e, (r, jacobian) in zip(experiments or range(len(rows)), rows, strict=True):
+        slopes = np.where(np.isfinite(r)[:, :, None], jacobian, 0.0)
+        block = np.ix_(variables.columns(e), variables.columns(e))
+        for j, process in enumerate(colour.models):
+            total[block] += colour.variance[j] * compute_toeplitz_form(slopes[:, j], process.autocorrelation(len(r)))
+    return total
+
+
+def estimate_kernel_score_covariance(
+    variables: ColumnLayout,
+    rows: Sequence[tuple[np.ndarray, np.ndarray]],
+    colour: ResidualColour,
+    projector: np.ndarray,
+) -> np.ndarray:
+    """Covariance (n, n) of the projected scores after Newey and West, with Bartlett's weights.
+
+    ``projector`` (n, size) takes scores to those of the constants with the initial states estimated as well.
+    """
+    total = np.zeros((len(projector), len(projector)))
+    reach = max((time for time, _ in colour.times), default=1.0) * CORRELATION_TIMES
+    for e, (r, jacobian) in enumerate(rows):
+        there = np.isfinite(r)
+        slopes, residual = np.where(there[:, :, None], jacobian, 0.0), np.where(there, r, 0.0)
+        scores = np.einsum("tjk,tj->tk", slopes, residual) @ projector[:, variables.columns(e)].T
+        lags = int(min(max(reach, 1.0), max(SHARE * len(r), 1.0)))
+        total += compute_toeplitz_form(scores, np.append(1 - np.arange(lags) / lags, np.zeros(len(r) - lags)))
+    return total
+
+
+def compute_toeplitz_form(columns: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """``X' T X`` (L, L) of ``columns`` X (N, L) with the symmetric Toeplitz matrix T whose first column is ``rho`` (N,)."""
+    if not rho[1:].any():
+        return columns.T @ columns
+    n = len(columns)
+    size = next_fast_len(2 * n - 1, real=True)
+    circle = np.concatenate([rho, np.zeros(size - 2 * n + 1), rho[:0:-1]])
+    spectrum = rfft(circle)
+    filtered = np.empty_like(columns)
+    step = max(1, CHUNK // size)
+    for k in range(0, columns.shape[1], step):
+        filtered[:, k : k + step] = irfft(
+            rfft(columns[:, k : k + step], size, axis=0) * spectrum[:, None], size, axis=0
+        )[:n]
+    form = columns.T @ filtered
+    return (form + form.T) / 2

@@ -1,0 +1,128 @@
+"""`smooth`: what the states were, given a whole record, with bands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri
+
+from greybox.errors import ModelError, nearest
+from greybox.estimation.fixed_parameters import estimate_initial_state, fix_parameters, make_likelihood
+from greybox.estimation.options import FitOptions
+from greybox.estimation.prediction_error import PredictionErrorObjective
+from greybox.estimation.prediction_error_runs import evaluate_start
+from greybox.experiment import Experiment
+from greybox.filtering import smooth_states
+from greybox.model import Model
+from greybox.model.process_noise import noise_intensities
+from greybox.noise import NoiseModel
+from greybox.result import Fit
+from greybox.units import format_unit
+
+# The first states count as unknown: their prior is this many times as wide (variance) as what the record says of them. That leaves
+# all but a ten-thousandth of the smoothed variance to the record.
+WIDE = 1e4
+# A direction of the first states with less than this share of the information of the best known one is as wide as this says.
+UNSEEN = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedStates:
+    """States of one record given all of its measurements, at known constants.
+
+    ``time`` (N,); ``mean`` and ``std`` by state (N,) in ``units``, and ``filtered``: the same from the measurements up to each row
+    alone. ``innovations`` by output (N,): the error of the prediction from the rows before, over its standard deviation, NaN in gaps;
+    white, normal and of variance one where nothing is missing. ``noise`` by output, ``process_noise`` by state. ``log_likelihood`` is
+    that of the record from the most likely first states.
+    """
+
+    experiment: str
+    time: np.ndarray
+    mean: Mapping[str, np.ndarray]
+    std: Mapping[str, np.ndarray]
+    filtered: Mapping[str, np.ndarray]
+    filtered_std: Mapping[str, np.ndarray]
+    innovations: Mapping[str, np.ndarray]
+    log_likelihood: float
+    noise: Mapping[str, float]
+    process_noise: Mapping[str, float]
+    units: Mapping[str, str]
+    discretisation: str
+
+    def band(self, state: str, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper end (N,) of the interval that holds the state with probability ``level`` at each row."""
+        if state not in self.mean:
+            raise ModelError(f"no state {state!r}; {nearest(state, self.mean)}")
+        if not 0 < level < 1:
+            raise ModelError(f"level {level:g} of a band; give a probability between 0 and 1")
+        reach = float(ndtri((1 + level) / 2)) * self.std[state]
+        return self.mean[state] - reach, self.mean[state] + reach
+
+    def __str__(self) -> str:
+        lines = [f"{self.experiment}: {len(self.time)} rows smoothed, {self.discretisation}"]
+        for name, mean in self.mean.items():
+            size = np.sqrt(np.mean(self.std[name] ** 2))
+            unit = format_unit(self.units[name])
+            lines.append(f"  {name}: {mean.min():.4g} to {mean.max():.4g} {unit}, standard deviation {size:.2g} {unit}")
+        for name, e in self.innovations.items():
+            lines.append(
+                f"  innovation of {name}: mean {np.nanmean(e):.2g}, standard deviation {np.nanstd(e):.3g} (1 is right)"
+            )
+        return "\n".join(lines)
+
+
+def smooth(
+    model: Model | Fit,
+    experiment: Experiment,
+    *,
+    noise: Mapping[str, float] | NoiseModel | None = None,
+    options: FitOptions | None = None,
+) -> SmoothedStates:
+    """The states of ``model``, or of a fit, during ``experiment``, at its present constants: Kalman filter and fixed-interval smoother.
+
+    Without process noise on any state (`State`) they are those of the free run. ``noise``: standard deviation by output; None takes
+    that of the fit, or finds the most likely one. The first states are unknown and found from the record, unless ``options.at_rest``
+    declares them. The bands allow for noise of process and sensors, and for the first states; not for the constants.
+
+    Raises DataError and ModelError for a record that does not go with the model.
+    """
+    given = fix_parameters(model, noise, options)
+    cost = estimate_initial_state(make_likelihood(given, experiment), given.options)
+    pn, x0 = evaluate_start(cost, 0)
+    found = smooth_states(cost.kalman, cost.records[0], pn, x0, _uncertain(cost))
+    record, names = cost.records[0], given.model.system.state_names
+    spread = np.sqrt(np.maximum(np.diagonal(found.covariance, axis1=1, axis2=2), 0.0))
+    before = np.sqrt(np.maximum(np.diagonal(found.filtered_covariance, axis1=1, axis2=2), 0.0))
+
+    def by_state(values: np.ndarray) -> dict[str, np.ndarray]:
+        return {name: record.samples(values)[:, k] for k, name in enumerate(names)}
+
+    measured = [(j, o) for j, o in enumerate(given.model.outputs) if np.isfinite(record.y[:, j]).any()]
+    innovations = record.samples(cost.innovations()[0])
+    return SmoothedStates(
+        experiment.name, experiment.time, by_state(found.mean), by_state(spread), by_state(found.filtered), by_state(before),
+        {o.name: innovations[:, j] for j, o in measured}, -0.5 * cost.cost(),
+        {o.name: float(cost.unknowns.level[j]) for j, o in measured},
+        {name: value for name, value in noise_intensities(given.model).items() if value},
+        {s.name: s.unit for s in given.model.all_states}, cost.kalman.whole.label,
+    )  # fmt: skip
+
+
+def _uncertain(cost: PredictionErrorObjective) -> np.ndarray | None:
+    """A wide covariance (nx, nx) of the first states about their estimate; None where they are declared."""
+    v = cost.unknowns.variables
+    free = v.free_states
+    if not len(free):
+        return None
+    n = len(v.which)
+    block = slice(n, n + len(free))
+    information = cost.evaluate(np.zeros(cost.unknowns.size)).hessian[block, block] / 2
+    scale = np.sqrt(np.maximum(np.diag(information), UNSEEN * max(np.diag(information).max(initial=0.0), 1e-300)))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    inverse = (vectors / np.maximum(values, UNSEEN)) @ vectors.T / np.outer(scale, scale)
+    covariance = np.zeros((len(v.initial.free), len(v.initial.free)))
+    reach = v.initial.scale[free]
+    covariance[np.ix_(free, free)] = WIDE * inverse * np.outer(reach, reach)
+    return covariance

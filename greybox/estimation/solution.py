@@ -1,0 +1,92 @@
+"""What a search ends with: the constants, how it ended, and the model's run as the transcription has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.estimation.problem import EstimationProblem
+from greybox.kernel import Record
+from greybox.optim import TerminationStatus
+from greybox.transcription import DecisionVector, Evaluation
+
+# A free run is that of the segments if it differs by at most this share of the noise.
+SAME = 0.1
+Runs = tuple[tuple[np.ndarray, np.ndarray], ...]
+
+
+@dataclass(frozen=True)
+class SegmentedRun:
+    """A run that is more than one simulation from an initial state: segments that meet, collocated points, arcs.
+
+    For each record ``runs`` are outputs (N, ny) and states (N, nx); ``rows`` the weighted residuals (N, ny) and their Jacobian
+    (N, ny, L) along `DecisionVector.columns`, every state at its best for the constants (the columns of the initial states are zero);
+    ``unknowns`` how many numbers were estimated, states included; ``shift`` (nf,) the change of the constants in ``z`` with half
+    the step.
+    """
+
+    runs: Runs
+    rows: Runs
+    unknowns: int
+    shift: np.ndarray
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The optimum: ``variables`` with ``z = 0`` there, the evaluation, how it ended, and the work it took.
+
+    ``shares`` of the record that were fitted one after the other; ``transcription`` what was used, ``strategy`` says in words what
+    was picked, and why. ``joined`` is None where the model ran freely from each initial state. ``discretisation`` is empty where
+    it is the step of the problem.
+    """
+
+    problem: EstimationProblem
+    variables: DecisionVector
+    evaluation: Evaluation
+    status: TerminationStatus
+    solver_status: str
+    iterations: int
+    evaluations: int
+    seconds: float
+    shares: tuple[float, ...]
+    integration_error: np.ndarray
+    strategy: str = ""
+    transcription: str = "single"
+    joined: SegmentedRun | None = None
+    discretisation: str = ""
+
+    @property
+    def unknowns(self) -> int:
+        """How many numbers were estimated."""
+        return self.joined.unknowns if self.joined else self.variables.size
+
+    @property
+    def free_run(self) -> bool:
+        """Whether one simulation from each initial state gives the run, to a tenth of the noise."""
+        if not self.joined:
+            return True
+        found, noise = (
+            self.problem.shooting(self.variables).simulate(np.zeros(self.variables.size)),
+            self.problem.noise.std,
+        )
+        away = np.concatenate([(a - b) / noise for (a, _), (b, _) in zip(found, self.joined.runs, strict=True)])
+        return bool(np.all(np.abs(away) < SAME))
+
+    def simulate(self) -> Runs:
+        """For each record outputs (N, ny) and states (N, nx) of the model at the optimum."""
+        if self.joined:
+            return self.joined.runs
+        return tuple(self.problem.shooting(self.variables).simulate(np.zeros(self.variables.size)))
+
+    def residuals(self) -> Runs:
+        """For each record the weighted residuals (N, ny) of its samples and their Jacobian (N, ny, L) at the optimum."""
+        if self.joined:
+            pairs = zip(self.problem.records, self.joined.rows, strict=True)
+            return tuple((_samples(record, r), _samples(record, jacobian)) for record, (r, jacobian) in pairs)
+        return tuple(self.problem.shooting(self.variables).residuals(np.zeros(self.variables.size)))
+
+
+def _samples(record: Record, values: np.ndarray) -> np.ndarray:
+    """The samples among values that are there for every row of ``record``."""
+    return record.samples(values) if len(values) == len(record.u) else values

@@ -1,0 +1,128 @@
+"""A fit by direct collocation: the equations are solved together with the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.estimation.finish_by_simulation_error import finish_by_simulation_error
+from greybox.estimation.options import FitOptions, FitProgressCallback
+from greybox.estimation.problem import EstimationProblem
+from greybox.estimation.progress_monitor import ProgressMonitor
+from greybox.estimation.select_transcription import TranscriptionChoice, compute_growth_rates
+from greybox.estimation.solution import Runs, SegmentedRun, Solution
+from greybox.estimation.step_refinement import HALVINGS, compute_change_over_noise, is_too_coarse, with_substeps
+from greybox.optim import MinimisationResult, solve_sparse
+from greybox.transcription import (
+    Collocation,
+    DecisionVector,
+    Evaluation,
+    SingleShooting,
+    choose_segment_rows,
+    initialise_without_continuity,
+)
+from greybox.transcription.segments import place_segments
+
+# What changed when an interval was halved changes so many times less when it is halved again: three points are of third order at
+# least, also on stiff equations (Hairer, Wanner, Solving Ordinary Differential Equations II, stage order).
+GAIN = 2.0**3
+POINTS = 3
+TITLES = {"radau": "Radau", "legendre": "Legendre"}
+
+
+@dataclass(frozen=True)
+class _Point:
+    """What a solver ended with: the states (N, nx) of each record and, if it succeeded, the problem linearised there."""
+
+    outcome: MinimisationResult
+    variables: DecisionVector
+    states: Sequence[np.ndarray]
+    held: int
+    evaluation: Evaluation
+    rows: Runs
+
+
+def solve_collocation(
+    choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None = None
+) -> Solution:
+    """Minimise over the constants and the states at three points of every sampling interval.
+
+    The intervals are halved once, to see what that changes, and again until it changes too little to matter. ``substeps`` of
+    the options are the elements of an interval, if given.
+    """
+    problem, scheme = choice.problem, choice.transcription.removeprefix("collocation-")
+    elements = max(options.substeps, 1)
+    at = _solved(problem, *_start(problem), scheme, elements, options, report)
+    work = [at]
+    error, shift = np.zeros(len(problem.noise.std)), np.zeros(len(problem.variables.which))
+    for _ in range(HALVINGS):
+        if not at.outcome.status.success:
+            break
+        finer = _solved(problem, at.variables, at.states, scheme, 2 * elements, options, report)
+        work.append(finer)
+        if not finer.outcome.status.success:
+            break
+        error = compute_change_over_noise(problem, _runs(problem, at), _runs(problem, finer))
+        shift = _shift(at.variables, finer.variables)
+        if options.substeps:
+            break
+        at, elements = finer, 2 * elements
+        error, shift = error / GAIN, shift / GAIN
+        if not is_too_coarse(error, problem, at.evaluation, POINTS * elements):
+            break
+    if not problem.step.per_interval:  # for who runs the model freely from here
+        problem = with_substeps(problem, max(problem.step.substeps, POINTS * elements), at.variables.fixed)
+    held = f"; {at.held} samples lie at a bound of a state" if at.held else ""
+    success, title = at.outcome.status.success, TITLES[scheme]
+    solution = Solution(
+        problem, at.variables, at.evaluation, at.outcome.status, at.outcome.solver_status,
+        sum(w.outcome.iterations for w in work), sum(w.outcome.evaluations for w in work),
+        sum(w.outcome.seconds for w in work), (1.0,), error,
+        choice.told(f"direct collocation{held}"), choice.transcription,
+        SegmentedRun(_runs(problem, at), at.rows, at.variables.size, shift) if success else None,
+        f"collocation, three {title} points" + (" a sample" if elements == 1 else f" in each of {elements} elements a sample"),
+    )  # fmt: skip
+    return finish_by_simulation_error(solution, options, report)
+
+
+def _start(problem: EstimationProblem) -> tuple[DecisionVector, list[np.ndarray]]:
+    """Variables and states along each record to begin with; where no piece of it can be simulated, its first states stay."""
+    v = problem.variables
+    single = SingleShooting(v, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
+    pairs = zip(compute_growth_rates(problem), single.records, strict=True)
+    cuts = [place_segments(e, r, choose_segment_rows(growth, r)) for e, (growth, r) in enumerate(pairs)]
+    variables, states = initialise_without_continuity(single, cuts)
+    return variables, [np.where(np.isfinite(x), x, v.initial.guess[e]) for e, x in enumerate(states)]
+
+
+def _solved(
+    problem: EstimationProblem, variables: DecisionVector, states: Sequence[np.ndarray], scheme: str, elements: int,
+    options: FitOptions, report: FitProgressCallback | None,
+) -> _Point:  # fmt: skip
+    records, weight = problem.records, 1 / problem.noise.std
+    program = Collocation(variables, records, weight, states, scheme=scheme, elements=elements, hessian=options.hessian)
+    outcome = solve_sparse(
+        **program.problem(), iterations=options.iterations, progress=ProgressMonitor(problem, report)
+    )
+    found = program.found(outcome.z)
+    if not outcome.status.success:
+        free = SingleShooting(found.variables, problem.step, problem.kernel, records, weight)
+        return _Point(outcome, found.variables, found.states, found.held, free.evaluate(np.zeros(variables.size)), ())
+    return _Point(outcome, found.variables, found.states, found.held, *program.linearise(outcome.z))
+
+
+def _runs(problem: EstimationProblem, at: _Point) -> Runs:
+    """Outputs and states at the rows of each record."""
+    output, zero = problem.model.system.output_function, np.zeros(at.variables.size)
+    runs = []
+    for e, (record, x) in enumerate(zip(problem.records, at.states, strict=True)):
+        p = at.variables.parameters(zero, e)
+        runs.append((output(x.T, record.u.T, p).full().T, x))
+    return tuple(runs)
+
+
+def _shift(before: DecisionVector, after: DecisionVector) -> np.ndarray:
+    """How far the free constants have moved (nf,), in ``z`` of the second."""
+    return (after.base - before.base) / after.spans

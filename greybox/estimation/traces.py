@@ -1,0 +1,63 @@
+"""The model beside the data: traces of each record and misfit of each output."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from greybox.estimation.problem import EstimationProblem
+from greybox.result import Misfit, Trace
+
+
+def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[Trace, ...]:
+    """Each record with the model's run over it: outputs (N, ny) and states (N, nx) for each."""
+    states = problem.model.system.state_names
+    result = []
+    for experiment, record, (y, x) in zip(problem.experiments, problem.records, runs, strict=True):
+        y, x, seen, given = (record.samples(rows) for rows in (y, x, record.y, record.u))
+        measured = {o.name: seen[:, j] for j, o in enumerate(problem.model.outputs) if np.isfinite(seen[:, j]).any()}
+        simulated = {o.name: y[:, j] for j, o in enumerate(problem.model.outputs) if o.name in measured}
+        start = dict(zip(states, map(float, x[0]), strict=True))
+        inputs = {i.name: given[:, j] for j, i in enumerate(problem.model.inputs)}
+        result.append(
+            Trace(
+                experiment.name, experiment.fingerprint, experiment.time, measured, simulated, start, inputs, experiment.hold,
+                dict(experiment.conditions),
+            )
+        )  # fmt: skip
+    return tuple(result)
+
+
+def compute_misfits(problem: EstimationProblem, found: Sequence[Trace], skip: int = 0) -> dict[str, Misfit]:
+    """Free-run error of each output over all records, their first ``skip`` rows left out."""
+    noise = {o.name: problem.noise.std[j] for j, o in enumerate(problem.model.outputs)}
+    units = {o.name: o.unit for o in problem.model.outputs}
+    return {
+        name: compute_misfit(found, name, units[name], noise[name], skip)
+        for name in noise
+        if any(name in t.measured for t in found)
+    }
+
+
+def compute_misfit(found: Sequence[Trace], output: str, unit: str, noise: float, skip: int = 0) -> Misfit:
+    """Error of one output over the records that have it."""
+    errors, movements = [], []
+    for trace in found:
+        if output in trace.measured:
+            residual, measured = trace.residual(output)[skip:], trace.measured[output][skip:]
+            usable = np.isfinite(measured)
+            errors.append(residual[usable])
+            movements.append(measured[usable] - measured[usable].mean() if usable.any() else measured[usable])
+    error, movement = np.concatenate(errors), np.concatenate(movements)
+    if len(error) == 0:
+        return Misfit(np.nan, unit, np.nan, np.nan, 0)
+    rmse = float(np.sqrt(np.mean(error**2)))
+    spread = float(np.linalg.norm(movement))
+    best_fit = 100 * (1 - float(np.linalg.norm(error)) / spread) if spread > 0 else np.nan
+    return Misfit(rmse, unit, best_fit, rmse / noise, len(error))
+
+
+def to_noise_by_output(problem: EstimationProblem, measured: Mapping[str, Misfit]) -> dict[str, float]:
+    """Noise of the outputs that were measured."""
+    return {o.name: float(problem.noise.std[j]) for j, o in enumerate(problem.model.outputs) if o.name in measured}

@@ -1,0 +1,32 @@
+"""A record as the filter reads it: the measurements stand beside the inputs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from greybox.integrators import Step
+from greybox.kernel import Record
+
+
+def to_filter_record(record: Record, step: Step) -> Record:
+    """``record`` for the filter of ``step``: columns of a row are what ``step`` sees as input, the measurements (0 in a gap), 1 where
+    something was measured, 0 and 1 in turn, and whether the input is linear between rows.
+
+    The filter's own outputs are compared with zero.
+    """
+    seen = record.read_by(step)
+    rows, outputs = record.y.shape
+    present = np.isfinite(record.y)
+    columns = [
+        seen.u, np.where(present, record.y, 0.0), present,
+        (np.arange(rows) % 2)[:, None], np.full((rows, 1), float(seen.first_order)),
+    ]  # fmt: skip
+    u, nothing = np.hstack(columns), np.zeros((rows, 2 * outputs))
+    return Record(u, nothing, seen.h, seen.row, seen.lengths, first_order=True, every=record.every)
+
+
+def remove_measurements(record: Record, outputs: int) -> Record:
+    """The rows of `to_filter_record` with every measurement taken for a gap: the filter then runs freely."""
+    u = record.u.copy()
+    u[:, -2 - outputs : -2] = 0.0
+    return Record(u, record.y, record.h, record.row, record.lengths, True, record.every)

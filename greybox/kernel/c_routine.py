@@ -1,0 +1,148 @@
+"""A tape as C: what can be computed once in ``prepare_<name>``, the rest in ``<name>``, straight-line code for the
+compiler.
+
+Tangents are blocks of ``W`` lanes (vector types of GCC and Clang); a value and its tangents sit side by side, so that
+the lanes run in the vector units while the scalar recursion waits for itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from greybox.kernel.tape import Node, Tangent, Tape, UnsupportedOperationError, operation_name
+
+INFIX = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
+LOGIC = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!=", ca.OP_AND: "&&", ca.OP_OR: "||"}
+# These are called the same in CasADi and in C.
+NAMES = """
+    sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf floor ceil fabs
+    fmod remainder copysign atan2 hypot pow
+"""
+CALLS = {getattr(ca, f"OP_{name.upper()}"): name for name in NAMES.split()} | {ca.OP_CONSTPOW: "pow"}
+FORMS = {
+    ca.OP_NEG: "-{0}",
+    ca.OP_INV: "1.0 / {0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "{0} + {0}",
+    ca.OP_NOT: "!{0}",
+    ca.OP_SIGN: "{0} < 0 ? -1.0 : {0} > 0 ? 1.0 : {0}",
+    ca.OP_IF_ELSE_ZERO: "{0} ? {1} : 0.0",
+    ca.OP_FMIN: "({0} < {1} || {1} != {1}) ? {0} : {1}",
+    ca.OP_FMAX: "({0} > {1} || {1} != {1}) ? {0} : {1}",
+}
+
+
+class CRoutine:
+    """The C text of one tape.
+
+    ``inputs`` are the names of its arguments; the tangents of ``x`` arrive as ``dx``. ``blocks`` is the number of
+    tangent blocks, 0 for a routine without tangents.
+    """
+
+    def __init__(self, name: str, tape: Tape, inputs: Sequence[str], active: Sequence[int], blocks: int) -> None:
+        self.name, self.tape, self.inputs, self.blocks = name, tape, inputs, blocks
+        self.active = active if blocks else ()
+
+    def text(self) -> str:
+        """``struct <name>_once``, ``prepare_<name>`` and ``<name>``."""
+        once, each = self._statements(False), self._statements(True)
+        fields = [
+            f"    {self._type(n)} t{k};"
+            for k, n in enumerate(self.tape.nodes)
+            if n.args and n.op != ca.OP_INPUT and not n.varying
+        ]
+        fields += [
+            f"    v d{k}_{b};"
+            for k, n in enumerate(self.tape.tangents)
+            if n.terms and not n.varying
+            for b in range(self.blocks)
+        ]
+        outputs = [f"    z[{i}] = {self._value(node)};" for i, (node, _) in enumerate(self.tape.outputs[0])]
+        outputs += [
+            f"    dz[{i} * NB + {b}] = {'zero' if tangent is None else self._lane(tangent, b)};"
+            for i, (_, tangent) in enumerate(self.tape.outputs[0])
+            for b in range(self.blocks)
+        ]
+        arguments = ", ".join(
+            f"const double *{name}" + (f", const vu *d{name}" if i in self.active else "")
+            for i, name in enumerate(self.inputs)
+        )
+        results = "double *z, v *dz" if self.blocks else "double *z"
+        return "\n".join(
+            [
+                f"struct {self.name}_once {{", *(fields or ["    int none;"]), "};", "",
+                f"static void prepare_{self.name}(struct {self.name}_once *c, {arguments})", "{", *once, "}", "",
+                f"INLINE void {self.name}(const struct {self.name}_once *c, {arguments}, {results})",
+                "{", *each, *outputs, "}", "",
+            ]
+        )  # fmt: skip
+
+    def _statements(self, varying: bool) -> list[str]:
+        lines = []
+        for kind, k in self.tape.order:
+            if kind == "node":
+                node = self.tape.nodes[k]
+                if node.op not in (ca.OP_CONST, ca.OP_INPUT) and node.varying == varying:
+                    target = f"const {self._type(node)} t{k}" if varying else f"c->t{k}"
+                    lines.append(f"    {target} = {self._expression(node)};")
+            elif self.blocks and self.tape.tangents[k].terms and self.tape.tangents[k].varying == varying:
+                target = "const v d" if varying else "c->d"
+                lines += [
+                    f"    {target}{k}_{b} = {self._tangent(self.tape.tangents[k], b)};" for b in range(self.blocks)
+                ]
+        return lines
+
+    @staticmethod
+    def _type(node: Node) -> str:
+        return "int" if node.op in LOGIC or node.op == ca.OP_NOT else "double"
+
+    def _value(self, k: int) -> str:
+        node = self.tape.nodes[k]
+        if node.number is not None:
+            return c_literal(node.number)
+        if node.op == ca.OP_INPUT:
+            return f"{self.inputs[node.args[0]]}[{node.args[1]}]"
+        return f"t{k}" if node.varying else f"c->t{k}"
+
+    def _expression(self, node: Node) -> str:
+        args = [self._value(a) for a in node.args]
+        if node.op in INFIX or node.op in LOGIC:
+            return f"{args[0]} {INFIX.get(node.op) or LOGIC[node.op]} {args[1]}"
+        if node.op in CALLS:
+            return f"{CALLS[node.op]}({', '.join(args)})"
+        if node.op in FORMS:
+            return FORMS[node.op].format(*args)
+        raise UnsupportedOperationError(
+            f"CasADi operation number {node.op} ({operation_name(node.op)}) cannot be written in C;"
+            " write the term without it, or let the interpreted kernel run it"
+        )
+
+    def _lane(self, k: int, block: int) -> str:
+        tangent = self.tape.tangents[k]
+        if tangent.source is not None:
+            return f"d{self.inputs[tangent.source[0]]}[{tangent.source[1]} * NB + {block}]"
+        return f"d{k}_{block}" if tangent.varying else f"c->d{k}_{block}"
+
+    def _tangent(self, tangent: Tangent, block: int) -> str:
+        if tangent.condition is not None:
+            sides = ", ".join("zero" if k is None else self._lane(k, block) for _, k in tangent.terms)
+            return f"pick({self._value(tangent.condition)} != 0, {sides})"
+        text = ""
+        for (coefficient, k), given in zip(tangent.terms, tangent.signs or (1.0,) * len(tangent.terms), strict=True):
+            assert k is not None  # only a choice has a side without tangent
+            plain = coefficient is None or self.tape.nodes[coefficient].number in (1, -1)
+            negative = (given < 0) != (coefficient is not None and self.tape.nodes[coefficient].number == -1)
+            factor = "" if plain or coefficient is None else f"{self._value(coefficient)} * "
+            text += (" - " if negative else " + " if text else "") + factor + self._lane(k, block)
+        return text.strip()
+
+
+def c_literal(value: float) -> str:
+    """A C literal that reads back as the same double."""
+    if value != value:
+        return "NAN"
+    if value in (float("inf"), float("-inf")):
+        return "INFINITY" if value > 0 else "(-INFINITY)"
+    return repr(value) if value >= 0 and repr(value) != "-0.0" else f"({value!r})"

@@ -1,0 +1,102 @@
+"""What a kernel is: all samples of one experiment, with sensitivities, in one call."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from greybox.kernel.record import Record
+
+
+@dataclass(frozen=True, eq=False)
+class GaussNewtonSums:
+    """What a Gauss-Newton step needs of one experiment, along L directions.
+
+    With residuals ``r = (measured - y) * weight`` over the samples that were measured and ``J = dr / d direction``:
+    ``cost = r'r``, ``gradient = J'r`` (L,), so that ``d cost / d direction = 2 J'r``, and ``gauss_newton = J'J`` (L,
+    L). ``squares`` (ny,) are the squared weighted residuals of each output, which add up to ``cost``; ``counts`` (ny,)
+    how many samples of it were used.
+
+    ``failed_at``: None, or the first sample with a state or output that is not finite; then ``cost`` is infinite and
+    the rest zero. It is the number of samples where the simulation went through and only a sensitivity did not.
+    """
+
+    cost: float
+    gradient: np.ndarray
+    gauss_newton: np.ndarray
+    squares: np.ndarray
+    counts: np.ndarray
+    failed_at: int | None = None
+
+
+class Kernel(Protocol):
+    """Runs one `Step` over a `Record`.
+
+    Arguments: coefficients ``q`` (rows, nq), one row for each entry of ``record.lengths`` or one row for all;
+    parameters ``p`` (np,) of the output equations; first state ``x0`` (nx,). Their derivatives along L directions:
+    ``dq`` (rows, nq, L), ``dp`` (np, L), ``dx0`` (nx, L). ``weight`` (ny,) is one over the noise of each output;
+    samples that are NaN in ``record.y`` are left out.
+    """
+
+    name: str
+    description: str
+    reason: str
+
+    def with_substeps(self, substeps: int) -> Kernel:
+        """The same step with another number of substeps in an interval; nothing is compiled anew."""
+
+    def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
+
+    def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
+
+    def sums(
+        self,
+        record: Record,
+        q: np.ndarray,
+        dq: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        x0: np.ndarray,
+        dx0: np.ndarray,
+        weight: np.ndarray,
+        rows: int | None = None,
+    ) -> GaussNewtonSums:
+        """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
+
+    def residuals(
+        self,
+        record: Record,
+        q: np.ndarray,
+        dq: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        x0: np.ndarray,
+        dx0: np.ndarray,
+        weight: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
+
+
+def check_sums(
+    squares: np.ndarray,
+    counts: np.ndarray,
+    gradient: np.ndarray,
+    gauss_newton: np.ndarray,
+    failed_at: int | None,
+    samples: int,
+) -> GaussNewtonSums:
+    """The sums, or an infinite cost where anything was not finite."""
+    with np.errstate(over="ignore", invalid="ignore"):  # that is what is looked for
+        cost, size = float(squares.sum()), float(gauss_newton.trace())
+    # |J'r|^2 is at most J'J r'r, and an entry of J'J at most the product of two on its diagonal.
+    if failed_at is None and not math.isfinite(2 * (cost + size)):  # both are doubled later
+        failed_at = samples
+    if failed_at is not None:
+        zero = np.zeros_like
+        return GaussNewtonSums(np.inf, zero(gradient), zero(gauss_newton), zero(squares), zero(counts), failed_at)
+    return GaussNewtonSums(cost, gradient, gauss_newton, squares, counts)

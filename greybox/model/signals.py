@@ -1,0 +1,163 @@
+"""What a model is made of: states, inputs, outputs and parameters, each with a name and a unit.
+
+A *role* is the field's word for what a signal is in its domain (``displacement``, ``velocity``, ``current``,
+``drive``, ``resistance`` ...). The catalogue's effects speak in roles, so that one Coulomb friction serves every
+plant that has a velocity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from greybox.errors import ModelError, nearest
+
+Expression = Any  # a CasADi SX expression, or a plain number
+
+
+@dataclass(frozen=True)
+class State:
+    """A state variable.
+
+    ``start`` is the value at rest: where a record begins with ``at_rest=True``, and the first guess otherwise; a number, or a
+    function of the parameters (``lambda p: p.P_S / 2``). ``bounds`` are physical: the equations never see the state beyond them
+    (a tank level below zero).
+
+    ``relaxing``: its own rate is linear in itself, ``dz/dt = alpha - beta z`` (``|z|`` may stand for ``z``), and ``beta`` may be
+    large: a bristle, a spool, a winding that warms. The integrators step it by ``exp(-beta h)``, stable for every step.
+
+    ``noise``: process noise, ``dx = rate dt + noise dw`` with a Wiener process ``w``: something random pushes the state. Its intensity
+    in the state's unit over sqrt(s): a number, the name of a parameter (bounded from 0 up; where it is free it is estimated), or a
+    function of the parameters (``lambda p: p.sigma / p.M`` for a random force). A model with some of it is fitted by the error of
+    its predictions from sample to sample; a free run leaves it out.
+
+    ``free_start``: the initial value is estimated for every record, also with ``at_rest=True``: a disturbance from outside does not
+    begin when the record does.
+    """
+
+    name: str
+    unit: str
+    start: float | Callable[[NamedValues], Expression] = 0.0
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    role: str = ""
+    description: str = ""
+    relaxing: bool = False
+    noise: float | str | Callable[[NamedValues], Expression] = 0.0
+    free_start: bool = False
+
+
+@dataclass(frozen=True)
+class Input:
+    """A measured or commanded input."""
+
+    name: str
+    unit: str
+    role: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Output:
+    """A measured output. ``equation(x, u, p)`` gives its value; ``None`` means the state of the same name."""
+
+    name: str
+    unit: str
+    equation: Callable[[NamedValues, NamedValues, NamedValues], Expression] | None = None
+    role: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A physical constant: value and bounds in ``unit``, where the number comes from (``source``), fixed or to be fitted.
+
+    A lower bound above zero makes it a positive constant, which is fitted on a logarithmic scale. ``prior``: what is known of it
+    without the records, as mean and standard deviation of a normal distribution (``(0.0100, 0.0001)`` for a weighed mass).
+    """
+
+    name: str
+    unit: str
+    value: float
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    fixed: bool = False
+    source: str = ""
+    role: str = ""
+    description: str = ""
+    prior: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        low, high = self.bounds
+        if not low < high:
+            raise ModelError(
+                f"parameter {self.name!r}: bounds [{low:g}, {high:g}] {self.unit} are empty; give (low, high) with low < high"
+            )
+        if not math.isfinite(self.value):
+            raise ModelError(
+                f"parameter {self.name!r}: value {self.value} is not a finite number; give a rough physical value in {self.unit}"
+            )
+        unit = "" if self.unit.strip() in ("", "-", "1") else f" {self.unit}"
+        if not low <= self.value <= high:
+            raise ModelError(
+                f"parameter {self.name!r}: {self.value:g}{unit} lies outside its bounds [{low:g}, {high:g}]{unit};"
+                f" give a value inside, or widen them with model.bound({self.name}=(low, high))"
+            )
+
+        if self.prior is not None:
+            _check_prior(self.name, self.unit, self.prior, self.bounds)
+
+    @property
+    def positive(self) -> bool:
+        """Whether the constant can only be positive (fitted on a logarithmic scale)."""
+        return self.bounds[0] > 0
+
+
+def _check_prior(name: str, unit: str, prior: tuple[float, float], bounds: tuple[float, float]) -> None:
+    mean, std = prior
+    if not (math.isfinite(mean) and math.isfinite(std) and std > 0):
+        raise ModelError(
+            f"parameter {name!r}: prior {mean:g} +- {std:g} {unit}: give a finite mean and a standard deviation above zero"
+        )
+    if not bounds[0] <= mean <= bounds[1]:
+        raise ModelError(
+            f"parameter {name!r}: prior mean {mean:g} {unit} lies outside its bounds [{bounds[0]:g}, {bounds[1]:g}] {unit};"
+            f" correct the prior, or widen them with model.bound({name}=(low, high))"
+        )
+
+
+Quantity = State | Input | Output | Parameter
+
+
+class NamedValues:
+    """Values reached by name or by role: ``x.v``, ``u.u``, ``p.Kf``, ``x.velocity``. An unknown name lists the nearest ones."""
+
+    __slots__ = ("_kind", "_roles", "_values")
+
+    def __init__(self, kind: str, values: Mapping[str, Expression], roles: Mapping[str, str] | None = None) -> None:
+        self._kind = kind
+        self._values = dict(values)
+        self._roles = dict(roles or {})
+
+    def __getattr__(self, name: str) -> Expression:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        key = name if name in self._values else self._roles.get(name, name)
+        if key not in self._values:
+            raise ModelError(f"no {self._kind} {name!r}; {nearest(name, self.names)}")
+        return self._values[key]
+
+    def __getitem__(self, name: str) -> Expression:
+        return self.__getattr__(name)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._values or name in self._roles
+
+    @property
+    def names(self) -> list[str]:
+        """Every name and role that can be asked for."""
+        return [*self._values, *(r for r in self._roles if r not in self._values)]
+
+    def replaced(self, values: Mapping[str, Expression], roles: Mapping[str, str] | None = None) -> NamedValues:
+        """The same names with some values (and roles) replaced or added."""
+        return NamedValues(self._kind, self._values | dict(values), self._roles | dict(roles or {}))

@@ -1,0 +1,214 @@
+"""IPOPT on a sum of squares: cost, gradient and Gauss-Newton matrix from one call."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.optim.damped_gauss_newton import run_damped_gauss_newton
+from greybox.optim.gradient_sampling import run_gradient_sampling
+from greybox.optim.minimisation import Minimisation, stop_on_interrupt
+from greybox.optim.status import (
+    IPOPT_STATUS,
+    IterationCallback,
+    MinimisationResult,
+    QuadraticModel,
+    TerminationStatus,
+    TerminationTest,
+)
+
+# Where IPOPT gives up, another method may not.
+ASTRAY = (TerminationStatus.STUCK, TerminationStatus.FAILED)
+
+
+def minimise(
+    evaluate: Callable[[np.ndarray], QuadraticModel],
+    start: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    *,
+    scale: float = 1.0,
+    first: QuadraticModel | None = None,
+    tolerance: float = 1e-8,
+    iterations: int = 200,
+    finished: TerminationTest | None = None,
+    thorough: bool = True,
+    progress: IterationCallback | None = None,
+) -> MinimisationResult:
+    """Minimise ``evaluate(z).cost`` within bounds; an infinite cost is a step that IPOPT shortens.
+
+    ``scale`` divides the cost. ``first`` is ``evaluate(start)`` where the caller has it already. ``finished(z, value)`` is asked at the
+    start and after every iteration about the best point so far, and may end the search with a status: a statistical rule knows
+    better than a gradient norm when nothing is left to gain. Where a step is shortened again and again for nothing, or IPOPT finds
+    none, damped Gauss-Newton steps go on from the best point; where they gain nothing either, the cost has a kink and its gradient
+    misleads: the search goes on without it (``thorough``) or ends. Ctrl-C ends it too; the best point so far is kept. What
+    ``evaluate`` raises is raised here.
+    """
+    began = time.perf_counter()
+    search = Minimisation(evaluate, scale, finished, progress)
+    if first is not None:
+        search.keep(start, first)
+    if not np.isfinite(search(start).cost):
+        return MinimisationResult(
+            start, np.inf, TerminationStatus.NO_START, 0, search.evaluations, time.perf_counter() - began
+        )
+    word, count = "", 0
+    if len(start) == 0:
+        status = TerminationStatus.CONVERGED
+    elif search.enough():
+        status = search.done or TerminationStatus.CONVERGED
+    else:
+        with stop_on_interrupt(search):
+            word, count = _run(search, start, low, high, tolerance, iterations)
+            if (search.lost or IPOPT_STATUS.get(word, TerminationStatus.FAILED) in ASTRAY) and not (
+                search.stop or search.done
+            ):
+                _go_on(search, low, high, thorough)
+        status = search.done or (
+            TerminationStatus.INTERRUPTED if search.stop else IPOPT_STATUS.get(word, TerminationStatus.FAILED)
+        )
+    z, seconds = np.clip(search.best, low, high), time.perf_counter() - began
+    return MinimisationResult(z, search.best_cost, status, count, search.evaluations, seconds, word, search.best_value)
+
+
+def _go_on(search: Minimisation, low: np.ndarray, high: np.ndarray, thorough: bool) -> None:
+    """Where IPOPT finds no step that gains: either the search strayed from a smooth optimum, or the cost has a kink."""
+    if run_damped_gauss_newton(search, low, high) or search.stop:
+        return
+    search.done = run_gradient_sampling(search, low, high) if thorough else TerminationStatus.STUCK
+
+
+class _Callback(ca.Callback):
+    """One of the four functions IPOPT wants, reading and writing CasADi's memory in place."""
+
+    def __init__(self, name: str, owner: _Solver, inputs: list[ca.Sparsity], outputs: list[ca.Sparsity]) -> None:
+        ca.Callback.__init__(self)
+        self.owner, self.inputs, self.outputs = owner, inputs, outputs
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return len(self.inputs)
+
+    def get_n_out(self) -> int:
+        return len(self.outputs)
+
+    def get_sparsity_in(self, index: int) -> ca.Sparsity:
+        return self.inputs[index]
+
+    def get_sparsity_out(self, index: int) -> ca.Sparsity:
+        return self.outputs[index]
+
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arg: list[memoryview], res: list[memoryview]) -> int:
+        """Fill ``res``; CasADi cannot carry an exception, so it is kept, the point counts as impossible, and the search ends."""
+        search = self.owner.search
+        outputs = [None if r is None else np.frombuffer(r) for r in res]
+        try:
+            if search.error is None:
+                self.fill(search, [None if a is None else np.frombuffer(a) for a in arg], outputs)
+                return 0
+        except BaseException as error:
+            search.error = error
+        for values in outputs:
+            if values is not None:
+                values[:] = np.inf
+        return 0
+
+    def fill(self, search: Minimisation, arg: list, res: list) -> None:
+        """Write the results for one point."""
+        raise NotImplementedError
+
+
+class _Cost(_Callback):
+    def fill(self, search: Minimisation, arg: list, res: list) -> None:
+        res[0][0] = search(arg[0]).cost / search.scale
+
+
+class _Gradient(_Callback):
+    def fill(self, search: Minimisation, arg: list, res: list) -> None:
+        value = search(arg[0])
+        if res[0] is not None:
+            res[0][0] = value.cost / search.scale
+        if res[1] is not None:
+            res[1][:] = value.gradient / search.scale
+
+
+class _Hessian(_Callback):
+    def fill(self, search: Minimisation, arg: list, res: list) -> None:
+        factor = (0.0 if arg[2] is None else arg[2][0]) / search.scale
+        res[0][:] = factor * search(arg[0]).hessian[self.owner.triangle]
+
+
+class _Watch(_Callback):
+    """Called after every iteration."""
+
+    def fill(self, search: Minimisation, arg: list, res: list) -> None:
+        res[0][0] = search.iterated()
+
+
+class _Solver:
+    """IPOPT for ``n`` variables. Making one costs as much as several iterations, so it is kept and given one search after another."""
+
+    def __init__(self, n: int, tolerance: float, iterations: int) -> None:
+        column, one, none, empty = (
+            ca.Sparsity.dense(n, 1),
+            ca.Sparsity.dense(1, 1),
+            ca.Sparsity(0, 1),
+            ca.Sparsity(0, 0),
+        )
+        self.search: Any = None
+        # Symmetric: the rows of the lower triangle are the columns of the upper one.
+        self.triangle = np.tril_indices(n)
+        cost = _Cost("cost", self, [column], [one])
+        gradient = _Gradient("nlp_grad_f", self, [column, empty], [one, column])
+        hessian = _Hessian("nlp_hess_l", self, [column, empty, one, none], [ca.Sparsity.upper(n)])
+        watch = _Watch("watch", self, [_watched(ca.nlpsol_out(i), n) for i in range(ca.nlpsol_n_out())], [one])
+        # CasADi keeps only weak references to Python callbacks: they must live as long as the solver.
+        self.callbacks = (cost, gradient, hessian, watch)
+        options = {
+            "grad_f": gradient, "hess_lag": hessian, "no_nlp_grad": True, "iteration_callback": watch, "print_time": False,
+            "show_eval_warnings": False,
+            "ipopt": {
+                "print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": iterations, "mu_strategy": "adaptive",
+                "bound_relax_factor": 0.0, "bound_push": 1e-8, "bound_frac": 1e-8, "nlp_scaling_method": "none",
+            },
+        }  # fmt: skip
+        z = ca.MX.sym("z", n)
+        self.function = ca.nlpsol("fit", "ipopt", {"x": z, "f": cost(z)}, options)
+
+
+_idle: dict[tuple[int, float, int], list[_Solver]] = {}
+
+
+def _run(
+    search: Minimisation, start: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float, iterations: int
+) -> tuple[str, int]:
+    """IPOPT's last word and the number of its iterations."""
+    key = len(start), tolerance, iterations
+    shelf = _idle.setdefault(key, [])
+    try:
+        solver = shelf.pop()  # in one step, so that two threads never share a solver
+    except IndexError:
+        solver = _Solver(*key)
+    solver.search = search
+    solver.function(x0=start, lbx=low, ubx=high)
+    stats = solver.function.stats()
+    solver.search = None
+    shelf.append(solver)
+    if search.error is not None:
+        raise search.error
+    return stats["return_status"], int(stats["iter_count"])
+
+
+def _watched(name: str, n: int) -> ca.Sparsity:
+    if name == "f":
+        return ca.Sparsity.dense(1, 1)
+    if name in ("x", "lam_x"):
+        return ca.Sparsity.dense(n, 1)
+    return ca.Sparsity(0, 1) if name in ("g", "lam_g") else ca.Sparsity(0, 0)

@@ -1,0 +1,109 @@
+"""The statistics behind the residual tests: each returns a figure and a p-value. Series may hold NaN in gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import chdtrc
+
+from greybox.estimation.sandwich import compute_toeplitz_form
+from greybox.noise import AutoRegression
+
+# Directions of the lagged inputs with less than this share of the largest variance are one another's copies.
+REDUNDANT = 1e-8
+
+
+def ljung_box_test(series: np.ndarray, lags: int) -> tuple[float, float]:
+    """``Q = n (n + 2) sum rho_k^2 / (n - k)`` over lags 1 ... ``lags``, chi-square for white noise (Ljung and Box 1978).
+
+    Over a gap a lag has fewer pairs; each correlation is weighted by its own number of pairs.
+    """
+    r = series - np.nanmean(series)
+    there = np.isfinite(r)
+    r = np.where(there, r, 0.0)
+    n, square = int(there.sum()), float(r @ r)
+    if square == 0:
+        return 0.0, 1.0
+    figure = 0.0
+    for k in range(1, lags + 1):
+        pairs = int((there[k:] & there[:-k]).sum())
+        if pairs:
+            figure += n * (n + 2) * (float(r[k:] @ r[:-k]) / square) ** 2 / pairs
+    return figure, float(chdtrc(lags, figure))
+
+
+def lagged_matrix(signal: np.ndarray, lags: int) -> np.ndarray:
+    """``signal`` (N,) less its mean, delayed by 0 ... ``lags`` samples (N, lags + 1), zero before it began."""
+    signal = signal - signal.mean()
+    return np.column_stack([np.concatenate([np.zeros(k), signal[: len(signal) - k]]) for k in range(lags + 1)])
+
+
+def input_independence_test(
+    residuals: Sequence[np.ndarray], regressors: Sequence[np.ndarray], colour: AutoRegression
+) -> tuple[float, float]:
+    """``c' P^+ c`` with ``c = sum U'r`` of the regressors U (N, m) and its covariance ``P = sum U' R U``, chi-square if unrelated.
+
+    R is the covariance of the residual as the autoregression ``colour`` has it: for coloured residuals the white-noise
+    formula takes chance for dependence (Ljung, System identification, 2nd ed., section 16.6).
+    """
+    size = regressors[0].shape[1]
+    c, p = np.zeros(size), np.zeros((size, size))
+    everything = np.concatenate(residuals)
+    variance = float(np.nanmean(everything**2))
+    if variance == 0 or not np.isfinite(variance):
+        return 0.0, 1.0
+    for r, u in zip(residuals, regressors, strict=True):
+        there = np.isfinite(r)
+        u = np.where(there[:, None], u, 0.0)
+        c += u.T @ np.where(there, r, 0.0)
+        p += variance * compute_toeplitz_form(u, colour.autocorrelation(len(r)))
+    scale = np.sqrt(np.diag(p))
+    scale[scale == 0] = 1.0
+    values, vectors = np.linalg.eigh(p / np.outer(scale, scale))
+    kept = values > REDUNDANT * max(values.max(initial=0.0), 1e-300)
+    if not kept.any():
+        return 0.0, 1.0
+    figure = float(np.sum((vectors[:, kept].T @ (c / scale)) ** 2 / values[kept]))
+    return figure, float(chdtrc(int(kept.sum()), figure))
+
+
+def normality_test(series: np.ndarray) -> tuple[float, float]:
+    """Jarque and Bera's statistic of skewness and kurtosis, chi-square with two degrees of freedom for a normal sample."""
+    usable = series[np.isfinite(series)]
+    if len(usable) < 8 or np.ptp(usable) == 0:
+        return 0.0, 1.0
+    from scipy.stats import jarque_bera  # half a second to import
+
+    found = jarque_bera(usable)
+    return float(found.statistic), float(found.pvalue)
+
+
+def equal_variance_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Levene's statistic of equal variance over blocks, about the medians (Brown and Forsythe 1974): robust to heavy tails."""
+    if len(blocks) < 2 or all(np.ptp(b) == 0 for b in blocks):
+        return 0.0, 1.0
+    from scipy.stats import levene  # half a second to import
+
+    found = levene(*blocks, center="median")
+    return float(found.statistic), float(found.pvalue)
+
+
+def equal_mean_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
+    """The F statistic of equal means over blocks."""
+    if len(blocks) < 2 or all(np.ptp(b) == 0 for b in blocks):
+        return 0.0, 1.0
+    from scipy.stats import f_oneway  # half a second to import
+
+    found = f_oneway(*blocks)
+    return float(found.statistic), float(found.pvalue)
+
+
+def split_into_blocks(residuals: Sequence[np.ndarray], count: int, least: int) -> list[np.ndarray]:
+    """Usable values of consecutive parts, about ``count`` over all records in proportion to their rows, ``least`` values at least."""
+    total = sum(len(r) for r in residuals)
+    parts: list[np.ndarray] = []
+    for r in residuals:
+        pieces = np.array_split(r, max(1, round(count * len(r) / total)))
+        parts += [p[np.isfinite(p)] for p in pieces]
+    return [p for p in parts if len(p) >= least]

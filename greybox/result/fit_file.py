@@ -1,0 +1,272 @@
+"""Fits as JSON files, written and read without loss."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greybox.errors import DataError
+from greybox.model import Model
+from greybox.model.process_noise import intensity_name
+from greybox.result.fit import (
+    Estimate,
+    Fit,
+    FitConstraints,
+    FitDiscretisation,
+    FitNoise,
+    FitUncertainty,
+    Misfit,
+    PredictionErrors,
+    PriorCheck,
+    Provenance,
+    RobustReport,
+    SolverReport,
+    StartResult,
+    Trace,
+    Validation,
+)
+
+FORMAT = 1
+# Names in the code whose key in the file is older.
+_OPTION_KEYS = {"per_experiment": "own"}
+_OPTION_NAMES = {key: name for name, key in _OPTION_KEYS.items()}
+
+
+def save_fit(fit: Fit, path: str | Path) -> Path:
+    """Write ``fit`` to ``path`` (folders are made); numbers that are not finite become null."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(format_json(to_json_data(fit_data(fit))) + "\n", encoding="utf-8")
+    return target
+
+
+def fit_data(fit: Fit) -> dict[str, Any]:
+    """``fit`` under the keys of ``fit.json``, which are flat and stay the same from version to version."""
+    return {
+        "format": FORMAT,
+        "model": fit.model.name,
+        "effects": [e.name for e in fit.model.effects],
+        "status": fit.solver.status,
+        "success": fit.solver.success,
+        "meaning": fit.solver.status_message,
+        "parameters": fit.parameters,
+        "misfit": fit.misfit,
+        "traces": fit.traces,
+        "free": fit.uncertainty.free,
+        "covariance": fit.uncertainty.covariance,
+        "noise": fit.noise.std,
+        "noise_source": fit.noise.source,
+        "discretisation": fit.discretisation.label,
+        "integration_error": fit.discretisation.error,
+        "cost": fit.solver.cost,
+        "solver": fit.solver.statistics,
+        "options": {_OPTION_KEYS.get(name, name): value for name, value in fit.provenance.options.items()},
+        "equations": fit.provenance.equations,
+        "versions": fit.provenance.versions,
+        "notes": fit.notes,
+        "validation": fit.validation.misfit,
+        "validation_traces": fit.validation.traces,
+        "noise_sources": fit.noise.sources,
+        "noise_colour": fit.noise.colour,
+        "interval_kind": fit.uncertainty.kind,
+        "inflation": fit.uncertainty.inflation,
+        "discretisation_shift": fit.discretisation.shift,
+        "tied": fit.constraints.tied,
+        "ties": fit.constraints.ties,
+        "own": fit.constraints.per_experiment,
+        "priors": {name: _prior_data(check) for name, check in fit.constraints.priors.items()},
+        "loss": fit.robust.name,
+        "loss_scale": fit.robust.scale,
+        "outliers": fit.robust.outliers,
+        "ends": fit.starts,
+        "process_noise": fit.prediction.process_noise,
+        "prediction": fit.prediction.one_step,
+        "log_likelihood": fit.prediction.log_likelihood,
+    }
+
+
+def format_json(data: Mapping[str, Any]) -> str:
+    """JSON with a line for each entry of the two outer levels: readable, and long arrays stay on one line."""
+    rows = []
+    for key, value in data.items():
+        if isinstance(value, dict) and value:
+            inner = ",\n".join(f"  {json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in value.items())
+            rows.append(f" {json.dumps(key)}: {{\n{inner}\n }}")
+        else:
+            rows.append(f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}")
+    return "{\n" + ",\n".join(rows) + "\n}"
+
+
+def to_json_data(value: Any) -> Any:
+    """``value`` as JSON knows it: arrays become lists, dataclasses dictionaries, NaN and infinities None."""
+    if isinstance(value, np.ndarray):
+        return to_json_data(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(k): to_json_data(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [to_json_data(v) for v in value]
+    if isinstance(value, (bool, str)) or value is None:
+        return value
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return to_json_data({name: getattr(value, name) for name in value.__dataclass_fields__})
+
+
+def load_fit(path: str | Path, model: Model) -> Fit:
+    """Read a fit that `Fit.save` wrote. ``model`` states its equations (effects included); it gets the fitted values.
+
+    Raises DataError where the file is not a fit, or belongs to another model.
+    """
+    source = Path(path)
+    try:
+        data = json.loads(source.read_text(encoding="utf-8"))
+    except (OSError, json.JSONDecodeError) as error:
+        raise DataError(f"{source}: not a readable fit ({error}); give the fit.json that a fit has written") from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT or "parameters" not in data:
+        raise DataError(
+            f"{source}: not a fit of this program (format {FORMAT}); give the fit.json that a fit has written"
+        )
+    if data["model"] != model.name or data["effects"] != [e.name for e in model.effects]:
+        said = " + ".join([data["model"], *data["effects"]])
+        raise DataError(f"{source}: belongs to the model {said}, not to {model.title}; give that model")
+    parameters = _estimates(data["parameters"])
+    fixed = [n for n, e in parameters.items() if e.fixed]
+    model = _as_fitted(source, _as_pushed(model, data), data)
+    fitted = model.free(*(n for n, e in parameters.items() if not e.fixed)).fix(*fixed)
+    fitted = fitted.start(**{n: e.value for n, e in parameters.items()})
+    get = data.get  # the first files of this format lack some of the keys
+    return Fit(
+        model=fitted,
+        parameters=parameters,
+        misfit=_misfits(data["misfit"]),
+        traces=_traces(data["traces"]),
+        solver=SolverReport(data["status"], data["success"], data["meaning"], _number(data["cost"]), data["solver"]),
+        noise=FitNoise(
+            _numbers(data["noise"]),
+            data["noise_source"],
+            dict(get("noise_sources", {})),
+            {n: tuple(k) for n, k in get("noise_colour", {}).items()},
+        ),
+        uncertainty=FitUncertainty(
+            tuple(data["free"]),
+            _array(data["covariance"]).reshape(len(data["free"]), -1),
+            get("interval_kind", "gauss_newton"),
+            _numbers(get("inflation", {})),
+        ),
+        discretisation=FitDiscretisation(
+            data["discretisation"], _numbers(data["integration_error"]), _numbers(get("discretisation_shift", {}))
+        ),
+        provenance=Provenance(
+            {_OPTION_NAMES.get(key, key): value for key, value in data["options"].items()},
+            data["equations"],
+            data["versions"],
+        ),
+        validation=Validation(_misfits(data["validation"]), _traces(data["validation_traces"])),
+        constraints=FitConstraints(
+            dict(get("ties", {})),
+            _estimates(get("tied", {})),
+            {name: _estimates(each) for name, each in get("own", {}).items()},
+            {name: _prior_check(each) for name, each in get("priors", {}).items()},
+        ),
+        robust=RobustReport(get("loss", ""), _numbers(get("loss_scale", {})), _numbers(get("outliers", {}))),
+        prediction=PredictionErrors(
+            _numbers(get("process_noise", {})), _misfits(get("prediction", {})), get("log_likelihood")
+        ),
+        starts=tuple(
+            StartResult(**{**e, "noise_ratio": math.inf if e["noise_ratio"] is None else e["noise_ratio"]})
+            for e in get("ends", ())
+        ),
+        notes=tuple(data["notes"]),
+    )
+
+
+def _prior_data(check: PriorCheck) -> dict[str, float | None]:
+    return {
+        "mean": check.mean,
+        "std": check.std,
+        "moved": check.shift,
+        "learnt": check.variance_reduction,
+        "conflict": check.conflict,
+    }
+
+
+def _prior_check(data: Mapping[str, Any]) -> PriorCheck:
+    return PriorCheck(data["mean"], data["std"], _number(data["moved"]), data["learnt"], data["conflict"])
+
+
+def _as_pushed(model: Model, data: Mapping[str, Any]) -> Model:
+    """``model`` with the process noise of a fit, where it was added to it (`Model.with_process_noise`)."""
+    states = [s for s in data.get("process_noise", {}) if s in model.system.state_names and s not in model.noisy_states]
+    estimated = [s for s in states if intensity_name(s) in data["parameters"] and intensity_name(s) not in model.values]
+    known = {
+        s: data["process_noise"][s] for s in states if s not in estimated and intensity_name(s) not in model.values
+    }
+    return model.with_process_noise(*estimated, **known) if states else model
+
+
+def _as_fitted(source: Path, model: Model, data: Mapping[str, Any]) -> Model:
+    """``model`` with the ties and priors of a fit; a model with other ties is refused with DataError."""
+    ties = dict(data.get("ties", {}))
+    said = {tie.name: tie.formula for tie in model.ties}
+    if said and said != ties:
+        text = ", ".join(f"{name} = {formula}" for name, formula in ties.items()) or "none"
+        raise DataError(f"{source}: has other ties than the model ({text}); give the model without ties, or with these")
+    model = model if said or not ties else model.start(**_known(model, data)).with_ties(ties)
+    # Of a constant that each experiment has for itself the label is 'B (day 1)'.
+    priors = {label.partition(" (")[0]: (c["mean"], c["std"]) for label, c in data.get("priors", {}).items()}
+    return model.prior(**priors) if priors else model
+
+
+def _known(model: Model, data: Mapping[str, Any]) -> dict[str, float]:
+    """The fitted values of the constants that ``model`` has."""
+    return {n: e["value"] for n, e in data["parameters"].items() if n in model.values}
+
+
+def _estimates(data: Mapping[str, dict]) -> dict[str, Estimate]:
+    return {n: Estimate(**{**e, "interval": _pair(e["interval"])}) for n, e in data.items()}
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _numbers(values: Mapping[str, float | None]) -> dict[str, float]:
+    return {name: _number(value) for name, value in values.items()}
+
+
+def _pair(values: list | None) -> tuple[float, float] | None:
+    if values is None:
+        return None
+    low, high = values
+    return (-math.inf if low is None else low, math.inf if high is None else high)
+
+
+def _array(values: list) -> np.ndarray:
+    return np.array(values, dtype=float)  # None becomes NaN
+
+
+def _misfits(data: Mapping[str, dict]) -> dict[str, Misfit]:
+    return {
+        o: Misfit(**{**m, **{k: _number(m[k]) for k in ("rmse", "best_fit_percent", "noise_ratio")}})
+        for o, m in data.items()
+    }
+
+
+def _traces(data: Sequence[dict]) -> tuple[Trace, ...]:
+    def arrays(group: Mapping[str, list]) -> dict[str, np.ndarray]:
+        return {name: _array(values) for name, values in group.items()}
+
+    return tuple(
+        Trace(
+            t["name"], t["fingerprint"], _array(t["time"]), arrays(t["measured"]), arrays(t["simulated"]), t["initial_state"],
+            arrays(t.get("inputs", {})), t.get("hold", "zero"), t.get("conditions", {}),
+        )
+        for t in data
+    )  # fmt: skip

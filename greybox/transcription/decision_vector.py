@@ -1,0 +1,285 @@
+"""The decision vector of a fit: scaled constants, shared or of one experiment, then each experiment's free initial states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from greybox.model import Model
+from greybox.model.signals import Parameter
+from greybox.transcription.conditions import apply_conditions, check_own_constants, resolve_conditions
+
+# A bound counts as active within this share of the distance to the other bound (or of the scale, if there is none).
+ACTIVE = 1e-6
+# The owner of a constant that all experiments have in common.
+SHARED = -1
+
+
+@dataclass(frozen=True)
+class InitialStates:
+    """How the records begin.
+
+    ``guess`` (experiments, nx): values to start from; ``free`` (nx,): which states are estimated. A state that is not free
+    has its declared start value, which may depend on the parameters.
+    """
+
+    guess: np.ndarray
+    free: np.ndarray
+    scale: np.ndarray
+
+
+@dataclass(frozen=True)
+class DecisionVector:
+    """Map between the optimiser's numbers ``z`` and physical ones.
+
+    A constant that can only be positive is ``value * exp(z)``, another one ``value + scale * z``; an initial state is
+    ``guess + scale * z``. ``z = 0`` is the start. ``conditions`` are the constants that an experiment brings itself (position in
+    ``system.p`` -> value, one mapping for each experiment or none at all): they take the place of the model's and are not fitted.
+
+    A constant may have a value of its own in each experiment: then it stands in ``names`` once for each of them, as ``B (day 1)``,
+    and ``owner`` says for which; without an experiment it counts with the mean of these values (the geometric one where positive).
+    ``groups``: to which experiment each record belongs, where records are pieces of experiments. ``prior`` (nf, 2): mean and
+    standard deviation of what is known of each constant without the records; infinite where nothing is.
+    """
+
+    model: Model
+    names: tuple[str, ...]
+    which: np.ndarray  # (nf,) position of each free constant in system.p
+    owner: np.ndarray  # (nf,) the experiment whose own constant it is; SHARED for one of all
+    logarithmic: np.ndarray  # (nf,) bool
+    base: np.ndarray  # (nf,) value at z = 0
+    scale: np.ndarray  # (nf,) used where not logarithmic
+    low: np.ndarray
+    high: np.ndarray
+    prior: np.ndarray
+    fixed: np.ndarray  # (np,) values of all parameters at the start
+    initial: InitialStates
+    groups: tuple[int, ...]
+    conditions: tuple[Mapping[int, float], ...] = ()
+
+    @classmethod
+    def of(
+        cls, model: Model, initial: InitialStates, conditions: Sequence[Mapping[str, float]] = (), own: Sequence[str] = (),
+        experiments: Sequence[str] = (),
+    ) -> DecisionVector:  # fmt: skip
+        """The free constants of ``model`` at their present values; ``conditions``: name -> value for each experiment.
+
+        ``own``: constants that each of the ``experiments`` (their names) has for itself, but for those that bring them as a condition.
+        Raises ModelError for conditions or own constants that do not go with the model, see `resolve_conditions` and `check_own_constants`.
+        """
+        count = len(initial.guess)
+        given = resolve_conditions(model, conditions, own)
+        check_own_constants(model, own, count)
+        places = _places(model, own, given, count)
+        free = [model.all_parameters[k] for k, _ in places]
+        base = np.array([q.value for q in free], float)
+        titles = make_unique(experiments or [f"experiment {e + 1}" for e in range(count)])
+        return cls(
+            model, tuple(q.name if e == SHARED else f"{q.name} ({titles[e]})" for q, (_, e) in zip(free, places, strict=True)),
+            np.array([k for k, _ in places], int), np.array([e for _, e in places], int),
+            np.array([q.positive for q in free], bool), base, np.where(base == 0, 1.0, np.abs(base)),
+            np.array([q.bounds[0] for q in free], float), np.array([q.bounds[1] for q in free], float),
+            np.array([q.prior or (0.0, np.inf) for q in free], float).reshape(-1, 2),
+            np.array([q.value for q in model.all_parameters], float), initial, tuple(range(count)), given,
+        )  # fmt: skip
+
+    @property
+    def experiments(self) -> int:
+        """Number of experiments."""
+        return len(self.initial.guess)
+
+    @cached_property
+    def free_states(self) -> np.ndarray:
+        """Numbers of the initial states that are estimated in each experiment."""
+        return np.flatnonzero(self.initial.free)
+
+    @property
+    def size(self) -> int:
+        """Length of ``z``."""
+        return len(self.which) + self.experiments * len(self.free_states)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What each entry of ``z`` stands for."""
+        states = self.model.system.state_names
+        return (
+            *self.names,
+            *(f"{states[j]}(0) of experiment {e + 1}" for e in range(self.experiments) for j in self.free_states),
+        )
+
+    @property
+    def quantities(self) -> tuple[Parameter, ...]:
+        """The parameter that each free constant is."""
+        everything = self.model.all_parameters
+        return tuple(everything[k] for k in self.which)
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds on ``z``; initial states have their state's physical bounds."""
+        span = np.where(self.logarithmic, 1.0, self.scale)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            low = np.where(self.logarithmic, np.log(self.low / self.base), (self.low - self.base) / span)
+            high = np.where(self.logarithmic, np.log(self.high / self.base), (self.high - self.base) / span)
+        states = self.model.all_states
+        for e in range(self.experiments):
+            edges = np.array([states[j].bounds for j in self.free_states]).reshape(-1, 2)
+            guess, scale = self.initial.guess[e, self.free_states], self.initial.scale[self.free_states]
+            low = np.concatenate([low, (edges[:, 0] - guess) / scale])
+            high = np.concatenate([high, (edges[:, 1] - guess) / scale])
+        return low, high
+
+    def constants(self, z: np.ndarray) -> np.ndarray:
+        """The free constants (nf,) at ``z``, clipped to their bounds (an optimiser may overstep them by a hair)."""
+        step = z[: len(self.which)]
+        with np.errstate(over="ignore", invalid="ignore"):
+            grown = self.base * np.exp(np.where(self.logarithmic, step, 0.0))
+            free = np.where(self.logarithmic, grown, self.base + self.scale * step)
+            near = 1e-9 * np.abs(free)  # exp(log(bound)) is not the bound
+            below, above = free - self.low <= near, self.high - free <= near
+        return np.where(below, self.low, np.where(above, self.high, free)) if below.any() or above.any() else free
+
+    def parameters(self, z: np.ndarray, experiment: int | None = None) -> np.ndarray:
+        """All parameters (np,) at ``z``.
+
+        With ``experiment`` under the conditions of that one and with its own constants, else as the model has them.
+        """
+        free, p = self.constants(z), self.fixed.copy()
+        shared = self.owner == SHARED
+        p[self.which[shared]] = free[shared]
+        if shared.all():
+            return apply_conditions(p, self.conditions[experiment]) if self.conditions and experiment is not None else p
+        if experiment is None:
+            for place in np.unique(self.which[~shared]):
+                same = (self.which == place) & ~shared
+                p[place] = average_own_values(free[same], bool(self.logarithmic[same][0]))
+            return p
+        mine = self.owner == self.groups[experiment]
+        p[self.which[mine]] = free[mine]
+        return apply_conditions(p, self.conditions[experiment]) if self.conditions else p
+
+    def slopes(self, p: np.ndarray, experiment: int) -> np.ndarray:
+        """d p / d z of the free constants (nf,) at the parameters ``p`` of an experiment; zero for what belongs to another one."""
+        return np.where(self.is_foreign(experiment), 0.0, np.where(self.logarithmic, p[self.which], self.scale))
+
+    @property
+    def spans(self) -> np.ndarray:
+        """Change of each free constant (nf,) with its ``z`` at ``z = 0``."""
+        return np.where(self.logarithmic, self.base, self.scale)
+
+    def is_foreign(self, experiment: int) -> np.ndarray:
+        """Which free constants (nf,) are another experiment's own."""
+        return (self.owner != SHARED) & (self.owner != self.groups[experiment])
+
+    def penalty(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """What the priors add to the cost at ``z``, its slope (nf,) and its curvature (nf,): one more squared residual each."""
+        free = self.constants(z)
+        away = (free - self.prior[:, 0]) / self.prior[:, 1]
+        slope = np.where(self.logarithmic, free, self.scale) / self.prior[:, 1]
+        return float(away @ away), 2 * away * slope, 2 * slope**2
+
+    @cached_property
+    def held(self) -> np.ndarray:
+        """Which free constants (nf,) have a prior."""
+        return np.isfinite(self.prior[:, 1])
+
+    def columns(self, experiment: int) -> np.ndarray:
+        """Which entries of ``z`` concern one experiment (other experiments' own constants among them, without any influence)."""
+        n, each = len(self.which), len(self.free_states)
+        return np.concatenate([np.arange(n), n + experiment * each + np.arange(each)])
+
+    def compute_initial_state(self, z: np.ndarray, p: np.ndarray, experiment: int) -> tuple[np.ndarray, np.ndarray]:
+        """Initial state (nx,) of one experiment and its slopes (nx, L) along `columns`."""
+        x0, slope = self._start(p)
+        n, free = len(self.which), self.free_states
+        dx0 = np.zeros((len(x0), n + len(free)))
+        dx0[:, :n] = slope[:, self.which] * self.slopes(p, experiment)
+        own = z[self.columns(experiment)[n:]]
+        x0[free] = self.initial.guess[experiment, free] + self.initial.scale[free] * own
+        dx0[free, :n] = 0.0
+        dx0[free, n + np.arange(len(free))] = self.initial.scale[free]
+        return x0, dx0
+
+    def _start(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The declared initial state (nx,) and its slope along all parameters."""
+        system = self.model.system
+        if system.constant_start is not None:
+            return system.constant_start.copy(), np.zeros((len(system.constant_start), len(p)))
+        x0, slope = (np.asarray(value) for value in system.start_function(p))
+        return x0.ravel(), slope
+
+    def rescale(self, cost: float, curvature: np.ndarray) -> DecisionVector:
+        """Linear scales chosen so that a step of one in ``z`` changes the cost by about itself.
+
+        ``curvature`` (size,) is the diagonal of the Gauss-Newton matrix at ``z = 0``. Entries without influence keep their scale.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = np.sqrt(cost / curvature)
+        factor = np.where(np.isfinite(factor) & (factor > 0), factor, 1.0)
+        n, each = len(self.which), len(self.free_states)
+        scale = np.where(self.logarithmic, self.scale, self.scale * factor[:n])
+        states = self.initial.scale.copy()
+        if each:
+            states[self.free_states] *= np.exp(np.log(factor[n:]).reshape(-1, each).mean(axis=0))
+        return replace(self, scale=scale, initial=replace(self.initial, scale=states))
+
+    def moved(self, z: np.ndarray) -> DecisionVector:
+        """The same variables with ``z = 0`` at the given point."""
+        p = self.parameters(z)
+        guess = np.array([self.compute_initial_state(z, self.parameters(z, e), e)[0] for e in range(self.experiments)])
+        return replace(self, base=self.constants(z), fixed=p, initial=replace(self.initial, guess=guess))
+
+    def at(self, values: Mapping[str, float]) -> DecisionVector:
+        """The same variables with other values of some constants at ``z = 0``, by their labels in ``names``."""
+        base = np.array([values.get(name, value) for name, value in zip(self.names, self.base, strict=True)])
+        there = replace(self, base=base)
+        return replace(there, fixed=there.parameters(np.zeros(self.size)))
+
+    def without(self, held: np.ndarray) -> DecisionVector:
+        """The same variables with some constants (nf,) no longer free: they are as in ``fixed``, or as the conditions have them."""
+        keep = ~held
+        return replace(
+            self, names=tuple(np.array(self.names, object)[keep]), which=self.which[keep], owner=self.owner[keep],
+            logarithmic=self.logarithmic[keep], base=self.base[keep], scale=self.scale[keep], low=self.low[keep], high=self.high[keep],
+            prior=self.prior[keep],
+        )  # fmt: skip
+
+    @property
+    def active(self) -> np.ndarray:
+        """Which free constants lie on a bound at ``z = 0`` (nf,)."""
+        width = self.high - self.low
+        reach = ACTIVE * np.where(
+            np.isfinite(width) & ~self.logarithmic, width, np.maximum(np.abs(self.base), self.scale)
+        )
+        return (self.base - self.low <= reach) | (self.high - self.base <= reach)
+
+
+def average_own_values(values: np.ndarray, positive: bool) -> float:
+    """The mean of the own values of a constant, the geometric one where it is positive."""
+    return float(np.exp(np.mean(np.log(values)))) if positive else float(np.mean(values))
+
+
+def make_unique(names: Sequence[str]) -> list[str]:
+    """Names with a number where one comes again: ``record``, ``record 2``."""
+    found: list[str] = []
+    for name in names:
+        count = sum(other == name for other in names[: len(found)])
+        found.append(f"{name} {count + 1}" if count else name)
+    return found
+
+
+def _places(
+    model: Model, own: Sequence[str], conditions: Sequence[Mapping[int, float]], experiments: int
+) -> list[tuple[int, int]]:
+    """Position in ``system.p`` and owner of each free constant; a condition is not fitted in the experiment that brings it."""
+    known = {k for each in conditions for k in each}
+    found = []
+    for k, q in enumerate(model.all_parameters):
+        if q.fixed:
+            continue
+        if q.name in own:
+            found += [(k, e) for e in range(experiments) if not conditions or k not in conditions[e]]
+        elif k not in known:
+            found.append((k, SHARED))
+    return found

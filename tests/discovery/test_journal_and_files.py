@@ -1,0 +1,134 @@
+"""What `greybox discover` writes, how an interrupted search goes on, and that refits elsewhere give the same."""
+
+import json
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import greybox as gb
+from greybox.cli.app import app
+from greybox.discovery import discover, estimate_residual_spectrum
+from greybox.discovery import pipeline as module
+from greybox.errors import DataError
+from greybox.estimation import FitOptions
+from greybox.project import resolve
+from greybox.simulation.write import write_csv
+from models.micro_actuator import micro_actuator
+from tests.discovery.test_discover import ACTUATOR, off, records
+
+NOISE = {"x": 2e-7, "i": 5e-3}
+OPTIONS = FitOptions(at_rest=True)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return records(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, tuple(NOISE.values()), rows=700)
+
+
+@pytest.fixture(scope="module")
+def written(rig, tmp_path_factory):
+    """A discovery from the command line with two candidates, and its folder."""
+    folder = tmp_path_factory.mktemp("discover")
+    for name, record in zip(("train", "test"), rig, strict=True):
+        write_csv(record, micro_actuator, folder / f"{name}.csv")
+    command = [
+        "discover", "micro_actuator", str(folder / "train.csv"), "--validate", str(folder / "test.csv"), "--at-rest",
+        "--effects", "coulomb_friction,cubic_stiffness", "--noise", "x=2e-7", "--noise", "i=5e-3", "--output", str(folder),
+        *(f"--fix={n}={ACTUATOR[n]}" for n in ("M", "Ra")), "--start=K=4300", "--start=B=0.35",
+    ]  # fmt: skip
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    return folder
+
+
+def test_the_command_writes_answer_model_figures_and_journal(written):
+    answer = json.loads((written / "discovery.json").read_text())
+    assert answer["verdict"] == "named"
+    assert answer["effects"][0]["name"] == "coulomb_friction"
+    assert answer["sites"][0]["name"] == "force" and answer["sites"][0]["set"] == 0
+    assert {"start", "end", "share"} <= set(answer["when"][0])
+    assert answer["regions"][0]["variable"] == "v"
+    assert (written / "journal.jsonl").read_text().count("\n") >= 3
+    for name in ("missing-coulomb_friction", "residuals", "candidates", "gap"):
+        for kind in ("png", "svg"):
+            assert (written / f"{name}.{kind}").stat().st_size > 2000
+
+
+def test_the_model_that_was_written_is_one_that_greybox_fits(written, rig):
+    model = resolve(str(written / "model.py"))
+    assert [e.name for e in model.effects] == ["coulomb_friction"]
+    assert model.values["Fc"] == pytest.approx(0.05, rel=0.05)
+    fit = gb.fit(model, rig[0], noise=NOISE, options=OPTIONS)
+    assert fit.misfit["x"].noise_ratio < 1.1
+
+
+def test_a_search_goes_on_where_it_was_interrupted(rig, tmp_path, monkeypatch):
+    effects = [gb.effect(n) for n in ("coulomb_friction", "cubic_stiffness")]
+    journal = tmp_path / "journal.jsonl"
+
+    def run(kept=None):
+        return discover(
+            off(micro_actuator), rig[0], validation=rig[1], noise=NOISE, options=OPTIONS, effects=effects, journal=kept
+        )
+
+    class Interrupted(module.RefitJournal):
+        def add(self, key, outcome):
+            super().add(key, outcome)
+            if len(self.known) == 2:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "Journal", Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(journal)
+    monkeypatch.undo()
+    with journal.open("a") as file:
+        file.write('{"key": "cut sho')  # the power went while a line was written
+    found = run(journal)
+    assert found.best.parameters["Fc"].value == pytest.approx(run().best.parameters["Fc"].value, rel=1e-6)
+
+
+def test_a_file_that_is_no_journal_is_refused(rig, tmp_path):
+    (tmp_path / "journal.jsonl").write_text("time,x\n1,2\n3,4\n")
+    with pytest.raises(DataError, match="line 1 is no finished refit"):
+        discover(off(micro_actuator), rig[0], validation=rig[1], journal=tmp_path / "journal.jsonl")
+
+
+@pytest.mark.slow
+def test_refits_in_other_processes_give_the_same(rig):
+    effects = [gb.effect(n) for n in ("coulomb_friction", "cubic_stiffness", "lugre_friction")]
+
+    def run(executor):
+        return discover(
+            off(micro_actuator),
+            rig[0],
+            validation=rig[1],
+            noise=NOISE,
+            options=OPTIONS,
+            effects=effects,
+            executor=executor,
+        )
+
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        there = run(pool)
+    here = run(None)
+    assert [r.effects for r in here.ranking] == [r.effects for r in there.ranking]
+    assert [r.misfit for r in here.ranking] == pytest.approx([r.misfit for r in there.ranking], rel=1e-6)
+
+
+def test_what_is_outside_the_catalogue_gets_a_curve(rig):
+    effects = [gb.effect(n) for n in ("quadratic_stiffness", "input_offset")]
+    found = discover(off(micro_actuator), rig[0], validation=rig[1], noise=NOISE, options=OPTIONS, effects=effects)
+    assert found.verdict == "unknown"
+    assert found.sites[0] == "balance force"
+    assert found.surrogate.variable == "v"
+    assert found.surrogate.explained_fraction > 0.4
+    assert found.extended is found.surrogate.fit
+    # dry friction steps down where the velocity passes zero
+    z, curve = found.surrogate.values, found.surrogate.curve
+    assert np.interp(0.2 * z.max(), z, curve) < np.interp(0.2 * z.min(), z, curve)
+    assert "stand-in" in str(found)
+    floor = estimate_residual_spectrum(found.base, "i", coloured=False).floor
+    assert np.sqrt(np.sum(floor**2)) == pytest.approx(found.base.noise.std["i"], rel=0.02)

@@ -1,0 +1,183 @@
+"""Priors: against the analytic posterior of a linear regression, and what the result says of them."""
+
+import numpy as np
+import pytest
+
+from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, fit, load_fit
+from greybox.errors import ModelError
+from greybox.estimation.problem import prepare_problem
+from greybox.uncertainty import bootstrap, profile
+from models.micro_actuator import micro_actuator
+from tests.oracles.independent import linear_record, multisine
+
+LEVEL = {"x": 2e-7, "i": 5e-3}
+REST = FitOptions(at_rest=True)
+
+# y = a u + b u^2 + c: linear in its constants, beside a state that nothing measures and nothing asks for.
+LINE = Model(
+    "line", [State("s", "1")], [Input("u", "1")],
+    [Output("y", "m", lambda x, u, p: p.a * u.u + p.b * u.u**2 + p.c)],
+    [Parameter("a", "m", 0.5), Parameter("b", "m", 0.1), Parameter("c", "m", 0.0), Parameter("tau", "s", 1.0, fixed=True)],
+    lambda x, u, p: [Balance("rest", "1", p.tau, "s", decay=-x.s)],
+)  # fmt: skip
+NOISE = 0.3
+
+
+def regression(rows=40, seed=1, louder=1.0):
+    """A record of the line, its design matrix (N, 3) and measurements (N,); the noise may be louder than it is said to be."""
+    rng = np.random.default_rng(seed)
+    u = rng.normal(size=rows)
+    design = np.column_stack([u, u**2, np.ones(rows)])
+    y = design @ [1.2, -0.4, 0.7] + louder * NOISE * rng.normal(size=rows)
+    return Experiment("line", np.arange(rows) * 0.1, {"u": u}, {"y": y}), design, y
+
+
+def actuator(seed=1):
+    truth = micro_actuator.fix("M", "Ra")
+    u = multisine(np.random.default_rng(seed), 1200, 2.5e-4, 5, 800, 3.0)
+    return linear_record(truth, u, 2.5e-4, noise=LEVEL, seed=seed)
+
+
+def posterior(design, y, mean, std):
+    """Mean and covariance of a normal posterior; infinite ``std`` is no prior."""
+    weight = np.where(np.isfinite(std), 1 / np.asarray(std) ** 2, 0.0)
+    covariance = np.linalg.inv(design.T @ design / NOISE**2 + np.diag(weight))
+    return covariance @ (design.T @ y / NOISE**2 + weight * mean), covariance
+
+
+@pytest.mark.parametrize("louder", [0.8, 1.3])
+def test_mean_covariance_and_cost_are_those_of_bayesian_regression(louder):
+    data, design, y = regression(louder=louder)
+    mean, std = np.array([1.0, 0.0, 0.5]), np.array([0.05, np.inf, 0.1])
+    known = LINE.prior(a=(1.0, 0.05), c=(0.5, 0.1))
+    assert known.values["a"] == 1.0, "a fit starts at the mean"
+    found = fit(known, data, noise={"y": NOISE}, options=REST)
+    values, covariance = posterior(design, y, mean, std)
+    assert [found.parameters[n].value for n in "abc"] == pytest.approx(values, rel=1e-9)
+    scatter = np.sum((y - design @ values) ** 2) / NOISE**2
+    assert found.solver.cost == pytest.approx(
+        scatter + ((values[0] - 1) / 0.05) ** 2 + ((values[2] - 0.5) / 0.1) ** 2, rel=1e-9
+    )
+    excess = scatter / (40 - 3)
+    assert (excess > 1) == (louder > 1)
+    if louder < 1:
+        assert found.uncertainty.covariance == pytest.approx(covariance, rel=1e-6), "the posterior covariance"
+    else:  # the residual exceeds the stated noise: the data count for less, the priors for what they say
+        middle = excess * design.T @ design / NOISE**2 + np.diag(np.where(np.isfinite(std), 1 / std**2, 0.0))
+        assert found.uncertainty.covariance == pytest.approx(covariance @ middle @ covariance, rel=1e-6)
+
+
+def test_a_prior_is_one_more_measurement():
+    """The same numbers from a record with a row that measures `a` alone."""
+    data, design, y = regression()
+    found = fit(LINE.prior(a=(1.0, 0.05)), data, noise={"y": NOISE}, options=REST)
+    values, _ = posterior(design, y, [1.0, 0, 0], [0.05, np.inf, np.inf])
+    more, given = np.vstack([design / NOISE, [1 / 0.05, 0, 0]]), np.append(y / NOISE, 1.0 / 0.05)
+    assert np.linalg.lstsq(more, given, rcond=None)[0] == pytest.approx(values)
+    assert [found.parameters[n].value for n in "abc"] == pytest.approx(values, rel=1e-9)
+
+
+def test_agreement_with_the_data_is_judged_by_what_they_say_alone():
+    data, design, y = regression(louder=0.8)
+    found = fit(LINE.prior(a=(1.5, 0.05), b=(-0.4, 0.02)), data, noise={"y": NOISE}, options=REST)
+    values, covariance = posterior(design, y, [1.5, -0.4, 0], [0.05, 0.02, np.inf])
+    alone, spread = posterior(design, y, [0, -0.4, 0], [np.inf, 0.02, np.inf])
+    check = found.constraints.priors["a"]
+    assert check.shift == pytest.approx((values[0] - 1.5) / 0.05, rel=1e-6)
+    assert check.conflict == pytest.approx((alone[0] - 1.5) / np.hypot(0.05, np.sqrt(spread[0, 0])), rel=1e-5)
+    assert check.variance_reduction == pytest.approx(1 - covariance[0, 0] / 0.05**2, rel=1e-5)
+    assert abs(check.conflict) > 3 > abs(found.constraints.priors["b"].conflict)
+    assert any("the prior of a and the data disagree by" in n for n in found.notes)
+
+
+def test_conflicts_are_standard_normal_where_both_are_right():
+    conflicts = []
+    for seed in range(40):
+        data, _, _ = regression(seed=seed + 10)
+        drawn = 1.2 + 0.05 * np.random.default_rng([seed, 8]).normal()
+        conflicts.append(
+            fit(LINE.prior(a=(drawn, 0.05)), data, noise={"y": NOISE}, options=REST).constraints.priors["a"].conflict
+        )
+    assert np.sqrt(np.mean(np.square(conflicts))) == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_weighed_mass_closes_the_scale_of_the_actuator():
+    data = actuator()
+    free = micro_actuator.fix("Ra")
+    blind = fit(free, data, noise=LEVEL)
+    assert blind.parameters["M"].interval is None
+    found = fit(free.prior(M=(0.0101, 0.0001)), data, noise=LEVEL)
+    m, k = found.parameters["M"], found.parameters["K"]
+    assert m.value == pytest.approx(0.0101, rel=1e-6) and m.std == pytest.approx(0.0001, rel=1e-3)
+    # K/M is told by the data: K is as uncertain as M.
+    assert k.std / k.value == pytest.approx(m.std / m.value, rel=0.01)
+    assert abs(k.value - 5895.5) < 3 * k.std
+    check = found.constraints.priors["M"]
+    assert check.conflict is None and check.variance_reduction < 1e-3 and abs(check.shift) < 1e-3
+    assert any(n.startswith("held by its prior: M") for n in found.notes)
+    assert "told by the data" in str(found) and "prior 0.0101 +- 0.0001" in str(free.prior(M=(0.0101, 0.0001)))
+
+
+def test_curvature_profile_and_bootstrap_agree():
+    data = actuator(2)
+    plain = fit(micro_actuator.fix("M", "Ra"), data, noise=LEVEL)
+    std = plain.parameters["La"].std
+    found = fit(micro_actuator.fix("M", "Ra").prior(La=(5.05e-4, std)), data, noise=LEVEL)
+    stated = found.parameters["La"]
+    assert stated.std == pytest.approx(std / np.sqrt(2), rel=0.03)
+    width = stated.interval[1] - stated.interval[0]
+    assert profile(found, "La").interval == pytest.approx(stated.interval, abs=0.05 * width)
+    again = bootstrap(found, np.random.default_rng(1), replicates=800)
+    assert again.std["La"] == pytest.approx(stated.std, rel=0.12)
+
+
+def test_the_gradient_holds_with_priors():
+    known = micro_actuator.fix("Ra").prior(M=(0.0101, 0.0001), La=(4e-4, 1e-5))
+    problem = prepare_problem(known, actuator(), LEVEL, at_rest=False, method="automatic", substeps=0)
+    shooting, n = problem.shooting(problem.variables), problem.variables.size
+    z = 0.01 * np.random.default_rng(1).normal(size=n)
+    here = shooting.evaluate(z)
+    slopes = [(shooting.evaluate(z + e).cost - shooting.evaluate(z - e).cost) / 2e-6 for e in 1e-6 * np.eye(n)]
+    np.testing.assert_allclose(here.gradient, slopes, rtol=2e-4, atol=1e-6 * np.abs(here.gradient).max())
+    assert here.cost > here.squares.sum()
+
+
+@pytest.mark.parametrize("transcription", ["multiple", "collocation-radau", "arcs"])
+def test_other_transcriptions_weigh_priors_too(transcription):
+    known = micro_actuator.fix("M", "Ra").prior(La=(5.2e-4, 2e-6))
+    data = linear_record(known, multisine(np.random.default_rng(1), 150, 2.5e-4, 5, 800, 3.0), 2.5e-4, noise=LEVEL)
+    options = FitOptions(transcription=transcription, arc_length=0.02 if transcription == "arcs" else 0.0)
+    free, found = fit(known, data, noise=LEVEL), fit(known, data, noise=LEVEL, options=options)
+    unweighed = fit(known.prior(La=None), data, noise=LEVEL, options=options)
+    assert found.success
+    if transcription != "arcs":
+        assert found.parameters["La"].value == pytest.approx(free.parameters["La"].value, rel=2e-4)
+    assert abs(found.constraints.priors["La"].shift) < abs(unweighed.parameters["La"].value - 5.2e-4) / 2e-6
+    assert found.parameters["La"].std < min(2e-6, unweighed.parameters["La"].std)
+
+
+def test_a_prior_survives_saving(tmp_path):
+    known = micro_actuator.fix("Ra").prior(M=(0.0101, 0.0001))
+    found = fit(known, actuator(), noise=LEVEL)
+    again = load_fit(found.save(tmp_path / "fit.json"), micro_actuator)
+    assert again.constraints.priors == found.constraints.priors and again.model.parameter("M").prior == (0.0101, 0.0001)
+    assert profile(again, "M").interval == profile(found, "M").interval
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda m: m.prior(M=0.01), r"parameter 'M': prior 0.01; give \(mean, standard deviation\), two numbers"),
+        (lambda m: m.prior(M=(0.01, 0.0)), r"parameter 'M': prior 0.01 \+- 0 kg: .* a standard deviation above zero"),
+        (lambda m: m.prior(M=(2.0, 0.1)), r"parameter 'M': 2 kg lies outside its bounds"),
+        (lambda m: m.prior(Mm=(2.0, 0.1)), r"has no parameter 'Mm'; did you mean 'M'"),
+        (lambda m: m.prior(Kv=(1.0, 0.1)), r"parameter 'Kv' is tied, Kv = Kf: set Kf instead"),
+        (
+            lambda m: Parameter("a", "m", 1.0, (0.0, 2.0), prior=(3.0, 1.0)),
+            r"prior mean 3 m lies outside its bounds \[0, 2\] m",
+        ),
+    ],
+)
+def test_priors_that_cannot_be_are_refused_in_words(change, message):
+    with pytest.raises(ModelError, match=message):
+        change(micro_actuator.tie(Kv="Kf"))

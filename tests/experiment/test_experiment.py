@@ -1,0 +1,410 @@
+"""Experiment: what it refuses, what it keeps, when time counts as uniform."""
+
+import copy
+import pickle
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from greybox.errors import DataError
+from greybox.experiment import Experiment
+from greybox.experiment.sampling import estimate_time_resolution, find_sampling_time
+
+N = 40
+TIME = 0.5 * np.arange(N)
+DRIVE = np.sin(TIME)
+ANSWER = np.cos(TIME)
+
+
+def make(**changes):
+    given = {"time": TIME, "inputs": {"u": DRIVE}, "outputs": {"y": ANSWER}, "name": "run"} | changes
+    return Experiment.from_arrays(given.pop("time"), given.pop("inputs"), given.pop("outputs"), **given)
+
+
+def test_keeps_the_arrays_as_protected_copies():
+    drive = DRIVE.copy()
+    experiment = make(inputs={"u": drive})
+    drive[0] = 99.0
+    assert experiment.inputs["u"][0] == DRIVE[0]
+    assert all(a.dtype == np.float64 for a in (experiment.time, experiment.inputs["u"], experiment.outputs["y"]))
+    with pytest.raises(ValueError, match="read-only"):
+        experiment.outputs["y"][0] = 1.0
+    with pytest.raises(TypeError):
+        experiment.inputs["w"] = drive
+    with pytest.raises(AttributeError):
+        experiment.name = "other"
+
+
+def test_counts_rows_seconds_and_intervals():
+    experiment = make()
+    assert (experiment.rows, experiment.duration, experiment.sampling_time) == (N, 19.5, 0.5)
+    assert experiment.regular
+    np.testing.assert_array_equal(experiment.intervals, np.full(N - 1, 0.5))
+
+
+def test_irregular_time_keeps_every_interval_and_says_so():
+    time = np.cumsum(1.0 + 0.5 * np.sin(np.arange(N)))
+    experiment = make(time=time)
+    assert experiment.sampling_time is None
+    assert not experiment.regular
+    np.testing.assert_array_equal(experiment.intervals, np.diff(time))
+    assert any("time is irregular" in note for note in experiment.notes)
+    assert "at irregular times" in str(experiment)
+
+
+REFUSED = [
+    ({"hold": "cubic"}, "hold 'cubic' is unknown; say 'zero' (held) or 'first'"),
+    (
+        {"time": TIME[:9], "inputs": {"u": DRIVE[:9]}, "outputs": {"y": ANSWER[:9]}},
+        "9 rows; a record needs at least 10",
+    ),
+    ({"time": TIME[:1], "inputs": {"u": DRIVE[:1]}, "outputs": {"y": ANSWER[:1]}}, "1 rows; a record needs at least 2"),
+    ({"inputs": {"u": DRIVE[1:]}}, "input 'u' has 39 rows, time has 40; each signal needs one value for each time"),
+    ({"outputs": {"y": ANSWER[:, None]}}, "output 'y' has shape (40, 1); give one number for each row"),
+    ({"outputs": {"y": ANSWER * 1j}}, "output 'y' does not hold real numbers: its type is complex128"),
+    ({"outputs": {"y": ["high"] * N}}, "output 'y' does not hold real numbers: its type is <U4"),
+    ({"time": TIME[::-1]}, "time goes back at rows 2, 3, 4, 5, 6 and 34 more (19 s after 19.5 s)"),
+    ({"time": np.where(np.arange(N) == 7, 3.0, TIME)}, "time is repeated at row 8 (3 s after 3 s); time must increase"),
+    ({"time": np.where(np.arange(N) == 7, np.nan, TIME)}, "time is empty or NaN at row 8; every row needs its time"),
+    ({"time": np.where(np.arange(N) == N - 1, np.inf, TIME)}, "time is infinite at row 40"),
+    (
+        {"inputs": {"u": np.where(TIME == 2, np.nan, DRIVE)}},
+        "input 'u' is empty or NaN at row 5; an input must be known",
+    ),
+    ({"inputs": {"u": np.where(TIME == 2, -np.inf, DRIVE)}}, "input 'u' is infinite at row 5; write a finite number"),
+    (
+        {"outputs": {"y": np.where(TIME == 2, np.inf, ANSWER)}},
+        "output 'y' is infinite at row 5; write a finite number, or leave",
+    ),
+    ({"outputs": {"y": np.full(N, np.nan)}}, "output 'y' holds no value at all; remove it"),
+    ({"outputs": {}}, "no output; a record needs at least one measured output"),
+    ({"outputs": {"u": ANSWER}}, "'u' is both an input and an output"),
+    ({"inputs": {"u": np.zeros(N)}}, "constant input: 'u' is 0 in every row, so the record does not excite the plant"),
+    ({"inputs": {"u": np.zeros(N), "w": np.zeros(N)}}, "'u' and 'w' are 0 in every row"),
+    ({"inputs": {"u": np.ones(N)}, "outputs": {"y": np.ones(N)}}, "nothing moves: 'u', 'y' are constant"),
+    ({"inputs": {}, "outputs": {"y": np.ones(N)}}, "nothing moves: 'y' is constant"),
+    ({"outputs": {"y": np.ones(N), "z": np.ones(N)}}, "no output moves: 'y', 'z' are constant over the whole record"),
+    ({"conditions": {"T": np.nan}}, "condition 'T' is nan; give a finite number"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), REFUSED, ids=[message[:40] for _, message in REFUSED])
+def test_refuses_with_one_clear_message(changes, message):
+    with pytest.raises(DataError, match=re.escape(message)) as error:
+        make(**changes)
+    assert str(error.value).startswith("experiment 'run': ")
+
+
+def test_all_problems_come_in_one_message():
+    with pytest.raises(DataError) as error:
+        make(
+            inputs={"u": np.where(TIME == 2, np.nan, DRIVE)},
+            outputs={"y": np.where(TIME == 3, np.inf, ANSWER)},
+            time=np.where(np.arange(N) == 9, 0, TIME),
+        )
+    text = str(error.value)
+    assert "3 problems" in text
+    for part in ("time goes back at row 10", "input 'u' is empty or NaN at row 5", "output 'y' is infinite at row 7"):
+        assert part in text
+
+
+def test_a_step_from_rest_and_an_allowed_free_decay_are_records_with_a_note():
+    assert "input 'u' is constant at 1" in make(inputs={"u": np.ones(N)}).notes
+    assert "input 'u' is constant at 0" in make(inputs={"u": np.zeros(N)}, allow_constant_input=True).notes
+    assert make(inputs={"u": DRIVE, "w": np.zeros(N)}).notes == ("input 'w' is constant at 0",)
+    assert make(inputs={}).rows == N
+
+
+def test_nothing_moves_is_refused_even_when_a_constant_input_is_allowed():
+    with pytest.raises(DataError, match="nothing moves"):
+        make(inputs={"u": np.zeros(N)}, outputs={"y": np.zeros(N)}, allow_constant_input=True)
+
+
+def test_gaps_of_outputs_stay_and_are_counted():
+    answer = ANSWER.copy()
+    answer[[3, 17]] = np.nan
+    experiment = make(outputs={"y": answer})
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(experiment.outputs["y"])), [3, 17])
+    assert experiment.notes == ("output 'y' has 2 gaps in 40 rows",)
+
+
+@pytest.mark.parametrize("reading", [0.0, 0.731])
+def test_a_sensor_that_stands_still_while_the_input_moves_is_named(reading):
+    time = 0.01 * np.arange(200)
+    answer = np.cos(7 * time) + 1e-3 * np.sin(900 * time)
+    answer[60:100] = reading
+    drive = {"u": np.sin(5 * time)}
+    (note,) = make(time=time, inputs=drive, outputs={"y": answer}).notes
+    assert note.startswith(f"output 'y' stands still at exactly {reading:g} for 40 rows, from 0.6 to 0.99 s, while the")
+    assert note.endswith("leave these fields empty")
+
+
+def test_a_sensor_that_dies_without_a_jump_is_named_while_the_input_goes_on():
+    time = 0.01 * np.arange(200)
+    drive, answer = np.sin(5 * time), np.cos(7 * time) + 1e-3 * np.sin(900 * time)
+    answer[150:] = answer[149]
+    (note,) = make(time=time, inputs={"u": drive}, outputs={"y": answer}).notes
+    assert note.startswith(
+        f"output 'y' stands still at exactly {answer[149]:g} from 1.49 s to the end (51 rows), while the input"
+    )
+    silent = np.where(time > 1.4, drive[140], drive)
+    assert make(time=time, inputs={"u": silent}, outputs={"y": answer}).notes == ()
+    stopped = np.minimum(np.cos(time / 2 + np.pi), -0.8)  # comes smoothly to the end of its range
+    assert np.all(np.diff(stopped[-40:]) == 0)
+    assert make(time=time, inputs={"u": drive}, outputs={"y": stopped}).notes == ()
+
+
+def test_a_coarse_sensor_an_end_stop_and_a_plant_at_rest_are_no_dead_sensors():
+    time = 0.01 * np.arange(200)
+    smooth, drive = np.cos(2 * time), np.sin(5 * time)
+    resting, silent = smooth.copy(), drive.copy()
+    resting[:60], silent[:60] = smooth[60], 0.0
+    coarse, stopped = np.round(smooth, 1), np.minimum(smooth, 0.8)
+    assert np.diff(np.flatnonzero(np.diff(coarse))).max() >= 10  # it does repeat itself for long
+    for answer in (coarse, stopped):
+        assert make(time=time, inputs={"u": drive}, outputs={"y": answer}).notes == ()
+    assert make(time=time, inputs={"u": silent}, outputs={"y": resting}).notes == ()
+
+
+def shaken(rows=400, seed=0):
+    """Time, a smooth input, and a smooth answer with white noise: what a sound sensor reads."""
+    time = 0.01 * np.arange(rows)
+    drive = np.sin(5 * time) + 0.5 * np.sin(31 * time)
+    return time, drive, np.cos(5 * time) + 1e-3 * np.random.default_rng(seed).normal(size=rows)
+
+
+def notes_of(time, drive, answer):
+    return make(time=time, inputs={"u": drive}, outputs={"y": answer}).notes
+
+
+def test_spikes_of_one_row_are_counted_and_placed():
+    time, drive, answer = shaken()
+    answer[[40, 41 + 100, 300]] += [0.3, -0.2, 0.15]
+    (note,) = notes_of(time, drive, answer)
+    assert note.startswith("output 'y' jumps away and back within one row, 3 times (at 0.4 s, 1.41 s, 3 s)")
+    assert "--loss huber" in note
+
+
+def test_what_the_plant_does_itself_is_no_spike():
+    time, drive, answer = shaken()
+    assert notes_of(time, drive, answer) == ()
+    stepped = answer + 3.0 * (time > 1.2)  # a level that stays
+    assert notes_of(time, drive, stepped) == ()
+    hammer = drive.copy()
+    hammer[[60, 200]] += 5.0
+    followed = answer.copy()
+    followed[[61, 201]] += 0.4  # one row after the input's own pulse
+    assert notes_of(time, hammer, followed) == ()
+    assert notes_of(time, np.where(time < 2, 1.0, -1.0), np.random.default_rng(1).normal(size=len(time))) == ()
+    often = answer.copy()
+    often[::20] += 0.3  # one row in twenty: the noise is such
+    assert notes_of(time, drive, often) == ()
+
+
+def test_a_sensor_that_ends_before_the_motion_does_is_named_at_either_end():
+    time, drive, answer = shaken()
+    clipped = np.clip(answer, -0.8, 0.9)
+    upper, lower = notes_of(time, drive, clipped)
+    assert upper.startswith("output 'y' reads exactly its largest value, 0.9, in ")
+    assert lower.startswith("output 'y' reads exactly its smallest value, -0.8, in ")
+    assert notes_of(time, drive, np.round(clipped, 1)) == ()  # a coarse sensor repeats itself anyway
+
+
+def test_split_covers_every_row_once_and_keeps_the_times():
+    experiment = make(conditions={"T": 293.0}, hold="first", source="run.csv")
+    first, second = experiment.split(0.7)
+    assert (first.rows, second.rows) == (28, 12)
+    assert (first.name, second.name) == ("run[0:28]", "run[28:40]")
+    np.testing.assert_array_equal(np.concatenate([first.time, second.time]), TIME)
+    np.testing.assert_array_equal(np.concatenate([first.outputs["y"], second.outputs["y"]]), ANSWER)
+    assert second.time[0] == 14.0
+    for part in (first, second):
+        assert (part.hold, part.source, dict(part.conditions)) == ("first", "run.csv", {"T": 293.0})
+    assert len({experiment.fingerprint, first.fingerprint, second.fingerprint}) == 3
+
+
+@pytest.mark.parametrize("fraction", [0.0, 1.0, -0.5, 2.0])
+def test_split_refuses_a_fraction_that_is_none(fraction):
+    with pytest.raises(DataError, match="give a number between 0 and 1"):
+        make().split(fraction)
+
+
+def test_split_and_window_refuse_parts_without_an_interval():
+    with pytest.raises(DataError, match=r"splits 40 rows into 1 and 39; each part needs at least 2"):
+        make().split(0.02)
+    for rows in ((0, 1), (5, 5), (-3, 8), (30, 41), (9, 4)):
+        with pytest.raises(DataError, match="does not fit 40 rows"):
+            make().window(*rows)
+
+
+def test_a_window_may_be_short_quiet_or_without_a_measured_output():
+    answer = ANSWER.copy()
+    answer[:5] = np.nan
+    part = make(outputs={"y": answer}, inputs={"u": np.maximum(TIME - 10, 0)}).window(0, 4)
+    assert part.rows == 4
+    assert np.isnan(part.outputs["y"]).all()
+    assert "no value" in str(part)
+
+
+def test_a_part_of_a_regular_record_has_the_step_of_the_whole():
+    time = np.round(np.arange(1000) * 0.0016384, 5)
+    experiment = make(time=time, inputs={"u": np.sin(time)}, outputs={"y": np.cos(time)})
+    assert experiment.regular
+    assert experiment.window(3, 8).sampling_time == experiment.sampling_time
+    assert find_sampling_time(time[3:8]) != experiment.sampling_time  # the part alone would find another
+    assert experiment.with_hold("first").sampling_time == experiment.sampling_time
+
+
+def test_a_regular_part_of_an_irregular_record_is_regular():
+    time = np.append(TIME, [30.0, 30.5])
+    experiment = make(time=time, inputs={"u": np.sin(time)}, outputs={"y": np.cos(time)})
+    assert not experiment.regular
+    assert experiment.window(0, N).sampling_time == 0.5
+
+
+def test_with_hold_changes_the_hold_alone():
+    experiment = make()
+    linear = experiment.with_hold("first")
+    assert (experiment.hold, linear.hold) == ("zero", "first")
+    assert linear.fingerprint == experiment.fingerprint
+    with pytest.raises(DataError, match="hold 'second' is unknown"):
+        experiment.with_hold("second")
+
+
+def test_fingerprint_follows_the_data_and_nothing_else():
+    inputs, shuffled = {"u": DRIVE, "w": 2 * DRIVE}, {"w": 2 * DRIVE, "u": DRIVE}
+    base = make(inputs=inputs)
+    assert re.fullmatch("[0-9a-f]{16}", base.fingerprint)
+    assert make(inputs=shuffled, name="other", hold="first").fingerprint == base.fingerprint
+    assert make(inputs={"w": DRIVE, "u": 2 * DRIVE}).fingerprint != base.fingerprint
+    answer = ANSWER.copy()
+    answer[3] = np.nextafter(answer[3], 2)
+    assert make(inputs=inputs, outputs={"y": answer}).fingerprint != base.fingerprint
+    negative_zero, other_nan = ANSWER.copy(), ANSWER.copy()
+    negative_zero[3], other_nan[3] = -0.0, -np.nan
+    zero, nan = ANSWER.copy(), ANSWER.copy()
+    zero[3], nan[3] = 0.0, np.nan
+    assert make(outputs={"y": negative_zero}).fingerprint == make(outputs={"y": zero}).fingerprint
+    assert make(outputs={"y": other_nan}).fingerprint == make(outputs={"y": nan}).fingerprint
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))], ids=["copy", "pickle"])
+def test_survives_copying_and_pickling(again):
+    part = make(conditions={"T": 293.0}, hold="first", source="run.csv").window(3, 20)
+    other = again(part)
+    assert (other.fingerprint, other.sampling_time, str(other)) == (part.fingerprint, part.sampling_time, str(part))
+    assert not other.inputs["u"].flags.writeable
+    assert dict(other.conditions) == {"T": 293.0}
+
+
+def test_the_summary_names_what_matters():
+    text = str(make(conditions={"T": 293.0}, inputs={"u": np.ones(N)}))
+    for part in (
+        "run: 40 rows every 0.5 s, 19.5 s",
+        "input held",
+        "u: 1 to 1",
+        "y: -0.",
+        "condition T: 293",
+        "constant at 1",
+    ):
+        assert part in text
+
+
+# --- when time is uniform
+
+
+def test_time_printed_with_nine_digits_is_uniform():
+    time = np.array([float(f"{t:.9g}") for t in np.arange(65_062) * 0.0016384])
+    assert find_sampling_time(time) == pytest.approx(0.0016384, rel=1e-8)
+    time = np.array([0, 0.00100000802, 0.00200001604, 0.00300000201, 0.00400001])
+    assert find_sampling_time(time) == pytest.approx(0.001, rel=1e-4)
+
+
+def test_time_rounded_to_a_printed_place_below_a_tenth_of_the_step_is_uniform():
+    time = np.round(np.arange(500) * 0.0123, 3)  # steps of 0.012 and 0.013 s
+    assert np.ptp(np.diff(time)) > 0.07 * 0.0123
+    assert find_sampling_time(time) == pytest.approx(0.0123, rel=1e-3)
+
+
+def test_the_same_deviation_without_the_excuse_of_printing_is_irregular():
+    grid = np.arange(500) * 0.0123
+    time = grid + np.random.default_rng(1).uniform(-5e-4, 5e-4, 500)
+    assert np.abs(time - grid).max() < 0.1 * 0.0123
+    assert find_sampling_time(time) is None
+
+
+def test_time_in_single_precision_is_uniform():
+    time = np.float32(np.arange(100_000) * 1e-3).astype(float)
+    assert np.abs(np.diff(time) / 1e-3 - 1).max() > 1e-3
+    assert find_sampling_time(time) == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_time_printed_to_nearly_half_a_step_is_uniform_and_noted():
+    time = np.array([float(f"{t:.4f}") for t in np.arange(2000) * 2.5e-4])  # 4 kHz: steps of 0.2 and 0.3 ms
+    assert find_sampling_time(time) == pytest.approx(2.5e-4, rel=1e-5)
+    experiment = make(time=time, inputs={"u": np.sin(time)}, outputs={"y": np.cos(time)})
+    assert experiment.regular
+    (note,) = experiment.notes
+    assert note.startswith("time looks rounded: steps from 0.0002 to 0.0003 s differ by no more than a printed unit")
+    for row in (1, 7, 1000, 1998):
+        assert find_sampling_time(np.delete(time, row)) is None
+
+
+@pytest.mark.parametrize("step", [2.23, 2.5, 3.7, 7.3])
+@pytest.mark.parametrize("rows", [10, 11, 40])
+def test_a_missing_row_never_hides_behind_rounding(step, rows):
+    for offset in np.linspace(0, 1, 12):
+        time = np.round((np.arange(rows) + offset) * step)
+        assert all(find_sampling_time(np.delete(time, k)) is None for k in range(1, rows - 1))
+
+
+def test_rounding_as_coarse_as_the_step_is_irregular():
+    assert find_sampling_time(np.round(np.arange(100) * 0.12, 1)) is None
+
+
+def test_a_hole_is_named_with_its_place():
+    time = np.where(np.arange(N) > 20, TIME + 30, TIME)
+    (note,) = make(time=time).notes
+    assert note.startswith("time has a hole from 10 to 40.5 s (usual step 0.5 s)")
+    late = 0.5 * np.arange(100) + 30 * (np.arange(100) > 20) + 5 * (np.arange(100) > 60)
+    (note,) = make(time=late, inputs={"u": np.sin(late)}, outputs={"y": np.cos(late)}).notes
+    assert note.startswith("time has 2 holes, the longest from 10 to 40.5 s")
+
+
+def test_lost_rows_are_counted_where_the_others_keep_the_pace():
+    time, drive, answer = shaken()
+    kept = np.setdiff1d(np.arange(400), np.arange(7, 390, 10))
+    (note,) = notes_of(time[kept], drive[kept], answer[kept])
+    assert note.startswith("time lacks 39 rows in 39 places (usual step 0.01 s)")
+
+
+def test_a_drifting_clock_is_irregular():
+    steps = 1e-3 * (1 + 5e-4 * np.sin(np.arange(20_000) / 3000))  # every step within 0.1 %, the sum is not
+    time = np.append(0, np.cumsum(steps))
+    assert np.abs(steps / steps.mean() - 1).max() < 1e-3
+    assert find_sampling_time(time) is None
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(10, 5000),
+    st.floats(1e-6, 1e3),
+    st.floats(-1e3, 1e3),
+    st.floats(0.01, 0.99),
+    st.booleans(),
+    st.integers(1, 5),
+)
+def test_uniform_whatever_the_step_and_start_but_never_with_a_missing_row(rows, step, start, place, shift, missing):
+    time = start * step + step * np.arange(rows + missing)
+    assert find_sampling_time(time) == pytest.approx(step, rel=1e-6)
+    gap = 1 + int(place * (rows - 2))
+    assert find_sampling_time(np.delete(time, np.arange(gap, gap + missing))) is None
+
+
+def test_resolution_is_the_printed_place_of_the_decade():
+    time = np.array([0.5, 0.501, 0.25, 1.25, 2.5, 100.0, 250.0])
+    np.testing.assert_allclose(estimate_time_resolution(time), [1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 1.0, 1.0])
+    assert estimate_time_resolution(np.array([0.1 + 1e-15, np.pi / 10])).max() < 1e-12

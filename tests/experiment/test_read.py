@@ -1,0 +1,700 @@
+"""Reading records: the same arrays whatever the file looks like, and one clear message for a file that is not right."""
+
+import re
+import string
+import time as clock
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.io import savemat
+
+from greybox.errors import DataError
+from greybox.experiment import read_csv, read_experiments
+from greybox.experiment.columns import parse_header
+from greybox.model import Balance, Model
+from greybox.model.signals import Input, Output, Parameter, State
+
+N = 30
+TIME = 0.1 * np.arange(N)
+DRIVE = np.sin(TIME)
+ANSWER = 1e-6 * np.cos(3 * TIME)
+CURRENT = np.cos(2 * TIME) - 1
+
+
+def _oscillator(name, inputs, outputs, first="x", unit="m", more=()):
+    """A stand-in with the signals of a rig; its equations are a mass on a spring."""
+
+    def balances(x, u, p):
+        drive = {i.name: p.g * u[i.name] for i in inputs[:1]}
+        return [
+            Balance("position", f"({unit})/s", 1, first, velocity=x.rate),
+            Balance("force", f"({unit})/s^2", 1, "rate", spring=-p.k * x[first], **drive),
+        ]
+
+    gain = Parameter("g", f"({unit})/s^2/({inputs[0].unit})", 1.0) if inputs else None
+    parameters = [Parameter("k", "1/s^2", 1.0), *([gain] if gain else []), *more]
+    states = [State(first, unit), State("rate", f"({unit})/s")]
+    return Model(name, states=states, inputs=inputs, outputs=outputs, parameters=parameters, balances=balances)
+
+
+CURRENT_SENSOR = Output("i", "A", lambda x, u, p: u.u / p.R)
+RIG = _oscillator("rig", [Input("u", "V")], [Output("x", "m"), CURRENT_SENSOR], more=[Parameter("R", "ohm", 8.0)])
+FREE = _oscillator("free", [], [Output("x", "m")])
+EMPS = _oscillator("emps", [Input("u", "V")], [Output("q", "m")], first="q")
+BOX = _oscillator("silverbox", [Input("u", "V")], [Output("y", "V")], first="y", unit="V")
+
+
+def write(path, headers, columns, separator=",", decimal=".", end="\n", encoding="utf-8", before=(), after=()):
+    rows = [
+        ["" if np.isnan(v) else repr(float(v)).replace(".", decimal) for v in row] for row in zip(*columns, strict=True)
+    ]
+    lines = [*before, separator.join(headers), *(separator.join(row) for row in rows), *after]
+    path.write_bytes((end.join(lines) + end).encode(encoding))
+    return path
+
+
+def good(path, **how):
+    return write(path, ["time [s]", "u [V]", "x [m]", "i [A]"], [TIME, DRIVE, ANSWER, CURRENT], **how)
+
+
+def same(experiment, current=CURRENT):
+    np.testing.assert_array_equal(experiment.time, TIME)
+    np.testing.assert_array_equal(experiment.inputs["u"], DRIVE)
+    np.testing.assert_array_equal(experiment.outputs["x"], ANSWER)
+    np.testing.assert_array_equal(experiment.outputs["i"], current)
+
+
+# --- the same arrays whatever the file looks like
+
+LOOKS = {
+    "comma": {},
+    "semicolon": {"separator": ";"},
+    "tab": {"separator": "\t"},
+    "blank": {"separator": " "},
+    "blanks": {"separator": "   "},
+    "comma and blank": {"separator": ", "},
+    "decimal comma": {"separator": ";", "decimal": ","},
+    "decimal comma with tabs": {"separator": "\t", "decimal": ","},
+    "decimal comma with blanks": {"separator": " ", "decimal": ","},
+    "byte order mark": {"encoding": "utf-8-sig"},
+    "utf-16": {"encoding": "utf-16"},
+    "windows line ends": {"end": "\r\n"},
+    "old mac line ends": {"end": "\r"},
+    "comments": {"before": ["# recorded on the bench", "#u, x, i", "   # indented"], "after": ["# end"]},
+    "blank lines at the end": {"after": ["", "  ", ""]},
+}
+
+
+@pytest.mark.parametrize("how", LOOKS.values(), ids=LOOKS)
+def test_every_look_of_a_text_file_gives_the_same_arrays(tmp_path, how):
+    experiment = read_csv(good(tmp_path / "run.csv", **how), RIG)
+    same(experiment)
+    assert (experiment.name, experiment.source, experiment.hold, experiment.notes) == ("run", "run.csv", "zero", ())
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".CSV", ".tsv", ".txt", ".dat"])
+def test_every_text_suffix_is_read(tmp_path, suffix):
+    same(read_csv(good(tmp_path / f"run{suffix}", separator="\t"), RIG))
+
+
+def test_binary_files_give_the_same_arrays(tmp_path):
+    plain = {"time": TIME, "u": DRIVE, "x": ANSWER, "i": CURRENT}
+    savemat(tmp_path / "run.mat", plain | {"fs": 10.0, "title": "bench", "count": np.arange(3)})
+    named = {"time [ms]": 1e3 * TIME, "u [mV]": 1e3 * DRIVE, "x [um]": 1e6 * ANSWER, "i": CURRENT}
+    np.savez(tmp_path / "run.npz", **named)
+    pd.DataFrame(named).to_parquet(tmp_path / "run.parquet")
+    same(read_csv(tmp_path / "run.mat", RIG))
+    for name in ("run.npz", "run.parquet"):
+        experiment = read_csv(tmp_path / name, RIG)
+        np.testing.assert_allclose(experiment.time, TIME, rtol=1e-14)
+        np.testing.assert_allclose(experiment.inputs["u"], DRIVE, rtol=1e-14)
+        np.testing.assert_allclose(experiment.outputs["x"], ANSWER, rtol=1e-14)
+        np.testing.assert_array_equal(experiment.outputs["i"], CURRENT)
+
+
+def test_matlab_structs_are_reached_by_their_path_and_integers_are_numbers(tmp_path):
+    savemat(tmp_path / "run.mat", {"log": {"t": TIME, "u": DRIVE, "x": np.arange(N, dtype=np.int16)}})
+    columns = {"time": "log.t", "u": "log.u", "x": "log.x"}
+    experiment = read_csv(tmp_path / "run.mat", RIG, columns=columns)
+    np.testing.assert_array_equal(experiment.outputs["x"], np.arange(N))
+
+
+def test_parquet_nulls_are_gaps(tmp_path):
+    current = pd.array([None, *range(1, N)], dtype="Int64")
+    pd.DataFrame({"time": TIME, "u": DRIVE, "x": ANSWER, "i": current}).to_parquet(tmp_path / "run.parquet")
+    same(read_csv(tmp_path / "run.parquet", RIG), np.append(np.nan, np.arange(1.0, N)))
+
+
+@pytest.mark.parametrize("gap", ["", "nan", "NaN", "NA", "n/a", "null", ' ""'])
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_gaps_of_an_output_stay_gaps(tmp_path, gap, separator):
+    path = good(tmp_path / "run.csv", separator=separator)
+    lines = path.read_text().splitlines()
+    for k in (1, 7, N):
+        fields = lines[k].split(separator)
+        lines[k] = separator.join([*fields[:2], gap, fields[3]])
+    path.write_text("\n".join(lines))
+    experiment = read_csv(path, RIG)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(experiment.outputs["x"])), [0, 6, N - 1])
+    known = ~np.isnan(experiment.outputs["x"])
+    np.testing.assert_array_equal(experiment.outputs["x"][known], ANSWER[known])
+    assert f"output 'x' has 3 gaps in {N} rows" in experiment.notes
+
+
+@dataclass(frozen=True)
+class Look:
+    separator: str
+    decimal: str
+    order: tuple[int, ...]
+    units: tuple[str, ...]
+    brackets: str
+    quoted: bool
+
+
+SCALES = {
+    "s": (("s", 1), ("ms", 1e-3), ("min", 60)),
+    "V": (("V", 1), ("mV", 1e-3)),
+    "m": (("m", 1), ("um", 1e-6), ("µm", 1e-6), ("mm", 1e-3)),
+}
+SCALES["A"] = (("A", 1), ("mA", 1e-3), ("kA", 1e3))
+LABELS = [("time", "s"), ("u", "V"), ("x", "m"), ("i", "A")]
+FACTORS = {unit: factor for scale in SCALES.values() for unit, factor in scale}
+
+
+@st.composite
+def looks(draw):
+    separator = draw(st.sampled_from([",", ";", "\t"]))
+    decimal = "." if separator == "," else draw(st.sampled_from([".", ","]))
+    units = tuple(draw(st.sampled_from(SCALES[unit]))[0] for _, unit in LABELS)
+    order = tuple(draw(st.permutations(range(4))))
+    return Look(separator, decimal, order, units, draw(st.sampled_from(["[]", "()"])), draw(st.booleans()))
+
+
+VALUES = st.floats(-1e9, 1e9, allow_subnormal=False)
+
+
+@given(look=looks(), drive=st.lists(VALUES, min_size=10, max_size=15, unique=True), data=st.data())
+def test_separators_orders_and_units_do_not_change_the_record(tmp_path_factory, look, drive, data):
+    rows = len(drive)
+    gaps = st.one_of(VALUES, st.just(float("nan")))
+    answer = np.array(data.draw(st.lists(gaps, min_size=rows, max_size=rows)))
+    answer[0] = 1.0
+    wanted = [np.arange(rows) * 0.25, np.array(drive), answer, np.arange(rows) ** 2 / 7.0]
+    written = [values / FACTORS[unit] for values, unit in zip(wanted, look.units, strict=True)]
+    left, right = look.brackets
+    headers = [f"{name} {left}{unit}{right}" for (name, _), unit in zip(LABELS, look.units, strict=True)]
+    headers = [f'"{h}"' if look.quoted else h for h in headers]
+    path = tmp_path_factory.mktemp("look") / "run.csv"
+    shuffled = [headers[k] for k in look.order], [written[k] for k in look.order]
+    experiment = read_csv(write(path, *shuffled, separator=look.separator, decimal=look.decimal), RIG)
+    found = [experiment.time, experiment.inputs["u"], experiment.outputs["x"], experiment.outputs["i"]]
+    for values, expected, unit in zip(found, wanted, look.units, strict=True):
+        if FACTORS[unit] == 1:
+            np.testing.assert_array_equal(values, expected)
+        np.testing.assert_allclose(values, expected, rtol=4e-16 * 2)
+    straight = read_csv(write(path, headers, written), RIG)
+    assert straight.fingerprint == experiment.fingerprint
+
+
+@given(
+    name=st.text(string.ascii_letters + string.digits + "_ ", min_size=1, max_size=12).filter(str.strip),
+    unit=st.sampled_from(list(FACTORS)),
+    gap=st.sampled_from(["", " ", "  "]),
+)
+def test_headers_are_name_and_unit(name, unit, gap):
+    for text in (f"{name}{gap}[{unit}]", f"{name}{gap}({unit})", f" {name} [ {unit} ] "):
+        column = parse_header(text, 3)
+        assert (column.name, column.unit, column.position) == (name.strip(), unit, 3)
+    assert parse_header(name, 0).unit == ""
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("Laser (ch1)", "Laser (ch1)", ""),
+        ("Laser (1)", "Laser (1)", ""),
+        ("Laser (ch1) (um)", "Laser (ch1)", "um"),
+        ("B (N*s/(m))", "B", "N*s/(m)"),
+        ("T (degC)", "T", "degC"),
+        ("duty [-]", "duty", "-"),
+        ("q []", "q", ""),
+        ("(V)", "(V)", ""),
+        ("p_a (abs) [kPa]", "p_a (abs)", "kPa"),
+    ],
+)
+def test_parentheses_are_a_unit_only_when_they_hold_one(header, name, unit):
+    column = parse_header(header, 0)
+    assert (column.name, column.unit) == (name, unit)
+
+
+def test_a_header_without_a_unit_is_in_the_models_unit(tmp_path):
+    same(read_csv(write(tmp_path / "run.csv", ["t", "u", "x", "i []"], [TIME, DRIVE, ANSWER, CURRENT]), RIG))
+
+
+def test_signs_of_older_instruments_are_understood(tmp_path):
+    headers = ["t", "u [V]", "x [µm]", "i [A]"]
+    columns = [TIME, DRIVE, 1e6 * ANSWER, CURRENT]
+    experiment = read_csv(write(tmp_path / "run.csv", headers, columns, encoding="latin-1"), RIG)
+    np.testing.assert_allclose(experiment.outputs["x"], ANSWER, rtol=1e-14)
+
+
+def test_a_file_of_many_chunks_is_read_whole_and_its_late_lines_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("greybox.experiment.text_table.CHUNK", 7)
+    same(read_csv(good(tmp_path / "run.csv"), RIG))
+    with pytest.raises(DataError, match=r"column 'u \[V\]', lines 3, 25: 'a', 'b'"):
+        read_csv(edited(tmp_path / "run.csv", {3: "0.1,a,0,0", 25: "2.3,b,0,0"}), RIG)
+    with pytest.raises(DataError, match=r"lines 3, 25 have another number of fields \(2 in the first of them\)"):
+        read_csv(edited(tmp_path / "run.csv", {3: "0.1,0", 25: "2.3,0,0"}), RIG)
+
+
+def test_offset_units_are_converted_as_data(tmp_path):
+    oven = Model(
+        "oven",
+        states=[State("T", "K")],
+        inputs=[Input("P", "W")],
+        outputs=[Output("T", "K")],
+        parameters=[Parameter("C", "J/K", 10.0)],
+        balances=lambda x, u, p: [Balance("heat", "W", p.C, "T", supply=u.P)],
+    )
+    path = write(tmp_path / "run.csv", ["t [min]", "P [kW]", "T [degC]"], [TIME, DRIVE, 20 + CURRENT])
+    experiment = read_csv(path, oven)
+    np.testing.assert_allclose(experiment.outputs["T"], 293.15 + CURRENT, rtol=1e-14)
+    np.testing.assert_allclose(experiment.time, 60 * TIME, rtol=1e-15)
+
+
+def test_columns_maps_signals_to_other_headers(tmp_path):
+    headers = ["Zeit [ms]", "AO0", "Laser ch1 [um]", "x [m]", "i [A]"]
+    path = write(tmp_path / "run.csv", headers, [1e3 * TIME, DRIVE, 1e6 * ANSWER, TIME, CURRENT])
+    experiment = read_csv(
+        path, RIG, columns={"time": "Zeit", "u": "AO0", "x": "Laser ch1 [um]"}, name="first", hold="first"
+    )
+    np.testing.assert_allclose(experiment.outputs["x"], ANSWER, rtol=1e-15)
+    np.testing.assert_allclose(experiment.time, TIME, rtol=1e-15)
+    np.testing.assert_array_equal(experiment.inputs["u"], DRIVE)
+    assert (experiment.name, experiment.hold) == ("first", "first")
+    assert experiment.notes == ("no unit in the header of u: taken as V", "columns ignored: 'x [m]'")
+
+
+def test_outputs_may_be_missing_and_other_columns_may_hold_anything(tmp_path):
+    path = good(tmp_path / "run.csv")
+    lines = [
+        line.rsplit(",", 1)[0] + end
+        for line, end in zip(path.read_text().splitlines(), [",state"] + [",ok"] * N, strict=True)
+    ]
+    path.write_text("\n".join(lines))
+    experiment = read_csv(path, RIG, conditions={"T": 293.0})
+    assert list(experiment.outputs) == ["x"]
+    assert experiment.notes == ("not measured: output 'i'", "columns ignored: 'state'")
+    assert experiment.conditions["T"] == 293.0
+
+
+def test_a_model_without_inputs_reads_a_free_decay(tmp_path):
+    experiment = read_csv(write(tmp_path / "run.csv", ["t", "x"], [TIME, ANSWER]), FREE)
+    assert dict(experiment.inputs) == {}
+    np.testing.assert_array_equal(experiment.outputs["x"], ANSWER)
+
+
+def test_constant_inputs(tmp_path):
+    step = write(tmp_path / "step.csv", ["t", "u", "x"], [TIME, np.ones(N), ANSWER])
+    assert "input 'u' is constant at 1" in read_csv(step, RIG).notes
+    decay = write(tmp_path / "decay.csv", ["t", "u", "x"], [TIME, np.zeros(N), ANSWER])
+    with pytest.raises(
+        DataError, match=r"^decay\.csv: constant input: 'u' is 0 in every row.*allow_constant_input=True"
+    ):
+        read_csv(decay, RIG)
+    assert "input 'u' is constant at 0" in read_csv(decay, RIG, allow_constant_input=True).notes
+    still = write(tmp_path / "still.csv", ["t", "u", "x"], [TIME, np.ones(N), np.ones(N)])
+    with pytest.raises(DataError, match="nothing moves: 'u', 'x' are constant over the whole record"):
+        read_csv(still, RIG, allow_constant_input=True)
+    dead = write(tmp_path / "dead.csv", ["t", "u", "x"], [TIME, DRIVE, np.full(N, 3e-6)])
+    with pytest.raises(DataError, match="no output moves: 'x' is constant over the whole record"):
+        read_csv(dead, RIG)
+
+
+# --- exports of instruments and spreadsheets
+
+EXPORTS = {
+    "separator line": {"before": ["sep=;"], "separator": ";"},
+    "separator line in quotes": {"before": ['"sep=,"']},
+    "separator line and decimal comma": {"before": ["sep=;"], "separator": ";", "decimal": ","},
+}
+
+
+@pytest.mark.parametrize("how", EXPORTS.values(), ids=EXPORTS)
+def test_the_line_that_states_the_separator_is_understood(tmp_path, how):
+    path = good(tmp_path / "run.csv", **how)
+    same(read_csv(path, RIG))
+    first, header, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([first, header, rows[0], f"bad{rows[1]}", *rows[2:]]))
+    with pytest.raises(DataError, match=r"column 'time \[s\]', line 4"):
+        read_csv(path, RIG)
+
+
+def test_quoted_headers_and_fields_between_blanks(tmp_path):
+    table = np.column_stack([TIME, DRIVE, ANSWER, CURRENT]).tolist()
+    rows = [f'{t!r} "{u!r}"   {x!r} {i!r}' for t, u, x, i in table]
+    (tmp_path / "run.dat").write_text("\n".join(['"time [s]" "u [V]" "x [m]" i [A]', *rows]))
+    same(read_csv(tmp_path / "run.dat", RIG))
+
+
+@pytest.mark.parametrize(
+    ("first", "message"),
+    [
+        (["time,u,x,i", "s,V,um,A"], "line 2 looks like units (s,V,um,A); put them into the header"),
+        (["time,u,x,i", "[s],[V],[um],[A]"], "line 2 looks like units"),
+        (
+            ["Oscilloscope 3000", "Serial;123", "", "time [s],u [V],x [m],i [A]"],
+            "line 4 looks like the header (time [s],u [V],x [m],i [A]); delete the 2 lines before it, or begin them with '#'",
+        ),
+        (["Rig 2, 3 May", "time [s],u [V],x [m],i [A]"], "line 2 looks like the header"),
+    ],
+)
+def test_what_stands_around_the_header_is_named_with_the_remedy(tmp_path, first, message):
+    _, *rows = good(tmp_path / "run.csv").read_text().splitlines()
+    (tmp_path / "run.csv").write_text("\n".join([*first, *rows]))
+    with pytest.raises(DataError, match=re.escape(f"run.csv: {message}")):
+        read_csv(tmp_path / "run.csv", RIG)
+
+
+def test_a_first_row_without_numbers_is_a_row(tmp_path):
+    with pytest.raises(DataError, match=r"column 'u \[V\]', line 2: 'low' is not a number"):
+        read_csv(edited(tmp_path / "run.csv", {2: "0,low,over,over"}), RIG)
+
+
+@pytest.mark.parametrize(
+    ("field", "remedy"),
+    [
+        ("2024-05-03 10:00:00.1", "write time as seconds from the start of the record"),
+        ("10:00:03", "write time as seconds from the start"),
+        ('"0,25"', "write decimal points, or ';' between the columns"),
+        ('"1,234.5"', "write the number without marks between its thousands"),
+        ("over", "correct it, or leave the field empty"),
+    ],
+)
+def test_text_in_a_column_of_numbers_has_its_own_remedy(tmp_path, field, remedy):
+    with pytest.raises(DataError, match=re.escape(remedy)):
+        read_csv(edited(tmp_path / "run.csv", {5: f"{field},0.5,1e-6,0"}), RIG)
+
+
+# --- what is accepted but said
+
+
+def test_headers_without_units_are_noted(tmp_path):
+    path = write(tmp_path / "run.csv", ["t", "u [V]", "x", "i []"], [TIME, DRIVE, ANSWER, CURRENT])
+    assert read_csv(path, RIG).notes == ("no unit in the header of time, x, i: taken as s, m, A",)
+
+
+def test_a_sensor_that_never_moves_is_noted(tmp_path):
+    path = write(tmp_path / "run.csv", ["t [s]", "u [V]", "x [m]", "i [A]"], [TIME, DRIVE, np.full(N, 3e-6), CURRENT])
+    (note,) = read_csv(path, RIG).notes
+    assert note.startswith("output 'x' is constant at 3e-06: a sensor that never moves")
+
+
+# --- one clear message
+
+
+def edited(path, edits, **how):
+    """The good record with some lines (counted from 1, the header is line 1) replaced; None deletes a line."""
+    lines = good(path, **how).read_text().splitlines()
+    for number, text in edits.items():
+        lines[number - 1] = text
+    path.write_text("\n".join(line for line in lines if line is not None) + "\n")
+    return path
+
+
+LINE = "{t},0.5,1e-6,0"
+BAD_LINES = [
+    ({5: "0.3,0.5,abc,0"}, "column 'x [m]', line 5: 'abc' is not a number; correct it, or leave"),
+    ({5: "0.3,?,1e-6,0", 9: "0.7,--,1e-6,0"}, "column 'u [V]', lines 5, 9: '?', '--' are not numbers"),
+    ({5: "0.3,0x10,1e-6,0"}, "column 'u [V]', line 5: '0x10' is not a number"),
+    ({5: "0.3,True,1e-6,0"}, "column 'u [V]', line 5: 'True' is not a number"),
+    ({5: "0.3,1_000,1e-6,0"}, "column 'u [V]', line 5: '1_000' is not a number"),
+    ({5: "0.3,0.5,1e-6 #x,0"}, "column 'x [m]', line 5: '1e-6 #x' is not a number"),
+    ({5: "0.3,,1e-6,0"}, "input 'u' is empty or NaN at line 5; an input must be known at every row"),
+    ({5: ",0.5,1e-6,0"}, "time is empty or NaN at line 5"),
+    ({5: "0.3,0.5,inf,0"}, "output 'x' is infinite at line 5"),
+    ({5: "0.3,-Infinity,1e-6,0"}, "input 'u' is infinite at line 5"),
+    ({5: "0.3,0.5,1e999,0"}, "output 'x' is infinite at line 5"),
+    ({5: LINE.format(t=0.2)}, "time is repeated at line 5 (0.2 s after 0.2 s); time must increase from row to row"),
+    ({5: LINE.format(t=0.15)}, "time goes back at line 5 (0.15 s after 0.2 s)"),
+    ({5: "0.3,0.5"}, "line 5 has 2 fields, the header (line 1) has 4"),
+    ({5: "0.3,0,5,1e-6,0"}, "line 5 has 5 fields, the header (line 1) has 4; write a decimal point, or ';'"),
+    ({31: "2.9,0.5,1e-"}, "line 31 has 3 fields"),
+    (dict.fromkeys(range(10, 32)), "8 rows; a record needs at least 10"),
+    (dict.fromkeys(range(2, 32)), "0 rows; a record needs at least 10"),
+    ({1: "0,0,0,0"}, "line 1 holds numbers where the header should be; begin the file with a line of names"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("edits", "message"), BAD_LINES, ids=[f"{k}: {m[:45]}" for k, (_, m) in enumerate(BAD_LINES)])
+def test_a_bad_line_is_named(tmp_path, edits, message):
+    with pytest.raises(DataError, match=re.escape(message)) as error:
+        read_csv(edited(tmp_path / "run.csv", edits), RIG)
+    assert str(error.value).startswith("run.csv: ")
+    assert "\n" not in str(error.value)
+
+
+def test_lines_are_those_of_the_file_comments_and_blank_lines_included(tmp_path):
+    path = good(tmp_path / "run.csv", before=["# one", "", "# three"])
+    lines = path.read_text().splitlines()
+    lines[10:10] = ["", "# in between"]
+    lines[19] = lines[19].replace(",", ",bad", 1)
+    path.write_text("\n".join(lines))
+    with pytest.raises(DataError, match=r"column 'u \[V\]', line 20: 'bad"):
+        read_csv(path, RIG)
+    path.write_text("\n".join(lines).replace("bad", ","))
+    with pytest.raises(DataError, match=r"line 20 has 5 fields, the header \(line 4\) has 4"):
+        read_csv(path, RIG)
+
+
+def test_a_decimal_point_among_decimal_commas_is_not_a_number(tmp_path):
+    path = good(tmp_path / "run.csv", separator=";", decimal=",")
+    lines = path.read_text().splitlines()
+    lines[4] = "0,3;1.234,5;0,1;0"
+    lines[6] = "0,5;1.5;0,1;0"
+    path.write_text("\n".join(lines))
+    with pytest.raises(DataError, match=r"column 'u \[V\]', lines 5, 7: '1.234,5', '1.5' are not numbers"):
+        read_csv(path, RIG)
+
+
+def test_many_lines_are_shortened(tmp_path):
+    path = edited(tmp_path / "run.csv", {k: f"{TIME[k - 2]},x,1e-6,0" for k in range(4, 16)})
+    with pytest.raises(
+        DataError, match=r"lines 4, 5, 6, 7, 8 and 7 more: 'x', 'x', 'x', 'x', 'x' and 7 more are not numbers"
+    ):
+        read_csv(path, RIG)
+
+
+def test_an_output_without_any_value(tmp_path):
+    path = write(tmp_path / "run.csv", ["t", "u", "x", "i"], [TIME, DRIVE, ANSWER, np.full(N, np.nan)])
+    with pytest.raises(DataError, match=r"^run\.csv: output 'i' holds no value at all; remove it"):
+        read_csv(path, RIG)
+
+
+HEADERS = [
+    (
+        ["time", "U [V]", "x"],
+        "no column for input 'u' [V]; did you mean 'U [V]'? unused headers: U [V]; rename one, or say",
+    ),
+    (
+        ["time", "voltage", "x"],
+        "no column for input 'u' [V]; unused headers: voltage; rename one, or say columns={'u': <header>} (shell: --column u=<header>)",
+    ),
+    (["T", "u", "x"], "no column for time [s]; "),
+    (
+        ["time", "x", "i"],
+        "no column for input 'u' [V]; every other column is in use; add a column for it, or say columns={'u': <header>}",
+    ),
+    (
+        ["time", "u", "z"],
+        "no column for any output of model 'rig' (output 'x' [m], output 'i' [A]), at least one is needed",
+    ),
+    (
+        ["time", "u", "u [mV]"],
+        "input 'u' [V] has 2 columns, 'u' and 'u [mV]'; keep one, or say columns={'u': <header>} (shell: --column u=<header>)",
+    ),
+    (["time [s]", "u", "x", "t"], "time [s] has 2 columns, 'time [s]' and 't'"),
+    (["time", "u", "x [V]"], "column 'x [V]' in V does not convert to output 'x' [m]: V cannot be converted to m"),
+    (["time [m]", "u", "x"], "column 'time [m]' in m does not convert to time [s]: m cannot be converted to s"),
+    (["time", "u [Volz]", "x"], "column 'u [Volz]' in Volz does not convert to input 'u' [V]: unit 'Volz'"),
+]
+
+
+@pytest.mark.parametrize(("headers", "message"), HEADERS, ids=[m[:50] for _, m in HEADERS])
+def test_a_header_that_does_not_fit_is_named(tmp_path, headers, message):
+    path = write(tmp_path / "run.csv", headers, [TIME, DRIVE, ANSWER, CURRENT][: len(headers)])
+    with pytest.raises(DataError, match=re.escape(message)):
+        read_csv(path, RIG)
+
+
+MAPPINGS = [
+    ({"v": "a"}, "columns names 'v', which model 'rig' does not have; known: time, u, x, i"),
+    ({"u": "AO1"}, "columns maps 'u' to 'AO1', which the file does not have; did you mean 'AO0'?"),
+    ({"u": "AO0", "x": "AO0"}, "columns maps both 'u' and 'x' to 'AO0'; each signal needs its own column"),
+    ({"u": "twice"}, "columns maps 'u' to 'twice', which the file has 2 times"),
+]
+
+
+@pytest.mark.parametrize(("mapping", "message"), MAPPINGS)
+def test_a_mapping_that_does_not_fit_is_named(tmp_path, mapping, message):
+    path = write(tmp_path / "run.csv", ["t", "AO0", "x", "twice", "twice"], [TIME, DRIVE, ANSWER, TIME, TIME])
+    with pytest.raises(DataError, match=re.escape(message)):
+        read_csv(path, RIG, columns=mapping)
+
+
+def test_all_problems_of_a_file_come_in_one_message(tmp_path):
+    with pytest.raises(DataError) as error:
+        read_csv(write(tmp_path / "run.csv", ["zeit", "U", "z"], [TIME, DRIVE, ANSWER]), RIG)
+    assert str(error.value).count("\n  - ") == 3
+    edits = {5: "0.3,0.5,inf,0", 8: "0.1,0.5,1e-6,0", 11: "0.9,,1e-6,0"}
+    with pytest.raises(DataError) as error:
+        read_csv(edited(tmp_path / "run.csv", edits), RIG)
+    text = str(error.value)
+    assert text.startswith("run.csv: 3 problems:\n")
+    for part in (
+        "output 'x' is infinite at line 5",
+        "time goes back at line 8",
+        "input 'u' is empty or NaN at line 11",
+    ):
+        assert part in text
+    edits = {1: "time [V],u [V],x [m],i [A]", 5: "0.3,up,down,0"}
+    with pytest.raises(DataError, match="3 problems") as error:
+        read_csv(edited(tmp_path / "run.csv", edits), RIG)
+    for part in ("'up' is not", "'down' is not", "V cannot be converted to s"):
+        assert part in str(error.value)
+
+
+def test_files_that_are_not_there_or_not_readable(tmp_path):
+    good(tmp_path / "train_1.csv")
+    cases = {
+        tmp_path / "train1.csv": "file not found; did you mean 'train_1.csv'?",
+        tmp_path / "zzz.csv": "file not found; records there: train_1.csv",
+        tmp_path / "no" / "run.csv": "file not found, there is no folder",
+        tmp_path: "is a folder; give a file in it (.csv, .tsv",
+    }
+    for path, message in cases.items():
+        with pytest.raises(DataError, match=re.escape(message)):
+            read_csv(path, RIG)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("run.xlsx", b"PK", "run.xlsx: files of type '.xlsx' cannot be read; export it as one of .csv, .tsv"),
+        ("run", b"t,u,x", "run: files of type '(no suffix)' cannot be read"),
+        ("run.csv", b"", "run.csv: the file is empty; it needs a header line and rows of numbers"),
+        ("run.csv", b"\n \n# nothing\n", "run.csv: the file is empty; it needs a header line"),
+        ("run.csv", b"PK\x03\x04\0\0\0", "run.csv: this is not a text file"),
+        ("run.csv", b"\xff\xfet\0,\0u", "run.csv: not readable as UTF-16 text"),
+        ("run.mat", b"nonsense", "run.mat: not a readable MATLAB file"),
+        ("run.npz", b"nonsense", "run.npz: not a readable .npz file"),
+        ("run.npz", b"", "run.npz: the file is empty"),
+        ("run.parquet", b"nonsense", "run.parquet: not a readable Parquet file"),
+    ],
+)
+def test_a_file_of_the_wrong_kind(tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(DataError, match=re.escape(message)):
+        read_csv(tmp_path / name, RIG)
+
+
+def test_matlab_7_3_is_refused_with_the_remedy(tmp_path):
+    header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + b"\0" * 8 + b"\x00\x02IM"
+    (tmp_path / "run.mat").write_bytes(header + b"\0" * 400)
+    with pytest.raises(
+        DataError,
+        match=re.escape(
+            "run.mat: MATLAB 7.3 files cannot be read; in MATLAB save it again with save('run.mat', '-v7')"
+        ),
+    ):
+        read_csv(tmp_path / "run.mat", RIG)
+
+
+def test_binary_columns_that_are_no_numbers(tmp_path):
+    frame = pd.DataFrame({"time": TIME, "u": DRIVE, "x": ["a", *map(str, ANSWER[1:])]})
+    frame.to_parquet(tmp_path / "text.parquet")
+    pd.DataFrame({"time": pd.date_range("2024-01-01", periods=N), "u": DRIVE, "x": ANSWER}).to_parquet(
+        tmp_path / "date.parquet"
+    )
+    np.savez(tmp_path / "matrix.npz", time=TIME, u=DRIVE, x=np.ones((N, 2)))
+    np.savez(tmp_path / "length.npz", time=TIME, u=DRIVE, x=ANSWER[1:])
+    np.savez(tmp_path / "complex.npz", time=TIME, u=DRIVE, x=ANSWER * 1j)
+    np.savez(tmp_path / "input.npz", time=TIME, u=np.where(TIME == 0, np.nan, DRIVE), x=ANSWER)
+    cases = {
+        "text.parquet": "column 'x', rows 1, 2, 3, 4, 5 and 25 more: 'a', ",
+        "date.parquet": "column 'time' holds datetime64",
+        "matrix.npz": "column 'x' has shape (30, 2); it needs one number for each row",
+        "length.npz": "columns differ in length ('time' 30, 'u' 30, 'x' 29 rows)",
+        "complex.npz": "column 'x' holds complex128, not real numbers",
+        "input.npz": "input 'u' is empty or NaN at row 1",
+    }
+    for name, message in cases.items():
+        with pytest.raises(DataError, match=re.escape(message)):
+            read_csv(tmp_path / name, RIG)
+
+
+def test_objects_in_an_archive_are_not_unpickled(tmp_path):
+    np.savez(tmp_path / "run.npz", time=np.array([object()]), allow_pickle=True)
+    with pytest.raises(DataError, match=r"not a readable \.npz file"):
+        read_csv(tmp_path / "run.npz", RIG)
+
+
+# --- several files, speed, real records
+
+
+def test_several_files_are_read_in_order_with_distinct_names(tmp_path):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        good(tmp_path / folder / "run.csv")
+    good(tmp_path / "other.csv")
+    experiments = read_experiments(
+        [tmp_path / "a/run.csv", tmp_path / "other.csv", str(tmp_path / "b/run.csv")], RIG, hold="first"
+    )
+    assert [e.name for e in experiments] == ["a/run", "other", "b/run"]
+    assert {e.hold for e in experiments} == {"first"}
+    assert len(read_experiments(tmp_path / "other.csv", RIG)) == 1
+
+
+def test_the_problems_of_several_files_come_in_one_message(tmp_path):
+    paths = [edited(tmp_path / "one.csv", {5: "0.3,a,1e-6,0"}), good(tmp_path / "two.csv"), tmp_path / "three.csv"]
+    with pytest.raises(DataError) as error:
+        read_experiments(paths, RIG)
+    text = str(error.value)
+    assert "one.csv: column 'u [V]', line 5" in text
+    assert "three.csv: file not found" in text
+    assert "two.csv:" not in text
+    with pytest.raises(DataError, match="no file to read"):
+        read_experiments([], RIG)
+
+
+def test_reads_65_062_rows_fast(tmp_path):
+    rows = 65_062
+    noise = np.random.default_rng(3).normal(size=(2, rows))
+    path = write(tmp_path / "run.csv", ["t", "u [V]", "x [um]"], [np.round(np.arange(rows) * 0.0016384, 7), *noise])
+    read_csv(good(tmp_path / "warm.csv"), RIG)  # imports
+    seconds = []
+    for _ in range(3):
+        start = clock.process_time()  # other processes do not count
+        experiment = read_csv(path, RIG)
+        seconds.append(clock.process_time() - start)
+    np.testing.assert_array_equal(experiment.inputs["u"], noise[0])
+    assert min(seconds) < 0.3
+
+
+@pytest.mark.parametrize(
+    ("file", "model", "rows", "step", "first", "last"),
+    [
+        ("emps/train.csv", EMPS, 24_841, 1e-3, (2.53862809, 7.45e-06), (-0.95273243, 0.00361505)),
+        ("emps/test.csv", EMPS, 24_841, 1e-3, (2.55322418, 7.67021588e-06), (-0.889864816, 0.00374389941)),
+        (
+            "silverbox/train_multisine.csv",
+            BOX,
+            65_062,
+            0.0016384,
+            (-0.0145043307, 0.0364508525),
+            (-0.0189534838, -0.00360594108),
+        ),
+        (
+            "silverbox/test_arrow.csv",
+            BOX,
+            40_475,
+            0.0016384,
+            (0.00599271702, 0.000858761247),
+            (0.0061203233, 0.0021431869),
+        ),
+        ("cascaded_tanks/train.csv", BOX, 1024, 4.0, (3.25672305, 5.20500496), (3.26145652, 3.68307012)),
+        ("cascaded_tanks/test.csv", BOX, 1024, 4.0, (0.976191966, 4.97276265), (0.948047667, 3.71786069)),
+    ],
+)
+def test_real_records_are_regular_and_complete(shared_data, file, model, rows, step, first, last):
+    experiment = read_csv(shared_data / file, model)
+    assert experiment.rows == rows
+    assert experiment.sampling_time == pytest.approx(step, rel=1e-7)
+    (u,), (y,) = experiment.inputs.values(), experiment.outputs.values()
+    assert ((u[0], y[0]), (u[-1], y[-1])) == (first, last)
+    assert not np.isnan(y).any()
+    assert experiment.notes == ()

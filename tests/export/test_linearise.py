@@ -1,0 +1,338 @@
+"""Linear models of a fit: against matrices by hand, python-control and scipy; kinks, friction, delays, units of one size."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.signal import cont2discrete
+
+import greybox as gb
+from models.micro_actuator import micro_actuator, micro_actuator_no_inductance
+from models.pneumatic_cylinder import pneumatic_cylinder
+from models.pneumatic_full import pneumatic_full
+from models.pneumatic_pva import pneumatic_pva
+
+COULOMB = (micro_actuator + gb.effect("coulomb_friction")).start(Fc=0.1)
+DEAD = (micro_actuator + gb.effect("input_dead_zone")).start(d=0.5)
+
+
+def constants(model):
+    return type("P", (), model.values)
+
+
+def test_the_actuator_is_equation_16_1():
+    p = constants(micro_actuator)
+    a = [[0, 1, 0], [-p.K / p.M, -p.B / p.M, p.Kf / p.M], [0, -p.Kv / p.La, -p.Ra / p.La]]
+    found = gb.linearise(micro_actuator)
+    np.testing.assert_allclose(found.A, a, rtol=1e-14)
+    np.testing.assert_allclose(found.B, [[0], [0], [1 / p.La]], rtol=1e-14)
+    channel = found.channel("x", "u")
+    by_hand = [
+        p.M * p.La, p.M * p.Ra + p.B * p.La, p.B * p.Ra + p.K * p.La + p.Kf * p.Kv, p.K * p.Ra
+    ]  # fmt: skip
+    np.testing.assert_allclose(channel.denominator, np.array(by_hand) / by_hand[0], rtol=1e-10)
+    np.testing.assert_allclose(channel.numerator, [p.Kf / by_hand[0]], rtol=1e-10)
+    current = found.channel("i", "u")
+    np.testing.assert_allclose(current.numerator, np.array([p.M, p.B, p.K]) / by_hand[0], rtol=1e-10)
+
+
+def test_without_inductance_it_is_equation_16_2():
+    p = constants(micro_actuator_no_inductance)
+    channel = gb.linearise(micro_actuator_no_inductance).channel("x", "u")
+    np.testing.assert_allclose(channel.denominator, [1, (p.B + p.Kf * p.Kv / p.Ra) / p.M, p.K / p.M], rtol=1e-10)
+    np.testing.assert_allclose(channel.numerator, [p.Kf / p.Ra / p.M], rtol=1e-10)
+
+
+@pytest.mark.parametrize("model", [pneumatic_pva, pneumatic_cylinder])
+def test_the_cylinder_is_equation_10_9(model):
+    p = constants(model)
+    spring = 2 * p.P_S * p.A_piston**2 / (p.M_piston * p.V_total)
+    gain = 2 * p.P_a * p.K2 * p.P_S * p.A_piston / (p.rho_a * p.M_piston * p.V_total)
+    found = gb.linearise(model)
+    if model is pneumatic_pva:
+        np.testing.assert_allclose(found.A, [[0, 1, 0], [0, 0, 1], [0, -spring, -p.f_v]], rtol=1e-10)
+        np.testing.assert_allclose(found.B, [[0], [0], [gain]], rtol=1e-10)
+    channel = found.channel("s", "u")
+    np.testing.assert_allclose(channel.denominator, [1, p.f_v, spring, 0], rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(channel.numerator, [gain], rtol=1e-10)
+    assert channel.integrators == 1
+    assert channel.gain == pytest.approx(p.P_a * p.K2 / (p.rho_a * p.A_piston), rel=1e-10)
+    assert np.isnan(channel.bandwidth)
+
+
+def test_zeros_gain_and_bandwidth_are_those_of_python_control():
+    system = gb.linearise(micro_actuator)
+    for output in ("x", "i"):
+        channel, theirs = system.channel(output, "u"), system.state_space()[output, "u"]
+        assert channel.gain == pytest.approx(control.dcgain(theirs), rel=1e-12)
+        at_half = abs(theirs(1j * channel.bandwidth))
+        assert at_half == pytest.approx(abs(channel.gain) / np.sqrt(2), rel=1e-9)
+        np.testing.assert_allclose(np.sort_complex(channel.zeros), np.sort_complex(theirs.zeros()), rtol=1e-9)
+        w = np.geomspace(1, 1e5, 30)
+        np.testing.assert_allclose(channel.response(w), theirs(1j * w), rtol=1e-9)
+        np.testing.assert_allclose(system.frequency_response(w)[:, "xi".index(output), 0], theirs(1j * w), rtol=1e-9)
+
+
+def test_what_no_input_reaches_is_taken_out_and_the_rest_keeps_its_names():
+    whole = gb.linearise(pneumatic_cylinder)
+    small = whole.minimal()
+    assert small.state_names == ("s", "v", "p_a")  # p_a + p_b never changes
+    w = np.geomspace(0.1, 1e3, 40)
+    np.testing.assert_allclose(small.frequency_response(w), whole.frequency_response(w), rtol=1e-10)
+    assert "p_b: not reached by any input" in small.notes[-1]
+    assert gb.linearise(micro_actuator).minimal().state_names == ("x", "v", "i")
+
+
+def test_what_no_output_shows_is_taken_out():
+    warm = (micro_actuator + gb.effect("winding_heating")).start(Rth=0.1)
+    assert gb.linearise(warm).minimal().state_names == ("x", "v", "i")  # heat goes with the square of the current
+    leaky = (pneumatic_cylinder + gb.effect("chamber_leakage")).start(kl=1.0)
+    # The sum of the pressures is neither reached nor seen.
+    only_difference = replace(leaky, outputs=[gb.Output("s", "m")], rules=(), name="position_only")
+    small = gb.linearise(only_difference).minimal()
+    w = np.geomspace(0.1, 1e3, 40)
+    np.testing.assert_allclose(
+        small.frequency_response(w), gb.linearise(only_difference).frequency_response(w), rtol=1e-10
+    )
+    assert len(small.A) == 3
+
+
+@pytest.mark.parametrize("method", ["zoh", "tustin"])
+@pytest.mark.parametrize("model", [micro_actuator, pneumatic_cylinder])
+def test_sampling_is_that_of_scipy(model, method):
+    dt = 2.5e-4 if model is micro_actuator else 0.01
+    c, d = gb.linearise(model), gb.linearise(model, dt=dt, method=method)
+    theirs = cont2discrete((c.A, c.B, c.C, c.D), dt, "zoh" if method == "zoh" else "bilinear")
+    for ours, matrix in zip((d.A, d.B, d.C, d.D), theirs, strict=False):
+        np.testing.assert_allclose(ours, matrix, rtol=1e-9, atol=1e-13 * np.abs(matrix).max())
+
+
+@pytest.mark.parametrize("method", ["zoh", "tustin"])
+@pytest.mark.parametrize("draw", range(4))
+def test_sampling_changes_neither_gain_nor_integrators(draw, method):
+    """Pressures keep a finite gain and the position integrates, whatever the last digits of the constants."""
+    rng = np.random.default_rng(draw)
+    model = pneumatic_cylinder.start(
+        f_v=46 * (1 + 0.01 * rng.standard_normal()), K2=6.5e-10 * (1 + 0.01 * rng.standard_normal())
+    )
+    continuous, sampled = gb.linearise(model), gb.linearise(model, dt=0.01, method=method, delay=0.015)
+    for output, integrators in (("s", 1), ("p_a", 0), ("p_b", 0)):
+        one, other = continuous.channel(output), sampled.channel(output)
+        assert one.integrators == other.integrators == integrators
+        assert other.gain == pytest.approx(one.gain, rel=1e-7)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0, 2.7])
+def test_a_delay_of_any_length_is_exact_for_a_held_input(share):
+    dt, rng = 2.5e-4, np.random.default_rng(1)
+    c, d = gb.linearise(micro_actuator), gb.linearise(micro_actuator, dt=dt, delay=share * dt)
+    u = rng.standard_normal(40)
+    x, xd, rows, ours = np.zeros(3), np.zeros(len(d.A)), [], []
+    # Between samples the delayed input changes once: two exact pieces.
+    whole, part = int(share), share - int(share)
+
+    def piece(x, value, seconds):
+        block = np.zeros((4, 4))
+        block[:3, :3], block[:3, 3:] = c.A * seconds, c.B * seconds
+        e = expm(block)
+        return e[:3, :3] @ x + e[:3, 3] * value
+
+    for k in range(len(u)):
+        rows.append(c.C @ x)
+        ours.append(d.C @ xd + d.D @ u[k : k + 1])
+        xd = d.A @ xd + d.B @ u[k : k + 1]
+        late = [u[k - n] if k >= n else 0.0 for n in (whole, whole + 1)]
+        x = piece(piece(x, late[1], part * dt), late[0], (1 - part) * dt)
+    size = np.abs(rows).max(axis=0)
+    np.testing.assert_allclose(ours / size, rows / size, atol=1e-12)
+    assert len(d.A) == 3 + int(np.ceil(share))
+
+
+def test_the_models_own_delay_counts_and_a_continuous_system_approximates_it():
+    late = (micro_actuator + gb.effect("transport_delay")).start(delay=4e-4)
+    model = gb.linearise(late, delay=1e-4)
+    np.testing.assert_allclose(model.delay, [5e-4])
+    w = np.geomspace(10, 3000, 20)
+    plain = gb.linearise(micro_actuator).frequency_response(w)
+    np.testing.assert_allclose(model.frequency_response(w), plain * np.exp(-1j * w * 5e-4)[:, None, None], rtol=1e-9)
+    np.testing.assert_allclose(
+        model.state_space().frequency_response(w).complex[0, 0], model.frequency_response(w)[:, 0, 0], rtol=1e-3
+    )
+    sampled = gb.linearise(late, dt=2.5e-4)
+    assert sampled.state_names == ("x", "v", "i", "u_1", "u_2")
+
+
+def test_an_equilibrium_is_found_from_the_input_or_from_a_state():
+    p = constants(micro_actuator)
+    by_input = gb.export.find_operating_point(micro_actuator, {"u": 1.0})
+    assert by_input.equilibrium
+    assert by_input.states["x"] == pytest.approx(p.Kf / p.Ra / p.K, rel=1e-12)
+    by_state = gb.export.find_operating_point(micro_actuator, {"x": 1e-5})
+    assert by_state.inputs["u"] == pytest.approx(p.K * 1e-5 * p.Ra / p.Kf, rel=1e-12)
+
+
+def test_a_nonlinear_equilibrium_is_where_the_spring_carries_the_force():
+    hard = (micro_actuator + gb.effect("cubic_stiffness")).start(K3=1e12)
+    found = gb.linearise(hard, {"u": 2.0})
+    p, x = constants(hard), found.x0[0]
+    assert p.K * x + p.K3 * x**3 == pytest.approx(p.Kf * 2.0 / p.Ra, rel=1e-12)
+    assert found.A[1, 0] == pytest.approx(-(p.K + 3 * p.K3 * x**2) / p.M, rel=1e-12)
+
+
+def test_an_integrating_state_stays_where_it_starts_or_moves_steadily():
+    assert gb.export.find_operating_point(pneumatic_cylinder, {"s": 0.1}).states["s"] == 0.1
+    steady = gb.export.find_operating_point(pneumatic_cylinder, {"u": 1.0})
+    p = constants(pneumatic_cylinder)
+    assert steady.moving == ("s",)
+    assert steady.states["v"] == pytest.approx(p.P_a * p.K2 / (p.rho_a * p.A_piston), rel=1e-10)
+    assert "s moves at 0.04727 m/s" in steady.notes[0]
+
+
+@pytest.fixture(scope="module")
+def steady():
+    """The whole chain moving at 0.1 m/s: the valve has no slope at u = 0, where the search begins."""
+    return gb.linearise(pneumatic_full, {"v": 0.1})
+
+
+def test_a_valve_that_is_shut_at_first_is_opened_until_the_speed_is_there(steady):
+    at = dict(zip(steady.state_names, range(4), strict=True))
+    assert steady.x0[at["v"]] == 0.1
+    assert abs(steady.rates[at["p_a"]]) < 1e-6 and steady.u0[0] > 1
+
+
+def test_a_point_that_is_no_equilibrium_says_by_how_much():
+    found = gb.linearise(micro_actuator, {"x": 1e-5, "v": 0, "i": 0, "u": 0})
+    assert "is no equilibrium, out of balance: force by -0.05896 N" in found.notes[0]
+    assert found.rates[1] == pytest.approx(-constants(micro_actuator).K * 1e-5 / 0.01)
+    with pytest.raises(
+        gb.errors.ModelError, match=r"no equilibrium with x = 1e-05 m, u = 0 V, out of balance: force by"
+    ):
+        gb.linearise(micro_actuator, {"x": 1e-5, "u": 0})
+
+
+def test_bad_names_and_numbers_come_in_one_message():
+    with pytest.raises(
+        gb.errors.ModelError, match=r"'xx'; did you mean 'x'.*'M' is a constant.*u = nan is not a finite number"
+    ):
+        gb.linearise(micro_actuator, {"xx": 0, "M": 1, "u": np.nan})
+    with pytest.raises(gb.errors.ModelError, match=r"unknown method 'zho' of sampling; did you mean 'zoh'"):
+        gb.linearise(micro_actuator, dt=1e-3, method="zho")
+    with pytest.raises(gb.errors.ModelError, match="sampling time -1 s"):
+        gb.linearise(micro_actuator, dt=-1)
+    with pytest.raises(gb.errors.ModelError, match="no output 'y'"):
+        gb.linearise(micro_actuator).channel("y", "u")
+    with pytest.raises(gb.errors.ModelError, match="cannot be exported; give a fit"):
+        gb.linearise("fit.json")
+
+
+def test_dry_friction_at_rest_is_left_out_and_named():
+    stuck, free = gb.linearise(COULOMB), gb.linearise(micro_actuator)
+    np.testing.assert_array_equal(stuck.A, free.A)
+    assert "coulomb_friction cannot be linearised at v = 0 (it holds up to 0.1 N)" in stuck.notes[0]
+    held = gb.linearise(COULOMB, {"x": 1e-5, "u": 0})
+    assert "of which 0.05896 N are in use" in held.notes[0]
+    assert held.rates[1] == 0
+
+
+def test_sliding_friction_has_the_slope_of_its_level():
+    falling = (micro_actuator + gb.effect("stribeck_friction")).start(Fc=0.1, Fs=0.2, vs=0.01)
+    p = constants(falling)
+    slope = 0.1 * np.exp(-1) * 2 / p.vs  # -d(level)/dv at v = vs
+    found = gb.linearise(falling, {"v": 0.01})
+    assert found.A[1, 1] == pytest.approx((-p.B + slope) / p.M, rel=1e-12)
+    assert not [n for n in found.notes if "stribeck" in n]
+
+
+@pytest.mark.parametrize(("u", "gain", "said"), [
+    (0.5, 2000.0, "input_dead_zone cannot be linearised at u = 0.5 V"), (-0.5, 2000.0, "the side below it"),
+    (0.2, 0.0, "input 'u' has no effect at u = 0.2 V (input_dead_zone)"), (1.0, 2000.0, ""),
+])  # fmt: skip
+def test_the_dead_zone_and_its_edges(u, gain, said):
+    found = gb.linearise(DEAD, {"u": u})
+    np.testing.assert_allclose(found.B[2, 0], gain)
+    assert said in " ".join(found.notes) and bool(found.notes) == bool(said)
+
+
+def test_the_edge_of_a_saturation_takes_the_side_that_still_moves():
+    clipped = (micro_actuator + gb.effect("input_saturation")).start(u_max=2.0)
+    found = gb.linearise(clipped, {"u": 2.0})
+    np.testing.assert_allclose(found.B[2, 0], 2000.0)
+    assert "input_saturation" in found.notes[0] and "the side below it" in found.notes[0]
+
+
+def test_drag_has_no_kink_where_its_slopes_agree():
+    drag = (micro_actuator + gb.effect("quadratic_damping")).start(B2=3.0)
+    assert gb.linearise(drag).notes == ()
+    moving = gb.linearise(drag, {"v": 0.1})
+    assert moving.A[1, 1] == pytest.approx(-(0.2691 + 2 * 3.0 * 0.1) / 0.01, rel=1e-12)
+
+
+def test_play_is_taken_as_closed():
+    loose = gb.linearise((micro_actuator + gb.effect("backlash")).start(gap=1e-6))
+    tight = gb.linearise(micro_actuator)
+    np.testing.assert_array_equal(loose.A, tight.A)
+    np.testing.assert_array_equal(loose.C, tight.C)
+    assert "backlash cannot be linearised" in loose.notes[0]
+
+
+def test_a_slope_that_is_not_finite_is_refused():
+    with pytest.raises(gb.errors.ModelError, match="not finite; an equation has no finite slope"):
+        gb.linearise(
+            gb.Model(
+                "orifice", [gb.State("h", "m")], [gb.Input("q", "m/s")], [gb.Output("h", "m")],
+                [gb.Parameter("c", "m**0.5/s", 1.0)],
+                lambda x, u, p: [gb.Balance("level", "m/s", 1, "h", inflow=u.q, outflow=-p.c * x.h**0.5)],
+            ),
+            {"h": 0, "q": 0},
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(("dt", "said"), [
+    (2.5e-4, ""), (2e-3, "4.1 samples a period and it is followed poorly"), (1e-2, "beyond half the sampling rate")
+])  # fmt: skip
+def test_a_sampling_time_too_long_for_the_dynamics_is_said(dt, said):
+    notes = gb.linearise(micro_actuator, dt=dt).notes
+    assert said in " ".join(notes) and bool(notes) == bool(said)
+
+
+def test_tustin_on_a_fast_coil_is_said():
+    assert "rings from sample to sample" in gb.linearise(micro_actuator, dt=2.5e-4, method="tustin").notes[0]
+
+
+def test_to_control_hands_over_names_and_warns():
+    system = gb.export.to_control(micro_actuator)
+    assert (system.state_labels, system.input_labels, system.output_labels) == (["x", "v", "i"], ["u"], ["x", "i"])
+    assert system.linearisation.output_units == ("m", "A")
+    with pytest.warns(UserWarning, match="coulomb_friction cannot be linearised"):
+        gb.export.to_control(COULOMB)
+    ratio = gb.export.to_control(micro_actuator, form="transfer_function", dt=2.5e-4)
+    w = np.geomspace(10, 1e4, 20)
+    theirs = gb.export.to_control(micro_actuator, dt=2.5e-4).frequency_response(w).complex
+    np.testing.assert_allclose(ratio.frequency_response(w).complex, theirs, rtol=1e-6)
+    with pytest.raises(gb.errors.ModelError, match="unknown form 'tf'"):
+        gb.export.to_control(micro_actuator, form="tf")
+    with pytest.raises(gb.errors.ModelError, match="at, delay cannot be given with form='nonlinear'"):
+        gb.export.to_control(micro_actuator, {"u": 1}, delay=1e-3, form="nonlinear")
+
+
+def test_the_continuous_nonlinear_system_has_the_linear_one_as_its_slope(steady):
+    system = gb.export.to_control(pneumatic_full, form="nonlinear")
+    theirs = system.linearize(steady.x0, steady.u0)
+    np.testing.assert_allclose(theirs.A, steady.A, rtol=1e-3, atol=1e-3)
+    with pytest.raises(gb.errors.ModelError, match=r"no ordinary differential equation: coulomb_friction \(it sticks"):
+        gb.export.to_nonlinear_system(COULOMB)
+
+
+def test_the_sampled_nonlinear_system_runs_as_simulate_does():
+    full = micro_actuator + gb.effect("stribeck_friction") + gb.effect("transport_delay") + gb.effect("backlash")
+    full = full.start(Fc=0.05, Fs=0.08, vs=0.01, delay=4e-4, gap=1e-6)
+    dt = 2.5e-4
+    t = np.arange(200) * dt
+    u = 2 * np.sin(60 * t) + np.sign(np.sin(300 * t))
+    system = gb.export.to_nonlinear_system(full, dt, substeps=8)
+    run = control.input_output_response(system, t, u, np.zeros(system.nstates))
+    ours = gb.simulate(full, {"time": t, "u": u}, substeps=8)
+    np.testing.assert_allclose(run.outputs[0], ours.outputs["x"], rtol=1e-12, atol=1e-17)
+    assert "delay" not in system.params and system.params["Fc"] == 0.05

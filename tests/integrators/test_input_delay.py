@@ -1,0 +1,200 @@
+"""Transport delay in fractions of a sample, against scipy's solver on the shifted input, and its slopes."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from greybox import Effect, Model, Output, Parameter
+from greybox.effects import effect
+from greybox.errors import DataError, ModelError, UnitError
+from greybox.integrators import discretise, exact_hold
+from greybox.integrators.step import InputHistory
+from greybox.kernel import Record
+from models.micro_actuator import micro_actuator
+from tests.support.stepping import KERNELS, delay, differences, orders, path, record, slopes, stribeck, values
+
+T, ROWS = 2.5e-4, 40
+DELAYS = (0.0, 0.3, 1.0, 1.7, 3.25)
+LATE = micro_actuator + delay()
+INPUT = np.random.default_rng(0).normal(0, 3, ROWS)
+
+
+def at_delay(model, intervals):
+    return model.start(delay=intervals * T)
+
+
+def shifted(model, u, seconds, first_order=False):
+    """States at the rows: scipy solves the pieces between the moments at which something arrives."""
+    f, p = model.system.rhs_function, values(model)
+    padded = np.concatenate([np.zeros(8), u])
+
+    def arriving(t, middle):
+        k = int(np.floor((middle - seconds) / T)) + 8
+        share = (t - seconds) / T - (k - 8)
+        return padded[k] + first_order * (padded[k + 1] - padded[k]) * share
+
+    rows = np.arange(len(u)) * T
+    cuts = np.unique(np.round(np.concatenate([rows, rows + seconds % T]), 13))
+    cuts = cuts[cuts <= rows[-1] + 1e-12]
+    x, found = np.zeros(model.system.x.numel()), {0.0: np.zeros(model.system.x.numel())}
+    for a, b in pairwise(cuts):
+        x = solve_ivp(
+            lambda t, x, a=a, b=b: f(x, arriving(t, (a + b) / 2), p).full().ravel(), (a, b), x, method="DOP853", rtol=1e-9, atol=1e-12
+        ).y[:, -1]  # fmt: skip
+        found[b] = x
+    return np.array([found[min(found, key=lambda t, r=r: abs(t - r))] for r in rows])
+
+
+@pytest.mark.parametrize("first_order", [False, True], ids=["held", "linear"])
+@pytest.mark.parametrize("intervals", DELAYS)
+def test_the_exact_hold_shifts_the_input_exactly(intervals, first_order):
+    model = at_delay(LATE, intervals)
+    step = discretise(model.system, values(model), np.zeros((1, 3)), np.array([T]))
+    assert (step.name, step.past) == ("exact hold", (0, 4))
+    exact = shifted(model, INPUT, intervals * T, first_order)
+    for kernel in KERNELS:
+        _, found = path(step, record(INPUT, T, 2, first_order), values(model), np.zeros(3), kernel)
+        assert np.all(np.abs(found - exact).max(axis=0) < 1e-7 * np.abs(exact).max(axis=0))
+
+
+@pytest.mark.parametrize("first_order", [False, True], ids=["held", "linear"])
+@pytest.mark.parametrize("intervals", DELAYS)
+def test_rk4_keeps_its_order_whatever_the_delay(intervals, first_order):
+    model = at_delay(micro_actuator + effect("cubic_stiffness") + delay(), intervals).start(K3=5e10)
+    p, data = values(model), record(INPUT, T, 2, first_order)
+    exact = shifted(model, INPUT, intervals * T, first_order)
+    errors = []
+    for n in (16, 32, 64):
+        step = discretise(model.system, p, np.zeros((1, 3)), np.array([T]), substeps=n)
+        errors.append(
+            (np.abs(path(step, data, p, np.zeros(3))[1] - exact).max(axis=0) / np.abs(exact).max(axis=0)).max()
+        )
+    assert orders(errors).min() > 3.5, errors
+    assert errors[-1] < 1e-6
+    odd = discretise(model.system, p, np.zeros((1, 3)), np.array([T]), substeps=65)
+    assert np.all(np.abs(path(odd, data, p, np.zeros(3))[1] - exact).max(axis=0) < 1e-6 * np.abs(exact).max(axis=0))
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+@pytest.mark.parametrize("intervals", [0.3, 1.7, 3.25])
+def test_the_slope_along_the_delay_is_that_of_finite_differences(intervals, method, kernel):
+    model = at_delay(LATE, intervals)
+    p, data = values(model), record(INPUT, T, 2)
+    step = discretise(model.system, p, np.zeros((1, 3)), np.array([T]), method=method)
+    jacobian = slopes(step, data, p, np.zeros(3), kernel)
+    for k in range(len(p)):
+        difference = differences(step, data, p, np.zeros(3), k, relative=1e-5)
+        assert np.allclose(jacobian[:, :, k], difference, rtol=1e-4, atol=1e-6 * np.abs(difference).max())
+
+
+@pytest.mark.parametrize("method", ["exact", "rk4"])
+def test_the_answer_is_continuous_where_the_delay_passes_a_whole_sample(method):
+    p = values(LATE)
+    step = discretise(LATE.system, p, np.zeros((1, 3)), np.array([T]), method=method)
+    at = []
+    for intervals in (1 - 1e-9, 1.0, 1 + 1e-9):
+        p[-1] = intervals * T
+        at.append(path(step, record(INPUT, T, 2), p, np.zeros(3))[1])
+    for other in (at[0], at[2]):
+        assert np.all(np.abs(other - at[1]).max(axis=0) < 1e-6 * np.abs(at[1]).max(axis=0))
+
+
+def test_an_output_that_shows_the_input_shows_the_delayed_one():
+    seen = Model(
+        micro_actuator.name, micro_actuator.states, micro_actuator.inputs, [Output("w", "V", lambda x, u, p: u.u)],
+        micro_actuator.parameters, micro_actuator.balances,
+    ) + delay()  # fmt: skip
+    for method in ("exact", "rk4"):
+        for intervals, expected in ((0.0, INPUT), (1.0, np.r_[0, INPUT[:-1]]), (1.7, np.r_[0, 0, INPUT[:-2]])):
+            model = at_delay(seen, intervals)
+            step = discretise(model.system, values(model), np.zeros((1, 3)), np.array([T]), method=method)
+            assert np.array_equal(path(step, record(INPUT, T), values(model), np.zeros(3))[0][:, 0], expected)
+    model = at_delay(seen, 1.7)
+    line = path(
+        exact_hold(model.system, InputHistory(0, 4)), record(INPUT, T, first_order=True), values(model), np.zeros(3)
+    )[0][:, 0]
+    assert np.allclose(line, np.interp(np.arange(ROWS) - 1.7, np.arange(-3, ROWS), np.r_[0, 0, 0, INPUT]))
+
+
+def test_a_delay_goes_together_with_dry_friction_and_other_changes_of_the_input():
+    """What acts on the input acts on the delayed one; the delayed record given as such is the same thing."""
+    plain = micro_actuator + effect("input_offset") + stribeck(0.05, 0.08, 0.02)
+    plain = plain.start(u0=0.4)
+    late = at_delay(plain + delay(), 2.0)
+    step = {m: discretise(m.system, values(m), np.zeros((1, 3)), np.array([T]), substeps=16) for m in (plain, late)}
+    expected = path(step[plain], record(np.r_[0, 0, INPUT[:-2]], T, 2), values(plain), np.zeros(3))[1]
+    fine = discretise(plain.system, values(plain), np.zeros((1, 3)), np.array([T]), substeps=8)
+    found = path(step[late], record(INPUT, T, 2), values(late), np.zeros(3))[1]
+    # with a whole number of intervals all the way lies after the cut: half of the substeps cover the interval
+    assert np.allclose(
+        found, path(fine, record(np.r_[0, 0, INPUT[:-2]], T, 2), values(plain), np.zeros(3))[1], rtol=1e-9, atol=1e-15
+    )
+    assert np.abs(found - expected).max(axis=0)[0] < 1e-4 * np.abs(expected[:, 0]).max()
+
+
+def test_a_finer_step_can_be_had_by_repeating_the_same_one_more_often():
+    model = at_delay(LATE, 1.7)
+    p, data = values(model), record(INPUT, T, 2)
+    coarse = discretise(model.system, p, np.zeros((1, 3)), np.array([T]), method="rk4", substeps=16)
+    fine = discretise(model.system, p, np.zeros((1, 3)), np.array([T]), method="rk4", substeps=33)
+    assert np.array_equal(
+        path(replace(coarse, substeps=33), data, p, np.zeros(3))[1], path(fine, data, p, np.zeros(3))[1]
+    )
+    with pytest.raises(ModelError, match=r"cuts the interval in two; give at least 2 substeps"):
+        replace(coarse, substeps=1)
+
+
+def refused(changed):
+    return changed.system
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (
+            Effect("late", "input", [Parameter("delay", "s", 0.0)], delay=lambda x, u, p: p.delay),
+            "runs from -inf to inf s; bound it",
+        ),
+        (
+            Effect("late", "force", [Parameter("delay", "s", 0.0, (0, 1))], delay=lambda x, u, p: p.delay),
+            "delays 'force', which is no input",
+        ),
+        (
+            Effect("late", "input", [Parameter("c", "1/V", 0.0, (0, 1))], delay=lambda x, u, p: p.c * u.u),
+            "changes with 'u'",
+        ),
+    ],
+)
+def test_a_delay_that_cannot_be_is_refused(bad, words):
+    with pytest.raises(ModelError, match=words):
+        refused(micro_actuator + bad)
+
+
+def test_a_delay_is_in_seconds():
+    with pytest.raises(UnitError, match=r"delay of input 'u': has unit m, expected s"):
+        refused(micro_actuator + Effect("late", "input", [Parameter("d", "m", 0.0, (0, 1))], delay=lambda x, u, p: p.d))
+
+
+def test_the_longest_delay_decides_how_much_of_the_past_is_kept():
+    model = micro_actuator + delay(longest=70 * T)
+    with pytest.raises(
+        ModelError, match=r"70 intervals of 0.00025 s, more than 64; give its parameter an upper bound of 0.016 s"
+    ):
+        discretise(model.system, values(model), np.zeros((1, 3)), np.array([T]))
+    short = model.fix(delay=2.5 * T)
+    assert discretise(short.system, values(short), np.zeros((1, 3)), np.array([T])).past == (0, 3)
+    u = np.zeros((5, 1))
+    uneven = Record(u, np.zeros((5, 2)), np.array([1, 2, 1, 2]) * T, np.array([0, 1, 0, 1]), np.array([1, 2]) * T)
+    step = discretise(short.system, values(short), np.zeros((1, 3)), uneven.lengths)
+    with pytest.raises(
+        DataError, match=r"a delayed input needs uniform sampling, the intervals run from 0.00025 to 0.0005 s"
+    ):
+        uneven.read_by(step)
+
+
+def test_the_equations_show_the_delay():
+    assert "u [V] delayed by delay" in str(LATE)

@@ -1,0 +1,200 @@
+"""Finding a compiler, the cache of compiled libraries, and what happens without either."""
+
+import multiprocessing
+import os
+import stat
+import sys
+import warnings
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import greybox.kernel as kernels
+from greybox.integrators.step import Step
+from greybox.kernel import CompilerError, GreyboxWarning, UnsupportedOperationError, make_kernel
+from greybox.kernel import c_compiler as compiling
+from greybox.kernel.record import Record
+
+RECORD = Record(np.zeros((4, 1)), np.zeros((4, 1)), np.ones(3), np.zeros(3, np.int32), np.ones(1))
+
+
+@pytest.fixture(autouse=True)
+def fresh(monkeypatch, tmp_path):
+    """An empty cache and nothing remembered from other tests."""
+    monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path / "cache"))
+    monkeypatch.delenv("GREYBOX_KERNEL", raising=False)
+    monkeypatch.setattr(kernels, "_warned", set())
+    forget()
+    yield
+    forget()
+
+
+def forget():
+    compiling._find_compiler.cache_clear()
+    compiling._writable.cache_clear()
+
+
+def halving(factor=0.5, term=None):
+    x, u, q, p, h = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("q"), ca.SX.sym("p"), ca.SX.sym("h")
+    advance = ca.Function("advance", [x, u, ca.SX.sym("ub"), q, h], [factor * q * x if term is None else term(x)])
+    return Step("halving", advance, ca.Function("outputs", [x, u, p], [x]), lambda p, h: (p[None], np.eye(1)[None]))
+
+
+def run(kernel):
+    return kernel.simulate(RECORD, np.ones((1, 1)), np.zeros(1), np.ones(1))[0].ravel().tolist()
+
+
+def run_in_process(folder, barrier, answers):
+    os.environ["GREYBOX_CACHE"] = folder
+    barrier.wait()
+    kernel = make_kernel(halving())
+    answers.put((kernel.name, run(kernel)))
+
+
+def test_second_kernel_does_not_compile_again(monkeypatch):
+    commands = []
+    original = compiling._run
+    monkeypatch.setattr(compiling, "_run", lambda command: commands.append(command) or original(command))
+    first = make_kernel(halving())
+    assert first.name == "compiled"
+    assert run(first) == [1, 0.5, 0.25, 0.125]
+    assert len(commands) == 2  # --version and one library
+    forget()  # as a new process would start
+    assert run(make_kernel(halving())) == [1, 0.5, 0.25, 0.125]
+    assert len(commands) == 2
+    assert run(make_kernel(halving(0.25))) == [1, 0.25, 0.0625, 0.015625]
+    assert len(commands) == 3
+
+
+def test_library_depends_on_the_machine(monkeypatch, tmp_path):
+    make_kernel(halving())
+    monkeypatch.setattr(compiling, "machine", lambda: "another processor")
+    make_kernel(halving())
+    assert len(list((tmp_path / "cache").glob(f"*{compiling.SUFFIX}"))) == 2
+
+
+def test_cache_holds_no_leftovers(tmp_path):
+    make_kernel(halving())
+    assert sorted(path.suffix for path in (tmp_path / "cache").iterdir()) == [".json", ".sha256", compiling.SUFFIX]
+
+
+@pytest.mark.parametrize("damage", ["cut short", "empty", "one byte", "no digest"])
+def test_a_damaged_library_is_compiled_anew(tmp_path, damage):
+    first = make_kernel(halving())
+    (library,) = (tmp_path / "cache").glob(f"*{compiling.SUFFIX}")
+    good = library.read_bytes()
+    library.unlink()  # this process still has the old file open
+    spoilt = bytearray(good)
+    spoilt[len(good) // 2] ^= 1
+    library.write_bytes(
+        {"cut short": good[: len(good) // 2], "empty": b"", "one byte": spoilt, "no digest": good}[damage]
+    )
+    if damage == "no digest":
+        library.with_suffix(".sha256").unlink()
+    again = make_kernel(halving())
+    assert again.name == "compiled"
+    assert run(again) == run(first) == [1, 0.5, 0.25, 0.125]
+    assert library.read_bytes() == good  # the same source gives the same library
+    assert make_kernel(halving()).name == "compiled"
+
+
+def test_two_processes_at_once(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    barrier, answers = context.Barrier(2), context.Queue()
+    processes = [
+        context.Process(target=run_in_process, args=(str(tmp_path / "shared"), barrier, answers)) for _ in range(2)
+    ]
+    for process in processes:
+        process.start()
+    results = [answers.get(timeout=60) for _ in processes]
+    for process in processes:
+        process.join(timeout=60)
+    assert results == [("compiled", [1, 0.5, 0.25, 0.125])] * 2
+    assert len(list((tmp_path / "shared").glob(f"*{compiling.SUFFIX}"))) == 1
+
+
+def test_cache_that_cannot_be_written_is_replaced_by_a_temporary_one(monkeypatch, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("a file, where a folder should be")  # permissions do not stop the superuser
+    monkeypatch.setenv("GREYBOX_CACHE", str(blocked / "cache"))
+    kernel = make_kernel(halving())
+    assert kernel.name == "compiled"
+    assert run(kernel) == [1, 0.5, 0.25, 0.125]
+    assert compiling.find_cache_folder() == compiling.find_cache_folder() != blocked / "cache"
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="the superuser writes everywhere")
+def test_read_only_cache_is_replaced_by_a_temporary_one(monkeypatch, tmp_path):
+    folder = tmp_path / "readonly"
+    folder.mkdir()
+    folder.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    monkeypatch.setenv("GREYBOX_CACHE", str(folder))
+    assert make_kernel(halving()).name == "compiled"
+    assert not list(folder.iterdir())
+
+
+def test_broken_compiler_warns_once_and_falls_back(monkeypatch):
+    monkeypatch.setenv("CC", "/bin/false")
+    with pytest.warns(GreyboxWarning, match=r"C compiler /bin/false .*without compiled code") as caught:
+        kernel = make_kernel(halving())
+    assert len(caught) == 1
+    assert kernel.name == "interpreted"
+    assert "/bin/false" in kernel.reason
+    assert run(kernel) == [1, 0.5, 0.25, 0.125]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert make_kernel(halving()).name == "interpreted"
+
+
+def test_compiler_that_only_knows_its_version(monkeypatch, tmp_path):
+    script = tmp_path / "odd-cc"
+    script.write_text(
+        f"#!{sys.executable}\nimport sys\nsys.exit('' if '--version' in sys.argv else 'error: out of ink')\n".replace(
+            "''", "0"
+        )
+    )
+    script.chmod(0o755)
+    monkeypatch.setenv("CC", str(script))
+    with pytest.warns(GreyboxWarning, match="out of ink"):
+        assert make_kernel(halving()).name == "interpreted"
+    monkeypatch.setenv("GREYBOX_KERNEL", "compiled")
+    with pytest.raises(CompilerError, match="out of ink"):
+        make_kernel(halving())
+
+
+def test_without_a_compiler(monkeypatch, tmp_path):
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(compiling.importlib.util, "find_spec", lambda name: None)
+    kernel = make_kernel(halving())  # no warning: nothing is broken
+    assert kernel.name == "interpreted"
+    assert "no C compiler" in kernel.reason
+    assert "no C compiler" in kernel.description
+
+
+def test_missing_compiler_is_named(monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler -O1")
+    monkeypatch.setenv("GREYBOX_KERNEL", "compiled")
+    with pytest.raises(CompilerError, match="CC=no-such-compiler -O1: no such program"):
+        make_kernel(halving())
+
+
+def test_operation_that_c_does_not_have(monkeypatch):
+    step = halving(term=lambda x: ca.erfinv(x / 2))
+    with pytest.warns(GreyboxWarning, match=r"OP_ERFINV\) cannot be written in C"):
+        kernel = make_kernel(step)
+    dq, dp, dx0 = np.zeros((1, 1, 1)), np.zeros((1, 1)), np.ones((1, 1))
+    _, jacobian = kernel.residuals(RECORD.first(2), np.ones((1, 1)), dq, np.zeros(1), dp, np.ones(1), dx0, np.ones(1))
+    # d erfinv(z)/dz = sqrt(pi)/2 exp(erfinv(z)^2)
+    assert jacobian[1, 0, 0] == pytest.approx(-np.sqrt(np.pi) / 4 * np.exp(0.4769362762044699**2), rel=1e-10)
+    monkeypatch.setenv("GREYBOX_KERNEL", "compiled")
+    with pytest.raises(UnsupportedOperationError, match="OP_ERFINV"):
+        make_kernel(step)
+
+
+def test_default_cache_follows_the_platform(monkeypatch, tmp_path):
+    monkeypatch.delenv("GREYBOX_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert compiling.find_cache_folder() == tmp_path / "greybox"

@@ -1,0 +1,231 @@
+"""How large the noise is and what colour it has: by every source, against numpy, scipy and dense matrices."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import cholesky, solve_triangular, toeplitz
+from scipy.signal import lfilter
+
+from greybox.errors import DataError, ModelError
+from greybox.estimation import FitOptions, fit
+from greybox.estimation.problem import prepare_problem
+from greybox.experiment import Experiment
+from greybox.noise import (
+    AutoRegression,
+    estimate_noise,
+    estimate_noise_from_differences,
+    fit_autoregression,
+    join_series,
+)
+from greybox.noise.repeats import deviations_from_mean, find_period
+from greybox.transcription.whitened_shooting import WhitenedShooting
+from models.micro_actuator import micro_actuator
+from tests.oracles.independent import linear_record, multisine
+
+TRUTH = micro_actuator.fix("M", "Ra")
+LEVEL = {"x": 2e-7, "i": 5e-3}
+PERIOD = 2.5e-4
+
+
+def coloured(rng, rows, rho):
+    """AR(1) noise of unit variance."""
+    return lfilter([1.0], [1.0, -rho], rng.normal(size=rows + 300) * np.sqrt(1 - rho**2))[300:]
+
+
+def noisy(record, rng, rho=0.0):
+    return replace(record, outputs={n: y + LEVEL[n] * coloured(rng, len(y), rho) for n, y in record.outputs.items()})
+
+
+def clean_record(rows=1500, seed=1):
+    return linear_record(TRUTH, multisine(np.random.default_rng(seed), rows, PERIOD, 5, 800, 3.0), PERIOD)
+
+
+def quiet_record(rng, rho, rows=1500):
+    time = PERIOD * np.arange(rows)
+    return Experiment(
+        "quiet", time, {"u": np.zeros(rows)}, {n: 1e-5 + s * coloured(rng, rows, rho) for n, s in LEVEL.items()}
+    )
+
+
+def test_burg_finds_a_known_autoregression_and_its_order():
+    rng = np.random.default_rng(1)
+    series = lfilter([1.0], [1.0, -1.5, 0.7], rng.normal(size=20000))
+    found = fit_autoregression(series)
+    assert found.order == 2
+    assert found.coefficients == pytest.approx([1.5, -0.7], abs=0.02)
+    assert found.innovation_variance * series.var() == pytest.approx(1.0, rel=0.03)
+    orders = [fit_autoregression(rng.normal(size=500)).order for _ in range(100)]
+    assert np.mean(np.array(orders) > 0) < 0.08
+
+
+def test_gaps_and_several_series_do_not_disturb_it():
+    rng = np.random.default_rng(2)
+    series = coloured(rng, 20000, 0.8)
+    gappy = np.where(rng.random(20000) < 0.2, np.nan, series)
+    found = fit_autoregression(join_series([gappy[:7000], gappy[7000:]]))
+    assert found.autocorrelation(2)[1] == pytest.approx(0.8, abs=0.02)
+
+
+@pytest.mark.parametrize("reflection", [(), (0.9,), (0.8, -0.5, 0.3)])
+def test_whitening_is_the_inverse_cholesky_factor_on_every_stretch(reflection):
+    rng = np.random.default_rng(3)
+    model = AutoRegression(reflection)
+    values = rng.normal(size=(60, 2))
+    values[20] = values[21] = np.nan
+    values[24] = np.nan
+    white = model.whiten(values)
+    for part in (slice(0, 20), slice(22, 24), slice(25, 60)):
+        rows = part.stop - part.start
+        factor = cholesky(toeplitz(model.autocorrelation(rows)), lower=True)
+        assert white[part] == pytest.approx(solve_triangular(factor, values[part], lower=True), abs=1e-12)
+    assert np.isnan(white[[20, 21, 24]]).all()
+
+
+def test_correlations_and_forecasts_are_those_of_the_process():
+    model = AutoRegression((0.9,))
+    assert model.autocorrelation(5) == pytest.approx(0.9 ** np.arange(5))
+    series = coloured(np.random.default_rng(4), 50000, 0.9)
+    for ahead in (1, 5):
+        error = series - model.predict(series, ahead)
+        assert error[10:].std() == pytest.approx(np.sqrt(1 - 0.81**ahead), rel=0.02)
+    assert AutoRegression().predict(series, 3) == pytest.approx(np.zeros(50000))
+
+
+def test_the_hierarchy_is_given_quiet_repeated_differences():
+    rng = np.random.default_rng(5)
+    one, two = (noisy(clean_record(), rng, 0.9) for _ in range(2))
+    quiet = quiet_record(rng, 0.9)
+    told = estimate_noise(TRUTH, [one, two], {"x": 3e-7}, quiet)
+    assert told.sources == {"x": "given", "i": "quiet record"} and told.given
+    assert told.std[0] == 3e-7 and told.std[1] == pytest.approx(LEVEL["i"], rel=0.2)
+    assert [a.autocorrelation(2)[1] for a in told.colour] == pytest.approx([0.9, 0.9], abs=0.05)
+    repeated = estimate_noise(TRUTH, [one, two], {})
+    assert set(repeated.sources.values()) == {"repeated experiments"} and not repeated.given
+    assert repeated.std == pytest.approx([LEVEL["x"], LEVEL["i"]], rel=0.2)
+    assert [a.autocorrelation(2)[1] for a in repeated.colour] == pytest.approx([0.9, 0.9], abs=0.05)
+    alone = estimate_noise(TRUTH, [one], {})
+    assert set(alone.sources.values()) == {"the records' differences"} and not alone.coloured
+    assert alone.std[0] < 0.5 * LEVEL["x"], "differences see little of coloured noise, and the source says so"
+    assert "too small if the noise is coloured" in alone.source
+
+
+def test_periods_of_the_input_tell_level_and_colour():
+    rng = np.random.default_rng(6)
+    once = multisine(rng, 500, PERIOD, 10, 600, 3.0)
+    record = noisy(linear_record(TRUTH, np.tile(once, 4), PERIOD), rng, 0.7)
+    told = estimate_noise(TRUTH, [record], {})
+    assert set(told.sources.values()) == {"repeated periods"}
+    assert told.std == pytest.approx([LEVEL["x"], LEVEL["i"]], rel=0.15)
+    assert [a.autocorrelation(2)[1] for a in told.colour] == pytest.approx([0.7, 0.7], abs=0.06)
+    assert find_period(np.tile(once, 4)[:, None]) == 500
+    assert find_period(once[:, None]) is None and find_period(np.ones((100, 1))) is None
+
+
+def test_deviations_leave_out_how_the_repeats_began():
+    rng = np.random.default_rng(7)
+    decay = np.exp(-np.arange(1000) / 50)
+    found = deviations_from_mean([rng.normal(size=1000), 20 * decay + rng.normal(size=1000)])
+    assert len(found[0]) == 500
+    assert np.std(np.concatenate(found)) == pytest.approx(1.0, rel=0.1)
+
+
+def test_differences_tell_white_noise():
+    rng = np.random.default_rng(8)
+    slow = np.sin(np.arange(5000) / 40)
+    assert estimate_noise_from_differences(slow + 0.01 * rng.normal(size=5000)) == pytest.approx(0.01, rel=0.05)
+
+
+def test_a_hole_in_time_is_no_noise():
+    record = noisy(clean_record(), np.random.default_rng(8))
+    kept = np.delete(np.arange(record.rows), slice(400, 470))
+    cut = Experiment(
+        "cut", record.time[kept], *({n: v[kept] for n, v in s.items()} for s in (record.inputs, record.outputs))
+    )
+    whole, broken = (estimate_noise(TRUTH, [r], {}) for r in (record, cut))
+    assert broken.sources == whole.sources
+    assert broken.std == pytest.approx(whole.std, rel=0.05)
+
+
+def test_a_handful_of_samples_takes_the_noise_from_the_residual():
+    record = noisy(clean_record(), np.random.default_rng(9))
+    sparse = replace(
+        record, outputs={n: np.where(np.arange(1500) % 100 == 7, y, np.nan) for n, y in record.outputs.items()}
+    )
+    found = fit(TRUTH, sparse, options=FitOptions(at_rest=True))
+    assert "residual of the fit" in found.noise.source
+    assert all(0.7 < m.noise_ratio < 1.1 for m in found.misfit.values())
+
+
+def test_the_whitened_cost_is_the_dense_generalised_least_squares_cost():
+    rng = np.random.default_rng(10)
+    record = noisy(clean_record(200), rng, 0.9)
+    gap = {n: np.where((np.arange(200) > 80) & (np.arange(200) < 90), np.nan, y) for n, y in record.outputs.items()}
+    problem = prepare_problem(
+        TRUTH,
+        replace(record, outputs=gap),
+        LEVEL,
+        at_rest=False,
+        method="automatic",
+        substeps=0,
+        quiet=quiet_record(rng, 0.9),
+    )
+    shooting = problem.shooting(problem.variables)
+    assert isinstance(shooting, WhitenedShooting)
+    z = np.zeros(problem.variables.size)
+    value = shooting.evaluate(z)
+    plain = prepare_problem(
+        TRUTH, replace(record, outputs=gap), LEVEL, at_rest=False, method="automatic", substeps=0
+    ).shooting(problem.variables)
+    ((r, jacobian),) = plain.residuals(z)
+    cost, gradient, hessian = 0.0, 0.0, 0.0
+    for j, colour in enumerate(problem.noise.colour):
+        for part in (slice(0, 81), slice(90, 200)):
+            inverse = np.linalg.inv(toeplitz(colour.autocorrelation(part.stop - part.start)))
+            e, slopes = r[part, j], jacobian[part, j]
+            cost, gradient, hessian = (
+                cost + e @ inverse @ e,
+                gradient + 2 * slopes.T @ inverse @ e,
+                hessian + 2 * slopes.T @ inverse @ slopes,
+            )
+    assert value.cost == pytest.approx(cost, rel=1e-9)
+    assert value.gradient == pytest.approx(gradient, rel=1e-7, abs=1e-9 * np.abs(gradient).max())
+    assert value.hessian == pytest.approx(hessian, rel=1e-7, abs=1e-9 * np.abs(hessian).max())
+    part = problem.shooting(problem.variables, 0.25).evaluate(z)
+    assert part.count == 100 and part.cost < value.cost
+
+
+def test_known_colour_is_used_and_leaves_a_white_residual():
+    rng = np.random.default_rng(11)
+    record = noisy(clean_record(), rng, 0.9)
+    found = fit(TRUTH, record, quiet=quiet_record(rng, 0.9))
+    assert found.success and found.uncertainty.kind == "gauss_newton"
+    assert all(len(k) >= 1 for k in found.noise.colour.values())
+    assert all(0.8 < m.noise_ratio < 1.25 for m in found.misfit.values())
+    ignored = fit(TRUTH, record, quiet=quiet_record(rng, 0.9), colour="white")
+    assert ignored.uncertainty.kind == "sandwich"
+    from_residual = fit(TRUTH, record, colour="residual")
+    assert from_residual.uncertainty.kind == "gauss_newton"
+    for q in TRUTH.free_parameters:
+        for each in (found, ignored, from_residual):
+            assert abs(each.parameters[q.name].value - q.value) < 4 * each.parameters[q.name].std, q.name
+
+
+def test_bad_quiet_records_and_colours_are_refused_in_words():
+    record = noisy(clean_record(), np.random.default_rng(12))
+    with pytest.raises(
+        DataError, match=r"input 'u' moves by .* V in the fitted records; give a record with the input at rest"
+    ):
+        fit(TRUTH, record, quiet=record)
+    with pytest.raises(DataError, match="quiet record 'q' has no input 'u'"):
+        fit(TRUTH, record, quiet=Experiment("q", record.time, {"w": 0 * record.time}, {"x": record.outputs["x"]}))
+    with pytest.raises(ModelError, match="unknown colour 'pink'"):
+        fit(TRUTH, record, colour="pink")
+
+
+def test_a_quiet_record_of_another_pace_tells_the_level_but_not_the_colour():
+    rng = np.random.default_rng(13)
+    quiet = quiet_record(rng, 0.9)
+    slower = replace(quiet, time=2 * quiet.time)
+    told = estimate_noise(TRUTH, [noisy(clean_record(), rng)], {}, slower)
+    assert set(told.sources.values()) == {"quiet record"} and not told.coloured

@@ -1,0 +1,156 @@
+"""IPOPT as it is used here: kinds of ends, bounds, kinks, failures, and one solver for one search after another."""
+
+import threading
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from greybox.optim import TerminationStatus, ipopt_dense, minimisation, minimise
+
+
+class Bowl:
+    """``sum of (z - target)^2`` with its derivatives."""
+
+    def __init__(self, z, target=3.0):
+        self.cost = float(((z - target) ** 2).sum())
+        self.gradient, self.hessian = 2 * (z - target), 2 * np.eye(len(z))
+
+
+class Curved:
+    """Rosenbrock's valley as residuals (10 (b - a^2), 1 - a), Gauss-Newton Hessian."""
+
+    def __init__(self, z):
+        r = np.array([10 * (z[1] - z[0] ** 2), 1 - z[0]])
+        jacobian = np.array([[-20 * z[0], 10.0], [-1.0, 0.0]])
+        self.cost, self.gradient, self.hessian = float(r @ r), 2 * jacobian.T @ r, 2 * jacobian.T @ jacobian
+
+
+class Kinked:
+    """A fold along a = b: the slope on either side leads across, and the Hessian knows nothing of it."""
+
+    def __init__(self, z):
+        a, b = z
+        self.cost = float(1 + 10 * abs(a - b) + (a - 1) ** 2 + (b - 1) ** 2)
+        fold = 10 * np.sign(a - b)
+        self.gradient = np.array([fold + 2 * (a - 1), -fold + 2 * (b - 1)])
+        self.hessian = 2 * np.eye(2)
+
+
+def free(n):
+    return np.full(n, -np.inf), np.full(n, np.inf)
+
+
+def test_the_valley_is_followed_to_its_end():
+    found = minimise(Curved, np.array([-1.2, 1.0]), *free(2))
+    assert found.status is TerminationStatus.CONVERGED
+    assert found.z == pytest.approx([1, 1], abs=1e-6)
+    assert found.value.cost == found.cost < 1e-12
+
+
+def test_a_bound_stops_the_search_exactly_there():
+    found = minimise(Bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]))
+    assert found.status is TerminationStatus.CONVERGED
+    assert found.z[0] <= 1.0 and found.z == pytest.approx([1, 3], abs=1e-4)
+
+
+def test_an_impossible_point_is_a_step_to_be_shortened():
+    def wall(z):
+        value = Bowl(z)
+        if z[0] > 3.5:
+            value.cost, value.gradient, value.hessian = np.inf, 0 * z, 0 * value.hessian
+        return value
+
+    found = minimise(lambda z: wall(z), np.array([-40.0]), *free(1))
+    assert found.z == pytest.approx([3], abs=1e-6)
+    lost = minimise(lambda z: wall(z), np.array([4.0]), *free(1))
+    assert lost.status is TerminationStatus.NO_START and lost.value is None
+
+
+def test_a_known_first_value_is_not_asked_for_again():
+    asked = []
+    minimise(lambda z: asked.append(z.copy()) or Bowl(z), np.zeros(2), *free(2), first=Bowl(np.zeros(2)))
+    assert asked and not any(np.array_equal(z, np.zeros(2)) for z in asked)
+
+
+def test_each_point_is_computed_once():
+    asked = []
+    found = minimise(lambda z: asked.append(z.tobytes()) or Curved(z), np.array([-1.2, 1.0]), *free(2))
+    assert len(asked) == found.evaluations
+    assert all(a != b for a, b in pairwise(asked))
+
+
+def test_the_callers_rule_ends_the_search():
+    ended = minimise(
+        Curved,
+        np.array([-1.2, 1.0]),
+        *free(2),
+        finished=lambda z, v: TerminationStatus.ACCEPTABLE if v.cost < 1 else None,
+    )
+    assert ended.status is TerminationStatus.ACCEPTABLE and 0 < ended.cost < 1
+    at_once = minimise(Curved, np.array([-1.2, 1.0]), *free(2), finished=lambda z, v: TerminationStatus.CONVERGED)
+    assert at_once.iterations == 0 and at_once.evaluations == 1
+
+
+def test_a_kink_is_found_and_certified_with_few_evaluations():
+    found = minimise(Kinked, np.array([2.0, -1.0]), *free(2))
+    assert found.status is TerminationStatus.KINK and found.status.success
+    assert found.cost == pytest.approx(1.0, abs=0.01)
+    assert found.evaluations < 200
+    quick = minimise(Kinked, np.array([2.0, -1.0]), *free(2), thorough=False)
+    assert quick.status is TerminationStatus.STUCK and quick.evaluations < found.evaluations
+
+
+@pytest.mark.parametrize(
+    "finished", [None, lambda z, value: TerminationStatus.CONVERGED if value.cost < 1e-9 else None]
+)
+def test_a_search_that_strays_goes_on_by_damped_steps(monkeypatch, finished):
+    """Lost at once, as behind a barrier that leads away from the optimum: no kink is called out where the gradient is right."""
+    monkeypatch.setattr(minimisation, "SHORTENINGS", 0)
+    found = minimise(Curved, np.array([-1.2, 1.0]), *free(2), finished=finished)
+    assert found.status is TerminationStatus.CONVERGED
+    assert found.z == pytest.approx([1, 1], abs=1e-3 if finished else 1e-9)
+    assert found.evaluations < 60
+    held = minimise(Bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]))
+    assert held.z == pytest.approx([1, 3], abs=1e-9)
+
+
+def test_what_the_function_raises_arrives_and_the_solver_survives():
+    def breaks(z):
+        if z[0] > 1:
+            raise ZeroDivisionError("a bug in the model")
+        return Bowl(z)
+
+    with pytest.raises(ZeroDivisionError, match="a bug in the model"):
+        minimise(breaks, np.zeros(3), *free(3))
+    assert minimise(Bowl, np.zeros(3), *free(3)).z == pytest.approx(np.full(3, 3.0))
+
+
+def test_one_solver_serves_one_search_after_another(monkeypatch):
+    made = []
+    monkeypatch.setattr(ipopt_dense, "_idle", {})
+    original = ipopt_dense._Solver.__init__
+    monkeypatch.setattr(ipopt_dense._Solver, "__init__", lambda self, *a: made.append(a) or original(self, *a))
+    for target in (1.0, 2.0, 5.0):
+        assert minimise(lambda z, t=target: Bowl(z, t), np.zeros(2), *free(2)).z == pytest.approx([target, target])
+    assert len(made) == 1
+
+
+def test_searches_in_threads_and_within_each_other_do_not_mix():
+    results = {}
+
+    def search(target):
+        results[target] = minimise(lambda z: Bowl(z, target), np.zeros(2), *free(2)).z
+
+    threads = [threading.Thread(target=search, args=(float(t),)) for t in range(1, 5)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(z == pytest.approx([t, t], abs=1e-6) for t, z in results.items())
+
+    def outer(z):
+        inner = minimise(lambda w: Bowl(w, 7.0), np.zeros(2), *free(2)).z
+        return Bowl(z, inner[0])
+
+    assert minimise(outer, np.zeros(2), *free(2)).z == pytest.approx([7, 7], abs=1e-5)

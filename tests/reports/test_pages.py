@@ -1,0 +1,276 @@
+"""Pages as text: what they say, what they hold, and that nothing from a file becomes markup. A browser looks at them elsewhere."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from dataclasses import replace
+from html import escape
+from html.parser import HTMLParser
+from importlib.resources import files
+from itertools import pairwise
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.signal import periodogram
+from typer.testing import CliRunner
+
+import greybox as gb
+from greybox.check import check
+from greybox.cli.app import app
+from greybox.expressions.latex import expression_latex, symbol_latex
+from greybox.reports import page_of, write
+from greybox.reports.axes import amplitude_density, thin_spectrum
+from greybox.reports.page import Figure, Page, Section, Text, View
+from greybox.reports.render import LARGEST, render
+from greybox.residuals import residual_tests
+from models.micro_actuator import micro_actuator
+
+HOSTILE = """</script><script>alert(1)</script><img src=x onerror="alert(2)">{{ 7 * 7 }}'&amp;"""
+
+
+def bench(rows: int = 500) -> gb.Experiment:
+    t = 5e-4 * np.arange(rows)
+    u = np.sign(np.sin(40 * t)) + np.sin(300 * t)
+    made = gb.simulate(micro_actuator, {"time": t, "u": u}).outputs
+    noise = np.random.default_rng(4)
+    y = {"x": made["x"] + noise.normal(0, 2e-7, rows), "i": made["i"] + noise.normal(0, 5e-3, rows)}
+    y["x"][100:140] = np.nan
+    return gb.Experiment("bench", t, {"u": u}, y)
+
+
+@pytest.fixture(scope="module")
+def good() -> gb.Fit:
+    known = micro_actuator.fix("M", "Ra", "Kf", "Kv")
+    return gb.fit(known, bench(), noise={"x": 2e-7, "i": 5e-3}, options=gb.FitOptions(progressive=False))
+
+
+class Outline(HTMLParser):
+    """What a screen reader meets: headings, ids, tables with or without captions, figures with their descriptions."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.headings: list[int] = []
+        self.ids: list[str] = []
+        self.tags: Counter[str] = Counter()
+        self.fetched: list[str] = []
+        self.silent: list[str] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        own = dict(attrs)
+        self.tags[tag] += 1
+        self.ids += [own["id"]] if own.get("id") else []
+        self.headings += [int(tag[1])] if re.fullmatch("h[1-6]", tag) else []
+        self.fetched += [
+            v for n in ("src", "href", "data", "action") if (v := own.get(n)) and not v.startswith(("#", "data:"))
+        ]
+        if own.get("role") == "img" and len(own.get("aria-label") or "") < 20:
+            self.silent.append(str(own))
+
+
+def test_the_verdict_of_a_good_fit_comes_first_and_in_plain_words(good: gb.Fit) -> None:
+    page = page_of(good, command="greybox fit micro_actuator bench.csv")
+    assert page.verdict.tone == "good"
+    assert page.verdict.paragraphs[0].startswith("The model explains the fitted records")
+    html = render(page)
+    for text in ("40 of x", "N s/m", "± ", "greybox fit micro_actuator bench.csv", good.traces[0].fingerprint[:12]):
+        assert text in html
+    assert [s.name for s in page.sections] == ["constants", "misfit", "residual", "model", "data", "repeat"]
+
+
+def test_a_fit_that_failed_says_so_and_tests_nothing() -> None:
+    far = micro_actuator.fix("M", "Ra").start(K=3000.0, B=2.0)
+    failed = gb.fit(far, bench(), options=gb.FitOptions(iterations=1, progressive=False))
+    assert not failed.success
+    page = page_of(failed)
+    assert page.verdict.tone == "bad"
+    assert page.verdict.paragraphs[0].startswith("This fit did not succeed")
+    html = render(page)
+    assert "tests of its residual would say nothing" in html
+    assert "speaks up" not in html
+    many = replace(failed, notes=tuple(f"remark number {k} of five" for k in range(5)))
+    assert [render(page_of(many)).count(f"emark number {k} of five") for k in range(5)] == [1] * 5
+
+
+def test_what_would_determine_the_open_constants_stands_beside_them(good: gb.Fit) -> None:
+    found = gb.fit(micro_actuator, bench(), noise={"x": 2e-7, "i": 5e-3}, options=gb.FitOptions(progressive=False))
+    html = render(page_of(found))
+    assert "What would determine the rest" in html and "Fix one of M, B, K, Kf" in html
+    assert "What would determine the rest" not in render(page_of(good))
+
+
+def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
+    sound = bench()
+    dead = {name: values.copy() for name, values in sound.outputs.items()}
+    dead["i"][400:] = dead["i"][400]
+    record = gb.Experiment.from_arrays(sound.time, sound.inputs, dead, name="bench")
+    found = check(micro_actuator.fix("M", "Ra"), record, noise={"x": 2e-7, "i": 5e-3})
+    page = page_of(found)
+    assert page.verdict.tone == "caution"
+    assert page.verdict.paragraphs[0].startswith("Record bench: output 'i' stands still at exactly")
+    html = render(page)
+    assert html.count("stands still") == 1
+    assert "Record bench: output &#39;x&#39; has 40 gaps" in html
+    assert found.as_dict()["records"][0]["notes"] == list(record.notes)
+
+
+def test_errors_further_ahead_stand_on_the_page_of_a_comparison(good: gb.Fit) -> None:
+    other = bench(400)
+    compared = gb.compare([good, gb.blackbox.arx(other, output="x", na=2, nb=2, nk=1)], other, steps=[7])
+    html = render(page_of(compared, known=["bench.csv: output 'x' has 40 gaps"]))
+    assert "Record bench.csv: output &#39;x&#39; has 40 gaps." in html
+    assert "7 samples ahead (rms)" in html
+    ahead = compared["arx"].validation["x"].ahead_rmse[7]
+    digits = f"{ahead:.4g}".partition("e")[0]
+    assert f"{digits}·10" in html
+
+
+@pytest.mark.parametrize("kind", ["fit", "check", "simulation", "linear model"])
+def test_pages_are_whole_offline_and_can_be_read_aloud(kind: str, good: gb.Fit) -> None:
+    run = gb.simulate(micro_actuator, {"time": 1e-3 * np.arange(50), "u": np.ones(50)})
+    page = {
+        "fit": lambda: page_of(good),
+        "check": lambda: page_of(check(micro_actuator)),
+        "simulation": lambda: page_of(run, model=micro_actuator),
+        "linear model": lambda: page_of(gb.linearise(good)),
+    }[kind]()
+    found = Outline(render(page))
+    assert found.headings[0] == 1 and found.headings.count(1) == 1
+    assert all(b - a <= 1 for a, b in pairwise(found.headings))
+    assert not [name for name, count in Counter(found.ids).items() if count > 1]
+    assert found.tags["table"] == found.tags["caption"] > 0
+    assert found.tags["math"] > 3 or kind == "linear model"
+    assert found.tags["figure"] > 0
+    assert not found.silent
+    assert not found.fetched
+    assert found.tags["main"] == found.tags["nav"] == found.tags["header"] == found.tags["footer"] == 1
+
+
+def test_text_from_files_stays_text(good: gb.Fit, tmp_path: Path) -> None:
+    named = replace(
+        good,
+        traces=[replace(good.traces[0], name=HOSTILE)],
+        notes=(HOSTILE,),
+        noise=replace(good.noise, source=HOSTILE),
+    )
+    html = write(page_of(named, command=f"greybox fit '{HOSTILE}'"), tmp_path / "page.html").read_text(encoding="utf-8")
+    plain = Outline(render(page_of(good)))
+    found = Outline(html)
+    assert found.tags["script"] == plain.tags["script"]
+    assert found.tags["img"] == 0
+    assert HOSTILE not in html
+
+
+def test_text_in_figures_ends_no_script_and_is_no_markup() -> None:
+    figure = Figure(
+        "a", HOSTILE, HOSTILE, [{"name": HOSTILE, "y": [HOSTILE]}], {"title": HOSTILE}, views={HOSTILE: View([0])}
+    )
+    html = render(Page(HOSTILE, HOSTILE, Text([HOSTILE]), [Section("s", HOSTILE, [figure])], HOSTILE))
+    found = Outline(html)
+    assert (found.tags["img"], found.tags["script"]) == (0, 3)
+    data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', html)[1])
+    assert data["data"][0]["name"] == data["layout"]["title"] == escape(HOSTILE, quote=False)
+    assert data["views"][0]["name"] == HOSTILE
+
+
+def test_many_long_records_make_a_page_that_can_be_mailed(good: gb.Fit) -> None:
+    one = good.traces[0]
+    repeat = 40
+
+    def tiled(group: dict) -> dict:
+        return {name: np.tile(values, repeat) for name, values in group.items()}
+
+    time = 5e-4 * np.arange(repeat * len(one.time))
+    long = replace(
+        one, time=time, measured=tiled(one.measured), simulated=tiled(one.simulated), inputs=tiled(one.inputs)
+    )
+    many = replace(good, traces=[replace(long, name=f"r{k}") for k in range(24)])
+    html = render(page_of(many, tests=residual_tests(good)))
+    assert len(html.encode()) < LARGEST
+    assert "4 more records are in the tables" in html
+
+
+def test_the_spectrum_is_that_of_scipy() -> None:
+    values = np.random.default_rng(1).normal(size=1000)
+    f, amplitude = amplitude_density(values, 1e-3)
+    reference, power = periodogram(values, 1e3, window="hann", detrend="constant")
+    np.testing.assert_allclose(f, reference[1:])
+    np.testing.assert_allclose(amplitude[:-1], np.sqrt(power[1:-1]), rtol=1e-6)
+    _, few = thin_spectrum(f, amplitude, 50)
+    assert len(few) <= 50
+    assert few.max() == amplitude.max()
+
+
+def test_a_gap_does_not_lower_the_spectrum() -> None:
+    values = 3.0 * np.random.default_rng(2).normal(size=4000)
+    values[1500:2500] = np.nan  # where the window weighs most
+    _, amplitude = amplitude_density(values, 1e-3)
+    assert np.sqrt(np.mean(amplitude**2)) == pytest.approx(3.0 * np.sqrt(2e-3), rel=0.05)
+
+
+def test_numbers_travel_in_six_digits_and_gaps_as_gaps() -> None:
+    given = np.array([0.1234567891, -1.987654321e-9, 12345678.9, 0.0, np.nan, np.inf])
+    figure = Figure("a", "caption", "a description of the figure", [{"y": given}], {})
+    html = render(Page("t", "q", Text(["v"]), [Section("s", "S", [figure])]))
+    assert '"y":[0.123457,-1.98765e-09,12345700.0,0.0,null,null]' in html
+
+
+@pytest.mark.parametrize(
+    ("expression", "expected"),
+    [
+        (lambda a, b: a * b / (a + b), r"\frac{a\,b}{a + b}"),
+        (lambda a, b: -(a + b) * a, r"-\left(a + b\right)\,a"),
+        (lambda a, b: ca.sqrt(ca.fabs(a)) / b, r"\frac{\sqrt{\left|a\right|}}{b}"),
+        (lambda a, b: b * a * a**2, r"b\,{a}^{3}"),
+    ],
+)
+def test_expressions_are_typeset(expression, expected: str) -> None:
+    assert expression_latex(expression(ca.SX.sym("a"), ca.SX.sym("b"))) == expected
+
+
+def test_names_become_symbols_and_never_commands() -> None:
+    assert symbol_latex("Kf") == "K_{f}"
+    assert symbol_latex("tau_e") == r"\tau_{e}"
+    assert "\\input" not in symbol_latex("a_\\input{x}") and "{x}" not in symbol_latex("a_\\input{x}")
+
+
+def luminance(colour: str) -> float:
+    parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_text_can_be_read_on_its_ground(theme: str) -> None:
+    """Contrast of at least 4.5 to 1 (WCAG 2.2, 1.4.3)."""
+    css = files("greybox.reports").joinpath("template", "page.css").read_text(encoding="utf-8")
+    block = re.findall(r":root[^{]*\{([^}]*)\}", css)[theme == "dark"]
+    colours = dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", block))
+    for ground in ("paper", "panel"):
+        for ink in ("ink", "soft", "accent"):
+            high, low = sorted((luminance(colours[ground]), luminance(colours[ink])), reverse=True)
+            assert (high + 0.05) / (low + 0.05) >= 4.5, f"{ink} on {ground}"
+
+
+def test_what_has_no_page_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(gb.GreyboxError, match="a dict has no page; give one of Fit"):
+        gb.report({}, tmp_path / "page.html")
+    assert not list(tmp_path.iterdir())
+
+
+def test_commands_leave_their_page_and_say_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["check", "micro_actuator", "--output", "out"])
+    assert done.exit_code == 0, done.output
+    assert done.stdout.splitlines()[-1].startswith(f"report: {Path('out', 'report.html')}")
+    assert sorted(p.name for p in Path("out").iterdir()) == ["check.json", "report.html"]
+    pace = ["--step", "1", "--duration", "0.1", "--sampling-time", "1e-3"]
+    CliRunner().invoke(app, ["simulate", "micro_actuator", *pace, "--output", "run.csv"])
+    CliRunner().invoke(app, ["simulate", "micro_actuator", *pace, "--output", "bare.csv", "--no-report"])
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bare.csv", "out", "run.csv", "run.html"]
+    CliRunner().invoke(app, ["simulate", "micro_actuator", *pace, "--noise", "x=2e-7", "--output", "run.csv"])
+    assert "White noise was added to what was written: x 2·10⁻⁷ m." in Path("run.html").read_text(encoding="utf-8")

@@ -1,0 +1,163 @@
+"""Residual tests against scipy and statsmodels, their false alarms, what they find; scores beside each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import chi2, jarque_bera, kstest
+
+from greybox.errors import DataError
+from greybox.estimation import fit
+from greybox.noise import AutoRegression
+from greybox.residuals import residual_tests, score
+from greybox.residuals.hypothesis_tests import run_residual_tests
+from greybox.residuals.statistics import input_independence_test, lagged_matrix, ljung_box_test, normality_test
+from models.micro_actuator import micro_actuator
+from tests.oracles.independent import linear_record, multisine
+
+TRUTH = micro_actuator.fix("M", "Ra")
+LEVEL = {"x": 2e-7, "i": 5e-3}
+
+
+def record(seed, rho=0.0, rows=1500):
+    rng = np.random.default_rng([seed, 2])
+    clean = linear_record(TRUTH, multisine(rng, rows, 2.5e-4, 5, 800, 3.0), 2.5e-4)
+
+    def noise():
+        return lfilter([1.0], [1.0, -rho], rng.normal(size=rows + 300) * np.sqrt(1 - rho**2))[300:]
+
+    return replace(clean, outputs={n: y + LEVEL[n] * noise() for n, y in clean.outputs.items()})
+
+
+def test_whiteness_is_that_of_statsmodels():
+    diagnostic = pytest.importorskip("statsmodels.stats.diagnostic")
+    series = lfilter([1.0], [1.0, -0.2], np.random.default_rng(1).normal(size=400))
+    table = diagnostic.acorr_ljungbox(series, lags=[5, 10, 20])
+    for lags, row in table.iterrows():
+        assert ljung_box_test(series, lags) == pytest.approx((row.lb_stat, row.lb_pvalue), rel=1e-9)
+
+
+def test_normality_is_that_of_scipy_and_skips_gaps():
+    series = np.random.default_rng(2).standard_t(4, size=500)
+    expected = jarque_bera(series)
+    assert normality_test(np.insert(series, 100, np.nan)) == pytest.approx((expected.statistic, expected.pvalue))
+
+
+def test_input_independence_is_the_textbook_statistic_for_white_noise():
+    rng = np.random.default_rng(3)
+    r, u = rng.normal(size=300), lagged_matrix(rng.normal(size=300), 4)
+    figure, p = input_independence_test([r], [u], AutoRegression())
+    c = u.T @ r
+    expected = c @ np.linalg.inv(u.T @ u * np.mean(r**2)) @ c
+    assert figure == pytest.approx(expected, rel=1e-9)
+    assert p == pytest.approx(chi2.sf(expected, 5), rel=1e-9)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_input_independence_has_its_size_under_coloured_noise(rho):
+    """Its p-values are uniform; without the colour nearly every AR(1) 0.9 residual with a slow input would raise an alarm."""
+    rng = np.random.default_rng(4)
+    u = lagged_matrix(lfilter([1.0], [1.0, -0.95], rng.normal(size=800)), 10)
+    p, blind = [], []
+    for _ in range(300):
+        r = lfilter([1.0], [1.0, -rho], rng.normal(size=1000))[200:]
+        p.append(input_independence_test([r], [u], AutoRegression((rho,) if rho else ()))[1])
+        blind.append(input_independence_test([r], [u], AutoRegression())[1])
+    assert kstest(p, "uniform").pvalue > 0.01
+    assert rho == 0 or np.mean(np.array(blind) < 0.01) > 0.3
+
+
+def test_false_alarms_on_white_noise_are_one_in_a_hundred():
+    rng = np.random.default_rng(5)
+    alarms = {}
+    for _ in range(1000):
+        u = multisine(rng, 600, 1.0, 0.01, 0.3, 1.0, lines=20)
+        for test in run_residual_tests("y", [rng.normal(size=600)], {"u": [u]}):
+            alarms.setdefault(test.test, []).append(test.alarm)
+    rates = {name: np.mean(found) for name, found in alarms.items()}
+    assert set(rates) == {
+        "whiteness, 5 lags", "whiteness, 10 lags", "whiteness, 20 lags", "independence of u", "normality", "equal variance", "equal mean",
+    }  # fmt: skip
+    # Jarque and Bera's statistic has heavier tails than chi-square at this length.
+    assert all(0.002 <= rate <= (0.03 if name == "normality" else 0.02) for name, rate in rates.items()), rates
+    assert 0.006 < np.mean(list(rates.values())) < 0.016, rates
+
+
+def test_the_right_model_raises_few_alarms_whatever_the_colour():
+    quiet_tests = ("independence of u", "normality", "equal variance", "equal mean")
+    alarms, whiteness = [], {0.0: [], 0.9: []}
+    for seed in range(7):
+        for rho in (0.0, 0.9):
+            found = residual_tests(fit(TRUTH, record(seed, rho)))
+            alarms += [found.of(output, test).alarm for output in ("x", "i") for test in quiet_tests]
+            whiteness[rho] += [found.of(output, "whiteness, 10 lags").alarm for output in ("x", "i")]
+    assert np.mean(alarms) < 0.05
+    assert np.mean(whiteness[0.0]) < 0.15 and np.all(whiteness[0.9])
+
+
+def test_a_wrong_model_follows_its_input():
+    wrong = fit(TRUTH.fix(Ra=8.5), record(1))
+    found = residual_tests(wrong)
+    assert found.of("i", "independence of u").alarm
+    assert "follows the input u" in found.of("i", "independence of u").sentence
+    assert "follows the input u" in str(found)
+    assert set(found.alarms) <= set(found.tests)
+
+
+def test_outliers_bursts_and_drift_are_each_told():
+    rng = np.random.default_rng(6)
+    plain = rng.normal(size=2000)
+    outliers = np.where(rng.random(2000) < 0.01, 8.0, plain)
+    burst = plain * np.where(np.arange(2000) > 1500, 3.0, 1.0)
+    drift = plain + np.linspace(-1, 1, 2000)
+
+    def alarms(series):
+        return {t.test for t in run_residual_tests("y", [series], {}) if t.alarm}
+
+    assert alarms(plain) == set()
+    assert "normality" in alarms(outliers) and "equal mean" not in alarms(outliers)
+    assert "equal variance" in alarms(burst)
+    assert alarms(drift) & {"equal mean", "whiteness, 20 lags"}
+
+
+def test_gaps_and_several_records_go_through():
+    rng = np.random.default_rng(7)
+    one, two = record(1), record(2)
+    gappy = replace(one, outputs={n: np.where(rng.random(one.rows) < 0.2, np.nan, y) for n, y in one.outputs.items()})
+    found = residual_tests(fit(TRUTH, [gappy, two]))
+    assert all(np.isfinite(t.statistic) and 0 <= t.p_value <= 1 for t in found.tests)
+    assert len(found.alarms) <= 1
+
+
+def test_known_colour_is_whitened_before_the_tests():
+    rng = np.random.default_rng(8)
+    data = record(3, 0.9)
+    silent = {n: s * lfilter([1.0], [1.0, -0.9], rng.normal(size=3000) * np.sqrt(0.19))[500:] for n, s in LEVEL.items()}
+    quiet = replace(data, time=2.5e-4 * np.arange(2500), inputs={"u": np.zeros(2500)}, outputs=silent)
+    found = residual_tests(fit(TRUTH, data, quiet=quiet))
+    assert found.whitened == ("x", "i")
+    assert not found.of("x", "whiteness, 5 lags").alarm
+
+
+def test_predictions_beat_the_free_run_by_what_the_colour_allows():
+    found = fit(TRUTH, record(1, 0.9, 20000))
+    table = score(found, steps=(1, 5, 50))
+    for output in ("x", "i"):
+        outcome = table.outputs[output]
+        assert outcome.free_run == found.misfit[output].rmse
+        for ahead, rmse in outcome.prediction.items():
+            assert rmse / outcome.free_run == pytest.approx(np.sqrt(1 - 0.81**ahead), rel=0.06)
+    assert "1 step ahead" in str(table) and "free run" in str(table)
+
+
+def test_scores_of_other_records_use_the_predictor_of_the_fit():
+    found = fit(TRUTH, record(1, 0.9))
+    other = score(found, record(2, 0.9), steps=(1,), skip=50).outputs["x"]
+    assert other.prediction[1] / other.free_run == pytest.approx(np.sqrt(0.19), rel=0.15)
+    white = score(found, record(2, 0.0), steps=(1,), skip=50).outputs["x"]
+    assert white.prediction[1] > white.free_run, (
+        "a predictor for slow noise does harm on white noise, and the score shows it"
+    )
+    with pytest.raises(DataError, match="steps ahead: 0; give whole numbers from 1"):
+        score(found, steps=(0,))

@@ -1,0 +1,66 @@
+"""Free run and predictions side by side, for a model of every kind."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox import Experiment, FitOptions, fit
+from greybox.blackbox import armax, arx, box_jenkins, hammerstein, output_error
+from greybox.residuals import score
+from greybox.simulation import simulate
+from tests.filtering.test_kalman_filter import tank, tank_record
+from tests.pushed_mass import INTENSITY, LEVEL, MASS, record
+
+# name -> what is fitted to a record that something pushes at random
+GREY = {
+    "linear": lambda data: fit(MASS, data),
+    "not fitted": lambda _: MASS,
+    "process noise": lambda data: fit(MASS.with_process_noise("v"), data),
+    "dry friction": lambda data: fit(MASS + gb.effect("coulomb_friction"), data),
+    "dead time": lambda data: fit(MASS + gb.effect("transport_delay"), data),
+    "robust": lambda data: fit(MASS, data, options=FitOptions(loss="huber")),
+    "segments": lambda data: fit(MASS, data, options=FitOptions(transcription="multiple")),
+}
+BLACK = {
+    "arx": lambda data: arx(data, na=2, nb=2, output="x"),
+    "armax": lambda data: armax(data, na=2, nb=2, nc=2, output="x"),
+    "output error": lambda data: output_error(data, nb=2, nf=2, output="x"),
+    "box-jenkins": lambda data: box_jenkins(data, nb=2, nf=2, nc=1, nd=1, output="x"),
+    "hammerstein": lambda data: hammerstein(data, nb=2, nf=2, freedom=2, output="x"),
+}
+
+
+@pytest.mark.parametrize("kind", [*GREY, *BLACK])
+def test_every_kind_has_both_scores(kind):
+    data, other = (record(s, rows=200, intensity=INTENSITY) for s in (1, 2))
+    model = (GREY | BLACK)[kind](data)
+    table = score(model, other, steps=(1, 10), skip=20)
+    assert list(table.outputs) == (["x"] if kind in BLACK else ["x", "v"])
+    outcome = table.outputs["x"]
+    free, near, far = outcome.free_run, outcome.prediction[1], outcome.prediction[10]
+    assert LEVEL["x"] < near <= free < outcome.movement
+    assert near <= far * 1.01
+    # What an output error says of the next sample it says of all: only the others learn from the last measurements.
+    assert (near < 0.5 * free) == (kind != "output error" and kind != "hammerstein")
+    text = str(table)
+    for words in ("free run", "1 step ahead", "10 steps ahead", "movement", "corrected by: "):
+        assert words in text
+
+
+def test_a_nonlinear_plant_has_both_scores():
+    model, data = tank_record(rows=80)
+    table = score(fit(model, data), data, steps=(1, 10))
+    assert table.outputs["h"].prediction[1] < table.outputs["h"].free_run
+    assert tank().name in str(model)
+
+
+def test_the_free_run_is_that_of_the_simulation():
+    data = record(1, rows=300)
+    found = fit(MASS, data, options=FitOptions(at_rest=True), noise=LEVEL)
+    run = simulate(found.model, Experiment("again", data.time, data.inputs, {}))
+    table = score(found, data, options=FitOptions(at_rest=True))
+    for name, outcome in table.outputs.items():
+        assert outcome.free_run == pytest.approx(
+            np.sqrt(np.mean((data.outputs[name] - run.outputs[name]) ** 2)), rel=1e-6
+        )
+        assert outcome.prediction == pytest.approx({1: outcome.free_run, 10: outcome.free_run}, rel=0.02)

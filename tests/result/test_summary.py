@@ -1,0 +1,51 @@
+"""How the numbers of a fit are printed: value and interval to the digits of the uncertainty."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from greybox import Experiment, FitOptions, fit
+from greybox.result.summary import format_with_std, make_formatter
+from greybox.simulation import multisine, simulate
+from models.silverbox import silverbox
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text", "low", "high"),
+    [
+        (1.22405, 0.0002, "1.22405 +- 0.00020", "1.22366", "1.22444"),
+        (4677.73, 0.63, "4677.73 +- 0.63", "4676.50", "4678.96"),
+        (1.2e-5, 3e-8, "1.2000e-05 +- 3.0e-08", "1.1941e-05", "1.2059e-05"),
+        (2.5e7, 1e3, "2.50000e+07 +- 1.0e+03", "2.49980e+07", "2.50020e+07"),
+        (0.0, 1e-3, "0.0000 +- 0.0010", "-0.0020", "0.0020"),
+        (651.0, 584.0, "651 +- 584", "-494", "1796"),
+    ],
+)
+def test_an_interval_has_the_digits_of_the_uncertainty(value, std, text, low, high):
+    assert format_with_std(value, std) == text
+    write = make_formatter(value, std)
+    assert (write(value - 1.96 * std), write(value + 1.96 * std)) == (low, high)
+    assert write(math.inf) == "inf"
+
+
+def test_both_ends_of_a_printed_interval_differ_from_the_value_and_units_are_tidy():
+    time = np.arange(400) * 1e-3
+    generator = np.random.default_rng(1)
+    u = multisine(time, 1, 150, 0.05, generator)
+    run = simulate(silverbox, {"time": time, "u": u})
+    y = run.outputs["y"]
+    record = Experiment("run", time, {"u": u}, {"y": y + 1e-4 * np.std(y) * generator.standard_normal(len(y))})
+    found = fit(silverbox, record, options=FitOptions(at_rest=True))
+    assert "**" not in str(found)
+    lines = {line.split()[0]: line for line in str(found).splitlines() if "+-" in line}
+    assert set(lines) == set(found.uncertainty.free)
+    for name, line in lines.items():
+        value, low, high = (
+            float(t) for t in (line.split()[1], *line[line.index("[") + 1 : line.index("]")].split(", "))
+        )
+        exact = found.parameters[name].interval
+        assert low < value < high
+        assert (high - low) == pytest.approx(exact[1] - exact[0], rel=0.05)

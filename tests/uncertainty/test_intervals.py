@@ -1,0 +1,255 @@
+"""Intervals against closed forms, published numbers, refits and each other; constants that move; the step's share."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+from scipy.stats import t as student
+
+import greybox as gb
+from greybox import Balance, Model, Output, Parameter, State
+from greybox.errors import FitError, ModelError
+from greybox.estimation import FitOptions, fit
+from greybox.estimation.covariance import invert_information
+from greybox.estimation.sandwich import compute_toeplitz_form
+from greybox.experiment import Experiment
+from greybox.result import load_fit
+from greybox.uncertainty import bootstrap, profile
+from models.emps import emps
+from models.micro_actuator import micro_actuator
+from tests.oracles.independent import experiment, linear_record, multisine
+
+TRUTH = micro_actuator.fix("M", "Ra")
+LEVEL = {"x": 2e-7, "i": 5e-3}
+REST = FitOptions(at_rest=True)
+
+
+def actuator_record(seed, rho=0.0, rows=1500):
+    rng = np.random.default_rng([seed, 1])
+    clean = linear_record(TRUTH, multisine(rng, rows, 2.5e-4, 5, 800, 3.0), 2.5e-4)
+
+    def noise():
+        return lfilter([1.0], [1.0, -rho], rng.normal(size=rows + 300) * np.sqrt(1 - rho**2))[300:]
+
+    return replace(clean, outputs={n: y + LEVEL[n] * noise() for n, y in clean.outputs.items()})
+
+
+# Rooney and Biegler 2001: y = a (1 - exp(-b t)), stated as the balance that it solves.
+SATURATION = Model(
+    "saturation", [State("y", "m", 0.0)], [], [Output("y", "m")],
+    [Parameter("a", "m", 15.0, (1.0, 100.0)), Parameter("b", "1/s", 0.5, (0.01, 10.0))],
+    lambda x, u, p: [Balance("uptake", "m/s", 1, "y", gap=p.b * (p.a - x.y))],
+)  # fmt: skip
+TIMES, VALUES = np.array([1.0, 2, 3, 4, 5, 7]), np.array([8.3, 10.3, 19.0, 16.0, 15.6, 19.8])
+
+PREY = Model(
+    "prey", [State("x1", "1", 1.0), State("x2", "1", 1.0)], [], [Output("x1", "1"), Output("x2", "1")],
+    [Parameter("beta", "1/s", 1.0, (0.01, 10.0)), Parameter("delta", "1/s", 0.5, (0.01, 10.0)), Parameter("one", "1/s", 1.0, fixed=True)],
+    lambda x, u, p: [
+        Balance("first", "1/s", 1, "x1", death=-p.one * x.x1, birth=p.beta * x.x1 * x.x2),
+        Balance("second", "1/s", 1, "x2", birth=p.one * x.x2, death=-p.delta * x.x1 * x.x2),
+    ],
+)  # fmt: skip
+X1 = [1.0, 0.9978287, 2.366363, 6.448709, 5.225859, 2.617129, 1.324945, 1.071534, 1.058930, 3.189685, 6.790586]
+X2 = [1.0, 2.249977, 3.215969, 1.787353, 1.050747, 0.2150848, 0.109813, 1.276422, 2.493237, 3.079619, 1.665567]
+
+
+def saturation_fit():
+    data = Experiment("published", np.append(0.0, TIMES), {}, {"y": np.append(np.nan, VALUES)})
+    return fit(SATURATION, data, options=REST)
+
+
+def test_rooney_and_biegler_constants_and_covariance():
+    found = saturation_fit()
+    assert found.success
+    assert found.parameters["a"].value == pytest.approx(19.1426, abs=1e-4)
+    assert found.parameters["b"].value == pytest.approx(0.5311, abs=1e-4)
+    assert found.misfit["y"].rmse ** 2 == pytest.approx(4.33171, abs=1e-5)
+    a, b = found.parameters["a"].value, found.parameters["b"].value
+    decay = np.exp(-b * TIMES)
+    slopes = np.column_stack([1 - decay, a * TIMES * decay])
+    closed = 6 * found.misfit["y"].rmse ** 2 / 4 * np.linalg.inv(slopes.T @ slopes)
+    assert found.covariance == pytest.approx(closed, rel=1e-6)
+    assert found.covariance == pytest.approx(np.array([[6.2286, -0.4322], [-0.4322, 0.04124]]), rel=5e-4)
+    # Four degrees of freedom: Student's factor, on the logarithm of a positive constant.
+    reach = student.ppf(0.975, 4) * np.sqrt(closed[0, 0]) / a
+    assert found.parameters["a"].interval == pytest.approx((a * np.exp(-reach), a * np.exp(reach)), rel=1e-6)
+
+
+def test_lotka_volterra_constants_converge_and_the_step_is_watched():
+    data = Experiment("published", np.arange(11.0), {}, {"x1": np.array(X1), "x2": np.array(X2)})
+    noise = {"x1": 0.1, "x2": 0.2}
+    fine = fit(PREY, data, noise=noise, options=FitOptions(substeps=64))
+    assert fine.parameters["beta"].value == pytest.approx(0.69397111, rel=1e-7)
+    assert fine.parameters["delta"].value == pytest.approx(0.34092149, rel=1e-7)
+    automatic = fit(PREY, data, noise=noise)
+    assert max(automatic.discretisation.error.values()) < 1e-6
+    assert automatic.solver.cost == pytest.approx(fine.solver.cost, rel=1e-6)
+    rough = fit(PREY, data, noise=noise, options=FitOptions(substeps=4))
+    for name in ("beta", "delta"):
+        assert automatic.parameters[name].value == pytest.approx(fine.parameters[name].value, rel=1e-7)
+        step = abs(rough.parameters[name].value - fine.parameters[name].value)
+        # What is left of the step's error is what halving the step announces (RK4: 15 of 16 parts of it).
+        assert step / fine.parameters[name].std == pytest.approx(rough.discretisation.shift[name], rel=0.15)
+        assert rough.discretisation.shift[name] < 0.01
+    coarse = fit(PREY, data, noise=noise, options=FitOptions(substeps=1))
+    assert max(coarse.discretisation.shift.values()) > 0.1
+    assert any("half the step the constants change" in n for n in coarse.notes)
+
+
+def test_the_toeplitz_form_is_that_of_the_dense_matrix():
+    rng = np.random.default_rng(1)
+    columns, rho = rng.normal(size=(137, 4)), 0.8 ** np.arange(137)
+    assert compute_toeplitz_form(columns, rho) == pytest.approx(columns.T @ toeplitz(rho) @ columns, rel=1e-10)
+
+
+def test_the_sandwich_widens_the_interval_by_what_the_colour_costs():
+    """Spread of the constants over many records of AR(1) noise, against the stated standard deviation."""
+    fits = [fit(TRUTH, actuator_record(seed, 0.9)) for seed in range(20)]
+    assert all(f.uncertainty.kind == "sandwich" for f in fits)
+    for q in TRUTH.free_parameters:
+        z = [(f.parameters[q.name].value - q.value) / f.parameters[q.name].std for f in fits]
+        assert 0.7 < np.std(z) < 1.35, q.name
+    assert 2 < max(fits[0].uncertainty.inflation.values()) < 4
+    note = next(n for n in fits[0].notes if "correlated from sample to sample" in n)
+    assert "as wide as white noise would make them" in note
+    white = fit(TRUTH, actuator_record(3))
+    assert white.uncertainty.kind == "gauss_newton" and set(white.uncertainty.inflation.values()) == {1.0}
+
+
+def test_the_profile_is_that_of_refits_by_scipy():
+    found = saturation_fit()
+    seen = profile(found, "b")
+
+    def least(b):
+        return 2 * least_squares(lambda a: VALUES - a * (1 - np.exp(-b * TIMES)), [19.0], xtol=1e-12).cost
+
+    scale = 6 * found.misfit["y"].rmse ** 2 / 4
+    for value, rise in zip(seen.values, seen.increase, strict=True):
+        assert rise == pytest.approx((least(value) - least(seen.best)) / scale, rel=1e-3, abs=1e-5)
+    assert seen.threshold == pytest.approx(student.ppf(0.975, 4) ** 2)
+    for end in seen.interval:
+        assert (least(end) - least(seen.best)) / scale == pytest.approx(seen.threshold, rel=0.02)
+    assert "95 % by profile likelihood" in str(seen)
+
+
+def test_a_profile_that_never_rises_is_open_and_ends_at_the_bound():
+    data = Experiment("early", np.linspace(0, 0.2, 30), {}, {"y": 2.0 * np.linspace(0, 0.2, 30)})
+    noisy_data = replace(data, outputs={"y": data.outputs["y"] + 0.02 * np.random.default_rng(1).normal(size=30)})
+    found = fit(SATURATION, noisy_data, noise={"y": 0.02}, options=REST)
+    seen = profile(found, "a")
+    assert seen.interval[1] == 100.0 and seen.open_sides[1]
+    assert "(open)" in str(seen)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_profile_bootstrap_and_curvature_agree_where_the_model_is_nearly_linear(rho):
+    found = fit(TRUTH, actuator_record(3, rho))
+    again = bootstrap(found, np.random.default_rng(2), replicates=600)
+    for name in ("K", "La"):
+        stated = found.parameters[name]
+        width = stated.interval[1] - stated.interval[0]
+        assert profile(found, name).interval == pytest.approx(stated.interval, abs=0.05 * width)
+        assert again.std[name] == pytest.approx(stated.std, rel=0.3 if rho else 0.12)
+        assert again.interval[name] == pytest.approx(stated.interval, abs=(0.2 if rho else 0.12) * width)
+    assert again.block > (50 if rho else 5)
+
+
+def test_the_bootstrap_repeats_with_its_generator_and_respects_bounds():
+    found = fit(TRUTH.bound(Kv=(1.0, 1.42)), actuator_record(3))
+    one, two = (bootstrap(found, np.random.default_rng(5), replicates=50) for _ in range(2))
+    assert np.array_equal(one.samples, two.samples)
+    assert one.interval["Kv"][1] <= 1.42 and found.parameters["Kv"].interval[1] <= 1.42
+    with pytest.raises(FitError, match="blocks of 1000 rows from a record of 1500"):
+        bootstrap(found, np.random.default_rng(5), block=1000)
+
+
+def test_intervals_survive_saving(tmp_path):
+    found = fit(TRUTH, actuator_record(3, 0.9))
+    again = load_fit(found.save(tmp_path / "fit.json"), TRUTH)
+    assert profile(again, "K").interval == profile(found, "K").interval
+    assert again.uncertainty.kind == "sandwich" and again.uncertainty.inflation == found.uncertainty.inflation
+
+
+def test_bad_requests_are_refused_in_words():
+    found = saturation_fit()
+    with pytest.raises(ModelError, match="profile of 'M': not a fitted constant"):
+        profile(found, "M")
+    broken = replace(found, success=False)
+    with pytest.raises(FitError, match="intervals need a fit that has succeeded"):
+        profile(broken, "a")
+
+
+def test_a_constant_that_imitates_a_missing_effect_is_named():
+    """Friction grows between two experiments; the model has one friction for both."""
+    t = np.arange(3000) * 1e-3
+    u = 2.5 * np.sin(2 * np.pi * 0.5 * t) + np.sin(2 * np.pi * 1.7 * t)
+    noise = {"q": 1e-5}
+    first, second = (
+        linear_record(emps.start(Fv=v), u, 1e-3, noise=noise, seed=s, name=f"day {s}")
+        for s, v in ((1, 200.0), (2, 215.0))
+    )
+    found = fit(emps, [first, second], noise=noise)
+    note = next(n for n in found.notes if "not constant" in n)
+    assert "Fv goes from 200" in note and "to 215" in note and "'day 1' and experiment 'day 2'" in note
+    same = fit(emps, [first, replace(first, name="again")], noise=noise)
+    assert not any("not constant" in n for n in same.notes)
+
+
+def test_a_constant_held_by_its_bound_in_both_parts_does_not_move():
+    """A record off by a factor of 1000 drives constants into their bounds."""
+    rng = np.random.default_rng(0)
+    clean = linear_record(TRUTH, multisine(np.random.default_rng(1), 200, 2.5e-4, 5, 400, 2.0), 2.5e-4)
+    x, i = (clean.outputs[n] + LEVEL[n] * rng.normal(size=200) for n in ("x", "i"))
+    note = next(n for n in fit(TRUTH, replace(clean, outputs={"x": 1e-3 * x, "i": i})).notes if "not constant" in n)
+    moves = re.findall(r"goes from (\S+) to (\S+)", note)
+    assert moves and all(before != after for before, after in moves)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_constant_constants_raise_no_alarm(rho):
+    alarms = [any("not constant" in n for n in fit(TRUTH, actuator_record(seed, rho)).notes) for seed in range(60)]
+    assert sum(alarms) <= 3
+
+
+def test_emps_intervals_admit_both_estimators_and_the_alias_is_raised(shared_data):
+    rubbing = emps + gb.effect("coulomb_friction") + gb.effect("constant_load")
+    found = fit(rubbing, gb.read_csv(shared_data / "emps" / "train.csv", rubbing))
+    low, high = found.parameters["M"].interval
+    assert low < 90.2 and high > 95.1, "free run and inverse dynamics differ by 5 kg"
+    assert found.uncertainty.kind == "sandwich" and found.uncertainty.inflation["M"] > 10
+    assert any("not constant" in n and "F0" in n for n in found.notes)
+
+
+def test_gaps_and_irregular_time_keep_the_intervals_honest():
+    rng = np.random.default_rng(5)
+    rows = np.append(0, np.cumsum(rng.integers(20, 31, 499)))  # of a grid of 10 us, over which the input is held
+    time = rows * 1e-5
+    u = 2 * np.sign(np.sin(2 * np.pi * 60 * time)) + rng.normal(0, 0.5, len(time))
+    fine = linear_record(TRUTH, np.repeat(u, np.append(np.diff(rows), 1)), 1e-5)
+    clean = {n: y[rows] for n, y in fine.outputs.items()}
+    z = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        noise = {n: LEVEL[n] * lfilter([1.0], [1.0, -0.8], rng.normal(size=800) * 0.6)[300:] for n in LEVEL}
+        y = [np.where(rng.random(500) < 0.2, np.nan, clean[n] + noise[n]) for n in ("x", "i")]
+        found = fit(
+            TRUTH,
+            experiment(TRUTH, time, u[:, None], np.column_stack(y)),
+            noise=LEVEL,
+            options=FitOptions(at_rest=True, substeps=4),
+        )
+        assert found.uncertainty.kind == "sandwich"
+        z += [(found.parameters[q.name].value - q.value) / found.parameters[q.name].std for q in TRUTH.free_parameters]
+    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_information_that_rounding_made_negative_is_none():
+    # of a run that has left all bounds: what remains of the second constant is a rounding error
+    inverse, weak, scale = invert_information(np.array([[4.0, 1e80, 0.0], [1e80, -1e160, 0.0], [0.0, 0.0, 9.0]]))
+    assert inverse == pytest.approx(np.diag([1 / 4, 0, 1 / 9]))
+    assert len(scale) == 3 and (np.abs(weak[:, 0]) > 1e-12).tolist() == [False, True, False]
