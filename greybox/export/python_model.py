@@ -10,9 +10,9 @@ import casadi as ca
 from greybox.errors import GreyboxError
 from greybox.export.identifiers import to_identifier
 from greybox.export.plant import Plant, to_plant
+from greybox.export.printer import Printer
 from greybox.export.python_effect import write_added_effects
 from greybox.export.python_text import INDENT, NUMPY, PYTHON, balance, call, docstring, items, literal, signal
-from greybox.export.printer import Printer
 from greybox.model import Model, Rule
 from greybox.model.equations import equations_text
 from greybox.model.signals import NamedValues, Parameter
