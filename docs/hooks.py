@@ -26,10 +26,10 @@ STUDIES = "Studies"
 def on_config(config: Any) -> Any:
     """Every page that is not in the navigation yet goes to its end, where the studies are."""
     known = set(_pages(config.nav))
-    found = sorted(path.name for path in FOLDER.glob("*.md") if path.name not in known)
+    unlisted = sorted(path.name for path in FOLDER.glob("*.md") if path.name not in known)
     for entry in config.nav:
         if STUDIES in entry:
-            entry[STUDIES].extend(found)
+            entry[STUDIES].extend(unlisted)
     return config
 
 
@@ -53,10 +53,10 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 def _typeset(text: str) -> str:
     text = DISPLAYED.sub(
-        lambda found: f'<div class="math">{_line(convert(found[1].strip(), display="block"))}</div>', text
+        lambda match: f'<div class="math">{_line(convert(match[1].strip(), display="block"))}</div>', text
     )
     # In a span, because Markdown takes a line that begins with another tag for a block.
-    return INLINE.sub(lambda found: f"<span>{_line(convert(found[1]))}</span>", text)
+    return INLINE.sub(lambda match: f"<span>{_line(convert(match[1]))}</span>", text)
 
 
 def _line(mathml: str) -> str:
@@ -65,16 +65,34 @@ def _line(mathml: str) -> str:
 
 
 def public_names() -> str:
-    """Every public name by the room it lives in, for mkdocstrings."""
+    """Every public name for mkdocstrings: those at the top, then each namespace with what only it holds."""
     import greybox
 
-    lines: list[str] = []
-    for room, names in greybox._ROOMS.items():
-        doc = inspect.getdoc(importlib.import_module(f"greybox.{room}")) or ""
-        lines += [f"## {room}", "", doc.split("\n\n")[0], ""]
-        for name in names:
-            lines += [f"::: {_where(getattr(greybox, name), f'greybox.{room}.{name}')}", ""]
+    lines = ["## greybox", "", "The verbs and values of the first week.", ""]
+    for module, names in greybox._NAMES.items():
+        lines += [line for name in names for line in _entry(f"greybox.{module}", name)]
+    for namespace in greybox._NAMESPACES:
+        module = importlib.import_module(f"greybox.{namespace}")
+        doc = inspect.getdoc(module) or ""
+        names = list(getattr(module, "__all__", ())) or _defined_in(module)
+        names = [n for n in names if n not in greybox.__all__]
+        lines += [f"## greybox.{namespace}", "", doc.split("\n\n")[0], ""]
+        lines += [line for name in names for line in _entry(module.__name__, name)]
     return "\n".join(lines)
+
+
+def _entry(module: str, name: str) -> list[str]:
+    value = getattr(importlib.import_module(module), name)
+    return [f"::: {_where(value, f'{module}.{name}')}", ""]
+
+
+def _defined_in(module: Any) -> list[str]:
+    """Public classes and functions of a namespace that is a single file."""
+    return [
+        name
+        for name, value in vars(module).items()
+        if not name.startswith("_") and getattr(value, "__module__", "") == module.__name__
+    ]
 
 
 def _where(value: Any, otherwise: str) -> str:
@@ -91,18 +109,18 @@ def commands() -> str:
 
     runner = CliRunner()
 
-    def told(*words: str) -> str:
+    def help_of(*words: str) -> str:
         return runner.invoke(app, [*words, "--help"], prog_name="greybox", color=False).output.strip()
 
     names = sorted(c.name or c.callback.__name__ for c in app.registered_commands if c.callback)
-    sections = [f"```text\n{told()}\n```"]
-    sections += [f"## greybox {name}\n\n```text\n{told(name)}\n```" for name in names]
+    sections = [f"```text\n{help_of()}\n```"]
+    sections += [f"## greybox {name}\n\n```text\n{help_of(name)}\n```" for name in names]
     return "\n\n".join(sections)
 
 
 def catalogue() -> str:
     """The effects of the catalogue: name, place, equation, and what tells each apart from its look-alikes."""
-    from greybox import CATALOGUE
+    from greybox.effects import CATALOGUE
 
     sections = []
     for e in CATALOGUE:

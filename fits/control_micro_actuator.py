@@ -13,7 +13,7 @@ from fits.control_design import Weights
 from fits.control_loop import Moves
 from fits.control_page import printed
 from fits.control_study import BLACK, COMPENSATED, PLAIN, Setting, Study, study
-from greybox.simulation import multisine
+from greybox.signals import multisine
 from models.micro_actuator import micro_actuator
 
 PERIOD, ROWS = 2.5e-4, 800  # s, rows of a record

@@ -29,7 +29,7 @@ from fits.paper_page import MEASURED, MODELS, Say, docs_folder, legend, markdown
 from greybox.blackbox import PolynomialModel, armax, arx, output_error
 from greybox.blackbox.monte_carlo_smoothing.estimate import monte_carlo_smoothing
 from greybox.blackbox.monte_carlo_smoothing.result import MonteCarloSmoothing
-from greybox.simulation import chirp
+from greybox.signals import chirp
 from models.micro_actuator import micro_actuator_no_inductance
 
 BAND, FAST = (5.0, 400.0), 1e-4  # Hz; s

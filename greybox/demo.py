@@ -24,7 +24,8 @@ from greybox.plots import fit_figure, gap_figure
 from greybox.project import shipped
 from greybox.result import Estimate, Fit
 from greybox.result.summary import format_table, format_with_std
-from greybox.simulation import chirp, multisine, write_csv
+from greybox.signals import chirp, multisine
+from greybox.simulation import write_csv
 from greybox.twin import twin
 from greybox.units import format_unit
 

@@ -19,7 +19,8 @@ from greybox import Experiment, FitOptions, fit, load_fit, read_csv
 from greybox.cli import fit as fit_command
 from greybox.cli.app import app
 from greybox.cli.interrupt import held
-from greybox.simulation import multisine, simulate, write_csv
+from greybox.signals import multisine
+from greybox.simulation import simulate, write_csv
 from models.micro_actuator import micro_actuator
 
 Run = Callable[..., Result]

@@ -13,7 +13,8 @@ from greybox import FitOptions, compare, fit, linearise
 from greybox.cli.app import app
 from greybox.errors import DataError
 from greybox.residuals import score
-from greybox.simulation import multisine, write_csv
+from greybox.signals import multisine
+from greybox.simulation import write_csv
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record
 

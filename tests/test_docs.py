@@ -78,8 +78,13 @@ def test_formulas_become_mathml_and_code_stays(hooks) -> None:
 
 def test_the_reference_holds_every_public_name(hooks) -> None:
     named = re.findall(r"^::: (\S+)$", hooks.public_names(), re.MULTILINE)
-    assert [name.rpartition(".")[2] for name in named] == [n for names in greybox._ROOMS.values() for n in names]
-    assert set(greybox.__all__) <= {name.rpartition(".")[2] for name in named}
+    shown = [name.rpartition(".")[2] for name in named]
+    top = [name for names in greybox._NAMES.values() for name in names]
+    assert shown[: len(top)] == top
+    assert set(greybox.__all__) - set(greybox._NAMESPACES) == set(top)
+    assert len(named) == len(set(named))
+    for namespace in ("blackbox", "discovery", "export", "uncertainty"):
+        assert set(getattr(greybox, namespace).__all__) <= set(shown)
 
 
 def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:

@@ -202,7 +202,7 @@ def _signal(
     import numpy as np
 
     from greybox.experiment import Experiment
-    from greybox.simulation import chirp, multisine
+    from greybox.signals import chirp, multisine
 
     if not duration or not sampling_time or duration <= 0 or sampling_time <= 0:
         raise GreyboxError("a test signal needs --duration and --sampling-time, both above 0 seconds")

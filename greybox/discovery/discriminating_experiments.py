@@ -14,7 +14,8 @@ import numpy as np
 
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem, predict_decrease
 from greybox.experiment import Experiment
-from greybox.simulation import chirp, multisine, simulate
+from greybox.signals import chirp, multisine
+from greybox.simulation import simulate
 
 # Experiments are compared on this many samples at most: enough to rank them.
 MOST_SAMPLES = 4000

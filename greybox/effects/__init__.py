@@ -36,15 +36,10 @@ __all__ = [
     "LEVEL",
     "LOAD",
     "SIGNAL_PATH",
-    "Effect",
-    "Model",
-    "ModelError",
     "Scales",
-    "UnitError",
     "applicable_effects",
     "effect",
     "measure_scales",
-    "nearest",
     "tailor_to_record",
 ]
 

@@ -20,12 +20,10 @@ __all__ = [
     "CompiledKernel",
     "CompilerError",
     "GaussNewtonSums",
-    "GreyboxError",
     "GreyboxWarning",
     "InterpretedKernel",
     "Kernel",
     "Record",
-    "Step",
     "UnsupportedOperationError",
     "make_kernel",
 ]

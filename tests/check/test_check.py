@@ -14,7 +14,8 @@ from greybox import Balance, Input, Model, Output, Parameter, State, fit
 from greybox.check import check
 from greybox.cli.app import app
 from greybox.errors import DataError, ModelError
-from greybox.simulation import multisine, simulate
+from greybox.signals import multisine
+from greybox.simulation import simulate
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator

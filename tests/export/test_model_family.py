@@ -11,7 +11,7 @@ from scipy.signal import cont2discrete, dlsim
 import greybox as gb
 from greybox.export.parameter_samples import make_parameter_distribution
 from greybox.export.plant import to_plant
-from greybox.simulation import multisine
+from greybox.signals import multisine
 from greybox.twin import twin
 from models.micro_actuator import micro_actuator
 

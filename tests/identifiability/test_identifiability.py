@@ -17,7 +17,8 @@ from greybox.identifiability import (
     recommend_after_fit,
 )
 from greybox.identifiability.excitation import excitation_order
-from greybox.simulation import multisine, simulate
+from greybox.signals import multisine
+from greybox.simulation import simulate
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance

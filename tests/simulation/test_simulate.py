@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State, effect, read_csv
 from greybox.errors import DataError, ModelError
-from greybox.simulation import chirp, multisine, read_inputs, simulate, write_csv
+from greybox.signals import chirp, multisine
+from greybox.simulation import read_inputs, simulate, write_csv
 from greybox.twin import twin
 from models.cascaded_tanks import cascaded_tanks
 from models.micro_actuator import micro_actuator
