@@ -58,7 +58,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     train, test = (gb.read_csv(folder / name, cascaded_tanks) for name in FILES)
     learn, judge = train.window(0, LEARN), train.window(LEARN, train.rows)
     found = gb.discover(cascaded_tanks, learn, validation=judge, say=say)
-    refinement = gb.discovery.further(found.best, judge, plain=cascaded_tanks, say=say)
+    refinement = gb.discovery.refine(found.best, judge, plain=cascaded_tanks, say=say)
     refitted, base = (_refit(model, train, test) for model in (refinement.fit.model, cascaded_tanks))
     beside, without = {}, {}
     for name in SET:

@@ -63,7 +63,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     arcs, tested = _arcs(train), _arcs(test)
     learn, judge = arcs[: 2 * QUARTERS], arcs[2 * QUARTERS : 3 * QUARTERS]
     found = gb.discover(emps, learn, validation=judge, say=say)
-    refinement = gb.discovery.further(found.best, judge, plain=emps, say=say)
+    refinement = gb.discovery.refine(found.best, judge, plain=emps, say=say)
     noise = DiscoveryProblem.of(found.best).noise
     assert isinstance(noise, NoiseModel)
     held_out = {}

@@ -47,7 +47,7 @@ def told(found: Discovery, refinement: Refinement | None = None) -> str:
     lines = [f"`greybox discover` (verdict *{found.verdict}*): {found.story}"]
     if refinement is not None:
         lines += [f"- {step}" for step in refinement.steps] or [
-            "- `further`: no other effect gains on records not used for it"
+            "- `refine`: no other effect gains on records not used for it"
         ]
         lines.insert(1, "")
     return "\n".join(lines)

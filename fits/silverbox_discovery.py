@@ -62,7 +62,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
         return tuple(gb.validate(model, t.with_hold(hold), skip=SKIP).misfit["y"].rmse for t in tests)  # type: ignore[arg-type]
 
     found = gb.discover(silverbox, train.window(*LEARN), validation=train.window(*JUDGE), say=say)
-    refinement = gb.discovery.further(found.best, train.window(*JUDGE), plain=silverbox, say=say)
+    refinement = gb.discovery.refine(found.best, train.window(*JUDGE), plain=silverbox, say=say)
     springs = _with(silverbox, SPRINGS)
     holds = {}
     for hold in HOLDS:

@@ -12,7 +12,7 @@ from fits import cascaded_tanks_discovery, emps_discovery, silverbox_discovery
 from fits.real_page import arguments
 from greybox import Experiment, FitOptions, fit, simulate
 from greybox.cli.app import app
-from greybox.discovery import DiscoveryProblem, discover, further
+from greybox.discovery import DiscoveryProblem, discover, refine
 from greybox.discovery.holdout import reject_on_validation, score_holdout
 from greybox.effects import applicable_effects, effect
 from greybox.model.signals import NamedValues
@@ -139,7 +139,7 @@ def hardening():
 
 def test_going_on_finds_the_small_effect_and_stops(hardening):
     large, (_, judge), plain = hardening
-    found = further(large, judge, plain=plain)
+    found = refine(large, judge, plain=plain)
     assert [step.name for step in found.steps] == ["quadratic_stiffness"]
     assert found.steps[0].held_out > 0.5
     assert found.fit.parameters["K2"].value == pytest.approx(-2e4, rel=0.02)

@@ -77,7 +77,7 @@ def discover(
     Exit code 0: there is an answer. 2: bad input, nothing was written. 130: interrupted.
     """
     from greybox.discovery import discover as find
-    from greybox.discovery import further as go_on
+    from greybox.discovery import refine
     from greybox.effects import effect
     from greybox.estimation import FitOptions
     from greybox.experiment import read_experiments
@@ -102,7 +102,7 @@ def discover(
                 options=FitOptions(at_rest=at_rest), say=say, journal=journal, report=report,
             )  # fmt: skip
             if further:
-                refinement = go_on(
+                refinement = refine(
                     found.best, judges, plain=plant, effects=chosen, say=say, journal=journal, report=report
                 )
                 found = replace(found, refinement=refinement)

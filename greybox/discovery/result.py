@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from greybox.discovery.effect_signal import EffectSignal
-from greybox.discovery.further import Refinement
 from greybox.discovery.holdout_error import HoldoutError
 from greybox.discovery.localisation import ResidualLocalisation
+from greybox.discovery.refinement import Refinement
 from greybox.discovery.shape_correction import is_shape_correction
 from greybox.discovery.surrogate import Surrogate
 from greybox.result import Fit, format_json, to_json_data
@@ -34,7 +34,7 @@ class Discovery:
     ``base`` and ``best`` are fits of the plain and of the extended model; ``gap`` by output; ``ranking`` of the candidates;
     ``look``: where, when and in which region the plain model falls short; ``story`` one paragraph; ``notes`` what to know before
     believing it; ``missing``: for each effect its signal as the data and as the extended model have it; ``stand_in``: a smooth curve
-    or a tone in the place of an unknown effect; ``deeper``: what `further` found beyond, where it was asked;
+    or a tone in the place of an unknown effect; ``deeper``: what `refine` found beyond, where it was asked;
     ``next_steps``: what to do about something unknown, or before
     believing that nothing is missing.
     """
@@ -98,7 +98,7 @@ class Discovery:
             "parameters": self.best.parameters, "gap": self.gap, "ranking": self.ranking, "story": self.story,
             "next_steps": self.next_steps, "notes": self.notes, "seconds": self.seconds,
             "model": self.best.model.name, "equations": self.best.provenance.equations,
-            "noise": self.best.noise, "noise_source": self.best.noise.source, "versions": self.best.provenance.versions,
+            "noise": self.best.noise.std, "noise_source": self.best.noise.source, "versions": self.best.provenance.versions,
         }  # fmt: skip
         target = Path(path)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -119,7 +119,7 @@ class Discovery:
         fit = self.refinement.fit
         return {
             "steps": self.refinement.steps, "effects": [e.name for e in fit.model.effects], "parameters": fit.parameters,
-            "misfit": fit.misfit, "validation": fit.validation,
+            "misfit": fit.misfit, "validation": fit.validation.misfit,
         }  # fmt: skip
 
     def _stand_in(self) -> dict[str, Any] | None:

@@ -56,7 +56,7 @@ class RefinementStep:
 
 @dataclass(frozen=True, eq=False)
 class Refinement(ReadOnly):
-    """What `further` found: the fit with all effects, its misfit on the validation records, and each step there."""
+    """What `refine` found: the fit with all effects, its misfit on the validation records, and each step there."""
 
     fit: Fit
     steps: tuple[RefinementStep, ...]
@@ -75,7 +75,7 @@ class Refinement(ReadOnly):
         return "\n".join([*map(str, self.steps), str(self.fit)]) if self.steps else f"nothing further\n{self.fit}"
 
 
-def further(
+def refine(
     fit: Fit,
     validation: Experiment | Sequence[Experiment],
     *,
