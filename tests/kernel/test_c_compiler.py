@@ -69,7 +69,7 @@ def test_second_kernel_does_not_compile_again(monkeypatch):
 
 def test_library_depends_on_the_machine(monkeypatch, tmp_path):
     make_kernel(halving())
-    monkeypatch.setattr(compiling, "machine", lambda: "another processor")
+    monkeypatch.setattr(compiling, "describe_machine", lambda: "another processor")
     make_kernel(halving())
     assert len(list((tmp_path / "cache").glob(f"*{compiling.SUFFIX}"))) == 2
 
