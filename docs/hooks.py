@@ -20,17 +20,28 @@ FOLDER = Path(__file__).parent
 DISPLAYED = re.compile(r"^\$\$(.+?)\$\$", re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"(?<![\\$`\w])\$(?!\s)([^$\n`]+?)(?<!\s)\$(?![\w$])")
 CODE = re.compile(r"(^```.*?^```|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
-STUDIES = "Studies"
+STUDIES, DECISIONS = "Studies", "Decisions"
 
 
 def on_config(config: Any) -> Any:
-    """Every page that is not in the navigation yet goes to its end, where the studies are."""
+    """Every page that is not in the navigation yet joins it: decisions under their heading, other pages at the end, as studies."""
     known = set(_pages(config.nav))
-    unlisted = sorted(path.name for path in FOLDER.glob("*.md") if path.name not in known)
-    for entry in config.nav:
-        if STUDIES in entry:
-            entry[STUDIES].extend(unlisted)
+    unlisted = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*.md"))
+    for heading, folder in ((DECISIONS, "decisions/"), (STUDIES, "")):
+        pages = [page for page in unlisted if page not in known and page.startswith(folder)]
+        for section in _sections(config.nav, heading):
+            section.extend(pages)
+            known.update(pages)
     return config
+
+
+def _sections(nav: Any, heading: str) -> Iterator[list[Any]]:
+    """The lists of pages under ``heading``, however deep."""
+    for entry in nav if isinstance(nav, list) else ():
+        for name, below in entry.items() if isinstance(entry, dict) else ():
+            if name == heading:
+                yield below
+            yield from _sections(below, heading)
 
 
 def _pages(nav: Any) -> Iterator[str]:

@@ -98,9 +98,11 @@ def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
 
 
 def test_pages_of_studies_find_their_way_into_the_navigation(hooks) -> None:
-    config = type("Config", (), {"nav": [{"Start": "index.md"}, {"Studies": [{"Errata": "errata.md"}]}]})
+    decisions = {"Decisions": ["decisions/discovery.md"]}
+    config = type("Config", (), {"nav": [{"Start": "index.md"}, {"More": [decisions]}, {"Studies": ["errata.md"]}]})
     nav = list(hooks._pages(hooks.on_config(config).nav))
-    assert sorted(nav) == sorted(p.name for p in DOCS.glob("*.md"))
+    assert sorted(nav) == sorted(p.relative_to(DOCS).as_posix() for p in DOCS.rglob("*.md"))
+    assert all(page.startswith("decisions/") for page in decisions["Decisions"])
 
 
 @pytest.mark.slow
