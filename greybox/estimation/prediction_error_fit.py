@@ -45,7 +45,7 @@ from greybox.result import (
     FitDiscretisation,
     FitNoise,
     FitUncertainty,
-    PredictionErrors,
+    PredictionReport,
     Provenance,
     SolverReport,
 )
@@ -145,7 +145,7 @@ def _result(
             {**asdict(options), "per_experiment": list(options.per_experiment)}, equations_text(model), read_versions()
         ),
         constraints=FitConstraints({tie.name: tie.formula for tie in model.ties}, tied, per_experiment, priors),
-        prediction=PredictionErrors(
+        prediction=PredictionReport(
             {state: value for state, value in noise_intensities(fitted).items() if state in model.noisy_states},
             one_step,
             found.likelihood if np.isfinite(found.likelihood) else None,

@@ -208,7 +208,7 @@ class RobustReport(ReadOnly):
 
 
 @dataclass(frozen=True)
-class PredictionErrors(ReadOnly):
+class PredictionReport(ReadOnly):
     """What a fit with process noise adds: the ``process_noise`` intensity on each state, in its unit over sqrt(s), the ``one_step``
     error, and the ``log_likelihood`` of the innovations. Empty for a free-run fit."""
 
@@ -274,7 +274,7 @@ class Fit(ReadOnly):
     validation: Validation = field(default_factory=Validation)
     constraints: FitConstraints = field(default_factory=FitConstraints)
     robust: RobustReport = field(default_factory=RobustReport)
-    prediction: PredictionErrors = field(default_factory=PredictionErrors)
+    prediction: PredictionReport = field(default_factory=PredictionReport)
     starts: Sequence[StartResult] = ()
     notes: tuple[str, ...] = ()
 

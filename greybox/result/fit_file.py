@@ -21,7 +21,7 @@ from greybox.result.fit import (
     FitNoise,
     FitUncertainty,
     Misfit,
-    PredictionErrors,
+    PredictionReport,
     PriorCheck,
     Provenance,
     RobustReport,
@@ -176,7 +176,7 @@ def load_fit(path: str | Path, model: Model) -> Fit:
             {name: _prior_check(each) for name, each in get("priors", {}).items()},
         ),
         robust=RobustReport(get("loss", ""), _numbers(get("loss_scale", {})), _numbers(get("outliers", {}))),
-        prediction=PredictionErrors(
+        prediction=PredictionReport(
             _numbers(get("process_noise", {})), _misfits(get("prediction", {})), get("log_likelihood")
         ),
         starts=tuple(
