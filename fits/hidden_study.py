@@ -23,7 +23,7 @@ from fits.hidden_page import VISIBLE, write
 from greybox.discovery.effect_test import estimate_scales
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.effects import Scales, tailor_to_record
-from greybox.project import resolve
+from greybox.project import find_model
 
 # Kinds of ten cases in a row.
 KINDS = ("single", "single", "pair", "single", "complete", "single", "relative", "single", "outside", "single")
@@ -53,7 +53,7 @@ def study(folder: Path, cases: int, first: int, rows: int) -> None:
 
 def answered(case: Case) -> dict[str, Any]:
     """What `discover` and the baselines say to one case, beside the truth."""
-    model = resolve(case.model).fix(**case.known).start(**case.start)
+    model = find_model(case.model).fix(**case.known).start(**case.start)
     options = gb.FitOptions(at_rest=True)
     began = time.process_time()
     found = gb.discover(

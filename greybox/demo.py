@@ -21,12 +21,12 @@ from greybox.export import Linearisation, linearise
 from greybox.export.linear_files import write_control
 from greybox.model import Model
 from greybox.plots import fit_figure, gap_figure
-from greybox.project import shipped
+from greybox.project import find_shipped_model
 from greybox.result import Estimate, Fit
 from greybox.result.summary import format_table, format_with_std
 from greybox.signals import chirp, multisine
 from greybox.simulation import write_csv
-from greybox.twin import twin
+from greybox.twin import simulate_twin
 from greybox.units import format_unit
 
 MODEL, HIDDEN = "micro_actuator", "cubic_stiffness"
@@ -36,7 +36,7 @@ BAND = (5.0, 400.0)  # Hz: from below the mechanism's resonance at 122 Hz to whe
 VOLTAGE = 2.0  # V, rms of the multisine and amplitude of the sweep
 NOISE = {"x": 0.2e-6, "i": 5e-3}  # m, A
 KNOWN = ("M", "Ra")  # weighed, and measured with a multimeter
-OFF = 0.4  # the search starts this share above or below the truth
+START_ERROR = 0.4  # the search starts this share above or below the truth
 SEED = 20100
 BLACK: tuple[BlackBoxKind, ...] = ("arx", "output error")
 PLAIN, EXTENDED = "plain model", "with what was found"
@@ -102,19 +102,19 @@ class Demo:
             e = self.fit.parameters.get(name)
             before = self.plain.parameters.get(name)
             rows.append([
-                name, f"{truth:.5g}", f"{self.start[name]:.4g}" if name in self.start else "", written(before), written(e),
+                name, f"{truth:.5g}", f"{self.start[name]:.4g}" if name in self.start else "", format_estimate(before), format_estimate(e),
                 f"{abs(self.deviations[name]):.1f} std" if e else "", format_unit(e.unit) if e else "",
             ])  # fmt: skip
         head = ["constant", "true", "start", PLAIN, EXTENDED, "off by", "unit"]
         return "\n".join(format_table(head, rows))
 
 
-def written(e: Estimate | None) -> str:
+def format_estimate(e: Estimate | None) -> str:
     """``value +- std``; empty where a model lacks the constant."""
     return "" if e is None else format_with_std(e.value, e.std or 0.0)
 
 
-def demo(directory: str | Path, *, say: Say | None = None, report: Callable[[int], None] | None = None) -> Demo:
+def run_demo(directory: str | Path, *, say: Say | None = None, report: Callable[[int], None] | None = None) -> Demo:
     """Measure a simulated micro-motion actuator whose spring hardens, and let the program find that out.
 
     The records come from `greybox.twin`, an integrator that the fits do not use, with white noise; they are written to
@@ -124,13 +124,13 @@ def demo(directory: str | Path, *, say: Say | None = None, report: Callable[[int
     """
     began, folder = time.perf_counter(), Path(directory)
     tell = say or (lambda _: None)
-    model = shipped(MODEL)
+    model = find_shipped_model(MODEL)
     rig = (model + effect(HIDDEN)).start(**STRENGTH)
     tell(f"measuring the rig (a simulation by CVODES, with sensor noise); it hides {HIDDEN}, which the model lacks")
     records = _measure(rig, folder)
     known = model.fix(*KNOWN)
     truth = {q.name: q.value for q in rig.fix(*KNOWN).free_parameters}
-    start = {q.name: q.value * (1 + OFF * (-1) ** k) for k, q in enumerate(known.free_parameters)}
+    start = {q.name: q.value * (1 + START_ERROR * (-1) ** k) for k, q in enumerate(known.free_parameters)}
     train, test = (read_csv(path, known) for path in records)
     options = FitOptions(at_rest=True)
     tell(f"1. fit: {', '.join(start)} from {train.rows} rows; {' and '.join(KNOWN)} are known")
@@ -192,6 +192,6 @@ def _measure(rig: Model, folder: Path) -> tuple[Path, Path]:
     inputs = {"multisine": multisine(t, *BAND, VOLTAGE, generator), "sweep": chirp(t[:CHECK_ROWS], *BAND, VOLTAGE)}
     paths = []
     for k, (name, u) in enumerate(inputs.items()):
-        record = twin(rig, {drive: u}, SAMPLING_TIME, NOISE, SEED + k, name=name)
+        record = simulate_twin(rig, {drive: u}, SAMPLING_TIME, NOISE, SEED + k, name=name)
         paths.append(write_csv(record, rig, folder / f"{name}.csv"))
     return paths[0], paths[1]

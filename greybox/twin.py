@@ -16,7 +16,7 @@ from greybox.simulation.simulate import add_noise, declared_initial_state
 TOLERANCE = 1e-9
 
 
-def twin(
+def simulate_twin(
     model: Model,
     inputs: Mapping[str, np.ndarray],
     sampling_time: float,

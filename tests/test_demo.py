@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from greybox import read_csv, report
-from greybox.demo import EXTENDED, HIDDEN, KNOWN, NOISE, PLAIN, STRENGTH, Demo, demo
+from greybox.demo import EXTENDED, HIDDEN, KNOWN, NOISE, PLAIN, STRENGTH, Demo, run_demo
 from models.micro_actuator import micro_actuator
 
 
@@ -21,7 +21,7 @@ def told() -> list[str]:
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory, told: list[str]) -> Demo:
-    return demo(tmp_path_factory.mktemp("demo"), say=told.append)
+    return run_demo(tmp_path_factory.mktemp("demo"), say=told.append)
 
 
 def test_the_model_alone_misses_the_record_by_far(found: Demo) -> None:
@@ -93,7 +93,7 @@ def test_the_story_is_told_in_order(found: Demo, told: list[str]) -> None:
 def test_the_command_leaves_out_the_page_if_told(run, found: Demo, monkeypatch: pytest.MonkeyPatch) -> None:
     contradiction = run("demo", "--open", "--no-report")
     assert contradiction.exit_code == 2 and "leave out one of the two" in contradiction.stderr
-    monkeypatch.setattr("greybox.demo.demo", lambda *_, **__: found)
+    monkeypatch.setattr("greybox.demo.run_demo", lambda *_, **__: found)
     result = run("demo", "--no-report", "--output", "there")
     assert result.exit_code == 0 and "report:" not in result.stdout
     assert not Path("there", "report.html").exists()

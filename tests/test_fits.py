@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fits import cascaded_tanks_base, emps_dry_friction, silverbox_hardening
-from greybox.project import init
+from greybox.project import write_project
 
 ROOT = Path(__file__).resolve().parents[1]
 STUDIES = ("emps_dry_friction", "cascaded_tanks_base", "silverbox_hardening")
@@ -28,7 +28,7 @@ def test_a_study_without_its_data_says_what_it_needs(tmp_path, study):
 
 
 def test_a_study_runs_inside_a_new_project(tmp_path, shared_data):
-    init(tmp_path / "mine")
+    write_project(tmp_path / "mine")
     done = run(tmp_path / "mine", "fits.cascaded_tanks_base", str(shared_data / "cascaded_tanks"))
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("cascaded_tanks: converged")

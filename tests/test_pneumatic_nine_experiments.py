@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fits import pneumatic_nine_experiments as study
-from greybox.twin import twin
+from greybox.twin import simulate_twin
 from models.pneumatic_full import pneumatic_full
 
 # Table 10.2: largest and smallest voltage, variance (N - 1), of each input over 100 s.
@@ -26,7 +26,7 @@ def test_inputs_have_the_statistics_of_table_10_2(name):
 def test_the_stand_in_agrees_with_cvodes(truth):
     u = study.command("u2", 3.0)
     fine = study.Rig(truth).run(u)
-    other = twin(truth, {"u": u}, study.SAMPLING_TIME).outputs
+    other = simulate_twin(truth, {"u": u}, study.SAMPLING_TIME).outputs
     np.testing.assert_allclose(fine["s"], other["s"], atol=1e-6)
     np.testing.assert_allclose(fine["p_a"], other["p_a"], atol=20.0)
 

@@ -16,7 +16,7 @@ from greybox.discovery import DiscoveryProblem, discover, refine
 from greybox.discovery.holdout import reject_on_validation, score_holdout
 from greybox.effects import applicable_effects, effect
 from greybox.model.signals import NamedValues
-from greybox.project import resolve
+from greybox.project import find_model
 from greybox.simulation.write import write_csv
 from greybox.transcription import to_record
 from models.cascaded_tanks import cascaded_tanks
@@ -168,7 +168,7 @@ def test_the_command_goes_on_after_its_answer(tmp_path, monkeypatch):
     assert [s["name"] for s in answer["further"]["steps"]] == ["quadratic_stiffness"]
     assert answer["further"]["validation"]["y"]["rmse"] < 1.2 * NOISE
     # the extended model that was written has both, and the page tells it
-    assert resolve("out/model.py").values["K2"] == pytest.approx(-4e3, rel=0.02)
+    assert find_model("out/model.py").values["K2"] == pytest.approx(-4e3, rel=0.02)
     assert "What comes after" in Path("out/report.html").read_text()
 
 

@@ -9,14 +9,14 @@ from typing import NoReturn
 
 INTERRUPTED = 130
 # New objects from which Python looks for garbage: what a command makes is needed to its end, and looking costs a tenth of its time.
-OBJECTS = 50_000
+GARBAGE_THRESHOLD = 50_000
 
 
 def main() -> None:
     """Run the command; the process ends with 0, 1 (no success), 2 (bad input) or 130 (Ctrl-C)."""
     # From here on: what is imported first takes a fifth of a second, in which Ctrl-C would show a traceback.
-    before = signal.signal(signal.SIGINT, _leave)
-    gc.set_threshold(OBJECTS, *gc.get_threshold()[1:])
+    before = signal.signal(signal.SIGINT, _exit_on_interrupt)
+    gc.set_threshold(GARBAGE_THRESHOLD, *gc.get_threshold()[1:])
     try:
         from greybox.cli.app import run
 
@@ -25,6 +25,6 @@ def main() -> None:
         signal.signal(signal.SIGINT, before)
 
 
-def _leave(*_: object) -> NoReturn:
+def _exit_on_interrupt(*_: object) -> NoReturn:
     sys.stderr.write("error: interrupted\n")
     raise SystemExit(INTERRUPTED)

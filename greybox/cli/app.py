@@ -11,17 +11,17 @@ from greybox.cli.check import check
 from greybox.cli.compare import compare
 from greybox.cli.demo import demo
 from greybox.cli.discover import discover
+from greybox.cli.exits import exit_on_error
 from greybox.cli.export import export
 from greybox.cli.fit import fit
-from greybox.cli.guard import guarded
 from greybox.cli.init import init
 from greybox.cli.models import models
 from greybox.cli.simulate import simulate
-from greybox.cli.usage import Front, Plain
+from greybox.cli.usage_errors import CommandGroup, PlainCommand
 
 app = typer.Typer(
     name="greybox",
-    cls=Front,
+    cls=CommandGroup,
     help="Physics-based grey-box identification: from a record to physical constants with intervals.",
     epilog="Start with:\n\n\b\n  greybox demo\n  greybox models\n  greybox fit --help",
     no_args_is_help=True,
@@ -32,75 +32,75 @@ app = typer.Typer(
 )
 
 
-def example(*lines: str) -> str:
+def format_examples(*lines: str) -> str:
     """The end of a command's help: lines to copy."""
     return "Examples:\n\n\b\n" + "\n".join(f"  {line}" for line in lines)
 
 
 app.command(
-    cls=Plain,
+    cls=PlainCommand,
     short_help="Fit a model's constants to records.",
-    epilog=example(
+    epilog=format_examples(
         "greybox fit micro_actuator record.csv --fix M=0.01 --fix Ra=8 --validate other.csv",
         "greybox fit my/rig.py a.csv b.csv --start K=5000 --noise x=2e-7 --output results/rig",
         "greybox fit emps record.csv --effect coulomb_friction --hold first",
     ),
-)(guarded(fit))
+)(exit_on_error(fit))
 app.command(
-    cls=Plain,
+    cls=PlainCommand,
     short_help="Judge a physical model beside the usual black boxes.",
-    epilog=example(
+    epilog=format_examples(
         "greybox compare micro_actuator step.csv --validate chirp.csv --fix M=0.01 --at-rest",
         "greybox compare silverbox train.csv --validate test.csv --skip 50 --effects cubic_stiffness,cubic_stiffness+input_offset",
     ),
-)(guarded(compare))
+)(exit_on_error(compare))
 app.command(
-    cls=Plain,
+    cls=PlainCommand,
     short_help="Find which effect a model lacks, and name it.",
-    epilog=example(
+    epilog=format_examples(
         "greybox discover micro_actuator train.csv --validate test.csv --fix M=0.01 --at-rest",
         "greybox discover emps train.csv --validate test.csv --effects coulomb_friction,constant_load",
     ),
-)(guarded(discover))
+)(exit_on_error(discover))
 app.command(
-    cls=Plain,
+    cls=PlainCommand,
     short_help="Hand a fitted model to a controller design, or write it as code.",
-    epilog=example(
+    epilog=format_examples(
         "greybox export results/micro_actuator-fit/fit.json --to mat --dt 2.5e-4 --delay 1e-4 --samples 100",
         "greybox export fit.json --to control --at u=1",
         "greybox export fit.json --to c --output firmware/plant.c",
     ),
-)(guarded(export))
+)(exit_on_error(export))
 app.command(
-    cls=Plain,
+    cls=PlainCommand,
     short_help="Run a model and write a record.",
-    epilog=example(
+    epilog=format_examples(
         "greybox simulate micro_actuator --step 1 --duration 0.2 --sampling-time 2.5e-4",
         "greybox simulate micro_actuator --multisine 2 --band 5:800 --duration 1.5 --sampling-time 2.5e-4 \\",
         "    --noise x=2e-7 --noise i=5e-3 --seed 1 --output record.csv",
         "greybox simulate my/rig.py input.csv --set K=5000 --output simulated.csv",
     ),
-)(guarded(simulate))
+)(exit_on_error(simulate))
 app.command(
-    cls=Plain,
+    cls=PlainCommand,
     short_help="What is known before a fit: units, integration, determined constants.",
-    epilog=example("greybox check micro_actuator", "greybox check micro_actuator record.csv --fix M=0.01"),
-)(guarded(check))
+    epilog=format_examples("greybox check micro_actuator", "greybox check micro_actuator record.csv --fix M=0.01"),
+)(exit_on_error(check))
 app.command(
-    cls=Plain,
+    cls=PlainCommand,
     short_help="List the models, or print one.",
-    epilog=example("greybox models", "greybox models micro_actuator", "greybox models my/rig.py"),
-)(guarded(models))
+    epilog=format_examples("greybox models", "greybox models micro_actuator", "greybox models my/rig.py"),
+)(exit_on_error(models))
 app.command(
-    cls=Plain,
+    cls=PlainCommand,
     short_help="Write a project of your own to start from.",
-    epilog=example("greybox init my_rig", "cd my_rig && greybox models"),
-)(guarded(init))
+    epilog=format_examples("greybox init my_rig", "cd my_rig && greybox models"),
+)(exit_on_error(init))
 app.command(
-    cls=Plain,
+    cls=PlainCommand,
     short_help="Find the constants of a simulated actuator.",
-    epilog=example("greybox demo", "greybox demo --output somewhere"),
-)(guarded(demo))
+    epilog=format_examples("greybox demo", "greybox demo --output somewhere"),
+)(exit_on_error(demo))
 
 
 def _version(wanted: bool) -> None:

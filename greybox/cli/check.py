@@ -11,7 +11,7 @@ import typer
 from greybox.cli import constraints as c
 from greybox.cli import options as o
 from greybox.cli.records import SplitHoles
-from greybox.cli.reporting import NoReport, told, write_report
+from greybox.cli.reporting import NoReport, report_line, write_report
 
 
 def check(
@@ -61,19 +61,21 @@ def check(
     """
     from greybox.check import check as check_model
     from greybox.estimation import FitOptions
-    from greybox.project import resolve
+    from greybox.project import find_model
 
-    plant = c.constrained(o.changed(resolve(model), effects=effect, fix=fix, start=start, free=free), (), tie)
-    columns = o.pairs("--column", column) or None
+    plant = c.apply_priors_and_ties(
+        o.change_model(find_model(model), effects=effect, fix=fix, start=start, free=free), (), tie
+    )
+    columns = o.parse_pairs("--column", column) or None
     o.check_substeps(plant, method, substeps)
-    records, _ = c.read_under(
+    records, _ = c.read_records(
         condition, plant, data or (), split=split_holes, at_rest=at_rest, columns=columns, hold=hold.value,
         allow_constant_input=free_decay,
     )  # fmt: skip
     choice = FitOptions(at_rest=at_rest, method=method.value, substeps=substeps)
-    folder = o.writable_folder(output or Path("results") / f"{plant.name}-check")
+    folder = o.check_writable(output or Path("results") / f"{plant.name}-check")
     only = [name for text in outputs for name in text.replace(",", " ").split()] or None
-    found = check_model(plant, records, noise=o.numbers("--noise", noise), outputs=only, options=choice)
+    found = check_model(plant, records, noise=o.parse_numbers("--noise", noise), outputs=only, options=choice)
     text = json_format.dumps(found.as_dict(), indent=2)
     folder.mkdir(parents=True, exist_ok=True)
     saved = folder / "check.json"
@@ -81,4 +83,4 @@ def check(
     report = None if no_report else write_report(found, folder / "report.html")
     typer.echo(text if json else f"{found}\n\nwritten: {saved}")
     if report and not json:
-        typer.echo(told(report))
+        typer.echo(report_line(report))

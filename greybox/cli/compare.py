@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from greybox.cli import complete
+from greybox.cli import completion
 from greybox.cli import constraints as c
 from greybox.cli import options as o
 from greybox.cli import predicted as p
 from greybox.cli import searching as s
-from greybox.cli.guard import INTERRUPTED, stop
-from greybox.cli.progress import Show, gauge, in_words, share_done
-from greybox.cli.records import SplitHoles, tell_notes
-from greybox.cli.reporting import NoReport, told, write_report
+from greybox.cli.exits import INTERRUPTED, exit_with_error
+from greybox.cli.progress import ShowProgress, describe_progress, share_done, show_progress
+from greybox.cli.records import SplitHoles, print_record_notes
+from greybox.cli.reporting import NoReport, report_line, write_report
 
 if TYPE_CHECKING:
     from greybox.comparison import Comparison
@@ -35,7 +35,7 @@ Rivals = Annotated[
     typer.Option(
         "--effects",
         metavar="NAME,...",
-        autocompletion=complete.effects,
+        autocompletion=completion.effects,
         help="Also fit MODEL with each of these effects of the catalogue; A+B is one model with both.",
     ),
 ]
@@ -105,31 +105,33 @@ def compare(
     from greybox.comparison.compare import NamedModel, compare_named
     from greybox.estimation import FitOptions
     from greybox.experiment import read_experiments
-    from greybox.project import resolve
+    from greybox.project import find_model
 
-    plain = p.pushed(o.changed(c.scheduled(resolve(model), schedule), effects=effect), process_noise)
-    plain = o.changed(plain, fix=fix, start=start, free=free)
+    plain = p.apply_process_noise(
+        o.change_model(c.apply_schedule(find_model(model), schedule), effects=effect), process_noise
+    )
+    plain = o.change_model(plain, fix=fix, start=start, free=free)
     rivals = [tuple(name.strip() for name in part.split("+")) for part in effects.split(",") if part.strip()]
-    plants = [c.constrained(_extended(plain, names), prior, tie) for names in ((), *rivals)]
+    plants = [c.apply_priors_and_ties(_extended(plain, names), prior, tie) for names in ((), *rivals)]
     o.check_substeps(plants[0], method, substeps)
-    folder = o.writable_folder(output or Path("results") / f"{plain.name}-compare")
-    said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
+    folder = o.check_writable(output or Path("results") / f"{plain.name}-compare")
+    said, columns = o.parse_numbers("--noise", noise), o.parse_pairs("--column", column) or None
     how: dict[str, Any] = {"columns": columns, "hold": hold.value}
-    records, judges = c.read_under(
+    records, judges = c.read_records(
         condition, plain, train, validate, split=split_holes, at_rest=at_rest, **how, allow_constant_input=free_decay
     )
     hushed = read_experiments(quiet, plain, **how, allow_constant_input=True) if quiet else ()
     o.check_skip(skip, judges)
-    p.check_steps(predict, records, judges)
+    p.check_prediction_steps(predict, records, judges)
     check_sampling_times(records, judges, [q.name for q in plain.outputs])
     if not silent:
-        tell_notes(records, judges)
+        print_record_notes(records, judges)
     options = FitOptions(
-        at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, per_experiment=c.names(per_experiment),
+        at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, per_experiment=c.parse_names(per_experiment),
         transcription=transcription.value, arc_length=arc_length,
     )  # fmt: skip
     seed = s.check_seed(starts, seed)
-    with gauge() as show:
+    with show_progress() as show:
         given = {"noise": said, "quiet": hushed, "options": options}
         fitted = [_fitted(plants[0], records, show, starts, seed, given)]
         for names, plant in zip(rivals, plants[1:], strict=True):
@@ -154,7 +156,7 @@ def _extended(model: Model, names: Sequence[str]) -> Model:
     return model
 
 
-def _grown(first: Fit, names: Sequence[str], plain: Model, show: Show) -> tuple[Fit, float] | None:
+def _grown(first: Fit, names: Sequence[str], plain: Model, show: ShowProgress) -> tuple[Fit, float] | None:
     """``first`` refitted with these effects, each from where the records would show it, and the seconds it took.
 
     An effect's own values leave it absent, and a search from there may end anywhere. None where a refit of free runs is not what
@@ -183,7 +185,7 @@ def _grown(first: Fit, names: Sequence[str], plain: Model, show: Show) -> tuple[
     return fit, time.perf_counter() - began
 
 
-def scanned(what: str, share: float, outputs: Sequence[str]) -> float:
+def scan_share(what: str, share: float, outputs: Sequence[str]) -> float:
     """Share of all scans that is done, when ``share`` of ``what`` ("armax of x") is, by the time that each kind takes as a rule."""
     kind, _, output = what.rpartition(" of ")
     kinds = list(SCAN_TIMES)
@@ -192,13 +194,13 @@ def scanned(what: str, share: float, outputs: Sequence[str]) -> float:
 
 
 def _fitted(
-    plant: Model, records: Sequence[Experiment], show: Show, starts: int, seed: int, given: Mapping[str, Any]
+    plant: Model, records: Sequence[Experiment], show: ShowProgress, starts: int, seed: int, given: Mapping[str, Any]
 ) -> tuple[Fit, float]:
     """The fit, and the seconds it took."""
     from greybox.estimation import fit, multistart
 
     def report(progress: FitProgress) -> None:
-        show(f"{plant.title}: {in_words(progress)}", share_done(progress))
+        show(f"{plant.title}: {describe_progress(progress)}", share_done(progress))
 
     def tally(done: int, jobs: int) -> None:
         show(f"{plant.title}: {done} of {jobs} starts done", done / jobs)
@@ -212,7 +214,7 @@ def _fitted(
 
 
 def _boxes(
-    plain: Model, records: Sequence[Experiment], at_rest: bool, show: Show
+    plain: Model, records: Sequence[Experiment], at_rest: bool, show: ShowProgress
 ) -> tuple[tuple[NamedModel, ...], tuple[str, ...]]:
     """The black boxes of every output of ``plain`` that the records measure, and what is to be said about them."""
     from greybox.comparison.black_box_candidates import fit_black_boxes
@@ -222,7 +224,7 @@ def _boxes(
     return fit_black_boxes(
         records, outputs, [i.name for i in plain.inputs], at_rest=at_rest,
         units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
-        report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scanned(what, done / of, outputs)),
+        report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scan_share(what, done / of, outputs)),
     )  # fmt: skip
 
 
@@ -253,8 +255,8 @@ def _tell(
             None if fits is None else write_report(result, folder / "report.html", fits=fits, data=prints, known=known)
         )
     except KeyboardInterrupt:
-        stop(f"interrupted while drawing; the comparison is in {saved}", INTERRUPTED)
+        exit_with_error(f"interrupted while drawing; the comparison is in {saved}", INTERRUPTED)
     if not (quiet or json):
         typer.echo(f"\nwritten: {saved}, {', '.join(map(str, figures))}")
         if report:
-            typer.echo(told(report))
+            typer.echo(report_line(report))

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from greybox.cli import complete
-from greybox.cli.options import Names, as_number, numbers, pairs
-from greybox.cli.records import in_pieces
+from greybox.cli import completion
+from greybox.cli.options import Names, parse_number, parse_numbers, parse_pairs
+from greybox.cli.records import split_records
 from greybox.errors import GreyboxError, ModelError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ Prior = Annotated[
         "--prior",
         metavar="NAME=MEAN+-STD",
         default_factory=list,
-        autocompletion=complete.constants,
+        autocompletion=completion.constants,
         help="What is known of a constant beforehand, as M=0.0100+-0.0001; weighed as a measurement.",
     ),
 ]
@@ -37,7 +37,7 @@ Tie = Annotated[
         "--tie",
         metavar="NAME=FORMULA",
         default_factory=list,
-        autocompletion=complete.constants,
+        autocompletion=completion.constants,
         help="A constant that others give, as Kv=Kf or K2=3*K1; it holds exactly.",
     ),
 ]
@@ -47,7 +47,7 @@ Own = Annotated[
         "--own",
         metavar="NAME",
         default_factory=list,
-        autocompletion=complete.constant_names,
+        autocompletion=completion.constant_names,
         help="A constant of which each record has a value of its own.",
     ),
 ]
@@ -57,7 +57,7 @@ Schedule = Annotated[
         "--schedule",
         metavar="NAME=CONDITION[@VALUE]",
         default_factory=list,
-        autocompletion=complete.constants,
+        autocompletion=completion.constants,
         help="A constant that follows a condition or an input, as K2=P_S@8e5; it holds at that value.",
     ),
 ]
@@ -82,30 +82,30 @@ Loss = Annotated[
 ]
 
 
-def scheduled(model: Model, schedule: Iterable[str]) -> Model:
+def apply_schedule(model: Model, schedule: Iterable[str]) -> Model:
     """``model`` with constants that follow a condition. Raises GreyboxError."""
-    for name, text in pairs("--schedule", schedule).items():
+    for name, text in parse_pairs("--schedule", schedule).items():
         by, at, value = (part.strip() for part in text.partition("@"))
         said, example = f"--schedule {name}={text}", f"--schedule {name}={by}@2"
         if not at and by in [i.name for i in model.inputs]:
             raise GreyboxError(f"{said}: {by} is an input; say at which value of it {name} holds, as in {example}")
-        model = model.schedule(name, by=by, about=as_number(said, value, example) if at else None)
+        model = model.schedule(name, by=by, about=parse_number(said, value, example) if at else None)
     return model
 
 
-def constrained(model: Model, prior: Iterable[str], tie: Iterable[str]) -> Model:
+def apply_priors_and_ties(model: Model, prior: Iterable[str], tie: Iterable[str]) -> Model:
     """``model`` with priors and ties. Raises GreyboxError."""
-    priors = {name: _mean_and_std(name, text) for name, text in pairs("--prior", prior).items()}
+    priors = {name: _mean_and_std(name, text) for name, text in parse_pairs("--prior", prior).items()}
     both = sorted(q.name for q in model.all_parameters if q.fixed and q.name in priors)
     if both:
         raise ModelError(
             f"--prior {', '.join(both)}: fixed in the model or by --fix, so a prior has nothing to say;"
             " free it, or leave out one of the two"
         )
-    return model.prior(**priors).with_ties(pairs("--tie", tie))
+    return model.prior(**priors).with_ties(parse_pairs("--tie", tie))
 
 
-def read_under(
+def read_records(
     condition: Sequence[str], model: Model, data: Sequence[Path], validate: Sequence[Path] = (),
     *, split: bool = False, at_rest: bool = False, **how: Any,
 ) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:  # fmt: skip
@@ -118,7 +118,7 @@ def read_under(
     from greybox.experiment.time_gaps import refuse_unknown_input
 
     stated = dict.fromkeys(text.strip() for text in condition if "=" not in text)
-    given = pairs("--condition", (text for text in condition if "=" in text))
+    given = parse_pairs("--condition", (text for text in condition if "=" in text))
     both = [name for name in stated if name in given]
     if both:
         raise GreyboxError(f"--condition {both[0]}: given with values and from the files; keep one")
@@ -130,7 +130,7 @@ def read_under(
     if not split:
         refuse_unknown_input([*under[0], *under[1]])
         return under
-    records, judges = in_pieces(at_rest, *under, runs=len(records) + len(judges) - len(data) - len(validate))
+    records, judges = split_records(at_rest, *under, runs=len(records) + len(judges) - len(data) - len(validate))
     return records, judges
 
 
@@ -150,7 +150,7 @@ def _under(
     """The records and those for validation, each with the values ``given`` for it, separated by commas."""
     everything = [*records, *judges]
     for name, text in given.items():
-        values = [numbers("--condition", [f"{name}={one.strip()}"])[name] for one in text.split(",")]
+        values = [parse_numbers("--condition", [f"{name}={one.strip()}"])[name] for one in text.split(",")]
         if len(values) not in (len(records), len(everything)):
             raise GreyboxError(
                 f"--condition {name}: {len(values)} values for {len(records)} record{'s' * (len(records) != 1)}"
@@ -162,7 +162,7 @@ def _under(
     return tuple(everything[: len(records)]), tuple(everything[len(records) :])
 
 
-def names(texts: Iterable[str]) -> tuple[str, ...]:
+def parse_names(texts: Iterable[str]) -> tuple[str, ...]:
     """``["B,K", "M"]`` as names."""
     return tuple(name for text in texts for name in text.replace(",", " ").split())
 
@@ -174,5 +174,5 @@ def _mean_and_std(name: str, text: str) -> tuple[float, float]:
             f"--prior {name}={text}: write mean and standard deviation, as in --prior {name}=0.0100+-0.0001"
         )
     example = f"--prior {name}=0.0100+-0.0001"
-    mean, std = (as_number(f"--prior {name}={text}", part.strip(), example) for part in parts)
+    mean, std = (parse_number(f"--prior {name}={text}", part.strip(), example) for part in parts)
     return mean, std

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greybox.cli import options as o
-from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
-from greybox.cli.progress import search_gauge
-from greybox.cli.reporting import NoReport, told, write_report
+from greybox.cli.exits import INTERRUPTED, UNSUCCESSFUL, exit_with_error
+from greybox.cli.progress import show_search_progress
+from greybox.cli.reporting import NoReport, report_line, write_report
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
@@ -31,20 +31,20 @@ def demo(
     after on a record that was not used, puts black-box models beside it, and writes the state space for a controller design.
     The rig is simulated by an integrator that the fits do not use. Takes half a minute; the story is in DIR/report.html.
     """
-    from greybox.demo import demo as run
+    from greybox.demo import run_demo as run
 
     if open_ and no_report:
         raise GreyboxError("--open shows the report, which --no-report leaves out; leave out one of the two")
-    folder = o.writable_folder(output)
-    with search_gauge() as (say, report):
+    folder = o.check_writable(output)
+    with show_search_progress() as (say, report):
         found = run(folder, say=say, report=report)
     if found.plain.status == "interrupted":
-        stop(f"interrupted; what was done so far is in {folder}", INTERRUPTED)
+        exit_with_error(f"interrupted; what was done so far is in {folder}", INTERRUPTED)
     page = None if no_report else write_report(found, folder / "report.html")
     if json:
         typer.echo((folder / "discovery.json").read_text(encoding="utf-8"), nl=False)
     else:
-        typer.echo("\n\n".join([_told(found, folder), *([told(page)] if page else [])]))
+        typer.echo("\n\n".join([_told(found, folder), *([report_line(page)] if page else [])]))
     if open_ and page:
         typer.launch(page.resolve().as_uri())
     if not found.fit.success:

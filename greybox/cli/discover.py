@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli import complete
+from greybox.cli import completion
 from greybox.cli import constraints as c
 from greybox.cli import options as o
-from greybox.cli.guard import INTERRUPTED, stop
-from greybox.cli.progress import search_gauge
-from greybox.cli.records import SplitHoles, tell_notes
-from greybox.cli.reporting import NoReport, told, write_report
+from greybox.cli.exits import INTERRUPTED, exit_with_error
+from greybox.cli.progress import show_search_progress
+from greybox.cli.records import SplitHoles, print_record_notes
+from greybox.cli.reporting import NoReport, report_line, write_report
 
 if TYPE_CHECKING:
     from greybox.discovery import Discovery
@@ -45,7 +45,7 @@ def discover(
         typer.Option(
             "--effects",
             metavar="NAME,...",
-            autocompletion=complete.effects,
+            autocompletion=completion.effects,
             help="Only these effects of the catalogue. [default: all]",
         ),
     ] = "",
@@ -81,22 +81,22 @@ def discover(
     from greybox.effects import effect
     from greybox.estimation import FitOptions
     from greybox.experiment import read_experiments
-    from greybox.project import resolve
+    from greybox.project import find_model
 
-    plant = o.changed(resolve(model), fix=fix, start=start, free=free)
-    folder = o.writable_folder(output or Path("results") / f"{plant.name}-discover")
-    said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
-    records, judges = c.read_under(
+    plant = o.change_model(find_model(model), fix=fix, start=start, free=free)
+    folder = o.check_writable(output or Path("results") / f"{plant.name}-discover")
+    said, columns = o.parse_numbers("--noise", noise), o.parse_pairs("--column", column) or None
+    records, judges = c.read_records(
         condition, plant, estimation, validate, split=split_holes, at_rest=at_rest, columns=columns, hold=hold.value
     )
     silent = (
         read_experiments(quiet, plant, columns=columns, hold=hold.value, allow_constant_input=True) if quiet else ()
     )
-    tell_notes(records, judges, silent)
+    print_record_notes(records, judges, silent)
     chosen = [effect(name.strip()) for name in effects.split(",") if name.strip()] or None
     journal = folder / "journal.jsonl"
     try:
-        with search_gauge() as (say, report):
+        with show_search_progress() as (say, report):
             found = find(
                 plant, records, validation=judges, noise=said, quiet=silent, effects=chosen,
                 options=FitOptions(at_rest=at_rest), say=say, journal=journal, report=report,
@@ -108,7 +108,7 @@ def discover(
                 found = replace(found, refinement=refinement)
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command goes on from there" if journal.exists() else ""
-        stop(f"interrupted{kept}", INTERRUPTED)
+        exit_with_error(f"interrupted{kept}", INTERRUPTED)
     _write(found, folder, json=json, page=not no_report)
 
 
@@ -124,8 +124,8 @@ def _write(found: Discovery, folder: Path, *, json: bool, page: bool) -> None:
         files += discovery_figures(found, folder)
         report = write_report(found, folder / "report.html") if page else None
     except KeyboardInterrupt:
-        stop(f"interrupted while drawing; the answer is in {saved}", INTERRUPTED)
+        exit_with_error(f"interrupted while drawing; the answer is in {saved}", INTERRUPTED)
     if not json:
         typer.echo(f"\nwritten: {', '.join(map(str, files))}")
         if report:
-            typer.echo(told(report))
+            typer.echo(report_line(report))

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greybox.cli import options as o
-from greybox.cli.fitted import fitted
-from greybox.cli.guard import note
-from greybox.cli.reporting import NoReport, told, write_report
+from greybox.cli.exits import print_note
+from greybox.cli.fit_files import load_fit_with_model
+from greybox.cli.reporting import NoReport, report_line, write_report
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
@@ -118,12 +118,12 @@ def export(
     """
     from greybox.export.identifiers import to_identifier
 
-    point = o.numbers("--at", at)
+    point = o.parse_numbers("--at", at)
     given = {
         "--at": point, "--method": method, "--delay": delay, "--minimal": minimal, "--samples": samples, "--seed": seed,
     }  # fmt: skip
     _refuse_idle(to, dt, method, given, substeps)
-    found = fitted(fit, model)
+    found = load_fit_with_model(fit, model)
     name = to_identifier(found.model.name)
     suffix = "_ss.py" if to is Target.control else SUFFIX[to]
     target = _target(output or Path("results") / f"{name}-export" / f"{name}{suffix}", to, fit)
@@ -135,7 +135,7 @@ def export(
     if json:
         typer.echo(_in_json(made, to, report))
     else:
-        typer.echo("\n".join([*lines, *([told(report)] if report else [])]))
+        typer.echo("\n".join([*lines, *([report_line(report)] if report else [])]))
 
 
 def _in_json(made: Export, to: Target, report: Path | None) -> str:
@@ -170,7 +170,7 @@ def _linear(
     )
     plant = to_plant(fit)
     for text in (*whole.notes, *(drawn.notes if drawn else ())):
-        note(f"warning: {text}")
+        print_note(f"warning: {text}")
     if to is Target.control:
         written = write_control(linear, target, plant=plant)
     else:
@@ -187,7 +187,7 @@ def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -
     from greybox.reports.of_export import Export
 
     for text in to_plant(fit).notes:
-        note(f"warning: {text}")
+        print_note(f"warning: {text}")
     files: tuple[Path, ...]
     if to is Target.c:
         source, header = to_c(fit, target, dt=dt, substeps=substeps)
@@ -234,5 +234,5 @@ def _target(path: Path, to: Target, fit: Path) -> Path:
     target = path.with_suffix(SUFFIX[to])
     if target.exists() and target.samefile(fit):
         raise GreyboxError(f"--output {path}: it is the fit that is read, which would be lost; give another file")
-    o.writable_folder(target.parent)
+    o.check_writable(target.parent)
     return target

@@ -12,11 +12,11 @@ from greybox.cli import intervals as i
 from greybox.cli import options as o
 from greybox.cli import predicted as p
 from greybox.cli import searching as s
-from greybox.cli.guard import INTERRUPTED, UNSUCCESSFUL, stop
-from greybox.cli.interrupt import held
-from greybox.cli.progress import meter
-from greybox.cli.records import SplitHoles, by_record, tell_notes
-from greybox.cli.reporting import NoReport, told, write_report
+from greybox.cli.exits import INTERRUPTED, UNSUCCESSFUL, exit_with_error
+from greybox.cli.interrupts import hold_interrupts
+from greybox.cli.progress import show_fit_progress
+from greybox.cli.records import SplitHoles, misfit_by_record, print_record_notes
+from greybox.cli.reporting import NoReport, report_line, write_report
 
 if TYPE_CHECKING:
     from greybox.residuals import ResidualTests
@@ -87,48 +87,54 @@ def fit(
     from greybox.estimation import FitOptions
     from greybox.estimation import fit as fit_model
     from greybox.experiment import read_experiments
-    from greybox.project import resolve
+    from greybox.project import find_model
 
-    plant = p.pushed(o.changed(c.scheduled(resolve(model), schedule), effects=effect), process_noise)
-    plant = o.changed(plant, fix=fix, start=start, free=free)
-    plant = c.constrained(plant, prior, tie)
+    plant = p.apply_process_noise(
+        o.change_model(c.apply_schedule(find_model(model), schedule), effects=effect), process_noise
+    )
+    plant = o.change_model(plant, fix=fix, start=start, free=free)
+    plant = c.apply_priors_and_ties(plant, prior, tie)
     o.check_substeps(plant, method, substeps)
-    folder = o.writable_folder(output or Path("results") / f"{plant.name}-fit")
-    said, columns = o.numbers("--noise", noise), o.pairs("--column", column) or None
-    records, judges = c.read_under(
+    folder = o.check_writable(output or Path("results") / f"{plant.name}-fit")
+    said, columns = o.parse_numbers("--noise", noise), o.parse_pairs("--column", column) or None
+    records, judges = c.read_records(
         condition, plant, data, validate, split=split_holes, at_rest=at_rest, columns=columns, hold=hold.value,
         allow_constant_input=free_decay,
     )  # fmt: skip
     hushed = read_experiments(quiet, plant, columns=columns, allow_constant_input=True) if quiet else ()
     o.check_skip(skip, judges)
-    p.check_steps(predict, records, judges)
+    p.check_prediction_steps(predict, records, judges)
     if not silent:  # those of the fitted records stand in the result, but for JSON
-        tell_notes(*((records, judges) if json else (judges,)))
+        print_record_notes(*((records, judges) if json else (judges,)))
     choice = FitOptions(
-        at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, per_experiment=c.names(per_experiment),
+        at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, per_experiment=c.parse_names(per_experiment),
         transcription=transcription.value, arc_length=arc_length,
     )  # fmt: skip
-    seed, profiled = s.check_seed(starts, seed), i.check(plant, profile, bootstrap)
+    seed, profiled = s.check_seed(starts, seed), i.check_intervals(plant, profile, bootstrap)
     given: dict[str, Any] = {"noise": said, "quiet": hushed, "validation": judges, "skip": skip, "options": choice}
     if starts > 1:
-        many = s.from_many(plant, records, starts, seed, **given)
+        many = s.fit_from_many_starts(plant, records, starts, seed, **given)
         result, interrupted = many.best, many.interrupted
     else:
-        with held() as interrupt, meter(plant.title, interrupt) as report:
+        with hold_interrupts() as interrupt, show_fit_progress(plant.title, interrupt) as report:
             result = fit_model(plant, records, report=report, **given)
         interrupted = interrupt.asked
-    with held():
+    with hold_interrupts():
         saved = result.save(folder / "fit.json")
     tests = None if interrupted else _tested(result)
-    more = [] if interrupted or silent or json else [*i.closing(result), *i.further(result, profiled, bootstrap)]
-    ahead = [] if interrupted or silent or json else p.predicted(result, judges, predict, skip)
+    more = (
+        []
+        if interrupted or silent or json
+        else [*i.describe_remedies(result), *i.further_intervals(result, profiled, bootstrap)]
+    )
+    ahead = [] if interrupted or silent or json else p.prediction_table(result, judges, predict, skip)
     _tell(result, tests, [*more, *ahead], saved, skip, quiet=silent, json=json)
     if interrupted or result.status == "interrupted":
         older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
-        stop(f"interrupted; the best point so far is in {saved} (no figures, no report{older})", INTERRUPTED)
+        exit_with_error(f"interrupted; the best point so far is in {saved} (no figures, no report{older})", INTERRUPTED)
     _draw(result, tests, saved, skip, quiet=silent or json, page=not no_report)
     if not result.success:
-        stop(f"no success: {result.solver.status_message}", UNSUCCESSFUL)
+        exit_with_error(f"no success: {result.solver.status_message}", UNSUCCESSFUL)
 
 
 def _tell(
@@ -150,7 +156,7 @@ def _tell(
                     str(result),
                     *ahead,
                     *(said if tests else []),
-                    *by_record(result, skip),
+                    *misfit_by_record(result, skip),
                 ]
             )
         )
@@ -174,8 +180,8 @@ def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, q
         figures += residual_figure(tests, saved.parent, title=result.model.title) if tests else []
         report = write_report(result, saved.parent / "report.html", tests=tests, skip=skip) if page else None
     except KeyboardInterrupt:
-        stop(f"interrupted while drawing; the fit is in {saved}", INTERRUPTED)
+        exit_with_error(f"interrupted while drawing; the fit is in {saved}", INTERRUPTED)
     if not quiet:
         typer.echo(f"\nwritten: {saved}, {', '.join(map(str, figures))}")
         if report:
-            typer.echo(told(report))
+            typer.echo(report_line(report))

@@ -15,7 +15,7 @@ def init(
     ] = False,
 ) -> None:
     """Write a project into DIR: models/, fits/ and a notebook to start from, as files of your own."""
-    from greybox.project import init as write_project
+    from greybox.project import write_project
 
     files = write_project(directory, force=force)
     typer.echo(f"{len(files)} files written to {directory}; next: cd {directory} && greybox models")

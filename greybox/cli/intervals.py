@@ -41,7 +41,7 @@ Bootstrap = Annotated[
 ]
 
 
-def check(model: Model, profiles: Iterable[str], replicates: int) -> tuple[str, ...]:
+def check_intervals(model: Model, profiles: Iterable[str], replicates: int) -> tuple[str, ...]:
     """The constants to be profiled; refuses, before the fit, names that it will not find and too few replicates."""
     free = [q.name for q in model.free_parameters]
     names = tuple(dict.fromkeys(name for text in profiles for name in text.replace(",", " ").split()))
@@ -53,14 +53,14 @@ def check(model: Model, profiles: Iterable[str], replicates: int) -> tuple[str, 
     return names
 
 
-def closing(result: Fit) -> list[str]:
+def describe_remedies(result: Fit) -> list[str]:
     """Lines on what would determine the constants that the records left open."""
     from greybox.identifiability import recommend_after_fit
 
     return [f"{'remedy' if k == 0 else 'or'}: {text}" for k, text in enumerate(recommend_after_fit(result))]
 
 
-def further(result: Fit, profiles: Iterable[str], replicates: int) -> list[str]:
+def further_intervals(result: Fit, profiles: Iterable[str], replicates: int) -> list[str]:
     """Lines with the intervals that were asked for; why there are none, where the fit has none to give."""
     lines: list[str] = []
     if not result.success:

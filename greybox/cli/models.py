@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from greybox.cli import options as o
-from greybox.cli.guard import note
+from greybox.cli.exits import print_note
 
 
 def models(
@@ -20,15 +20,17 @@ def models(
 ) -> None:
     """List the models there are, or print the equations and constants of one."""
     from greybox.model.validation import unused_parameters
-    from greybox.project import listing, resolve
+    from greybox.project import find_model, list_models
 
     if model is not None:
-        one = o.changed(resolve(model), effects=effect)
+        one = o.change_model(find_model(model), effects=effect)
         typer.echo(str(one))
         for name in unused_parameters(one):
-            note(f"note: parameter {name!r} is in no equation: a term is missing, or the parameter is one too many")
+            print_note(
+                f"note: parameter {name!r} is in no equation: a term is missing, or the parameter is one too many"
+            )
         return
-    found = listing()
+    found = list_models()
     for item in found.models:
         m = item.model
         signals = {
@@ -40,4 +42,4 @@ def models(
         typer.echo("    " + "; ".join(f"{kind} {names}" for kind, names in signals.items()))
         typer.echo(f"    {item.where}")
     for problem in found.problems:
-        note(f"warning: {problem}")
+        print_note(f"warning: {problem}")

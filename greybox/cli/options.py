@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli import complete
-from greybox.cli.guard import note
+from greybox.cli import completion
+from greybox.cli.exits import print_note
 from greybox.errors import GreyboxError, ModelError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ ModelName = Annotated[
     typer.Argument(
         metavar="MODEL",
         show_default=False,
-        autocompletion=complete.models,
+        autocompletion=completion.models,
         help="Name of a model (see greybox models), or a model file: my/rig.py, my/rig.py:name.",
     ),
 ]
@@ -57,7 +57,7 @@ Fix = Annotated[
         "--fix",
         metavar="NAME=VALUE",
         default_factory=list,
-        autocompletion=complete.constants,
+        autocompletion=completion.constants,
         help="A constant that is known, in its unit; NAME alone fixes it where it is.",
     ),
 ]
@@ -67,7 +67,7 @@ Start = Annotated[
         "--start",
         metavar="NAME=VALUE",
         default_factory=list,
-        autocompletion=complete.constants,
+        autocompletion=completion.constants,
         help="A value to start from, in its unit.",
     ),
 ]
@@ -77,7 +77,7 @@ Free = Annotated[
         "--free",
         metavar="NAME",
         default_factory=list,
-        autocompletion=complete.constant_names,
+        autocompletion=completion.constant_names,
         help="A constant to fit that the model holds fixed.",
     ),
 ]
@@ -87,7 +87,7 @@ Effects = Annotated[
         "--effect",
         metavar="NAME",
         default_factory=list,
-        autocompletion=complete.effects,
+        autocompletion=completion.effects,
         help="Add an effect of the catalogue, such as coulomb_friction.",
     ),
 ]
@@ -97,7 +97,7 @@ Noise = Annotated[
         "--noise",
         metavar="OUTPUT=STD",
         default_factory=list,
-        autocompletion=complete.outputs,
+        autocompletion=completion.outputs,
         help="Standard deviation of an output's noise, in the model's unit; estimated if left out.",
     ),
 ]
@@ -121,7 +121,7 @@ Columns = Annotated[
         "--column",
         metavar="NAME=HEADER",
         default_factory=list,
-        autocompletion=complete.signals,
+        autocompletion=completion.signals,
         help="The file's header for a signal, or for time, where it has another name.",
     ),
 ]
@@ -154,7 +154,7 @@ SHAPES = {
 }  # fmt: skip
 
 
-def pairs(option: str, texts: Iterable[str]) -> dict[str, str]:
+def parse_pairs(option: str, texts: Iterable[str]) -> dict[str, str]:
     """``["M=1", "K=2"]`` as a dictionary; refuses text without ``=`` and names given twice."""
     shape, example = SHAPES.get(option, ("NAME=VALUE", "M=0.01"))
     found: dict[str, str] = {}
@@ -171,15 +171,15 @@ def pairs(option: str, texts: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def numbers(option: str, texts: Iterable[str]) -> dict[str, float]:
-    """`pairs` with finite numbers as values."""
+def parse_numbers(option: str, texts: Iterable[str]) -> dict[str, float]:
+    """`parse_pairs` with finite numbers as values."""
     return {
-        name: as_number(f"{option} {name}={value}", value, f"{option} {name}=0.01")
-        for name, value in pairs(option, texts).items()
+        name: parse_number(f"{option} {name}={value}", value, f"{option} {name}=0.01")
+        for name, value in parse_pairs(option, texts).items()
     }
 
 
-def as_number(said: str, value: str, example: str) -> float:
+def parse_number(said: str, value: str, example: str) -> float:
     """``value``, which is part of what was ``said``, as a finite number. Raises GreyboxError."""
     try:
         number = float(value)
@@ -190,7 +190,7 @@ def as_number(said: str, value: str, example: str) -> float:
     return number
 
 
-def changed(
+def change_model(
     model: Model,
     *,
     effects: Iterable[str] = (),
@@ -200,8 +200,8 @@ def changed(
 ) -> Model:
     """``model`` with effects of the catalogue added, then with constants freed, set and fixed. Raises GreyboxError."""
     fix, free = list(fix), list(free)
-    known, bare = numbers("--fix", (t for t in fix if "=" in t)), [t for t in fix if "=" not in t]
-    values = numbers("--start", start)
+    known, bare = parse_numbers("--fix", (t for t in fix if "=" in t)), [t for t in fix if "=" not in t]
+    values = parse_numbers("--start", start)
     for other, names in (("--start", known.keys() & values.keys()), ("--free", {*known, *bare} & set(free))):
         if names:
             raise ModelError(f"{', '.join(sorted(names))}: --fix and {other} contradict each other; keep one")
@@ -213,7 +213,7 @@ def changed(
     return model.free(*free).start(**values).fix(*bare, **known)
 
 
-def writable_folder(path: Path) -> Path:
+def check_writable(path: Path) -> Path:
     """``path``, if results can be written there; tried before the work is done and not after it, and left as it was."""
     if path.exists() and not path.is_dir():
         raise GreyboxError(f"--output {path}: it is a file; give a folder")
@@ -252,6 +252,6 @@ def check_substeps(model: Model, method: MethodName, substeps: int) -> None:
             f"--substeps {substeps} has no effect: --method exact has no substeps; leave out one of the two"
         )
     if substeps and method is MethodName.automatic and model.system.linear:
-        note(
+        print_note(
             f"note: --substeps {substeps} has no effect where a linear model is integrated exactly; --method rk4 has substeps"
         )

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli import complete
-from greybox.cli.options import Names, numbers
+from greybox.cli import completion
+from greybox.cli.options import Names, parse_numbers
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ ProcessNoise = Annotated[
         "--process-noise",
         metavar="STATE[=VALUE]",
         default_factory=list,
-        autocompletion=complete.states,
+        autocompletion=completion.states,
         help="A state that something random pushes: the fit is then one of predictions, by a Kalman filter, and estimates how"
         " strongly; VALUE is known, in the state's unit over sqrt(s).",
     ),
@@ -42,14 +42,14 @@ Predict = Annotated[
 ]
 
 
-def pushed(model: Model, texts: Sequence[str]) -> Model:
+def apply_process_noise(model: Model, texts: Sequence[str]) -> Model:
     """``model`` with process noise on the states of ``--process-noise``. Raises GreyboxError."""
-    known = numbers("--process-noise", (t for t in texts if "=" in t))
+    known = parse_numbers("--process-noise", (t for t in texts if "=" in t))
     estimated = dict.fromkeys(t.strip() for t in texts if "=" not in t)
     return model.with_process_noise(*estimated, **known) if texts else model
 
 
-def check_steps(steps: Sequence[int], *groups: Sequence[Experiment]) -> None:
+def check_prediction_steps(steps: Sequence[int], *groups: Sequence[Experiment]) -> None:
     """Refuse, before the fit, predictions so far ahead that the records hold nothing to compare with. Raises GreyboxError."""
     longest = min((max(e.rows for e in group) for group in groups if group), default=0)
     for k in steps:
@@ -60,7 +60,7 @@ def check_steps(steps: Sequence[int], *groups: Sequence[Experiment]) -> None:
             )
 
 
-def predicted(result: Fit, judges: Sequence[Experiment], steps: Sequence[int], skip: int) -> list[str]:
+def prediction_table(result: Fit, judges: Sequence[Experiment], steps: Sequence[int], skip: int) -> list[str]:
     """Lines of a table for the fitted records, and one for those for validation: the free run beside predictions.
 
     No ``steps`` are one sample, where the records are not too long for an answer that was not asked for.

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
-from greybox.cli.guard import note
-from greybox.cli.interrupt import Interrupt
+from greybox.cli.exits import print_note
+from greybox.cli.interrupts import Interrupt
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -21,14 +21,14 @@ PATIENCE = 1.0  # seconds before the line appears
 USUAL_ITERATIONS, USUAL_REFITS, LINGERS = 15, 40, 3
 
 
-class Show(Protocol):
+class ShowProgress(Protocol):
     """Shows a text, and how much of the work is done."""
 
     def __call__(self, text: str, share: float | None = None) -> None:
         """``share`` from 0 to 1; None where nobody knows, and then no time left is told."""
 
 
-class Gauge:
+class ProgressLine:
     """What the line says, and the time left by what the work done so far took."""
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class Gauge:
         left = time_left(elapsed, share)
         self.bar.update(
             self.bar.task_ids[0], description=text, total=None if share is None else 1.0, completed=share or 0.0,
-            left="" if left is None else f"about {spelled(left)} left",
+            left="" if left is None else f"about {format_duration(left)} left",
         )  # fmt: skip
 
     def stop(self) -> None:
@@ -72,9 +72,9 @@ def _bar(console: object) -> Bar:
 
 
 @contextmanager
-def gauge() -> Iterator[Show]:
+def show_progress() -> Iterator[ShowProgress]:
     """A function that shows a text, and a share done, in place of the last one; the line is gone at the end."""
-    line = Gauge()
+    line = ProgressLine()
     try:
         yield line
     finally:
@@ -82,18 +82,18 @@ def gauge() -> Iterator[Show]:
 
 
 @contextmanager
-def meter(title: str, interrupt: Interrupt) -> Iterator[FitProgressCallback]:
+def show_fit_progress(title: str, interrupt: Interrupt) -> Iterator[FitProgressCallback]:
     """A function to report a fit's progress to, which also hands on a waiting Ctrl-C; the line is gone at the end."""
-    with gauge() as show:
+    with show_progress() as show:
 
         def report(progress: FitProgress) -> None:
             interrupt.pass_on()
-            show(f"{title}: {in_words(progress)}", share_done(progress))
+            show(f"{title}: {describe_progress(progress)}", share_done(progress))
 
         yield report
 
 
-def in_words(progress: FitProgress) -> str:
+def describe_progress(progress: FitProgress) -> str:
     """Where a fit is."""
     return (
         f"stage {progress.stage} of {progress.stages}, iteration {progress.iteration},"
@@ -103,29 +103,29 @@ def in_words(progress: FitProgress) -> str:
 
 def share_done(progress: FitProgress) -> float:
     """Share of a fit that is done, from what a stage takes as a rule: nobody knows how many iterations a search still needs."""
-    within = share_of(max(progress.iteration, 0), USUAL_ITERATIONS)
+    within = expected_share(max(progress.iteration, 0), USUAL_ITERATIONS)
     return (progress.stage - 1 + within) / max(progress.stages, progress.stage)
 
 
-def share_of(done: int, usual: int) -> float:
+def expected_share(done: int, usual: int) -> float:
     """Share that is done of what takes ``usual`` steps as a rule, and may take more."""
     return done / (done + max(usual - done, done / LINGERS))
 
 
 @contextmanager
-def search_gauge() -> Iterator[tuple[Callable[[str], None], Callable[[int], None]]]:
+def show_search_progress() -> Iterator[tuple[Callable[[str], None], Callable[[int], None]]]:
     """For a discovery: what to say, a line at a time, and what to tell after each refit; the line below them is gone at the end."""
     last = ""
-    with gauge() as show:
+    with show_progress() as show:
 
         def say(text: str) -> None:
             nonlocal last
             last = text.strip()
-            note(text)
+            print_note(text)
             show(last)
 
         def report(done: int) -> None:
-            show(f"{last}; refit {done}", share_of(done, USUAL_REFITS))
+            show(f"{last}; refit {done}", expected_share(done, USUAL_REFITS))
 
         yield say, report
 
@@ -137,7 +137,7 @@ def time_left(elapsed: float, share: float | None) -> float | None:
     return elapsed * (1 - share) / share
 
 
-def spelled(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """``8 s``, ``3 min``, ``1 h 20 min``."""
     if seconds < 90:
         return f"{max(1, round(seconds))} s"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli.guard import note
+from greybox.cli.exits import print_note
 
 if TYPE_CHECKING:
     from greybox.experiment import Experiment
@@ -22,17 +22,17 @@ SplitHoles = Annotated[
 ]
 
 
-def tell_notes(*groups: Iterable[Experiment]) -> None:
+def print_record_notes(*groups: Iterable[Experiment]) -> None:
     """The notes of records as lines on stderr; records that share a note share its line."""
     found: dict[str, list[str]] = {}
     for record in (r for group in groups for r in group):
         for text in record.notes:
             found.setdefault(text, []).append(record.source or record.name)
     for text, names in found.items():
-        note(f"note: {', '.join(dict.fromkeys(names))}: {text}")
+        print_note(f"note: {', '.join(dict.fromkeys(names))}: {text}")
 
 
-def in_pieces(at_rest: bool, *groups: Sequence[Experiment], runs: int = 0) -> list[tuple[Experiment, ...]]:
+def split_records(at_rest: bool, *groups: Sequence[Experiment], runs: int = 0) -> list[tuple[Experiment, ...]]:
     """Each group with its records cut at the holes in their time, and a word on what was done; ``runs``: cuts made before."""
     parts = [[record.split_at_time_gaps() for record in group] for group in groups]
     pairs = [
@@ -42,19 +42,19 @@ def in_pieces(at_rest: bool, *groups: Sequence[Experiment], runs: int = 0) -> li
         if cut != (record,)
     ]
     if not pairs and not runs:
-        note("note: --split-holes has no effect: no record has a hole in its time, and none starts anew")
+        print_note("note: --split-holes has no effect: no record has a hole in its time, and none starts anew")
     for name, number in pairs:
-        note(
+        print_note(
             f"note: {name} was cut at the holes in its time: {number} piece{'s' * (number != 1)}, each a record of its own"
         )
     if pairs and at_rest:
-        note(
+        print_note(
             "note: --at-rest: each piece is taken to begin at rest; leave it out if the plant still moved behind a hole"
         )
     return [tuple(part for cut in cuts for part in cut) for cuts in parts]
 
 
-def by_record(fit: Fit, skip: int) -> list[str]:
+def misfit_by_record(fit: Fit, skip: int) -> list[str]:
     """Lines of a table with the misfit of each record, where there are several; ``skip`` rows of those for validation."""
     from greybox.plots import misfits_of
     from greybox.result.summary import MISFIT_HEADS, format_table, to_misfit_cells

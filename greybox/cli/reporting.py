@@ -17,15 +17,15 @@ def write_report(value: Any, target: Path, **more: Any) -> Path:
     `describe_process_noise`."""
     from greybox.reports import report
 
-    return report(value, target, command=typed(), **more)
+    return report(value, target, command=typed_command(), **more)
 
 
-def told(path: Path) -> str:
+def report_line(path: Path) -> str:
     """The last line of a command that has left a report."""
     return f"report: {path} (open it in a browser; it needs no network)"
 
 
-def typed() -> str:
+def typed_command() -> str:
     """The command as it was typed, for repeating it; empty where the program was not called as a command."""
     name = Path(sys.argv[0])
     called = name.stem == "greybox" or (name.name == "__main__.py" and "greybox" in name.parts)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli.progress import gauge
+from greybox.cli.progress import show_progress
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
@@ -67,14 +67,14 @@ def check_seed(starts: int, seed: int | None) -> int:
     return seed or 0
 
 
-def from_many(
+def fit_from_many_starts(
     model: Model, records: Sequence[Experiment], starts: int, seed: int, *, noise: Mapping[str, float],
     quiet: Sequence[Experiment], validation: Sequence[Experiment], skip: int, options: FitOptions,
 ) -> MultiStartResult:  # fmt: skip
     """A fit from many starts, with a line on a terminal that says how many are done."""
     from greybox.estimation import multistart
 
-    with gauge() as show:
+    with show_progress() as show:
         return multistart(
             model, records, starts=starts, seed=seed, noise=noise, quiet=quiet, validation=validation, skip=skip,
             options=options, report=lambda done, jobs: show(f"{model.title}: {done} of {jobs} starts done", done / jobs),

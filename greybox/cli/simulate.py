@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli import complete
+from greybox.cli import completion
 from greybox.cli import options as o
-from greybox.cli.guard import UNSUCCESSFUL, note, stop
-from greybox.cli.reporting import NoReport, told, write_report
+from greybox.cli.exits import UNSUCCESSFUL, exit_with_error, print_note
+from greybox.cli.reporting import NoReport, report_line, write_report
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ Values = Annotated[
         "--start",
         metavar="NAME=VALUE",
         default_factory=list,
-        autocompletion=complete.constants,
+        autocompletion=completion.constants,
         help="The value of a constant, in its unit.",
     ),
 ]
@@ -40,7 +40,7 @@ Initial = Annotated[
         "--initial",
         metavar="STATE=VALUE",
         default_factory=list,
-        autocompletion=complete.states,
+        autocompletion=completion.states,
         help="A state at the first row, in its unit.",
     ),
 ]
@@ -50,7 +50,7 @@ Noise = Annotated[
         "--noise",
         metavar="OUTPUT=STD",
         default_factory=list,
-        autocompletion=complete.outputs,
+        autocompletion=completion.outputs,
         help="White noise on an output: its standard deviation.",
     ),
 ]
@@ -112,36 +112,38 @@ def simulate(
     import numpy as np
 
     from greybox.experiment.sampling import describe_longest_time_gap
-    from greybox.project import resolve
+    from greybox.project import find_model
     from greybox.simulation import read_inputs, write_csv
     from greybox.simulation import simulate as run_model
     from greybox.units import format_unit
 
-    plant = o.changed(resolve(model), effects=effect, start=set_)
+    plant = o.change_model(find_model(model), effects=effect, start=set_)
     target = _target(output or Path("results") / f"{plant.name}-simulated.csv", inputs)
     o.check_substeps(plant, method, substeps)
-    said = o.numbers("--noise", noise)
+    said = o.parse_numbers("--noise", noise)
     generator = np.random.default_rng(seed)
     shapes = {"--step": step, "--multisine": multisine, "--chirp": chirp}
     shaping = {"--band": band, "--offset": offset, "--duration": duration, "--sampling-time": sampling_time}
     chosen = _one_drive(plant, inputs, shapes, shaping, column)
     if inputs is not None:
-        experiment = read_inputs(inputs, plant, columns=o.pairs("--column", column), hold=hold.value)
+        experiment = read_inputs(inputs, plant, columns=o.parse_pairs("--column", column), hold=hold.value)
         hole = describe_longest_time_gap(experiment.time)
         if hole:
-            note(f"note: {experiment.source}: {hole}")
+            print_note(f"note: {experiment.source}: {hole}")
     else:
         experiment = _signal(plant, chosen, band, offset, duration, sampling_time, hold.value, generator)
-    run = run_model(plant, experiment, initial=o.numbers("--initial", initial), method=method.value, substeps=substeps)
+    run = run_model(
+        plant, experiment, initial=o.parse_numbers("--initial", initial), method=method.value, substeps=substeps
+    )
     if run.overflow is not None:
-        stop(
+        exit_with_error(
             f"{plant.title}: the simulation overflows {run.overflow:.4g} s after its start; nothing was written",
             UNSUCCESSFUL,
         )
     replaced = target.exists()
     write_csv(run.record(said, generator), plant, target)
     if replaced:
-        note(f"note: {target} was there already; it has been overwritten")
+        print_note(f"note: {target} was there already; it has been overwritten")
     report = None
     if output is not None and not no_report:
         units = {q.name: format_unit(q.unit) for q in plant.outputs}
@@ -153,7 +155,7 @@ def simulate(
 def _in_words(run: Simulation, target: Path, report: Path | None) -> str:
     names = ", ".join([*run.inputs, *run.outputs])
     line = f"{target}: {len(run.time)} rows, {names}; integrated by {run.discretisation}"
-    return f"{line}\n{told(report)}" if report else line
+    return f"{line}\n{report_line(report)}" if report else line
 
 
 def _in_json(run: Simulation, target: Path, report: Path | None) -> str:
@@ -170,7 +172,7 @@ def _target(path: Path, inputs: Path | None) -> Path:
         raise GreyboxError(f"--output {path}: it is a folder; give a file that ends in .csv")
     if inputs is not None and path.exists() and inputs.exists() and path.samefile(inputs):
         raise GreyboxError(f"--output {path}: it is the file of inputs, which would be lost; give another file")
-    o.writable_folder(path.parent)
+    o.check_writable(path.parent)
     return path
 
 

@@ -1,7 +1,16 @@
 """Where models come from: the project around the working folder, files given by path, and what is shipped."""
 
-from greybox.project.find import Found, Listing, listing, resolve, shipped
-from greybox.project.place import project_root, template_root
-from greybox.project.template import init
+from greybox.project.find import ModelEntry, ModelListing, find_model, find_shipped_model, list_models
+from greybox.project.folders import project_root, template_root
+from greybox.project.template import write_project
 
-__all__ = ["Found", "Listing", "init", "listing", "project_root", "resolve", "shipped", "template_root"]
+__all__ = [
+    "ModelEntry",
+    "ModelListing",
+    "find_model",
+    "find_shipped_model",
+    "list_models",
+    "project_root",
+    "template_root",
+    "write_project",
+]

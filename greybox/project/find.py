@@ -9,12 +9,12 @@ from pathlib import Path
 from greybox.errors import ModelError, nearest
 from greybox.experiment.read import READERS
 from greybox.model import Model
-from greybox.project.load import load, load_apart, load_named, models_of, shown
-from greybox.project.place import model_files, project_root, template_root
+from greybox.project.folders import model_files, project_root, template_root
+from greybox.project.load import display_path, import_from_project, import_standalone, load_model_file, models_in
 
 
 @dataclass(frozen=True)
-class Found:
+class ModelEntry:
     """A model under the ``name`` that finds it, and ``where`` it is written."""
 
     name: str
@@ -23,14 +23,14 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Listing:
+class ModelListing:
     """Every model that a name finds here, and files that could not be read, with the reason."""
 
-    models: tuple[Found, ...]
+    models: tuple[ModelEntry, ...]
     problems: tuple[str, ...]
 
 
-def resolve(name: str) -> Model:
+def find_model(name: str) -> Model:
     """The model called ``name``: of the project around the working folder, or shipped; or in a file.
 
     A name is that of a file in ``models/`` or of a model in one of them. A path (``my/rig.py``) gives the model named
@@ -38,7 +38,7 @@ def resolve(name: str) -> Model:
     nearest ones, for the name of a record, and for a file that cannot be run, with the line.
     """
     if Path(name).suffix.lower() in READERS:
-        names = ", ".join(f.name for f in listing().models)
+        names = ", ".join(f.name for f in list_models().models)
         raise ModelError(
             f"{name}: a record, not a model file; MODEL comes first, as in MODEL {name} (known models: {names})"
         )
@@ -51,14 +51,14 @@ def resolve(name: str) -> Model:
         model = source.find(name)
         if model is not None:
             return model
-    known = listing()
+    known = list_models()
     close = nearest(name, [f.name for f in known.models])
     here = f"; or give the path {name}.py" if Path(f"{name}.py").is_file() else ""
     broken = "".join(f"\n  not looked into: {problem}" for problem in known.problems)
     raise ModelError(f"no model {name!r}; {close}{here}{broken}")
 
 
-def shipped(name: str) -> Model:
+def find_shipped_model(name: str) -> Model:
     """The model called ``name`` as the library ships it, whatever the project around the working folder holds."""
     root = template_root().resolve()
     model = _Source(root, named=project_root() in (None, root), shipped=True).find(name)
@@ -67,9 +67,9 @@ def shipped(name: str) -> Model:
     return model
 
 
-def listing() -> Listing:
+def list_models() -> ModelListing:
     """The models of the project around the working folder, then those shipped that it does not have."""
-    found: dict[str, Found] = {}
+    found: dict[str, ModelEntry] = {}
     problems: list[str] = []
     for source in _sources():
         for file, held in source.contents():
@@ -77,8 +77,8 @@ def listing() -> Listing:
                 problems.append(str(held))
                 continue
             for name, model in held.items():
-                found.setdefault(name, Found(name, model, source.where(file)))
-    return Listing(tuple(found.values()), tuple(problems))
+                found.setdefault(name, ModelEntry(name, model, source.where(file)))
+    return ModelListing(tuple(found.values()), tuple(problems))
 
 
 @dataclass(frozen=True)
@@ -93,12 +93,12 @@ class _Source:
         """Each file with its models by variable, or with what is wrong with it; the file called ``first`` comes first."""
         for file in sorted(model_files(self.root), key=lambda file: file.stem != first):
             try:
-                yield file, models_of(load_named(self.root, file) if self.named else load_apart(file))
+                yield file, models_in(import_from_project(self.root, file) if self.named else import_standalone(file))
             except ModelError as error:
                 yield file, error
 
     def where(self, file: Path) -> str:
-        return f"models/{file.name}, shipped with greybox" if self.shipped else shown(file)
+        return f"models/{file.name}, shipped with greybox" if self.shipped else display_path(file)
 
     def find(self, name: str) -> Model | None:
         """The model of this name: in the file of this name, else in any other; None if no file could hold it.
@@ -142,7 +142,7 @@ def _in_file(path: Path, wanted: str) -> Model:
             f"{path} is not a model file; give a file that ends in .py, or the name of a model (see greybox models)"
         )
     file = path.resolve()
-    models = models_of(load(file))
+    models = models_in(load_model_file(file))
     if not models:
         raise ModelError(f"{path} holds no model; it needs one, as in {file.stem} = Model(...)")
     if wanted:

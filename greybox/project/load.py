@@ -14,21 +14,21 @@ from types import ModuleType
 
 from greybox.errors import GreyboxError, ModelError
 from greybox.model import Model
-from greybox.project.place import project_root
+from greybox.project.folders import project_root
 
 
-def load(file: Path) -> ModuleType:
+def load_model_file(file: Path) -> ModuleType:
     """The module in ``file``: ``models.<name>`` if it belongs to a project's ``models/``, else under a private name.
 
     Raises ModelError where the file cannot be run, with the line.
     """
     root = project_root(file.parent)
     if root is not None and file.parent == root / "models":
-        return load_named(root, file)
-    return load_apart(file)
+        return import_from_project(root, file)
+    return import_standalone(file)
 
 
-def load_named(root: Path, file: Path) -> ModuleType:
+def import_from_project(root: Path, file: Path) -> ModuleType:
     """``models.<name>`` of the project ``root``, put first on ``sys.path``: what its own imports get too."""
     _first_on_path(root)
     name = f"models.{file.stem}"
@@ -38,7 +38,7 @@ def load_named(root: Path, file: Path) -> ModuleType:
         raise _told(error, file) from error
 
 
-def load_apart(file: Path) -> ModuleType:
+def import_standalone(file: Path) -> ModuleType:
     """The module in ``file`` under a name of its own; it may import from its project, and from its folder."""
     name = f"_greybox_file_{hashlib.sha256(str(file).encode()).hexdigest()[:12]}"
     if name in sys.modules:
@@ -50,7 +50,7 @@ def load_apart(file: Path) -> ModuleType:
         sys.path.append(str(file.parent))  # last: a neighbour called numpy.py must not stand in for numpy
     spec = importlib.util.spec_from_file_location(name, file)
     if spec is None or spec.loader is None:
-        raise ModelError(f"{shown(file)} is not a Python file; give a file that ends in .py")
+        raise ModelError(f"{display_path(file)} is not a Python file; give a file that ends in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
@@ -61,7 +61,7 @@ def load_apart(file: Path) -> ModuleType:
     return module
 
 
-def models_of(module: ModuleType) -> dict[str, Model]:
+def models_in(module: ModuleType) -> dict[str, Model]:
     """The models that a module makes, by variable; private names and those it only imports are left out."""
     found = {
         name: value for name, value in vars(module).items() if isinstance(value, Model) and not name.startswith("_")
@@ -78,7 +78,7 @@ def _only_imported(file: Path) -> set[str]:
     return imported - {name.id for target in targets for name in ast.walk(target) if isinstance(name, ast.Name)}
 
 
-def shown(file: Path) -> str:
+def display_path(file: Path) -> str:
     """A file as a person finds it: relative to the working folder if it lies below."""
     here = Path.cwd()
     return str(file.relative_to(here)) if file.is_relative_to(here) else str(file)
@@ -113,7 +113,7 @@ def _told(error: BaseException, file: Path) -> ModelError:
             place, line = Path(own[-1].filename), own[-1].lineno or 0
     kind = "" if isinstance(error, GreyboxError) else f"{type(error).__name__}: "
     message = error.msg if isinstance(error, SyntaxError) else str(error)
-    return ModelError(f"{shown(place)}{f', line {line}' if line else ''}: {kind}{message}")
+    return ModelError(f"{display_path(place)}{f', line {line}' if line else ''}: {kind}{message}")
 
 
 def _users(filename: str, file: Path) -> bool:

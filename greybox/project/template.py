@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 
 from greybox.errors import GreyboxError
-from greybox.project.place import template_root
+from greybox.project.folders import template_root
 
 FOLDERS = ("models", "fits", "notebooks")
 # Of the studies those that show how one is written; the others are about this library, and no user's rig needs them.
@@ -37,7 +37,7 @@ In Python, from this folder:
 """
 
 
-def init(directory: str | Path, *, force: bool = False) -> list[Path]:
+def write_project(directory: str | Path, *, force: bool = False) -> list[Path]:
     """Write a project into ``directory``: ``models/``, ``fits/``, ``notebooks/`` and a README. Returns the files written.
 
     Raises GreyboxError, before anything is written, where one of the files is there already; ``force`` overwrites them.

@@ -71,9 +71,9 @@ def plant(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def model(plant):
-    from greybox.project import resolve
+    from greybox.project import find_model
 
-    return resolve(str(plant))
+    return find_model(str(plant))
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from greybox.discovery import discover, estimate_residual_spectrum
 from greybox.discovery import pipeline as module
 from greybox.errors import DataError
 from greybox.estimation import FitOptions
-from greybox.project import resolve
+from greybox.project import find_model
 from greybox.simulation.write import write_csv
 from models.micro_actuator import micro_actuator
 from tests.discovery.test_discover import ACTUATOR, off, records
@@ -58,7 +58,7 @@ def test_the_command_writes_answer_model_figures_and_journal(written):
 
 
 def test_the_model_that_was_written_is_one_that_greybox_fits(written, rig):
-    model = resolve(str(written / "model.py"))
+    model = find_model(str(written / "model.py"))
     assert [e.name for e in model.effects] == ["coulomb_friction"]
     assert model.values["Fc"] == pytest.approx(0.05, rel=0.05)
     fit = gb.fit(model, rig[0], noise=NOISE, options=OPTIONS)

@@ -13,7 +13,7 @@ from greybox.errors import DataError
 from greybox.estimation import FitOptions, validate
 from greybox.export import to_python
 from greybox.plots import discovery_figures
-from greybox.project import resolve
+from greybox.project import find_model
 from greybox.reports import report
 from models.micro_actuator import micro_actuator
 from tests.discovery.test_discover import off, records
@@ -67,7 +67,7 @@ def test_what_to_do_next_is_said(found):
 
 
 def test_the_model_with_the_tone_is_fitted_to_records_at_rest_from_its_file(found, rig, tmp_path):
-    model = resolve(str(to_python(found.extended, tmp_path / "model.py")))
+    model = find_model(str(to_python(found.extended, tmp_path / "model.py")))
     assert [s.name for s in model.all_states if s.free_start] == ["z1", "z2"]
     fit = gb.fit(model, rig[0], noise=NOISE, options=REST)
     assert fit.misfit["x"].noise_ratio < 1.1

@@ -16,7 +16,7 @@ import greybox as gb
 from greybox.effects import applicable_effects
 from greybox.export.linear_files import write_control
 from greybox.model import Rule
-from greybox.project.find import resolve
+from greybox.project.find import find_model
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator
@@ -86,7 +86,7 @@ def same_run(model, back, tolerance=1e-12):
 
 
 def read_back(model, folder):
-    return resolve(str(gb.export.to_python(model, folder / f"{model.name}.py")))
+    return find_model(str(gb.export.to_python(model, folder / f"{model.name}.py")))
 
 
 @pytest.mark.parametrize("model", [micro_actuator, pneumatic_full, cascaded_tanks, emps], ids=lambda m: m.name)
@@ -105,7 +105,7 @@ def test_a_python_file_says_which_rule_it_leaves_out(tmp_path):
     assert (
         "Left out, because its function cannot be written out: the rule 'damping below stiffness'" in path.read_text()
     )
-    assert [r.name for r in resolve(str(path)).rules] == [r.name for r in micro_actuator.rules]
+    assert [r.name for r in find_model(str(path)).rules] == [r.name for r in micro_actuator.rules]
 
 
 def test_a_python_file_keeps_catalogue_effects_by_name(tmp_path):

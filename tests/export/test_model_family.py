@@ -12,7 +12,7 @@ import greybox as gb
 from greybox.export.parameter_samples import make_parameter_distribution
 from greybox.export.plant import to_plant
 from greybox.signals import multisine
-from greybox.twin import twin
+from greybox.twin import simulate_twin
 from models.micro_actuator import micro_actuator
 
 NOISE = {"x": 2e-6, "i": 5e-2}
@@ -22,7 +22,7 @@ NOISE = {"x": 2e-6, "i": 5e-2}
 def fit():
     t = np.arange(2000) * 2.5e-4
     u = multisine(t, 5, 800, 2, np.random.default_rng(0))
-    record = twin(micro_actuator, {"u": u}, 2.5e-4, NOISE, seed=1)
+    record = simulate_twin(micro_actuator, {"u": u}, 2.5e-4, NOISE, seed=1)
     return gb.fit(micro_actuator.fix("M", "Ra"), record, noise=NOISE)
 
 

@@ -83,6 +83,7 @@ VERBS = '''
 import dataclasses, json, sys
 import greybox as gb
 import numpy as np
+from greybox.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
 
@@ -105,8 +106,8 @@ fitted = gb.fit(silverbox, chirp)
 driven = gb.read_csv(f"{records}/actuator.csv", micro_actuator)
 filtered = gb.fit(micro_actuator.fix("M", "Ra").with_process_noise("v"), driven)
 found = {
-    "profile": gb.profile(fitted, "k1"),
-    "bootstrap": gb.bootstrap(fitted, np.random.default_rng(0), replicates=100),
+    "profile": profile(fitted, "k1"),
+    "bootstrap": bootstrap(fitted, np.random.default_rng(0), replicates=100),
     "predict": gb.predict(fitted, chirp, steps=3),
     "smooth": gb.smooth(filtered, driven),
     "predict_filtered": gb.predict(filtered, driven, steps=2),

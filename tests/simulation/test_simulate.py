@@ -12,7 +12,7 @@ from greybox import Balance, Experiment, Input, Model, Output, Parameter, State,
 from greybox.errors import DataError, ModelError
 from greybox.signals import chirp, multisine
 from greybox.simulation import read_inputs, simulate, write_csv
-from greybox.twin import twin
+from greybox.twin import simulate_twin
 from models.cascaded_tanks import cascaded_tanks
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
@@ -54,7 +54,7 @@ def test_states_agree_with_another_integrator(model: Model, step: float, low: fl
 def test_the_twin_agrees_with_the_exact_hold() -> None:
     time = 2.5e-4 * np.arange(400)
     u = multisine(time, 10, 800, 2.0, np.random.default_rng(0))
-    record = twin(micro_actuator, {"u": u}, 2.5e-4)
+    record = simulate_twin(micro_actuator, {"u": u}, 2.5e-4)
     run = simulate(micro_actuator, record)
     for name, values in run.outputs.items():
         assert np.abs(record.outputs[name] - values).max() < 1e-7 * np.ptp(values)
@@ -62,9 +62,9 @@ def test_the_twin_agrees_with_the_exact_hold() -> None:
 
 def test_the_twin_refuses_what_it_cannot_follow() -> None:
     with pytest.raises(ModelError, match="dry friction"):
-        twin(micro_actuator + effect("coulomb_friction"), {"u": np.ones(20)}, 1e-3)
+        simulate_twin(micro_actuator + effect("coulomb_friction"), {"u": np.ones(20)}, 1e-3)
     with pytest.raises(ModelError, match="no input 'u'"):
-        twin(micro_actuator, {"U": np.ones(20)}, 1e-3)
+        simulate_twin(micro_actuator, {"U": np.ones(20)}, 1e-3)
 
 
 def test_a_step_ends_at_the_static_gain_and_rk4_says_the_same() -> None:

@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from greybox.result import Fit
 
 
-def fitted(path: Path, model: str | None = None) -> Fit:
+def load_fit_with_model(path: Path, model: str | None = None) -> Fit:
     """The fit in ``path``. ``model`` names its model or model file (None: the name that the file holds).
 
     Effects of the catalogue that the fit has and the model lacks are added. Raises DataError for a file that is no fit, ModelError
     where its model cannot be found.
     """
     from greybox.effects import effect
-    from greybox.project import resolve
+    from greybox.project import find_model
     from greybox.result import load_fit
 
     try:
@@ -31,7 +31,7 @@ def fitted(path: Path, model: str | None = None) -> Fit:
     if not (isinstance(data, dict) and isinstance(data.get("model"), str) and isinstance(data.get("effects"), list)):
         raise DataError(f"{path}: not a fit of this program; give the fit.json that greybox fit has written")
     try:
-        plant: Model = resolve(model or data["model"])
+        plant: Model = find_model(model or data["model"])
         present = [e.name for e in plant.effects]
         for name in data["effects"]:
             plant = plant if name in present else plant + effect(name)

@@ -14,44 +14,44 @@ import typer
 from greybox.cli import INTERRUPTED
 from greybox.errors import GreyboxError
 
-__all__ = ["BAD_INPUT", "INTERRUPTED", "UNSUCCESSFUL", "guarded", "note", "stop"]
+__all__ = ["BAD_INPUT", "INTERRUPTED", "UNSUCCESSFUL", "exit_on_error", "exit_with_error", "print_note"]
 
 UNSUCCESSFUL, BAD_INPUT = 1, 2
 
 
-def guarded(command: Callable[..., None]) -> Callable[..., None]:
+def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
     """``command`` with bad input as exit code 2 and Ctrl-C as 130, each with a message on stderr."""
 
     @functools.wraps(command)
     def run(*args: Any, **options: Any) -> None:
         with warnings.catch_warnings():
-            warnings.showwarning = _shown
+            warnings.showwarning = _print_warning
             if threading.current_thread() is threading.main_thread():
                 signal.signal(signal.SIGINT, signal.default_int_handler)
             try:
                 command(*args, **options)
             except GreyboxError as error:
-                stop(str(error), BAD_INPUT)
+                exit_with_error(str(error), BAD_INPUT)
             except BrokenPipeError:  # the reader of a pipe has gone: nothing to tell anyone
                 raise
             except OSError as error:
-                stop(f"{error.filename or 'a file'}: {error.strerror or error}", BAD_INPUT)
+                exit_with_error(f"{error.filename or 'a file'}: {error.strerror or error}", BAD_INPUT)
             except KeyboardInterrupt:
-                stop("interrupted", INTERRUPTED)
+                exit_with_error("interrupted", INTERRUPTED)
 
     return run
 
 
-def stop(message: str, code: int) -> NoReturn:
+def exit_with_error(message: str, code: int) -> NoReturn:
     """End with ``message`` on stderr."""
     typer.echo(f"error: {message}", err=True)
     raise typer.Exit(code)
 
 
-def note(message: str) -> None:
+def print_note(message: str) -> None:
     """A line on stderr, so that stdout stays what was asked for."""
     typer.echo(message, err=True)
 
 
-def _shown(message: Warning | str, *_: Any, **__: Any) -> None:
-    note(f"warning: {message}")
+def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    print_note(f"warning: {message}")

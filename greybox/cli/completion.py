@@ -21,9 +21,9 @@ Offer = tuple[str, str]  # what to type, and what it is
 
 def models(incomplete: str) -> list[Offer]:
     """Names of models, and model files that begin so."""
-    from greybox.project import listing
+    from greybox.project import list_models
 
-    found = [(item.name, item.model.description) for item in listing().models]
+    found = [(item.name, item.model.description) for item in list_models().models]
     files = sorted(Path(text) for text in glob(f"{escape(incomplete)}*")) if incomplete else []
     near = [(f"{path}/", "a folder") if path.is_dir() else (str(path), "a model file") for path in files]
     return _beginning([*found, *(offer for offer in near if offer[0].endswith(("/", ".py")))], incomplete)
@@ -75,7 +75,7 @@ def _signals(model: Model) -> Iterator[Offer]:
 
 def _offered(ctx: typer.Context, incomplete: str, offers: Callable[[Model], Iterable[Offer]]) -> list[Offer]:
     from greybox.effects import effect
-    from greybox.project import resolve
+    from greybox.project import find_model
 
     # A line that ends in an option without its value is not taken apart: the words are left in args.
     name = ctx.params.get("model") or next(iter(ctx.args), None)
@@ -83,7 +83,7 @@ def _offered(ctx: typer.Context, incomplete: str, offers: Callable[[Model], Iter
         return []
     words = (os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS") or "").split()
     try:
-        model = resolve(name)
+        model = find_model(name)
         for option, value in pairwise(words):
             model = model + effect(value) if option == "--effect" else model
     except GreyboxError:  # nothing of that name: nothing to offer

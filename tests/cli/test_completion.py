@@ -14,7 +14,7 @@ from greybox.cli.app import app
 from greybox.effects import CATALOGUE
 from models.micro_actuator import micro_actuator
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def offered(line: str) -> list[str]:

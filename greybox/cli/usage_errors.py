@@ -12,7 +12,7 @@ from typing import Any
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
-from greybox.cli.guard import BAD_INPUT, stop
+from greybox.cli.exits import BAD_INPUT, exit_with_error
 from greybox.errors import nearest
 
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # the common base; typer has no public name for it
@@ -25,7 +25,7 @@ NUMBERS = (
 )
 
 
-class Plain(TyperCommand):
+class PlainCommand(TyperCommand):
     """A command whose help names no types of Python, and whose errors are one line that says what to do."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -42,10 +42,10 @@ class Plain(TyperCommand):
         try:
             return super().parse_args(ctx, args)
         except UsageError as error:
-            stop(told(error, ctx, typed), BAD_INPUT)
+            exit_with_error(describe_usage_error(error, ctx, typed), BAD_INPUT)
 
 
-class Front(TyperGroup):
+class CommandGroup(TyperGroup):
     """What stands before the sub-commands; an unknown one is told with the nearest."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -56,17 +56,17 @@ class Front(TyperGroup):
         try:
             return super().parse_args(ctx, args)
         except UsageError as error:
-            stop(told(error, ctx, typed), BAD_INPUT)
+            exit_with_error(describe_usage_error(error, ctx, typed), BAD_INPUT)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The sub-command that the first of ``args`` names; ends with exit code 2 where there is none."""
         name = args[0]
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing:  # while Tab completes, nothing is told
-            stop(f"{name}: there is no such command; {nearest(name, self.list_commands(ctx))}", BAD_INPUT)
+            exit_with_error(f"{name}: there is no such command; {nearest(name, self.list_commands(ctx))}", BAD_INPUT)
         return super().resolve_command(ctx, args)
 
 
-def told(error: Any, ctx: Any, typed: Sequence[str]) -> str:
+def describe_usage_error(error: Any, ctx: Any, typed: Sequence[str]) -> str:
     """One line on what cannot be understood of the words ``typed`` after the command of ``ctx``."""
     command, message = ctx.command_path, error.message
     parameter, option = getattr(error, "param", None), getattr(error, "option_name", "")

@@ -1,4 +1,4 @@
-"""Where models are found, what a broken file says, and the project that `init` writes."""
+"""Where models are found, what a broken file says, and the project that `write_project` writes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from greybox import GreyboxError, Model
 from greybox.errors import ModelError
-from greybox.project import init, listing, project_root, resolve, shipped, template_root
+from greybox.project import find_model, find_shipped_model, list_models, project_root, template_root, write_project
 from greybox.project.template import STUDIES
 
 RIG = """
@@ -68,10 +68,10 @@ def write(folder: Path) -> Write:
 
 def test_outside_a_project_the_shipped_models_are_found(folder: Path) -> None:
     assert project_root() is None
-    assert resolve("micro_actuator").name == "micro_actuator"
-    assert resolve("micro_actuator_no_inductance").name == "micro_actuator_no_inductance"
-    assert {f.name for f in listing().models} >= {"micro_actuator", "pneumatic_cylinder", "silverbox"}
-    assert all("shipped" in f.where for f in listing().models)
+    assert find_model("micro_actuator").name == "micro_actuator"
+    assert find_model("micro_actuator_no_inductance").name == "micro_actuator_no_inductance"
+    assert {f.name for f in list_models().models} >= {"micro_actuator", "pneumatic_cylinder", "silverbox"}
+    assert all("shipped" in f.where for f in list_models().models)
 
 
 def test_a_project_is_found_from_below_and_its_models_come_first(folder: Path, write: Write, monkeypatch) -> None:
@@ -80,12 +80,12 @@ def test_a_project_is_found_from_below_and_its_models_come_first(folder: Path, w
     (folder / "deep" / "down").mkdir(parents=True)
     monkeypatch.chdir(folder / "deep" / "down")
     assert project_root() == folder
-    assert resolve("rig").name == "rig"
-    assert resolve("rig_two").name == "rig_two"
-    assert len(resolve("micro_actuator").states) == 2
-    assert len(shipped("micro_actuator").states) == 3
-    assert resolve("pneumatic_cylinder").name == "pneumatic_cylinder"
-    where = {f.name: f.where for f in listing().models}
+    assert find_model("rig").name == "rig"
+    assert find_model("rig_two").name == "rig_two"
+    assert len(find_model("micro_actuator").states) == 2
+    assert len(find_shipped_model("micro_actuator").states) == 3
+    assert find_model("pneumatic_cylinder").name == "pneumatic_cylinder"
+    where = {f.name: f.where for f in list_models().models}
     assert where["micro_actuator"].endswith("micro_actuator.py")
     assert "shipped" not in where["micro_actuator"]
     assert "shipped" in where["silverbox"]
@@ -93,12 +93,12 @@ def test_a_project_is_found_from_below_and_its_models_come_first(folder: Path, w
 
 def test_there_is_one_module_and_one_identity(folder: Path, write: Write) -> None:
     write("models/rig.py", rig("rig"))
-    found = resolve("rig")
+    found = find_model("rig")
     import models.rig
 
     assert models.rig.rig is found
-    assert resolve("models/rig.py") is found
-    assert resolve(str(folder / "models" / "rig.py:rig")) is found
+    assert find_model("models/rig.py") is found
+    assert find_model(str(folder / "models" / "rig.py:rig")) is found
 
 
 def test_another_project_has_other_models(folder: Path, write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,7 +107,7 @@ def test_another_project_has_other_models(folder: Path, write: Write, monkeypatc
     values = []
     for name in ("one", "two", "one"):
         monkeypatch.chdir(folder / name)
-        values.append(resolve("rig").values["k"])
+        values.append(find_model("rig").values["k"])
     assert values == [10.0, 20.0, 10.0]
 
 
@@ -119,14 +119,14 @@ def test_a_folder_called_models_without_greybox_is_no_project(folder: Path, writ
 def test_a_file_outside_a_project_may_import_its_neighbour(write: Write) -> None:
     write("my/constants_of_the_rig.py", "k = 33.0")
     text = "from constants_of_the_rig import k\n" + rig("rig").replace("10.0", "k")
-    assert resolve(str(write("my/rig.py", text))).values["k"] == 33.0
+    assert find_model(str(write("my/rig.py", text))).values["k"] == 33.0
 
 
 def test_a_model_that_is_only_imported_is_not_the_files_own(folder: Path, write: Write) -> None:
     write("models/rig.py", rig("rig"))
     write("models/a_variant.py", "from greybox import Model\nfrom models.rig import rig\nstiff = rig.start(k=50)\n")
-    assert resolve("models/a_variant.py").values["k"] == 50
-    assert [f.where for f in listing().models if f.name == "rig"] == [str(Path("models") / "rig.py")]
+    assert find_model("models/a_variant.py").values["k"] == 50
+    assert [f.where for f in list_models().models if f.name == "rig"] == [str(Path("models") / "rig.py")]
 
 
 @pytest.mark.parametrize(
@@ -149,50 +149,50 @@ def test_a_model_that_is_only_imported_is_not_the_files_own(folder: Path, write:
 def test_what_cannot_be_used_says_where_and_why(write: Write, file: str, text: str, wanted: str, message: str) -> None:
     write(file, text)
     with pytest.raises(ModelError, match=message):
-        resolve(wanted)
+        find_model(wanted)
 
 
 def test_an_unknown_name_lists_the_nearest(folder: Path) -> None:
     with pytest.raises(ModelError, match=r"no model 'micro_actuatr'; did you mean 'micro_actuator'"):
-        resolve("micro_actuatr")
+        find_model("micro_actuatr")
 
 
 def test_a_broken_file_does_not_hide_the_others(folder: Path, write: Write) -> None:
     write("models/a_broken.py", "import greybox\nx = 1 / 0\n")
     write("models/rig.py", rig("rig", "second"))
-    assert resolve("rig").name == "rig"
-    assert resolve("second").name == "second"
-    found = listing()
+    assert find_model("rig").name == "rig"
+    assert find_model("second").name == "second"
+    found = list_models()
     assert "rig" in {f.name for f in found.models}
     assert len(found.problems) == 1
     assert "a_broken.py, line 2: ZeroDivisionError" in found.problems[0]
     with pytest.raises(ModelError, match=r"no model 'third'(.|\n)*not looked into: .*a_broken.py, line 2"):
-        resolve("third")
+        find_model("third")
     with pytest.raises(ModelError, match="ZeroDivisionError"):
-        resolve("a_broken")
+        find_model("a_broken")
 
 
 def test_a_broken_file_is_not_replaced_by_the_shipped_model(folder: Path, write: Write) -> None:
     write("models/rigs.py", rig("micro_actuator").replace("p.k *", "p.kk *"))
     with pytest.raises(ModelError, match=r"rigs.py, line 8: no parameter 'kk'"):
-        resolve("micro_actuator")
-    assert resolve("silverbox").name == "silverbox"
+        find_model("micro_actuator")
+    assert find_model("silverbox").name == "silverbox"
     write("models/good.py", rig("emps"))
-    assert len(resolve("emps").parameters) == 2
+    assert len(find_model("emps").parameters) == 2
     write("models/emps.py", "import greybox\n1 / 0\n")
     with pytest.raises(ModelError, match=r"emps.py, line 2: ZeroDivisionError"):
-        resolve("emps")
+        find_model("emps")
 
 
 def test_a_model_made_of_a_neighbours_parts_is_found(folder: Path, write: Write) -> None:
     write("models/parts.py", rig("base"))
     write("models/stiff.py", "from models.parts import base\n\nstiff = base.start(k=50)\n")
-    assert resolve("stiff").values["k"] == 50
-    assert {"base", "stiff"} <= {f.name for f in listing().models}
+    assert find_model("stiff").values["k"] == 50
+    assert {"base", "stiff"} <= {f.name for f in list_models().models}
 
 
 def test_init_writes_a_project_that_works_by_itself(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    written = init(folder / "rig")
+    written = write_project(folder / "rig")
     assert {p.relative_to(folder / "rig").parts[0] for p in written} >= {"models", "README.md"}
     assert {p.name for p in written if p.parent.name == "fits"} == set(STUDIES)
     studies = [p.read_text(encoding="utf-8") for p in written if p.parent.name == "fits"]
@@ -205,7 +205,7 @@ def test_init_writes_a_project_that_works_by_itself(folder: Path, monkeypatch: p
             assert path.read_bytes() == (template_root() / path.relative_to(folder / "rig")).read_bytes()
     monkeypatch.chdir(folder / "rig")
     assert project_root() == folder / "rig"
-    assert isinstance(resolve("micro_actuator"), Model)
+    assert isinstance(find_model("micro_actuator"), Model)
     assert Path(sys.modules["models.micro_actuator"].__file__).parent == folder / "rig" / "models"
 
 
@@ -214,10 +214,10 @@ def test_init_overwrites_nothing_unless_told_to(folder: Path) -> None:
     own.parent.mkdir()
     own.write_text("mine")
     with pytest.raises(GreyboxError, match=r"already holds models/silverbox.py; .*--force"):
-        init(folder)
+        write_project(folder)
     assert own.read_text() == "mine"
     assert [p.name for p in folder.rglob("*")] == ["models", "silverbox.py"]
-    init(folder, force=True)
+    write_project(folder, force=True)
     assert own.read_text() != "mine"
     with pytest.raises(GreyboxError, match="is a file"):
-        init(own)
+        write_project(own)

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import Result
 
 from greybox import read_csv
-from greybox.cli.constraints import read_under
+from greybox.cli.constraints import read_records
 from greybox.errors import DataError, GreyboxError
 from greybox.simulation import write_csv
 from models.pneumatic_cylinder import pneumatic_cylinder
@@ -58,16 +58,16 @@ def test_records_at_two_supply_pressures_are_fitted_with_the_conditions_that_the
 
 def test_values_on_the_command_line_go_to_the_records_in_their_order(folder):
     low, high = folder / "low.csv", folder / "high.csv"
-    records, judges = read_under(["P_S=7e5,8e5,9e5", "M_piston=1.4,1.5"], pneumatic_cylinder, [low, high], [low])
+    records, judges = read_records(["P_S=7e5,8e5,9e5", "M_piston=1.4,1.5"], pneumatic_cylinder, [low, high], [low])
     assert [dict(r.conditions) for r in records] == [{"P_S": 7e5, "M_piston": 1.4}, {"P_S": 8e5, "M_piston": 1.5}]
     assert [dict(r.conditions) for r in judges] == [{"P_S": 9e5}]
     with pytest.raises(GreyboxError, match="--condition P_S: given with values and from the files; keep one"):
-        read_under(["P_S=7e5", "P_S"], pneumatic_cylinder, [low])
+        read_records(["P_S=7e5", "P_S"], pneumatic_cylinder, [low])
 
 
 def test_a_record_that_judges_its_own_fit_is_named(folder):
     low, high = folder / "low.csv", folder / "high.csv"
-    _, (other, same) = read_under([], pneumatic_cylinder, [low], [high, low])
+    _, (other, same) = read_records([], pneumatic_cylinder, [low], [high, low])
     assert not any("which is fitted" in note for note in other.notes)
     assert "the same data as low.csv, which is fitted" in same.notes[-1]
 

@@ -18,7 +18,7 @@ from typer.testing import Result
 from greybox import Experiment, FitOptions, fit, load_fit, read_csv
 from greybox.cli import fit as fit_command
 from greybox.cli.app import app
-from greybox.cli.interrupt import held
+from greybox.cli.interrupts import hold_interrupts
 from greybox.signals import multisine
 from greybox.simulation import simulate, write_csv
 from models.micro_actuator import micro_actuator
@@ -293,7 +293,7 @@ def test_ctrl_c_saves_the_best_point(run: Run, data: Path, tmp_path: Path, monke
     def impatient(*_: object) -> Iterator[Callable[[object], None]]:
         yield lambda _: signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(fit_command, "meter", impatient)
+    monkeypatch.setattr(fit_command, "show_fit_progress", impatient)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "report.html").write_text("of an earlier fit")
     result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, "--start", "K=4000", "--output", "out")
@@ -308,7 +308,7 @@ def test_ctrl_c_saves_the_best_point(run: Run, data: Path, tmp_path: Path, monke
 
 def test_ctrl_c_between_two_searches_waits_for_the_next() -> None:
     caught = []
-    with held() as interrupt:
+    with hold_interrupts() as interrupt:
         signal.raise_signal(signal.SIGINT)
         assert interrupt.asked
         before = signal.signal(signal.SIGINT, lambda *_: caught.append(1))

@@ -24,7 +24,7 @@ class Interrupt:
 
 
 @contextmanager
-def held() -> Iterator[Interrupt]:
+def hold_interrupts() -> Iterator[Interrupt]:
     """Between two searches there is only work to lose, so Ctrl-C waits there. A second one ends at once."""
     state = Interrupt()
     if threading.current_thread() is not threading.main_thread():

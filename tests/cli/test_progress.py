@@ -8,8 +8,15 @@ import pytest
 from rich.console import Console
 
 from greybox.cli import progress
-from greybox.cli.compare import scanned
-from greybox.cli.progress import Gauge, search_gauge, share_done, share_of, spelled, time_left
+from greybox.cli.compare import scan_share
+from greybox.cli.progress import (
+    ProgressLine,
+    expected_share,
+    format_duration,
+    share_done,
+    show_search_progress,
+    time_left,
+)
 from greybox.estimation.options import FitProgress
 
 
@@ -20,7 +27,7 @@ def test_the_time_left_goes_on_as_what_is_done(share: float | None, left: float 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.2, "1 s"), (89.0, "89 s"), (600.0, "10 min"), (4800.0, "1 h 20 min")])
 def test_times_are_told_as_people_do(seconds: float, text: str) -> None:
-    assert spelled(seconds) == text
+    assert format_duration(seconds) == text
 
 
 def test_a_fit_gets_on_and_is_never_done_before_it_ends() -> None:
@@ -35,14 +42,14 @@ def test_a_comparison_weighs_its_scans() -> None:
     order = [
         (kind, output) for output in outputs for kind in ("arx", "armax", "output error", "box-jenkins", "hammerstein")
     ]
-    ends = [scanned(f"{kind} of {output}", 1.0, outputs) for kind, output in order]
+    ends = [scan_share(f"{kind} of {output}", 1.0, outputs) for kind, output in order]
     assert ends == sorted(ends) and ends[4] == pytest.approx(0.5) and ends[-1] == pytest.approx(1.0)
 
 
 def test_the_line_shows_text_and_time_left_and_goes_away(monkeypatch: pytest.MonkeyPatch) -> None:
     seconds = iter([0.0, 0.5, 4.0, 4.0])
     monkeypatch.setattr(progress.time, "monotonic", lambda: next(seconds))
-    line = Gauge()
+    line = ProgressLine()
     screen = io.StringIO()
     line.console = Console(file=screen, force_terminal=True, width=120, color_system=None)
     monkeypatch.setattr(progress, "_bar", _still)
@@ -68,8 +75,8 @@ def test_a_discovery_says_its_steps_and_how_many_refits_are_done(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     shown: list[tuple[str, float | None]] = []
-    monkeypatch.setattr(Gauge, "__call__", lambda line, text, share=None: shown.append((text, share)))
-    with search_gauge() as (say, report):
+    monkeypatch.setattr(ProgressLine, "__call__", lambda line, text, share=None: shown.append((text, share)))
+    with show_search_progress() as (say, report):
         say("plain model: misfit 50 times the noise")
         report(10)
     assert shown == [
@@ -77,4 +84,4 @@ def test_a_discovery_says_its_steps_and_how_many_refits_are_done(
         ("plain model: misfit 50 times the noise; refit 10", 0.25),
     ]
     assert capsys.readouterr().err == "plain model: misfit 50 times the noise\n"
-    assert share_of(400, 40) < 1
+    assert expected_share(400, 40) < 1
