@@ -7,3 +7,15 @@ from __future__ import annotations
 
 TINY = 1e-300
 """Smallest divisor: keeps a quotient finite where numerator and denominator vanish together."""
+
+SWITCH_EDGE = 1e-11
+"""A comparison, ``|a|``, ``min`` or ``max`` is at its edge where its two sides differ by less than this share of their size."""
+
+SWITCH_EDGE_OF_MOVE = 1e-13
+"""The same, as a share of the change of the difference over a typical move of the variables: covers an operand that is itself zero."""
+
+SWITCH_PROBE = 1e-6
+"""How far from an edge, relative to the variables, a function is evaluated to find out on which side a direction leads."""
+
+STATE_BOUND_MARGIN = 1e-9
+"""A state with a physical bound is held this far inside it in the equations, in the unit of the state: ``sqrt(level)`` keeps a slope."""

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.estimation.problem import EstimationProblem
 from greybox.expressions.text import expression_text
 from greybox.model import Model
-from greybox.model.system import BOUND_GUARD
+from greybox.numerics import STATE_BOUND_MARGIN
 from greybox.transcription import DecisionVector
 
 LONGEST = 80  # characters of a formula that are worth showing
@@ -73,7 +73,7 @@ def _first_bad(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> str
     if named:
         return f"{named[0][0]} is {named[0][1]:g}"
     bounds = np.array([s.bounds for s in model.all_states], float)
-    inside = np.clip(x, bounds[:, 0] + BOUND_GUARD, bounds[:, 1] - BOUND_GUARD)
+    inside = np.clip(x, bounds[:, 0] + STATE_BOUND_MARGIN, bounds[:, 1] - STATE_BOUND_MARGIN)
     things: list[tuple[str, ca.SX, str]] = []
     for balance in system.balances:
         things += [

@@ -10,7 +10,7 @@ from greybox.export.c_core import to_comment, write_initialisers, write_step
 from greybox.export.discrete_step import DiscreteStep, make_discrete_step
 from greybox.export.identifiers import to_identifier, to_identifiers
 from greybox.export.plant import Plant, to_plant
-from greybox.kernel.c_routine import c_literal
+from greybox.expressions.c import c_literal
 from greybox.model import Model
 from greybox.model.equations import equations_text
 from greybox.model.signals import Input, Output, State

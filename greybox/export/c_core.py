@@ -7,8 +7,9 @@ from importlib.resources import files
 import casadi as ca
 
 from greybox.export.discrete_step import DiscreteStep
+from greybox.expressions.c import c_literal
 from greybox.integrators.input_delay import count_history_columns
-from greybox.kernel.c_routine import CRoutine, c_literal
+from greybox.kernel.c_routine import CRoutine
 from greybox.kernel.tape import read_tape
 
 ADVANCE, OUTPUTS = ("x", "ua", "ub", "q", "h"), ("x", "u", "p")

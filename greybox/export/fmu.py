@@ -16,7 +16,7 @@ from greybox.export.fmu_description import write_description
 from greybox.export.identifiers import to_identifier
 from greybox.export.plant import Plant, to_plant
 from greybox.export.shared_library import compile_shared_library
-from greybox.kernel.c_routine import c_literal
+from greybox.expressions.c import c_literal
 from greybox.model import Model
 from greybox.result import Fit
 from greybox.units import format_unit

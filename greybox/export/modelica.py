@@ -11,34 +11,12 @@ from greybox.errors import ModelError
 from greybox.export.identifiers import to_identifier
 from greybox.export.modelica_names import ModelicaNames, to_modelica_string, write_declarations
 from greybox.export.plant import Plant, to_plant
-from greybox.export.printer import ADD, AND, ATOM, OR, Dialect, Printed, Printer, function_call
+from greybox.expressions.operations import Binding
+from greybox.expressions.printer import MODELICA, Printed, Printer
 from greybox.model import Balance, Model
-from greybox.model.system import BOUND_GUARD, DryFrictionTerm
+from greybox.model.system import DryFrictionTerm
+from greybox.numerics import STATE_BOUND_MARGIN
 from greybox.result import Fit
-
-NAMES = {"fabs": "abs", "fmin": "min", "fmax": "max"}
-LACKS = frozenset(["asinh", "acosh", "atanh", "erf", "==", "!="])
-
-
-def _call(name: str, arguments: Sequence[str]) -> str:
-    if name == "hypot":
-        return f"sqrt(({arguments[0]})^2 + ({arguments[1]})^2)"
-    if name in ("log1p", "expm1"):
-        return f"log(1 + ({arguments[0]}))" if name == "log1p" else f"(exp({arguments[0]}) - 1)"
-    return function_call(NAMES.get(name, name), arguments)
-
-
-def _choose(condition: str, yes: str, no: str) -> Printed:
-    return Printed(f"(if {condition} then {yes} else {no})", ATOM)
-
-
-def _logic(word: str, operands: Sequence[Printed]) -> Printed:
-    if word == "not":
-        return Printed(f"not ({operands[0].text})", AND)
-    return Printed(f" {word} ".join(f"({operand.text})" for operand in operands), AND if word == "and" else OR)
-
-
-MODELICA = Dialect("Modelica", "^", "1e300", _call, _choose, _logic, LACKS)
 
 
 def to_modelica(plant: Fit | Model, path: str | Path) -> Path:
@@ -69,7 +47,7 @@ def modelica_text(plant: Plant) -> str:
     writer = Printer(MODELICA, names.symbols)
     rows = [_guarded(b, model) for b in s.balances]
     outputs = [s.outputs[k] for k in range(len(model.outputs))]
-    writer.look_at([*(v for b in rows for v in (b.storage, *b.terms.values())), *outputs])
+    writer.count_uses([*(v for b in rows for v in (b.storage, *b.terms.values())), *outputs])
     equations = [line for b in rows for line in _balance(b, model, names, writer)]
     equations += [
         f"  {name} = {writer.write(value)};"
@@ -104,9 +82,9 @@ def _balance(b: Balance, model: Model, names: ModelicaNames, writer: Printer) ->
     state = names.symbols[b.state]
     dry = [d for d in s.dry if d.balance == b.name]
     others = {name: term for name, term in b.terms.items() if name not in [d.effect for d in dry]}
-    storage = writer.written(b.storage)
+    storage = writer.print(b.storage)
     left = f"der({state})" if storage.text == "1" else f"{_bracketed(storage)} * der({state})"
-    total = _sum([writer.written(term) for term in others.values()])
+    total = _sum([writer.print(term) for term in others.values()])
     label = f'"{to_modelica_string(b.name)}: {to_modelica_string(", ".join(b.terms))}"'
     if not dry:
         return [f"  {left} = {total} {label};"]
@@ -121,9 +99,9 @@ def _balance(b: Balance, model: Model, names: ModelicaNames, writer: Printer) ->
 
 
 def _levels(dry: Sequence[DryFrictionTerm], state: str, model: Model, writer: Printer) -> list[str]:
-    sliding = _sum([writer.written(d.sliding) for d in dry])
+    sliding = _sum([writer.print(d.sliding) for d in dry])
     at_rest = model.system.x[dry[0].state]
-    static = _sum([writer.written(ca.substitute(d.static, at_rest, 0)) for d in dry])
+    static = _sum([writer.print(ca.substitute(d.static, at_rest, 0)) for d in dry])
     return [f"  level_{state} = {sliding};", f"  most_{state} = {static};"]
 
 
@@ -148,9 +126,9 @@ def _guarded(b: Balance, model: Model) -> Balance:
         for k, state in enumerate(model.all_states):
             low, high = state.bounds
             if low > -ca.inf:
-                value = ca.substitute(value, x[k], ca.fmax(x[k], low + BOUND_GUARD))
+                value = ca.substitute(value, x[k], ca.fmax(x[k], low + STATE_BOUND_MARGIN))
             if high < ca.inf:
-                value = ca.substitute(value, x[k], ca.fmin(x[k], high - BOUND_GUARD))
+                value = ca.substitute(value, x[k], ca.fmin(x[k], high - STATE_BOUND_MARGIN))
         return value
 
     return Balance(b.name, b.unit, held(b.storage), b.state, **{name: held(term) for name, term in b.terms.items()})
@@ -162,10 +140,10 @@ def _sum(terms: Sequence[Printed]) -> str:
         if term.opposite:
             text += f" - {term.opposite}" if text else f"-{term.opposite}"
         else:
-            inner = term.text if term.binds > ADD else f"({term.text})"
+            inner = term.text if term.binding > Binding.SUM else f"({term.text})"
             text += f" + {inner}" if text else inner
     return text or "0"
 
 
 def _bracketed(value: Printed) -> str:
-    return value.text if value.binds == ATOM else f"({value.text})"
+    return value.text if value.binding == Binding.ATOM else f"({value.text})"

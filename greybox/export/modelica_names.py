@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from greybox.export.identifiers import to_identifiers
 from greybox.export.plant import Plant
-from greybox.export.printer import Printer
+from greybox.expressions.printer import Printer
 from greybox.model import Model
 from greybox.units import format_unit
 

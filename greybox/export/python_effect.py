@@ -10,8 +10,8 @@ import casadi as ca
 
 from greybox.effects import CATALOGUE
 from greybox.export.plant import Plant
-from greybox.export.printer import Printer
-from greybox.export.python_text import PYTHON, balance, call, items, keywords, literal, signal
+from greybox.export.python_text import balance, call, items, keywords, literal, signal
+from greybox.expressions import PYTHON, Printer
 from greybox.model import Effect, Model
 from greybox.model.signals import Input, NamedValues, Parameter, State
 from greybox.model.system import BoundEffect

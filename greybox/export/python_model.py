@@ -10,9 +10,9 @@ import casadi as ca
 from greybox.errors import GreyboxError
 from greybox.export.identifiers import to_identifier
 from greybox.export.plant import Plant, to_plant
-from greybox.export.printer import Printer
 from greybox.export.python_effect import write_added_effects
-from greybox.export.python_text import INDENT, NUMPY, PYTHON, balance, call, docstring, items, literal, signal
+from greybox.export.python_text import INDENT, balance, call, docstring, items, literal, signal
+from greybox.expressions import NUMPY, PYTHON, Printer
 from greybox.model import Model, Rule
 from greybox.model.equations import equations_text
 from greybox.model.signals import NamedValues, Parameter
@@ -84,7 +84,7 @@ def _balances(model: Model) -> list[str]:
     x, u, p = named(model)
     found = model.balances(x, u, p)
     writer = Printer(PYTHON, symbols_of(model))
-    writer.look_at(value for b in found for value in (b.storage, *b.terms.values()))
+    writer.count_uses(value for b in found for value in (b.storage, *b.terms.values()))
     rows = [balance(b, b.state, writer, 2) for b in found]
     shared = [f"{INDENT}{name} = {text}" for name, text in writer.shared]
     return ["def balances(x, u, p):", *shared, f"{INDENT}return {items('[', rows, ']', 1)}", ""]

@@ -8,32 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any
 
-from greybox.export.printer import ATOM, Dialect, Printed, Printer, function_call
+from greybox.expressions.printer import Printer
 from greybox.model.balance import Balance
 
 WIDTH = 110
 INDENT = "    "
-
-
-def _casadi(name: str, arguments: Sequence[str]) -> str:
-    return function_call(f"ca.{name}", arguments)
-
-
-def _logic(word: str, operands: Sequence[Printed]) -> Printed:
-    return Printed(_casadi(f"logic_{word}", [operand.text for operand in operands]), ATOM)
-
-
-def _choose(condition: str, yes: str, no: str) -> Printed:
-    return Printed(_casadi("if_else", [condition, yes, no]), ATOM)
-
-
-PYTHON = Dialect("Python", "**", "ca.inf", _casadi, _choose, _logic)
-# Rules are asked with numbers and with arrays.
-NUMPY = Dialect(
-    "Python", "**", "np.inf", lambda name, arguments: function_call(f"np.{name}", arguments),
-    lambda condition, yes, no: Printed(function_call("np.where", [condition, yes, no]), ATOM),
-    lambda word, operands: Printed(function_call(f"np.logical_{word}", [operand.text for operand in operands]), ATOM),
-)  # fmt: skip
 
 
 def call(name: str, arguments: Sequence[str], depth: int = 0, head: int | None = None) -> str:

@@ -1,17 +1,21 @@
-"""An expression as a person writes it: ``Kf (1 - a x^2) i``, ``-Ra i``, ``sqrt(2 g h)``."""
+"""Expressions as a person writes them: ``Kf (1 - a x^2) i``, ``-Ra i``, ``sqrt(2 g h)``, with the fewest brackets."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import casadi as ca
 
-from greybox.expressions.graph import walk
+from greybox.expressions.operations import OPERATIONS, Operation
+from greybox.expressions.printer import Dialect
 
 Factors = dict[str, float]  # text that stands for itself (a name, a call, a bracket) -> exponent
+
+NUMBER = re.compile(r"-?[\d.]+(e-?\d+)?")
+MIRRORED = {"<": ">", "<=": ">=", "==": "==", "!=": "!="}
 
 
 class Product(NamedTuple):
@@ -27,24 +31,53 @@ class Product(NamedTuple):
 
 Sum = tuple[Product, ...]
 
-MATHEMATICAL: tuple[str, ...] = ("exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh")
-MATHEMATICAL += ("asinh", "acosh", "atanh", "erf", "erfinv", "log1p", "expm1", "floor", "ceil")
-OTHERS = ("sqrt", "sign", "atan2", "hypot", "fmod", "remainder", "copysign")
-FUNCTIONS = {getattr(ca, f"OP_{name.upper()}"): name for name in (*MATHEMATICAL, *OTHERS)}
-FUNCTIONS |= {ca.OP_FMIN: "min", ca.OP_FMAX: "max"}
-COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!=", ca.OP_AND: "and", ca.OP_OR: "or"}
-NUMBER = re.compile(r"-?[\d.]+(e-?\d+)?")
-MIRRORED = {"<": ">", "<=": ">=", "==": "==", "!=": "!="}
+
+class TextDialect(Dialect[Sum]):
+    """Equations for people: numbers, factors and powers of a product are collected before it is written."""
+
+    def symbol(self, name: str) -> Sum:
+        """The name as it is."""
+        return (_atom(name),)
+
+    def number(self, value: float) -> Sum:
+        """A product that is a number."""
+        return (_constant(value),)
+
+    def operation(self, node: ca.SX, operands: Sequence[Sum]) -> Sum:
+        """A sum of products; what is neither stands as a factor of its own."""
+        code = node.op()
+        if code in ARITHMETIC:
+            return ARITHMETIC[code](*operands)
+        if code == ca.OP_MUL and _is_log10(node):
+            return (_atom(f"log10({expression_text(node.dep(1).dep(0))})"),)
+        if code == ca.OP_MUL:
+            return (_multiply(_single(operands[0]), _single(operands[1])),)
+        if code in (ca.OP_POW, ca.OP_CONSTPOW):
+            return (_power(node, *operands),)
+        texts = [_sum_text(operand) for operand in operands]
+        if code == ca.OP_IF_ELSE_ZERO:
+            return (_atom(f"if({texts[0]}, {texts[1]}, 0)")._replace(choice=(_operand(operands[0]), texts[1])),)
+        if code == ca.OP_FABS and "|" not in texts[0]:
+            return (_atom(f"|{texts[0]}|"),)
+        row = OPERATIONS.get(code)
+        if row is None or not row.text:
+            return (_atom(f"operation{code}({', '.join(texts)})"),)
+        if row.logical:
+            return (_atom(_relation(row, [_operand(operand) for operand in operands])),)
+        return (_atom(row.text.format(*texts)),)
+
+
+TEXT = TextDialect()
 
 
 def expression_text(value: ca.SX | float) -> str:
-    """A scalar CasADi expression as text: ``Kf (1 - a x^2) i``, ``|v|``, ``if(condition, a, b)``, fewest brackets."""
-    return _sum_text(_parsed(value))
+    """A scalar CasADi expression as text: ``Kf (1 - a x^2) i``, ``|v|``, ``if(condition, a, b)``."""
+    return _sum_text(_write(value))
 
 
 def signed_text(value: ca.SX | float) -> tuple[bool, str]:
-    """Whether a minus stands in front, and the text behind it; a sum of several is put in brackets."""
-    terms = _parsed(value)
+    """Whether a minus stands in front, and the text behind it; a sum of several terms is put in brackets."""
+    terms = _write(value)
     if len(terms) == 1:
         return terms[0].negative, _product_text(terms[0])
     return False, f"({_sum_text(terms)})"
@@ -56,8 +89,8 @@ def number_text(value: float) -> str:
     return f"{mantissa}e{int(exponent)}" if mark else mantissa
 
 
-def _parsed(value: ca.SX | float) -> Sum:
-    return walk(value, lambda name: (_atom(name),), lambda x: (_constant(x),), _combined)
+def _write(value: ca.SX | float) -> Sum:
+    return TEXT.write(value)
 
 
 def _atom(text: str) -> Product:
@@ -68,31 +101,7 @@ def _constant(value: float) -> Product:
     return Product(value < 0, abs(value), {}, 1.0, {})
 
 
-def _combined(node: ca.SX, values: list[Sum]) -> Sum:
-    op = node.op()
-    if op in OPERATIONS:
-        return OPERATIONS[op](values)
-    if op == ca.OP_MUL and _is_log10(node):
-        return (_atom(f"log10({expression_text(node.dep(1).dep(0))})"),)
-    if op == ca.OP_MUL:
-        return (_times(_single(values[0]), _single(values[1])),)
-    if op in (ca.OP_POW, ca.OP_CONSTPOW):
-        return (_power(node, values),)
-    operands = [_operand(value) for value in values]
-    if op in COMPARISONS:
-        return (_atom(f"({_comparison(COMPARISONS[op], *operands)})"),)
-    if op == ca.OP_NOT:
-        return (_atom(f"(not {operands[0]})"),)
-    texts = [_sum_text(value) for value in values]
-    if op == ca.OP_FABS:
-        return (_atom(f"abs({texts[0]})" if "|" in texts[0] else f"|{texts[0]}|"),)
-    if op == ca.OP_IF_ELSE_ZERO:
-        return (_atom(f"if({texts[0]}, {texts[1]}, 0)")._replace(choice=(operands[0], texts[1])),)
-    return (_atom(f"{FUNCTIONS.get(op, f'operation{op}')}({', '.join(texts)})"),)
-
-
-def _add(values: list[Sum]) -> Sum:
-    first, second = values
+def _add(first: Sum, second: Sum) -> Sum:
     if len(first) == len(second) == 1 and first[0].choice and second[0].choice:
         condition, value = first[0].choice
         other, alternative = second[0].choice
@@ -101,30 +110,26 @@ def _add(values: list[Sum]) -> Sum:
     return first + second
 
 
-def _negated(value: Sum) -> Sum:
+def _negate(value: Sum) -> Sum:
     product = _single(value)
     return (product._replace(negative=not product.negative, choice=None),)
 
 
-def _inverted(product: Product) -> Product:
+def _invert(product: Product) -> Product:
     return Product(product.negative, product.divisor, product.divisors, product.number, product.factors)
 
 
-def _times(first: Product, second: Product) -> Product:
+def _multiply(first: Product, second: Product) -> Product:
     return Product(
         first.negative != second.negative,
         first.number * second.number,
-        _merged(first.factors, second.factors),
+        _add_exponents(first.factors, second.factors),
         first.divisor * second.divisor,
-        _merged(first.divisors, second.divisors),
+        _add_exponents(first.divisors, second.divisors),
     )
 
 
-def _squared(value: Sum) -> Sum:
-    return (_raised(_single(value), 2.0),)
-
-
-def _raised(product: Product, exponent: float) -> Product:
+def _raise_to(product: Product, exponent: float) -> Product:
     """A power with a positive number for exponent; only a lone factor takes it on itself."""
     lone = (
         len(product.factors) == 1
@@ -139,7 +144,7 @@ def _raised(product: Product, exponent: float) -> Product:
     return Product(False, 1.0, {f"({_sum_text((product,))})": exponent}, 1.0, {})
 
 
-def _merged(first: Factors, second: Factors) -> Factors:
+def _add_exponents(first: Factors, second: Factors) -> Factors:
     merged = dict(first)
     for text, exponent in second.items():
         merged[text] = merged.get(text, 0.0) + exponent
@@ -150,25 +155,25 @@ def _single(value: Sum) -> Product:
     return value[0] if len(value) == 1 else _atom(f"({_sum_text(value)})")
 
 
-OPERATIONS: dict[int, Callable[[list[Sum]], Sum]] = {
+# What collects terms and factors instead of filling a template.
+ARITHMETIC: dict[int, Callable[..., Sum]] = {
     ca.OP_ADD: _add,
-    ca.OP_SUB: lambda values: values[0] + _negated(values[1]),
-    ca.OP_NEG: lambda values: _negated(values[0]),
-    ca.OP_DIV: lambda values: (_times(_single(values[0]), _inverted(_single(values[1]))),),
-    ca.OP_INV: lambda values: (_inverted(_single(values[0])),),
-    ca.OP_TWICE: lambda values: (_times(_constant(2.0), _single(values[0])),),
-    ca.OP_SQ: lambda values: _squared(values[0]),
+    ca.OP_SUB: lambda first, second: first + _negate(second),
+    ca.OP_NEG: _negate,
+    ca.OP_DIV: lambda first, second: (_multiply(_single(first), _invert(_single(second))),),
+    ca.OP_INV: lambda value: (_invert(_single(value)),),
+    ca.OP_TWICE: lambda value: (_multiply(_constant(2.0), _single(value)),),
+    ca.OP_SQ: lambda value: (_raise_to(_single(value), 2.0),),
 }
 
 
-def _power(node: ca.SX, values: list[Sum]) -> Product:
-    exponent = node.dep(1)
-    if exponent.is_constant() and math.isfinite(float(exponent)):
-        power = float(exponent)
-        raised = _raised(_single(values[0]), abs(power))
-        return _inverted(raised) if power < 0 else raised
-    base, power_text = map(_beside_caret, values)
-    return _atom(f"({base}^{power_text})")
+def _power(node: ca.SX, base: Sum, exponent: Sum) -> Product:
+    constant = node.dep(1)
+    if constant.is_constant() and math.isfinite(float(constant)):
+        power = float(constant)
+        raised = _raise_to(_single(base), abs(power))
+        return _invert(raised) if power < 0 else raised
+    return _atom(f"({_beside_caret(base)}^{_beside_caret(exponent)})")
 
 
 def _beside_caret(value: Sum) -> str:
@@ -195,10 +200,11 @@ def _operand(value: Sum) -> str:
     return _product_text(value[0]) if len(value) == 1 and not value[0].negative else _sum_text(value)
 
 
-def _comparison(sign: str, left: str, right: str) -> str:
-    if sign in MIRRORED and NUMBER.fullmatch(left):  # CasADi turns x > 0 into 0 < x
-        return f"{right} {MIRRORED[sign]} {left}"
-    return f"{left} {sign} {right}"
+def _relation(row: Operation, operands: Sequence[str]) -> str:
+    """A comparison, ``and``, ``or`` or ``not``; CasADi turns ``x > 0`` into ``0 < x``, which is turned back."""
+    if row.name in MIRRORED and NUMBER.fullmatch(operands[0]):
+        return f"({operands[1]} {MIRRORED[row.name]} {operands[0]})"
+    return row.text.format(*operands)
 
 
 def _bare(text: str) -> str:

@@ -11,27 +11,9 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from greybox.kernel.tape import Node, Tangent, Tape, UnsupportedOperationError, operation_name
-
-INFIX = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
-LOGIC = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!=", ca.OP_AND: "&&", ca.OP_OR: "||"}
-# These are called the same in CasADi and in C.
-NAMES = """
-    sqrt exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf floor ceil fabs
-    fmod remainder copysign atan2 hypot pow
-"""
-CALLS = {getattr(ca, f"OP_{name.upper()}"): name for name in NAMES.split()} | {ca.OP_CONSTPOW: "pow"}
-FORMS = {
-    ca.OP_NEG: "-{0}",
-    ca.OP_INV: "1.0 / {0}",
-    ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "{0} + {0}",
-    ca.OP_NOT: "!{0}",
-    ca.OP_SIGN: "{0} < 0 ? -1.0 : {0} > 0 ? 1.0 : {0}",
-    ca.OP_IF_ELSE_ZERO: "{0} ? {1} : 0.0",
-    ca.OP_FMIN: "({0} < {1} || {1} != {1}) ? {0} : {1}",
-    ca.OP_FMAX: "({0} > {1} || {1} != {1}) ? {0} : {1}",
-}
+from greybox.expressions.c import c_instruction, c_literal, c_type
+from greybox.expressions.operations import operation_name
+from greybox.kernel.tape import Node, Tangent, Tape, UnsupportedOperationError
 
 
 class CRoutine:
@@ -96,7 +78,7 @@ class CRoutine:
 
     @staticmethod
     def _type(node: Node) -> str:
-        return "int" if node.op in LOGIC or node.op == ca.OP_NOT else "double"
+        return c_type(node.op)
 
     def _value(self, k: int) -> str:
         node = self.tape.nodes[k]
@@ -107,13 +89,9 @@ class CRoutine:
         return f"t{k}" if node.varying else f"c->t{k}"
 
     def _expression(self, node: Node) -> str:
-        args = [self._value(a) for a in node.args]
-        if node.op in INFIX or node.op in LOGIC:
-            return f"{args[0]} {INFIX.get(node.op) or LOGIC[node.op]} {args[1]}"
-        if node.op in CALLS:
-            return f"{CALLS[node.op]}({', '.join(args)})"
-        if node.op in FORMS:
-            return FORMS[node.op].format(*args)
+        instruction = c_instruction(node.op, [self._value(a) for a in node.args])
+        if instruction:
+            return instruction
         raise UnsupportedOperationError(
             f"CasADi operation number {node.op} ({operation_name(node.op)}) cannot be written in C;"
             " write the term without it, or let the interpreted kernel run it"
@@ -137,12 +115,3 @@ class CRoutine:
             factor = "" if plain or coefficient is None else f"{self._value(coefficient)} * "
             text += (" - " if negative else " + " if text else "") + factor + self._lane(k, block)
         return text.strip()
-
-
-def c_literal(value: float) -> str:
-    """A C literal that reads back as the same double."""
-    if value != value:
-        return "NAN"
-    if value in (float("inf"), float("-inf")):
-        return "INFINITY" if value > 0 else "(-INFINITY)"
-    return repr(value) if value >= 0 and repr(value) != "-0.0" else f"({value!r})"

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import casadi as ca
 
 from greybox.errors import GreyboxError
-from greybox.kernel.derivative_rules import BINARY, FLAT, PICKS, UNARY, Slope
-
-COMMUTATIVE = frozenset([ca.OP_ADD, ca.OP_MUL, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_HYPOT])
+from greybox.expressions.derivatives import Flat, Selection
+from greybox.expressions.operations import OPERATIONS, operation_name
 
 
 class UnsupportedOperationError(GreyboxError):
@@ -69,7 +68,7 @@ class Tape:
         if op == ca.OP_MUL and 1.0 in (args[0].number, args[1].number):
             return args[1] if args[0].number == 1.0 else args[0]
         numbers = tuple(a.index for a in args)
-        if op in COMMUTATIVE:
+        if op in OPERATIONS and OPERATIONS[op].commutative:
             numbers = tuple(sorted(numbers))
         return self._node(op, numbers, None, any(a.varying for a in args))
 
@@ -123,27 +122,27 @@ class Scalar:
         """``value`` where this scalar is not zero, else 0 (also where ``value`` is not finite)."""
         return self._with(ca.OP_IF_ELSE_ZERO, value)
 
-    def equals(self, other: Slope) -> Scalar:
+    def equals(self, other: Scalar | float) -> Scalar:
         """1 where equal, else 0."""
         return self._with(ca.OP_EQ, other)
 
-    def _with(self, op: int, other: Slope, swapped: bool = False) -> Scalar:
+    def _with(self, op: int, other: Scalar | float, swapped: bool = False) -> Scalar:
         second = other if isinstance(other, Scalar) else self.tape.constant(other)
         return self.tape.apply(op, second, self) if swapped else self.tape.apply(op, self, second)
 
     def __neg__(self) -> Scalar:
         return self.apply(ca.OP_NEG)
 
-    def __add__(self, other: Slope) -> Scalar:
+    def __add__(self, other: Scalar | float) -> Scalar:
         return self._with(ca.OP_ADD, other)
 
-    def __sub__(self, other: Slope) -> Scalar:
+    def __sub__(self, other: Scalar | float) -> Scalar:
         return self._with(ca.OP_SUB, other)
 
-    def __mul__(self, other: Slope) -> Scalar:
+    def __mul__(self, other: Scalar | float) -> Scalar:
         return self._with(ca.OP_MUL, other)
 
-    def __truediv__(self, other: Slope) -> Scalar:
+    def __truediv__(self, other: Scalar | float) -> Scalar:
         return self._with(ca.OP_DIV, other)
 
     def __radd__(self, other: float) -> Scalar:
@@ -158,7 +157,7 @@ class Scalar:
     def __rtruediv__(self, other: float) -> Scalar:
         return self.apply(ca.OP_INV) if other == 1 else self._with(ca.OP_DIV, other, swapped=True)
 
-    def __gt__(self, other: Slope) -> Scalar:
+    def __gt__(self, other: Scalar | float) -> Scalar:
         return self._with(ca.OP_LT, other, swapped=True)
 
 
@@ -196,19 +195,19 @@ def read_tape(function: ca.Function, *, active: Sequence[int] = (), varying: Seq
 
 def _step(tape: Tape, op: int, args: list[tuple[Scalar, int | None]]) -> tuple[Scalar, int | None]:
     """One instruction: its value and its tangent."""
-    if op not in UNARY and op not in BINARY and op not in PICKS and op not in FLAT:
+    derivative = OPERATIONS[op].derivative if op in OPERATIONS else None
+    if derivative is None:
         raise UnsupportedOperationError(
             f"CasADi operation number {op} ({operation_name(op)}) has no tangent rule; write the term without it"
         )
     scalars, tangents = [a[0] for a in args], [a[1] for a in args]
     result = tape.apply(op, *scalars)
-    if op in FLAT or all(tangent is None for tangent in tangents):
+    if isinstance(derivative, Flat) or all(tangent is None for tangent in tangents):
         return result, None
-    if op in PICKS:
-        return result, _pick(tape, op, (*scalars, result), tangents)
-    rules: Sequence[Callable[..., Slope]] = BINARY[op] if op in BINARY else (UNARY[op],)
+    if isinstance(derivative, Selection):
+        return result, _pick(tape, derivative, (*scalars, result), tangents)
     terms: list[tuple[int | None, int | None]] = []
-    for rule, tangent in zip(rules, tangents, strict=True):
+    for rule, tangent in zip(derivative.rules, tangents, strict=True):
         if tangent is None:
             continue
         slope = rule(*scalars, result)
@@ -223,16 +222,10 @@ def _step(tape: Tape, op: int, args: list[tuple[Scalar, int | None]]) -> tuple[S
     return result, tape.tangent(Tangent(tuple(terms), None, None, moving))
 
 
-def _pick(tape: Tape, op: int, scalars: Sequence[Scalar], tangents: list[int | None]) -> int | None:
-    rule, sides = PICKS[op]
-    condition = rule(*scalars)
-    chosen = [None if side is None else tangents[side] for side in sides]
+def _pick(tape: Tape, selection: Selection, scalars: Sequence[Scalar], tangents: list[int | None]) -> int | None:
+    condition = selection.condition(*scalars)
+    chosen = [None if side is None else tangents[side] for side in selection.operands]
     if chosen[0] == chosen[1]:
         return chosen[0]
     moving = condition.varying or any(tape.tangents[tangent].varying for tangent in chosen if tangent is not None)
     return tape.tangent(Tangent(tuple((None, tangent) for tangent in chosen), condition.index, None, moving))
-
-
-def operation_name(op: int) -> str:
-    """CasADi's name of an operation code."""
-    return next((name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == op), "unknown")

@@ -18,13 +18,12 @@ from greybox.model.effect_hooks import InputDelay, StateUpdate, build_delay, col
 from greybox.model.process_noise import build_diffusion
 from greybox.model.signals import NamedValues, Output, Parameter, Quantity, State
 from greybox.model.ties import apply_ties
+from greybox.numerics import STATE_BOUND_MARGIN
 from greybox.units import format_unit
 
 if TYPE_CHECKING:
     from greybox.model.model import Model
 
-# A state with a physical bound is held this far inside it in the equations, so that sqrt(level) keeps a finite slope.
-BOUND_GUARD = 1e-9
 KEPT = 64  # extended systems, for the next time: more than the catalogue has effects
 
 
@@ -388,7 +387,7 @@ def _guarded(rhs: ca.SX, x: ca.SX, states: Sequence[State]) -> ca.SX:
     for k, state in enumerate(states):
         low, high = state.bounds
         if low > -ca.inf:
-            rhs = ca.substitute(rhs, x[k], ca.fmax(x[k], low + BOUND_GUARD))
+            rhs = ca.substitute(rhs, x[k], ca.fmax(x[k], low + STATE_BOUND_MARGIN))
         if high < ca.inf:
-            rhs = ca.substitute(rhs, x[k], ca.fmin(x[k], high - BOUND_GUARD))
+            rhs = ca.substitute(rhs, x[k], ca.fmin(x[k], high - STATE_BOUND_MARGIN))
     return rhs

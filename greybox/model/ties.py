@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import ModelError, nearest
-from greybox.model.formula import evaluate_formula, format_formula, list_formula_names
+from greybox.expressions.formula import evaluate_formula, format_formula, list_formula_names
 from greybox.model.signals import Expression, NamedValues, Parameter
 from greybox.units import format_unit
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
@@ -10,8 +9,8 @@ from typing import TYPE_CHECKING
 import casadi as ca
 
 from greybox.errors import ModelError, UnitError, nearest
-from greybox.expressions.graph import walk
-from greybox.expressions.text import MATHEMATICAL, expression_text
+from greybox.expressions.unit_rules import UnitMismatchError
+from greybox.expressions.units import infer_unit
 from greybox.model.balance import Balance
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State
 from greybox.model.system import System
@@ -22,24 +21,9 @@ if TYPE_CHECKING:
     from greybox.model.model import Model
 
 Signal = State | Input | Output | Parameter
-Found = Unit | None  # None fits anything: 0 and infinity have no unit of their own
 
 SECOND = parse_unit("s")
 MEASURED = "measured value"  # what a sensor effect is given; the blank keeps it apart from a state of that name
-SAME = {
-    ca.OP_ADD: "adds", ca.OP_SUB: "subtracts", ca.OP_FMIN: "takes the smaller of", ca.OP_FMAX: "takes the larger of",
-    ca.OP_HYPOT: "takes the length of", ca.OP_FMOD: "takes the remainder of", ca.OP_REMAINDER: "takes the remainder of",
-}  # fmt: skip
-SAME_TO_NUMBER = {ca.OP_ATAN2: "takes the angle of"} | dict.fromkeys(
-    (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE), "compares"
-)
-NUMBERS = {getattr(ca, f"OP_{name.upper()}"): name for name in (*MATHEMATICAL, "not", "and", "or")}
-POWERS = {ca.OP_SQ: 2.0, ca.OP_SQRT: 0.5, ca.OP_INV: -1.0}
-KEPT = (ca.OP_NEG, ca.OP_TWICE, ca.OP_FABS, ca.OP_ASSIGN, ca.OP_COPYSIGN, ca.OP_LIFT)
-
-
-class _MisfitError(Exception):
-    """What is wrong inside one expression."""
 
 
 def check_units(model: Model) -> None:
@@ -60,17 +44,6 @@ def check_units(model: Model) -> None:
         raise UnitError(
             f"model {model.title!r}: {'; '.join(problems)}. Correct the equation, or the unit of a parameter in it"
         )
-
-
-def unit_of(value: ca.SX | float, units: Mapping[str, str]) -> Unit:
-    """The unit of an expression whose symbols have ``units`` (name -> unit); one that fits anything is a plain number.
-
-    Raises UnitError where the expression adds, compares or raises what has no common sense.
-    """
-    try:
-        return _found(value, units) or ONE
-    except _MisfitError as misfit:
-        raise UnitError(f"'{expression_text(value)}' {misfit}") from None
 
 
 def _declared(model: Model) -> Iterator[str]:
@@ -186,9 +159,9 @@ def _equations(system: System, units: Mapping[str, str], model: Model) -> Iterat
 def _storage(place: str, balance: Balance, units: Mapping[str, str]) -> Iterator[str]:
     subject = f"{place} storage times d{balance.state}/dt"
     try:
-        stored = _found(balance.storage, units) or ONE
-    except _MisfitError as misfit:
-        yield f"{subject}: {misfit}"
+        stored = infer_unit(balance.storage, units) or ONE
+    except UnitMismatchError as mismatch:
+        yield f"{subject}: {mismatch}"
         return
     rate = stored * parse_unit(units[balance.state]) / SECOND
     if rate != parse_unit(balance.unit):
@@ -197,9 +170,9 @@ def _storage(place: str, balance: Balance, units: Mapping[str, str]) -> Iterator
 
 def _expected(subject: str, value: ca.SX | float, unit: str, *, units: Mapping[str, str]) -> Iterator[str]:
     try:
-        found = _found(value, units)
-    except _MisfitError as misfit:
-        yield f"{subject.removesuffix(':')}: {misfit}"
+        found = infer_unit(value, units)
+    except UnitMismatchError as mismatch:
+        yield f"{subject.removesuffix(':')}: {mismatch}"
         return
     if found is not None and found != parse_unit(unit):
         yield f"{subject} has {_called(found, units)}, expected {format_unit(unit) or '1'}"
@@ -207,77 +180,3 @@ def _expected(subject: str, value: ca.SX | float, unit: str, *, units: Mapping[s
 
 def _called(unit: Unit, units: Mapping[str, str]) -> str:
     return "no unit" if unit == ONE else f"unit {unit_name(unit, units.values())}"
-
-
-def _found(value: ca.SX | float, units: Mapping[str, str]) -> Found:
-    def leaf(symbol: str) -> Found:
-        if symbol not in units:
-            raise _MisfitError(f"uses {symbol!r}, which is no state, input or parameter of the model")
-        return parse_unit(units[symbol])
-
-    return walk(value, leaf, _number, partial(_combined, units=units))
-
-
-def _number(value: float) -> Found:
-    return ONE if value and math.isfinite(value) else None
-
-
-def _combined(node: ca.SX, values: list[Found], *, units: Mapping[str, str]) -> Found:
-    """The unit of one operation."""
-    op, first = node.op(), values[0]
-    if op in KEPT:
-        return first
-    if op == ca.OP_MUL:
-        return first * values[1] if first and values[1] else None
-    if op == ca.OP_DIV:
-        return first / values[1] if first and values[1] else None
-    if op in POWERS:
-        return first ** POWERS[op] if first else None
-    if op in SAME:
-        return _same(node, values, SAME[op], units)
-    if op in SAME_TO_NUMBER:
-        _same(node, values, SAME_TO_NUMBER[op], units)
-        return ONE
-    if op in (ca.OP_POW, ca.OP_CONSTPOW):
-        return _raised(node, values, units)
-    if op == ca.OP_IF_ELSE_ZERO:
-        _plain(node, first, "if", units)
-        return values[1]
-    if op == ca.OP_SIGN:
-        return ONE
-    for value in values if op in NUMBERS else ():
-        _plain(node, value, NUMBERS[op], units)
-    if op in NUMBERS:
-        return ONE
-    raise _MisfitError(
-        f"'{expression_text(node)}' is an operation whose unit is not known; write it with ordinary functions"
-    )
-
-
-def _same(node: ca.SX, values: list[Found], verb: str, units: Mapping[str, str]) -> Found:
-    first, second = values
-    if first is not None and second is not None and first != second:
-        raise _MisfitError(f"{verb} {_short(first, units)} and {_short(second, units)} in '{expression_text(node)}'")
-    return second if first is None else first
-
-
-def _raised(node: ca.SX, values: list[Found], units: Mapping[str, str]) -> Found:
-    base, exponent = values
-    power = node.dep(1)
-    if power.is_constant():
-        return base ** float(power) if base else None
-    if base is not None and base != ONE:
-        raise _MisfitError(f"raises {_short(base, units)} to a power that is not a number in '{expression_text(node)}'")
-    _plain(node, exponent, "a power", units)
-    return ONE
-
-
-def _plain(node: ca.SX, value: Found, where: str, units: Mapping[str, str]) -> None:
-    if value is not None and value != ONE:
-        raise _MisfitError(
-            f"{where} needs a number without unit, has {_short(value, units)} in '{expression_text(node)}'"
-        )
-
-
-def _short(unit: Unit, units: Mapping[str, str]) -> str:
-    return "a number" if unit == ONE else unit_name(unit, units.values())

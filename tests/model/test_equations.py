@@ -138,7 +138,7 @@ def test_the_text_evaluates_to_the_expression(value: ca.SX) -> None:
     expected = float(function(*SYMBOLS.values()))
     if not math.isfinite(expected) or abs(expected) > 1e6:
         return
-    with mock.patch.object(text, "number", repr):  # all digits, and not the six that a person reads
+    with mock.patch.object(text, "number_text", repr):  # all digits, and not the six that a person reads
         written = expression_text(value)
     names = SYMBOLS | FUNCTIONS | {"abs": abs, "min": min, "max": max}
     try:

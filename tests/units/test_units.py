@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State
 from greybox.errors import ModelError, UnitError
-from greybox.model.unit_check import unit_of
+from greybox.expressions.units import unit_of
 from greybox.units import ONE, Unit, convert, format_unit, parse_unit, unit_converter, unit_name
 from greybox.units.symbols import KNOWN, LONG, RUN_TOGETHER
 
@@ -274,7 +274,7 @@ def test_expression_without_a_unit(value: ca.SX, message: str) -> None:
 
 
 def test_a_vector_is_no_term() -> None:
-    with pytest.raises(ModelError, match="has 2 rows and 1 columns; an equation's term is one number"):
+    with pytest.raises(ModelError, match="has 2 rows and 1 columns; a term of an equation is one number"):
         unit_of(ca.vertcat(x, y), UNITS)
 
 

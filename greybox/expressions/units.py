@@ -1,0 +1,54 @@
+"""The unit of an expression, from the units of its symbols."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import casadi as ca
+
+from greybox.errors import UnitError
+from greybox.expressions.graph import walk
+from greybox.expressions.operations import OPERATIONS
+from greybox.expressions.text import expression_text
+from greybox.expressions.unit_rules import Operands, UnitMismatchError
+from greybox.units import ONE, Unit, parse_unit, unit_name
+
+
+def unit_of(value: ca.SX | float, units: Mapping[str, str]) -> Unit:
+    """The unit of an expression whose symbols have ``units`` (name -> unit); one that fits anything is a plain number.
+
+    Raises UnitError where the expression adds, compares or raises what has no common sense.
+    """
+    try:
+        return infer_unit(value, units) or ONE
+    except UnitMismatchError as mismatch:
+        raise UnitError(f"'{expression_text(value)}' {mismatch}") from None
+
+
+def infer_unit(value: ca.SX | float, units: Mapping[str, str]) -> Unit | None:
+    """The unit of an expression, None for one that fits anything (0, infinity). Raises UnitMismatchError for operands that do not fit."""
+
+    def label(unit: Unit) -> str:
+        return "a number" if unit == ONE else unit_name(unit, units.values())
+
+    def leaf(symbol: str) -> Unit | None:
+        if symbol not in units:
+            raise UnitMismatchError(f"uses {symbol!r}, which is no state, input or parameter of the model")
+        return parse_unit(units[symbol])
+
+    def constant(number: float) -> Unit | None:
+        return ONE if number and math.isfinite(number) else None
+
+    def combine(node: ca.SX, operands: list[Unit | None]) -> Unit | None:
+        row = OPERATIONS.get(node.op())
+        if row is None:
+            raise UnitMismatchError(
+                f"'{expression_text(node)}' is an operation whose unit is not known; write it with ordinary functions"
+            )
+        try:
+            return row.unit(Operands(node, operands, label))
+        except UnitMismatchError as mismatch:
+            raise UnitMismatchError(f"{mismatch} in '{expression_text(node)}'") from None
+
+    return walk(value, leaf, constant, combine)
