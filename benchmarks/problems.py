@@ -81,9 +81,15 @@ CASES = {"actuator": actuator, "pneumatic": pneumatic, "positioning": positionin
 
 
 def _case(
-    name: str, truth: Model, wrong: tuple[float, ...], u: np.ndarray, period: float, substeps: int,
-    noise: float | None, share: float | None,
-) -> Case:  # fmt: skip
+    name: str,
+    truth: Model,
+    wrong: tuple[float, ...],
+    u: np.ndarray,
+    period: float,
+    substeps: int,
+    noise: float | None,
+    share: float | None,
+) -> Case:
     """Simulate the truth by RK4 with four times the substeps and add noise: an amount, or a share of the signal.
 
     ``substeps`` are those that greybox chooses for RK4 (at most half a unit of |h lambda| each).
@@ -144,12 +150,18 @@ def _pneumatic_balances(x, u, p):
     return [
         Balance("position", "m/s", 1, "s", velocity=x.v),
         Balance(
-            "force", "N", p.M, "v",
-            pressure=p.A * (x.p_a - x.p_b), viscous=-p.Fv * x.v, dry=-p.Fc * ca.tanh(x.v / p.vs), spring=-p.Ks * x.s,
+            "force",
+            "N",
+            p.M,
+            "v",
+            pressure=p.A * (x.p_a - x.p_b),
+            viscous=-p.Fv * x.v,
+            dry=-p.Fc * ca.tanh(x.v / p.vs),
+            spring=-p.Ks * x.s,
         ),
         Balance("pressure_a", "Pa/s", 1, "p_a", flow=flow_a, motion=-x.p_a * swept / volume_a),
         Balance("pressure_b", "Pa/s", 1, "p_b", flow=flow_b, motion=x.p_b * swept / volume_b),
-    ]  # fmt: skip
+    ]
 
 
 def _cylinder() -> Model:
@@ -168,22 +180,34 @@ def _cylinder() -> Model:
             _sought("Fv", "N*s/m", 90.0),
             _sought("Fc", "N", 25.0),
             _sought("sd", "V", 0.6),
-            _known("A", "m**2", 11.56e-4), _known("V_h", "m**3", 4.2e-4), _known("P_S", "Pa", 8e5),
-            _known("P_a", "Pa", 1.013e5), _known("rho_a", "kg/m**3", 1.185), _known("RT", "J/kg", 8.41e4),
-            _known("u_ref", "V", 1.0), _known("vs", "m/s", 0.05), _known("Ks", "N/m", 1500.0),
+            _known("A", "m**2", 11.56e-4),
+            _known("V_h", "m**3", 4.2e-4),
+            _known("P_S", "Pa", 8e5),
+            _known("P_a", "Pa", 1.013e5),
+            _known("rho_a", "kg/m**3", 1.185),
+            _known("RT", "J/kg", 8.41e4),
+            _known("u_ref", "V", 1.0),
+            _known("vs", "m/s", 0.05),
+            _known("Ks", "N/m", 1500.0),
         ],
         _pneumatic_balances,
-    )  # fmt: skip
+    )
 
 
 def _carriage_balances(x, u, p):
     return [
         Balance("position", "m/s", 1, "q", velocity=x.v),
         Balance(
-            "force", "N", p.M, "v",
-            motor=p.g * u.u, viscous=-p.Fv * x.v, dry=-p.Fc * ca.tanh(x.v / p.vs), spring=-p.Ks * x.q,
+            "force",
+            "N",
+            p.M,
+            "v",
+            motor=p.g * u.u,
+            viscous=-p.Fv * x.v,
+            dry=-p.Fc * ca.tanh(x.v / p.vs),
+            spring=-p.Ks * x.q,
         ),
-    ]  # fmt: skip
+    ]
 
 
 def _carriage() -> Model:
@@ -193,8 +217,12 @@ def _carriage() -> Model:
         [Input("u", "V")],
         [Output("q", "m")],
         [
-            _sought("M", "kg", 95.0), _sought("Fv", "N*s/m", 203.5), _sought("Fc", "N", 20.4), _sought("Ks", "N/m", 900.0),
-            _known("g", "N/V", 35.15065), _known("vs", "m/s", 0.01),
+            _sought("M", "kg", 95.0),
+            _sought("Fv", "N*s/m", 203.5),
+            _sought("Fc", "N", 20.4),
+            _sought("Ks", "N/m", 900.0),
+            _known("g", "N/V", 35.15065),
+            _known("vs", "m/s", 0.01),
         ],
         _carriage_balances,
-    )  # fmt: skip
+    )

@@ -21,13 +21,16 @@ def page(result: dict) -> str:
     """Markdown."""
     problems = result["problems"]
     lines = [
-        "# How long fits take", "",
+        "# How long fits take",
+        "",
         "Written by `make bench`. The unit is the simulation equivalent: CPU time of the whole fit over that of one compiled RK4",
         "pass over the same data, measured in the same process just before and after. Imports, compilation and building are not",
         "counted (jax-sysid compiles in every fit). Start values are about 40 % off. `benchmarks/problems.py` states the",
-        "problems, `benchmarks/peers.py` how the others are used.", "",
-        "| | goal | " + " | ".join(problems) + " |", "|---|---|" + "---|" * len(problems),
-    ]  # fmt: skip
+        "problems, `benchmarks/peers.py` how the others are used.",
+        "",
+        "| | goal | " + " | ".join(problems) + " |",
+        "|---|---|" + "---|" * len(problems),
+    ]
     rows = [
         ("samples", "", "samples", "{:,}"),
         ("one compiled RK4 pass, ms", "", "unit_ms", "{:.2f}"),
@@ -48,13 +51,16 @@ def page(result: dict) -> str:
     lines += [
         "",
         "In brackets: rounds, and by how much the cost that a peer reached lies above the best RK4 optimum (relative). A fit with",
-        "`solve_least_squares` + `solve_ivp` was not run: multiply one simulation by the 30 to 100 that finite differences need.", "",
+        "`solve_least_squares` + `solve_ivp` was not run: multiply one simulation by the 30 to 100 that finite differences need.",
+        "",
         f"First result after the imports (pneumatic): {first['cold']:.2f} s with an empty cache (goal 3), {first['warm']:.2f} s"
         " after that (goal 0.5).",
-        f"Memory of the linear fit of 400,000 samples above imports and data: {result['memory_above_data_mb']:.0f} MB (goal 20).", "",
+        f"Memory of the linear fit of 400,000 samples above imports and data: {result['memory_above_data_mb']:.0f} MB (goal 20).",
+        "",
         f"Machine: {_processor()}, {os.cpu_count()} cores, load average {os.getloadavg()[0]:.1f} at the end; {_compiler()};"
-        f" Python {platform.python_version()}, " + ", ".join(f"{k} {v}" for k, v in result["versions"].items()) + ".", "",
-    ]  # fmt: skip
+        f" Python {platform.python_version()}, " + ", ".join(f"{k} {v}" for k, v in result["versions"].items()) + ".",
+        "",
+    ]
     return "\n".join(lines)
 
 

@@ -123,20 +123,32 @@ def with_force(linear: Linearisation, body: str, mass: float) -> Linearisation:
     push[linear.state_names.index(body)] = 1 / mass
     zero = np.zeros(1)
     return replace(
-        linear, B=np.hstack([linear.B, push]), D=np.hstack([linear.D, np.zeros((len(linear.C), 1))]),
-        input_names=(*linear.input_names, "force"), input_units=(*linear.input_units, "N"),
-        u0=np.append(linear.u0, zero), delay=np.append(linear.delay, zero),
-    )  # fmt: skip
+        linear,
+        B=np.hstack([linear.B, push]),
+        D=np.hstack([linear.D, np.zeros((len(linear.C), 1))]),
+        input_names=(*linear.input_names, "force"),
+        input_units=(*linear.input_units, "N"),
+        u0=np.append(linear.u0, zero),
+        delay=np.append(linear.delay, zero),
+    )
 
 
 def channel(linear: Linearisation, output: str) -> Linearisation:
     """From the first input to one output, without states that this input does not reach or this output does not show."""
     row = linear.output_names.index(output)
     return replace(
-        linear, B=linear.B[:, :1], C=linear.C[[row]], D=linear.D[[row], :1], input_names=linear.input_names[:1],
-        input_units=linear.input_units[:1], output_names=(output,), output_units=(linear.output_units[row],),
-        u0=linear.u0[:1], y0=linear.y0[[row]], delay=linear.delay[:1],
-    ).minimal()  # fmt: skip
+        linear,
+        B=linear.B[:, :1],
+        C=linear.C[[row]],
+        D=linear.D[[row], :1],
+        input_names=linear.input_names[:1],
+        input_units=linear.input_units[:1],
+        output_names=(output,),
+        output_units=(linear.output_units[row],),
+        u0=linear.u0[:1],
+        y0=linear.y0[[row]],
+        delay=linear.delay[:1],
+    ).minimal()
 
 
 @dataclass(frozen=True)

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-import numpy as np
-
-from fits.control_study import BLACK, COMPENSATED, FAMILY, GENTLER, KNOWING, LEVEL, PLAIN, Study
+from fits import control_micro_actuator, control_pneumatic
+from fits.control_study import BLACK, COMPENSATED, FAMILY, PLAIN, Study
+from fits.control_tables import ORDER, gentler_head, gentler_rows, print_tables, rows_of
 from fits.paper_page import MODELS, docs_folder, legend, markdown, picture, save
 
 PAGE = "control.md"
-MEASURES = (
-    "settling time of each move [s]", "overshoot", "steady error",
-    "slowest settling of the family [s]", "worst steady error of the family",
-    "gain margin", "phase margin", "distance from -1", "distance, least of the family", f"distance, worst of the {100 * LEVEL:.0f} % set",
-)  # fmt: skip
-ORDER = (BLACK, PLAIN, KNOWING, COMPENSATED)
 COLOURS = dict(zip(ORDER, MODELS, strict=True))
 TITLE = f"""# What the constants are for: controllers
 
@@ -38,73 +31,24 @@ whose `judge_comparison` asserts what is said here.
 """
 
 
-def rows_of(found: Study) -> list[list[str]]:
-    """A row for each of `MEASURES`, a column for each design."""
-    unit, size = found.setting.shown
-    columns = []
-    for name in ORDER:
-        verdict, m, spread = found.verdicts[name], found.margins[name], found.spread[name]
-        columns.append([
-            ", ".join(map(seconds, verdict.settling)), f"{100 * verdict.overshoot:.0f} %", f"{verdict.steady / size:.2g} {unit}",
-            seconds(max(v.slowest for v in spread.verdicts)), f"{max(v.steady for v in spread.verdicts) / size:.2g} {unit}",
-            f"{m.gain:.2f}" if m.stable else "-", f"{m.phase:.0f}°" if m.stable else "-", distance(m.distance if m.stable else -1.0),
-            distance(spread.distance), distance(spread.worst),
-        ])  # fmt: skip
-    return [[measure, *values] for measure, values in zip(MEASURES, zip(*columns, strict=True), strict=True)]
-
-
-def gentler_rows(found: Study) -> list[list[str]]:
-    """Steady error and slowest settling time of each design, at the weights of the study and at gentler ones."""
-    unit, size = found.setting.shown
-    columns = [found.verdicts, *(found.gentler[factor] for factor in GENTLER)]
-    return [
-        [name, *(f"{seconds(column[name].slowest)}, {column[name].steady / size:.2g} {unit}" for column in columns)]
-        for name in ORDER
-    ]
-
-
-def seconds(value: float) -> str:
-    """A settling time, or a dash where it never settles."""
-    return f"{value:.3g}" if np.isfinite(value) else "-"
-
-
-def distance(value: float) -> str:
-    """A distance from -1, which is negative where the loop is unstable."""
-    return f"{value:.2f}" if value > 0 else "unstable"
-
-
-def printed(found: Study) -> None:
-    """The tables on the terminal."""
-    from greybox.result.summary import format_table
-
-    lines = [found.found.story, "", *format_table(["", *ORDER], rows_of(found)), ""]
-    lines += format_table(gentler_head(), gentler_rows(found))
-    sys.stdout.write("\n".join(lines) + "\n")
-
-
-def gentler_head() -> list[str]:
-    """Of the table of gentler weights."""
-    return [
-        "slowest settling [s], steady error",
-        "weights of the study",
-        *(f"voltage counts {f:g} times" for f in GENTLER),
-    ]
-
-
 def section(title: str, name: str, words: str, found: Study, folder: Path) -> str:
     """One rig's part of the page; its figure is written beside it."""
     draw(found, folder, name)
     moves, (unit, size) = found.setting.moves, found.setting.shown
     targets = ", ".join(f"{t / size:g}" for t in moves.targets)
-    return "\n\n".join([
-        f"## {title}", words,
-        f"What `discover` says: {found.found.story}",
-        f"Targets {targets} {unit}, {moves.hold:g} s each and {moves.rise:g} s on the way; within {moves.band / size:g} {unit} is there.",
-        markdown(["", *ORDER], rows_of(found)),
-        "It is no matter of the weights; with the voltage counted more:",
-        markdown(gentler_head(), gentler_rows(found)),
-        f"![{title}: positions and errors of each design](figures/{name}.png)",
-    ])  # fmt: skip
+    return "\n\n".join(
+        [
+            f"## {title}",
+            words,
+            f"What `discover` says: {found.found.story}",
+            f"Targets {targets} {unit}, {moves.hold:g} s each and {moves.rise:g} s on the way;"
+            f" within {moves.band / size:g} {unit} is there.",
+            markdown(["", *ORDER], rows_of(found)),
+            "The conclusion does not depend on the LQ weights:",
+            markdown(gentler_head(), gentler_rows(found)),
+            f"![{title}: positions and errors of each design](figures/{name}.png)",
+        ]
+    )
 
 
 def draw(found: Study, folder: Path, name: str) -> None:
@@ -134,12 +78,10 @@ def draw(found: Study, folder: Path, name: str) -> None:
 
 def main() -> None:
     """Both studies, their verdicts, and the page."""
-    from fits import control_micro_actuator, control_pneumatic
-
     folder, parts = docs_folder("control_page"), []
     for title, module in (("Micro-motion actuator", control_micro_actuator), ("Pneumatic cylinder", control_pneumatic)):
         found = module.study(module.SETTING)
-        printed(found)
+        print_tables(found)
         module.verdict(found)
         parts.append(section(title, module.__name__.rpartition(".")[2], module.WORDS, found, folder))
     (folder / PAGE).write_text("\n\n".join([TITLE.rstrip(), *parts]) + "\n", encoding="utf-8")

@@ -13,8 +13,8 @@ import numpy as np
 
 from fits.control_design import Weights
 from fits.control_loop import Moves
-from fits.control_page import printed
 from fits.control_study import BLACK, COMPENSATED, PLAIN, Setting, Study, study
+from fits.control_tables import print_tables
 from greybox.signals import multisine
 from models.pneumatic_cylinder import pneumatic_cylinder
 
@@ -68,5 +68,5 @@ def verdict(found: Study) -> None:
 
 if __name__ == "__main__":
     result = study(SETTING)
-    printed(result)
+    print_tables(result)
     verdict(result)

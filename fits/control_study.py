@@ -127,9 +127,16 @@ def study(setting: Setting) -> Study:
         softer = designs_of(other, found.base.model, found.best.model, black)
         gentler[factor] = {name: judged(run_of(other, made), setting.moves) for name, made in softer.items()}
     return Study(
-        setting, found, black, designs, runs, {name: judged(run, setting.moves) for name, run in runs.items()},
-        {name: margins(made, true) for name, made in designs.items()}, spread_of(setting, found.best, designs), gentler,
-    )  # fmt: skip
+        setting,
+        found,
+        black,
+        designs,
+        runs,
+        {name: judged(run, setting.moves) for name, run in runs.items()},
+        {name: margins(made, true) for name, made in designs.items()},
+        spread_of(setting, found.best, designs),
+        gentler,
+    )
 
 
 def run_of(setting: Setting, made: Design, rig: Any = None, seed: int = 0) -> Run:
@@ -141,8 +148,11 @@ def designs_of(setting: Setting, plain: gb.Model, best: gb.Model, black: Any) ->
     """The four controllers, all by the same rule."""
     alone, (knowing, friction) = grey_plant(setting, plain)[0], grey_plant(setting, best)
     plants = {
-        BLACK: (black_plant(black), None), PLAIN: (alone, None), KNOWING: (knowing, None), COMPENSATED: (knowing, friction),
-    }  # fmt: skip
+        BLACK: (black_plant(black), None),
+        PLAIN: (alone, None),
+        KNOWING: (knowing, None),
+        COMPENSATED: (knowing, friction),
+    }
     return {name: design(name, plant, setting.weights, setting.limit, met) for name, (plant, met) in plants.items()}
 
 

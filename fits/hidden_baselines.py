@@ -16,9 +16,14 @@ from greybox.effects import applicable_effects, measure_scales
 
 # Functions of displacement, velocity, input and time, and the effects that they are read as.
 LIBRARY = {
-    "sign(v)": "coulomb_friction", "v|v|": "quadratic_damping", "x^3": "cubic_stiffness", "x^2": "quadratic_stiffness",
-    "1": "constant_load", "u^3": "input_saturation", "sign(u)": "input_dead_zone",
-}  # fmt: skip
+    "sign(v)": "coulomb_friction",
+    "v|v|": "quadratic_damping",
+    "x^3": "cubic_stiffness",
+    "x^2": "quadratic_stiffness",
+    "1": "constant_load",
+    "u^3": "input_saturation",
+    "sign(u)": "input_dead_zone",
+}
 PNEUMATIC = {"sign(u)": "valve_dead_zone"}
 SMOOTH = 9  # samples of the local polynomials that differentiate
 THRESHOLD = 0.1  # of the largest standardised coefficient
@@ -64,8 +69,14 @@ def by_sparse_regression(plain: gb.Model, case: Case) -> str:
     drive = savgol_filter(np.cumsum(u) * period, SMOOTH, 2)
     linear = np.column_stack([x, v, u, drive, *(record.outputs[n] for n in list(record.outputs)[1:])])
     functions = {
-        "sign(v)": np.sign(v), "v|v|": v * np.abs(v), "x^3": x**3, "x^2": x**2, "1": np.ones_like(x), "u^3": u**3, "sign(u)": np.sign(u),
-    }  # fmt: skip
+        "sign(v)": np.sign(v),
+        "v|v|": v * np.abs(v),
+        "x^3": x**3,
+        "x^2": x**2,
+        "1": np.ones_like(x),
+        "u^3": u**3,
+        "sign(u)": np.sign(u),
+    }
     added = np.column_stack(list(functions.values()))
     left = np.linalg.lstsq(linear, np.column_stack([a, added]), rcond=None)[0]
     rest = np.column_stack([a, added]) - linear @ left

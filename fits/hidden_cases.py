@@ -26,30 +26,68 @@ COLOUR = 0.9  # correlation from sample to sample of coloured noise
 
 SINGLES = {
     "micro_actuator": (
-        "coulomb_friction", "stribeck_friction", "lugre_friction", "quadratic_damping", "cubic_stiffness",
-        "quadratic_stiffness", "viscoelastic_creep", "bouc_wen_hysteresis", "second_mode", "force_constant_droop",
-        "winding_heating", "eddy_current", "constant_load", "input_saturation", "input_dead_zone", "transport_delay",
-        "input_offset", "sensor_drift", "sensor_lag",
+        "coulomb_friction",
+        "stribeck_friction",
+        "lugre_friction",
+        "quadratic_damping",
+        "cubic_stiffness",
+        "quadratic_stiffness",
+        "viscoelastic_creep",
+        "bouc_wen_hysteresis",
+        "second_mode",
+        "force_constant_droop",
+        "winding_heating",
+        "eddy_current",
+        "constant_load",
+        "input_saturation",
+        "input_dead_zone",
+        "transport_delay",
+        "input_offset",
+        "sensor_drift",
+        "sensor_lag",
     ),
     "pneumatic_cylinder": (
-        "coulomb_friction", "stribeck_friction", "lugre_friction", "quadratic_damping", "constant_load", "return_spring",
-        "chamber_leakage", "choked_flow", "supply_droop", "position_dependent_volume", "valve_dead_zone",
-        "input_saturation", "valve_lag", "transport_delay", "input_offset", "backlash", "sensor_lag",
+        "coulomb_friction",
+        "stribeck_friction",
+        "lugre_friction",
+        "quadratic_damping",
+        "constant_load",
+        "return_spring",
+        "chamber_leakage",
+        "choked_flow",
+        "supply_droop",
+        "position_dependent_volume",
+        "valve_dead_zone",
+        "input_saturation",
+        "valve_lag",
+        "transport_delay",
+        "input_offset",
+        "backlash",
+        "sensor_lag",
     ),
-}  # fmt: skip
+}
 PAIRS = {
     "micro_actuator": (
-        ("coulomb_friction", "cubic_stiffness"), ("viscoelastic_creep", "input_dead_zone"),
-        ("quadratic_damping", "input_offset"), ("cubic_stiffness", "winding_heating"),
-        ("input_saturation", "coulomb_friction"), ("transport_delay", "quadratic_stiffness"),
-        ("second_mode", "coulomb_friction"), ("force_constant_droop", "sensor_drift"),
+        ("coulomb_friction", "cubic_stiffness"),
+        ("viscoelastic_creep", "input_dead_zone"),
+        ("quadratic_damping", "input_offset"),
+        ("cubic_stiffness", "winding_heating"),
+        ("input_saturation", "coulomb_friction"),
+        ("transport_delay", "quadratic_stiffness"),
+        ("second_mode", "coulomb_friction"),
+        ("force_constant_droop", "sensor_drift"),
     ),
     "pneumatic_cylinder": (
-        ("coulomb_friction", "valve_dead_zone"), ("valve_lag", "constant_load"), ("chamber_leakage", "coulomb_friction"),
-        ("supply_droop", "input_offset"), ("position_dependent_volume", "valve_lag"), ("choked_flow", "valve_dead_zone"),
-        ("backlash", "input_offset"), ("return_spring", "transport_delay"),
+        ("coulomb_friction", "valve_dead_zone"),
+        ("valve_lag", "constant_load"),
+        ("chamber_leakage", "coulomb_friction"),
+        ("supply_droop", "input_offset"),
+        ("position_dependent_volume", "valve_lag"),
+        ("choked_flow", "valve_dead_zone"),
+        ("backlash", "input_offset"),
+        ("return_spring", "transport_delay"),
     ),
-}  # fmt: skip
+}
 OUTSIDE = {
     "micro_actuator": ("cogging", "end_stop", "mains_hum"),
     "pneumatic_cylinder": ("cogging", "end_stop", "spool_play"),
@@ -121,10 +159,20 @@ def make(seed: int, kind: str, rows: int = ROWS, effects: Sequence[str] = (), ri
         "quiet", np.arange(QUIET_ROWS) * period, {"u": silence}, {n: y + _rest(n, base) for n, y in noisy.items()}
     )
     return Case(
-        f"{kind}-{seed:03d}", kind, rig, {n: v for n, v in base.items() if n not in free},
-        {n: float(f"{base[n] * rng.uniform(0.7, 1.4):.3g}") for n in free}, records[0], records[1],
-        quiet if told == "quiet" else None, dict(sigma) if told == "noise" else None, base, truth, sigma, colour,
-    )  # fmt: skip
+        f"{kind}-{seed:03d}",
+        kind,
+        rig,
+        {n: v for n, v in base.items() if n not in free},
+        {n: float(f"{base[n] * rng.uniform(0.7, 1.4):.3g}") for n in free},
+        records[0],
+        records[1],
+        quiet if told == "quiet" else None,
+        dict(sigma) if told == "noise" else None,
+        base,
+        truth,
+        sigma,
+        colour,
+    )
 
 
 def _rig(rig: str, rng: np.random.Generator) -> tuple[dict[str, float], tuple[str, ...]]:
@@ -132,14 +180,25 @@ def _rig(rig: str, rng: np.random.Generator) -> tuple[dict[str, float], tuple[st
     if rig == "micro_actuator":
         kf = rng.uniform(1.1, 1.7)
         base = {
-            "M": rng.uniform(0.008, 0.013), "B": rng.uniform(0.2, 0.36), "K": rng.uniform(4500, 7500), "Kf": kf, "Kv": kf,
-            "Ra": rng.uniform(6, 10), "La": rng.uniform(0.9e-3, 1.3e-3),
-        }  # fmt: skip
+            "M": rng.uniform(0.008, 0.013),
+            "B": rng.uniform(0.2, 0.36),
+            "K": rng.uniform(4500, 7500),
+            "Kf": kf,
+            "Kv": kf,
+            "Ra": rng.uniform(6, 10),
+            "La": rng.uniform(0.9e-3, 1.3e-3),
+        }
         return base, ("B", "K", "Kf", "Kv", "La")
     base = {
-        "M_piston": rng.uniform(1.6, 2.5), "f_v": rng.uniform(12, 30), "A_piston": 1.2566e-3, "V_total": 6.283e-4,
-        "P_S": 7e5, "P_a": 101300.0, "K2": rng.uniform(4.8e-10, 6.6e-10), "rho_a": 1.185,
-    }  # fmt: skip
+        "M_piston": rng.uniform(1.6, 2.5),
+        "f_v": rng.uniform(12, 30),
+        "A_piston": 1.2566e-3,
+        "V_total": 6.283e-4,
+        "P_S": 7e5,
+        "P_a": 101300.0,
+        "K2": rng.uniform(4.8e-10, 6.6e-10),
+        "rho_a": 1.185,
+    }
     return base, ("K2", "f_v")
 
 
@@ -238,9 +297,14 @@ def _shape(rig: str, name: str, span: Mapping[str, float], rng: np.random.Genera
 
 # What a strength multiplies, where it is not the first constant alone; and constants that grow as an effect vanishes.
 STRENGTH: Mapping[str, tuple[str, ...]] = {
-    "stribeck_friction": ("Fc", "Fs"), "lugre_friction": ("Fc", "Fs", "s0"), "second_mode": ("m2", "k2", "c2"),
-    "asymmetric_friction": ("Fp", "Fm"), "end_stop": ("kc",), "choked_flow": (), "position_dependent_volume": ("scale",),
-}  # fmt: skip
+    "stribeck_friction": ("Fc", "Fs"),
+    "lugre_friction": ("Fc", "Fs", "s0"),
+    "second_mode": ("m2", "k2", "c2"),
+    "asymmetric_friction": ("Fp", "Fm"),
+    "end_stop": ("kc",),
+    "choked_flow": (),
+    "position_dependent_volume": ("scale",),
+}
 INVERSE = ("eddy_current", "soft_saturation")
 
 
@@ -291,9 +355,15 @@ def _rounded(rig: str, name: str, values: dict[str, float]) -> dict[str, float]:
 
 
 def _record(
-    name: str, rig: str, base: Mapping[str, float], truth: Effects, u: np.ndarray, sigma: Mapping[str, float],
-    colour: float, rng: np.random.Generator,
-) -> Experiment:  # fmt: skip
+    name: str,
+    rig: str,
+    base: Mapping[str, float],
+    truth: Effects,
+    u: np.ndarray,
+    sigma: Mapping[str, float],
+    colour: float,
+    rng: np.random.Generator,
+) -> Experiment:
     fine = 200 if "lugre_friction" in truth else FINE
     if "transport_delay" in truth:
         fine = FINE

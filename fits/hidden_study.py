@@ -62,29 +62,50 @@ def answered(case: Case) -> dict[str, Any]:
     seconds = time.process_time() - began
     worst = max(found.gap.values(), key=lambda g: g.before / g.floor)
     return hidden(case) | {
-        "verdict": found.verdict, "said": [e["name"] for e in found.effects],
-        "alternatives": found.alternatives, "sites": list(found.sites),
-        "base": max(g.before / case.sigma[o] for o, g in found.gap.items()), "closed": worst.explained_fraction,
-        "curve": found.surrogate.explained_fraction if found.surrogate else None, "constants": _constants(case, found.effects),
-        "seconds": seconds, "correlation": by_correlation(found.base, model, case),
-        "sparse": by_sparse_regression(model, case), "each": without_each(case, model),
-    }  # fmt: skip
+        "verdict": found.verdict,
+        "said": [e["name"] for e in found.effects],
+        "alternatives": found.alternatives,
+        "sites": list(found.sites),
+        "base": max(g.before / case.sigma[o] for o, g in found.gap.items()),
+        "closed": worst.explained_fraction,
+        "curve": found.surrogate.explained_fraction if found.surrogate else None,
+        "constants": _constants(case, found.effects),
+        "seconds": seconds,
+        "correlation": by_correlation(found.base, model, case),
+        "sparse": by_sparse_regression(model, case),
+        "each": without_each(case, model),
+    }
 
 
 def hidden(case: Case) -> dict[str, Any]:
     """What is true of a case."""
     truth = {name: dict(values) for name, values in case.effects.items()}
     return {
-        "name": case.name, "kind": case.kind, "rig": case.model, "truth": truth, "right": case.right, "colour": case.colour,
-    }  # fmt: skip
+        "name": case.name,
+        "kind": case.kind,
+        "rig": case.model,
+        "truth": truth,
+        "right": case.right,
+        "colour": case.colour,
+    }
 
 
 def failed(case: Case, error: gb.GreyboxError) -> dict[str, Any]:
     """The row of a case that ended with an error."""
     nothing: dict[str, Any] = {"said": [], "alternatives": [], "sites": [], "constants": [], "each": []}
-    return hidden(case) | nothing | {
-        "verdict": f"error: {error}", "base": VISIBLE, "closed": 0.0, "curve": None, "seconds": 0.0, "correlation": "", "sparse": "",
-    }  # fmt: skip
+    return (
+        hidden(case)
+        | nothing
+        | {
+            "verdict": f"error: {error}",
+            "base": VISIBLE,
+            "closed": 0.0,
+            "curve": None,
+            "seconds": 0.0,
+            "correlation": "",
+            "sparse": "",
+        }
+    )
 
 
 def without_each(case: Case, model: gb.Model) -> list[float]:

@@ -111,7 +111,7 @@ def study() -> Study:
         reading(boxed),
         gb.fit(late, record, options=at_rest),
         gb.fit(late.start(delay=0.0).fix("delay"), record, options=at_rest),
-    )  # fmt: skip
+    )
 
 
 def parabola(delay: float) -> float:

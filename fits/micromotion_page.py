@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fits import micromotion_printed as printed
+from fits.micromotion_paper import EVALUATIONS, Study, spread, study, verdict
 from fits.micromotion_twin import MICRO, ROWS, SAMPLING_TIME, SEED, motion
-from fits.paper_page import MEASURED, MODELS, beside, legend, markdown, picture, rms_log, save, write_section
+from fits.paper_page import (
+    MEASURED,
+    MODELS,
+    Say,
+    beside,
+    docs_folder,
+    legend,
+    markdown,
+    picture,
+    progress,
+    rms_log,
+    save,
+    write_section,
+)
 from greybox.blackbox.continuous import to_continuous
 from greybox.blackbox.monte_carlo_smoothing.intervals import find_resonance
-
-if TYPE_CHECKING:
-    from fits.micromotion_paper import Study
 
 
 def write(s: Study, spread: tuple[np.ndarray, np.ndarray], folder: Path) -> None:
@@ -69,9 +80,13 @@ def _table(print_: np.ndarray, ours: np.ndarray, more: str) -> str:
 
 def _smoothing_table(s: Study) -> str:
     names = {
-        "amplitude": "A, um", "ratio": "r", "phase": "theta, rad", "frequency": "w, rad/s", "decay": "sigma, 1/s",
+        "amplitude": "A, um",
+        "ratio": "r",
+        "phase": "theta, rad",
+        "frequency": "w, rad/s",
+        "decay": "sigma, 1/s",
         "error": "J, um^2",
-    }  # fmt: skip
+    }
     rows = []
     for axis, name in names.items():
         values = [getattr(c, axis) for c in (printed.SMOOTHED, s.smoothing.best, s.from_data.best)]
@@ -162,3 +177,17 @@ def draw(s: Study, folder: Path) -> None:
     legend(axes[0], "", "displacement [µm]", "Figure 7: second order from the smoothed and from the raw response")
     legend(axes[1], "time [ms]", "displacement [µm]", "its first 6 ms: the smoothed model jumps at the edge")
     save(figure, folder, "micromotion_figure_7")
+
+
+def main(folder: Path, say: Say = sys.stdout.write) -> None:
+    """The whole study."""
+    with progress("random jumping", EVALUATIONS) as step:
+        result = study(report=lambda _: step())
+    say(f"{result.smoothing}\n\nsmoothing and Table 3: {result.seconds:.2f} s\n")
+    verdict(result)
+    write(result, spread(), folder)
+    say(f"written to {folder}\n")
+
+
+if __name__ == "__main__":
+    main(docs_folder("micromotion_page"))

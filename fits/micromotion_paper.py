@@ -4,7 +4,7 @@ On a stand-in for the rig (`fits.micromotion_twin`: generated, not measured) the
 ARMAX models, Monte-Carlo smoothing, least squares on the smoothed (S-E) and on the raw response (D-E) for seven numerators, and
 the s-domain. All errors are mean squares of the free run over the whole record in um^2 (equation 1).
 
-    python -m fits.micromotion_paper [--output docs]
+    python -m fits.micromotion_page [--output docs]
 
 writes the part on this paper of `docs/paper_tables.md` and three figures.
 
@@ -14,18 +14,15 @@ na = 4 and nk = 3), the spectral peak to every digit. S-E with two or one numera
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from fits import micromotion_printed as printed
-from fits.micromotion_page import write
 from fits.micromotion_twin import ROWS, SAMPLING_TIME, SEED, in_micrometres, step_record
-from fits.paper_page import Say, docs_folder, progress, rms_log
+from fits.paper_page import rms_log
 from greybox.blackbox import PolynomialModel, armax, arx, output_error
 from greybox.blackbox.monte_carlo_smoothing.estimate import SmoothingProgress, monte_carlo_smoothing
 from greybox.blackbox.monte_carlo_smoothing.intervals import estimate_spectrum, find_resonance
@@ -80,9 +77,14 @@ def smoothed(
 ) -> tuple[MonteCarloSmoothing, tuple[NumeratorComparison, ...]]:
     """Section 4.2 with the paper's intervals and specification, and Table 3."""
     found = monte_carlo_smoothing(
-        record, seed=seed, intervals=printed.INTERVALS, specification=printed.SPECIFICATION, evaluations=EVALUATIONS,
-        units={"x": "um"}, report=report,
-    )  # fmt: skip
+        record,
+        seed=seed,
+        intervals=printed.INTERVALS,
+        specification=printed.SPECIFICATION,
+        evaluations=EVALUATIONS,
+        units={"x": "um"},
+        report=report,
+    )
     return found, compare_numerators(record, found)
 
 
@@ -95,10 +97,20 @@ def study(seed: int = SEED, report: Callable[[SmoothingProgress], None] | None =
     seconds = time.perf_counter() - began
     w, density = estimate_spectrum(record.outputs["x"], SAMPLING_TIME)
     return Study(
-        record, first, second, errors(first, record), errors(second, record), smoothing, structures,
-        compare_numerators(record, printed.smoothing(ROWS)), monte_carlo_smoothing(record, seed=seed),
-        error(output_error(record, nb=3, nf=2, nk=0, history="zero"), record), w, density, seconds,
-    )  # fmt: skip
+        record,
+        first,
+        second,
+        errors(first, record),
+        errors(second, record),
+        smoothing,
+        structures,
+        compare_numerators(record, printed.smoothing(ROWS)),
+        monte_carlo_smoothing(record, seed=seed),
+        error(output_error(record, nb=3, nf=2, nk=0, history="zero"), record),
+        w,
+        density,
+        seconds,
+    )
 
 
 def errors(models: list[list[PolynomialModel]], record: Experiment) -> np.ndarray:
@@ -135,17 +147,3 @@ def assert_pattern_of_table_2(s: Study) -> None:
     assert np.all(s.table_2 < s.table_1)
     assert np.all(np.diff(s.table_2, axis=0) < 0) and np.all(np.diff(printed.TABLE_2, axis=0) < 0)
     assert np.argmin(s.table_2) == np.argmin(printed.TABLE_2)
-
-
-def main(folder: Path, say: Say = sys.stdout.write) -> None:
-    """The whole study."""
-    with progress("random jumping", EVALUATIONS) as step:
-        result = study(report=lambda _: step())
-    say(f"{result.smoothing}\n\nsmoothing and Table 3: {result.seconds:.2f} s\n")
-    verdict(result)
-    write(result, spread(), folder)
-    say(f"written to {folder}\n")
-
-
-if __name__ == "__main__":
-    main(docs_folder("micromotion_paper"))

@@ -19,7 +19,7 @@ TITLE = """# The papers' tables, printed and computed
 Neither paper prints its data. Every number beside a printed one is computed by this program on records that are **generated, not
 measured**: the recipes are `fits/micromotion_twin.py` and `fits/pneumatic_twin.py`, with their seeds. Where a table's cell
 reads `27.13 / 26.87`, the first is printed and the second computed here. This page is written by `python -m fits.papers`, its
-parts by `fits.micromotion_paper`, `fits.pneumatic_paper`, and, for the last one, `fits.pneumatic_supply`,
+parts by `fits.micromotion_page`, `fits.pneumatic_page`, and, for the last one, `fits.pneumatic_supply`,
 `fits.micromotion_chirp` and `fits.micromotion_feed_through`; the papers' own mistakes are in [errata](errata.md).
 """
 DPI = 80

@@ -10,10 +10,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from fits import micromotion_chirp, micromotion_feed_through, micromotion_paper, pneumatic_paper, pneumatic_supply
+from fits import micromotion_chirp, micromotion_feed_through, micromotion_page, pneumatic_page, pneumatic_supply
 from fits.paper_page import Say, docs_folder
 
-STUDIES = (micromotion_paper, pneumatic_paper, pneumatic_supply, micromotion_chirp, micromotion_feed_through)
+STUDIES = (micromotion_page, pneumatic_page, pneumatic_supply, micromotion_chirp, micromotion_feed_through)
 
 
 def main(folder: Path, say: Say = sys.stdout.write) -> None:

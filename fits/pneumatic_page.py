@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fits import pneumatic_printed as printed
-from fits.paper_page import MEASURED, MODELS, beside, legend, markdown, picture, save, write_section
+from fits.paper_page import (
+    MEASURED,
+    MODELS,
+    Say,
+    beside,
+    docs_folder,
+    legend,
+    markdown,
+    picture,
+    progress,
+    save,
+    write_section,
+)
 from fits.pneumatic_nine_experiments import AMPLITUDES
+from fits.pneumatic_paper import SHOWN, Study, by_input, study, verdict
 from fits.pneumatic_printed import variance
 from fits.pneumatic_twin import SAMPLING_TIME, SEED, voltage
 
-if TYPE_CHECKING:
-    from fits.pneumatic_paper import Study
-
 NUMBERS = {0: "10.3", 1: "10.4", 2: "10.5"}  # of the table for each nk
 FIGURES = ("10.4", "10.5", "10.6", "10.8", "10.9")
-SHOWN = "u2_3"  # the experiment of equation 10.12 and figures 10.8 and 10.9
 
 
 def write(s: Study, folder: Path) -> None:
@@ -161,3 +170,20 @@ def draw(s: Study, folder: Path) -> None:
 
 def _file(number: str) -> str:
     return f"pneumatic_figure_{number.replace('.', '_')}"
+
+
+def main(folder: Path, say: Say = sys.stdout.write) -> None:
+    """The whole study; about half a minute."""
+    with progress("nine experiments", len(printed.EXPERIMENTS)) as step:
+        result = study(report=step)
+    for order in printed.ORDERS:
+        ours, theirs = by_input(result.cells[0], order), by_input(printed.TABLES[0], order)
+        said = ", ".join(f"{u} {theirs[u]:.1f} / {ours[u]:.1f}" for u in ours)
+        say(f"({order},{order},0) best fit in %, printed / generated, median: {said}\n")
+    verdict(result)
+    write(result, folder)
+    say(f"written to {folder}\n")
+
+
+if __name__ == "__main__":
+    main(docs_folder("pneumatic_page"))

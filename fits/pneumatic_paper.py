@@ -4,7 +4,7 @@ On a stand-in for the rig (`fits.pneumatic_twin`: generated, not measured) the n
 models of Tables 10.3 to 10.5. "Simulation focus" is read as least squares whose rows are prefiltered once by 1 / A (Steiglitz and
 McBride), with zeros before the record; best fit and MSE belong to the free run from rest, the loss to the one-step error.
 
-    python -m fits.pneumatic_paper [--output docs]
+    python -m fits.pneumatic_page [--output docs]
 
 writes the part on this paper of `docs/paper_tables.md` and five figures.
 
@@ -15,23 +15,20 @@ loss of (4,4).
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from fits import pneumatic_printed as printed
-from fits.paper_page import Say, docs_folder, progress
 from fits.pneumatic_nine_experiments import AMPLITUDES
-from fits.pneumatic_page import SHOWN, write
 from fits.pneumatic_printed import Cell
 from fits.pneumatic_twin import DURATION, in_volts, nine_experiments, voltage
 from greybox.blackbox import PolynomialModel, arx
 from greybox.experiment import Experiment
 
 PASSES = (0, 1, 2)
+SHOWN = "u2_3"  # the experiment of equation 10.12 and figures 10.8 and 10.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +47,14 @@ class Study:
 def identified(record: Experiment, order: int, nk: int, passes: int = 1) -> PolynomialModel:
     """One model of the tables."""
     return arx(
-        record, na=order, nb=order, nk=nk, history="zero", focus="simulation" if passes else "prediction", passes=passes or 1
-    )  # fmt: skip
+        record,
+        na=order,
+        nb=order,
+        nk=nk,
+        history="zero",
+        focus="simulation" if passes else "prediction",
+        passes=passes or 1,
+    )
 
 
 def judged(model: PolynomialModel, record: Experiment) -> Cell:
@@ -111,20 +114,3 @@ def verdict(s: Study) -> None:
     for model in s.models.values():
         # an integrator, to within what the record's drift makes of it, and a lag
         assert abs(model.poles[0] - 1) < 1e-3 and 0.97 < model.poles[1].real < 0.999
-
-
-def main(folder: Path, say: Say = sys.stdout.write) -> None:
-    """The whole study; about half a minute."""
-    with progress("nine experiments", len(printed.EXPERIMENTS)) as step:
-        result = study(report=step)
-    for order in printed.ORDERS:
-        ours, theirs = by_input(result.cells[0], order), by_input(printed.TABLES[0], order)
-        said = ", ".join(f"{u} {theirs[u]:.1f} / {ours[u]:.1f}" for u in ours)
-        say(f"({order},{order},0) best fit in %, printed / generated, median: {said}\n")
-    verdict(result)
-    write(result, folder)
-    say(f"written to {folder}\n")
-
-
-if __name__ == "__main__":
-    main(docs_folder("pneumatic_paper"))

@@ -42,18 +42,41 @@ DRIFT_SPREAD, FRICTION_SPREAD = 0.25, 0.15  # standard deviations, relative
 
 # SI units; pressures are absolute.
 CONSTANTS: Mapping[str, float] = {
-    "supply": SUPPLY, "ambient": 1.013e5, "critical": 0.3, "opening": 1.44e-7, "exponent": 2.1, "leak": 1e-8,
-    "valve_lag": 2e-3, "area_a": 12.566e-4, "area_b": 10.556e-4, "stroke": 0.5, "dead_volume": 6e-5, "mass": 1.3,
-    "viscous": 60.0, "coulomb": 25.0, "static_excess": 10.0, "stribeck": 0.02, "bristle": 3e4, "bristle_damping": 150.0,
-    "stop": 1e5, "stop_damping": 500.0, "bias": 0.0,
-}  # fmt: skip
+    "supply": SUPPLY,
+    "ambient": 1.013e5,
+    "critical": 0.3,
+    "opening": 1.44e-7,
+    "exponent": 2.1,
+    "leak": 1e-8,
+    "valve_lag": 2e-3,
+    "area_a": 12.566e-4,
+    "area_b": 10.556e-4,
+    "stroke": 0.5,
+    "dead_volume": 6e-5,
+    "mass": 1.3,
+    "viscous": 60.0,
+    "coulomb": 25.0,
+    "static_excess": 10.0,
+    "stribeck": 0.02,
+    "bristle": 3e4,
+    "bristle_damping": 150.0,
+    "stop": 1e5,
+    "stop_damping": 500.0,
+    "bias": 0.0,
+}
 STATES = ("s", "v", "p_a", "p_b", "spool", "bristle")
 # V; written down so that the records need no search, and checked against `trimmed` by a test.
 BIAS: Mapping[str, float] = {
-    "u1_1": -0.09519, "u1_2": -0.09365, "u1_3": -0.10941,
-    "u2_1": -0.09554, "u2_2": -0.09471, "u2_3": -0.08976,
-    "u3_1": -0.08060, "u3_2": -0.07439, "u3_3": -0.07495,
-}  # fmt: skip
+    "u1_1": -0.09519,
+    "u1_2": -0.09365,
+    "u1_3": -0.10941,
+    "u2_1": -0.09554,
+    "u2_2": -0.09471,
+    "u2_3": -0.08976,
+    "u3_1": -0.08060,
+    "u3_2": -0.07439,
+    "u3_3": -0.07495,
+}
 
 
 @dataclass(frozen=True)

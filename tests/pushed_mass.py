@@ -9,16 +9,20 @@ from scipy.signal import lfilter
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
 
 MASS = Model(
-    "mass", [State("x", "m"), State("v", "m/s")], [Input("u", "N")], [Output("x", "m"), Output("v", "m/s")],
+    "mass",
+    [State("x", "m"), State("v", "m/s")],
+    [Input("u", "N")],
+    [Output("x", "m"), Output("v", "m/s")],
     [
-        Parameter("M", "kg", 1.0, (0.01, 100.0), fixed=True), Parameter("B", "N*s/m", 0.4, (1e-3, 100.0)),
+        Parameter("M", "kg", 1.0, (0.01, 100.0), fixed=True),
+        Parameter("B", "N*s/m", 0.4, (1e-3, 100.0)),
         Parameter("K", "N/m", 4.0, (1e-3, 1000.0)),
     ],
     lambda x, u, p: [
         Balance("position", "m/s", 1, "x", velocity=x.v),
         Balance("force", "N", p.M, "v", drive=u.u, damping=-p.B * x.v, spring=-p.K * x.x),
     ],
-)  # fmt: skip
+)
 PERIOD, HELD = 0.1, 5
 LEVEL = {"x": 0.01, "v": 0.02}
 INTENSITY = 0.3

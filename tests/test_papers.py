@@ -84,8 +84,12 @@ def test_only_the_physical_model_can(study):
 
 def test_one_command_runs_every_study_of_the_page():
     assert {study.__name__.removeprefix("fits.") for study in papers.STUDIES} == {
-        "micromotion_paper", "micromotion_chirp", "micromotion_feed_through", "pneumatic_paper", "pneumatic_supply",
-    }  # fmt: skip
+        "micromotion_page",
+        "micromotion_chirp",
+        "micromotion_feed_through",
+        "pneumatic_page",
+        "pneumatic_supply",
+    }
 
 
 @pytest.mark.slow

@@ -26,9 +26,16 @@ from models.pneumatic_cylinder import pneumatic_cylinder
 from models.silverbox import silverbox
 
 NEW = {
-    "displacement_damping", "cubic_damping", "directional_damping", "upper_overflow", "lower_overflow", "reading_curve",
-    "sensor_saturation", "linear_input", "band_limited_input",
-}  # fmt: skip
+    "displacement_damping",
+    "cubic_damping",
+    "directional_damping",
+    "upper_overflow",
+    "lower_overflow",
+    "reading_curve",
+    "sensor_saturation",
+    "linear_input",
+    "band_limited_input",
+}
 
 NOISE = 2e-5  # V, of simulated records of the circuit
 

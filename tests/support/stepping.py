@@ -81,45 +81,59 @@ def lugre(relaxing=True, s0=3e5, s1=300.0):
         return x.velocity, -p.s0 * ca.fabs(x.velocity) * x.z / g
 
     return Effect(
-        "lugre_friction", "force",
+        "lugre_friction",
+        "force",
         [
-            Parameter("Fc", "{force}", 20.0, (1e-3, 1e4)), Parameter("Fs", "{force}", 30.0, (1e-3, 1e4)),
-            Parameter("vs", "{velocity}", 0.01, (1e-5, 1.0)), Parameter("s0", "{force}/{displacement}", s0, (1.0, 1e7)),
+            Parameter("Fc", "{force}", 20.0, (1e-3, 1e4)),
+            Parameter("Fs", "{force}", 30.0, (1e-3, 1e4)),
+            Parameter("vs", "{velocity}", 0.01, (1e-5, 1.0)),
+            Parameter("s0", "{force}/{displacement}", s0, (1.0, 1e7)),
             Parameter("s1", "{force}/{velocity}", s1, (0.0, 1e5)),
         ],
         states=[State("z", "{displacement}", relaxing=relaxing)],
         balances=lambda x, u, p: [Balance("bristle", "{velocity}", 1, "z", slip=rate(x, p)[0], back=rate(x, p)[1])],
         terms=lambda x, u, p: -(p.s0 * x.z + p.s1 * sum(rate(x, p))),
-    )  # fmt: skip
+    )
 
 
 def stribeck(Fc=20.0, Fs=30.0, vs=0.05):
     """Dry friction that falls from ``Fs`` at standstill to ``Fc``."""
     return Effect(
-        "stribeck_friction", "force",
-        [Parameter("Fc", "{force}", Fc, (0.0, 1e4)),
-         Parameter("Fs", "{force}", Fs, (0.0, 1e4)),
-         Parameter("vs", "{velocity}", vs, (1e-5, 1.0))],
+        "stribeck_friction",
+        "force",
+        [
+            Parameter("Fc", "{force}", Fc, (0.0, 1e4)),
+            Parameter("Fs", "{force}", Fs, (0.0, 1e4)),
+            Parameter("vs", "{velocity}", vs, (1e-5, 1.0)),
+        ],
         dry=lambda x, u, p: DryFriction(p.Fc + (p.Fs - p.Fc) * ca.exp(-((x.velocity / p.vs) ** 2)), p.Fs),
-    )  # fmt: skip
+    )
 
 
 def bouc_wen():
     """Hysteretic force ``-alpha z`` with ``dz/dt = v - beta |v| z - gamma v |z|``."""
     return Effect(
-        "bouc_wen", "force",
-        [Parameter("alpha", "{force}/{displacement}", 40.0),
-         Parameter("beta", "1/{displacement}", 6.0),
-         Parameter("gamma", "1/{displacement}", 3.0)],
+        "bouc_wen",
+        "force",
+        [
+            Parameter("alpha", "{force}/{displacement}", 40.0),
+            Parameter("beta", "1/{displacement}", 6.0),
+            Parameter("gamma", "1/{displacement}", 3.0),
+        ],
         states=[State("z", "{displacement}", relaxing=True)],
         balances=lambda x, u, p: [
             Balance(
-                "loop", "{velocity}", 1, "z", slip=x.velocity, decay=-p.beta * ca.fabs(x.velocity) * x.z,
+                "loop",
+                "{velocity}",
+                1,
+                "z",
+                slip=x.velocity,
+                decay=-p.beta * ca.fabs(x.velocity) * x.z,
                 bend=-p.gamma * x.velocity * ca.fabs(x.z),
             )
         ],
         terms=lambda x, u, p: -p.alpha * x.z,
-    )  # fmt: skip
+    )
 
 
 def delay(longest=1e-3, value=0.0):
@@ -132,8 +146,10 @@ def delay(longest=1e-3, value=0.0):
 def play(gap=0.01):
     """Backlash between the mass and its sensor."""
     return Effect(
-        "backlash", "sensor", [Parameter("gap", "{sensor}", gap, (0.0, 1.0))],
+        "backlash",
+        "sensor",
+        [Parameter("gap", "{sensor}", gap, (0.0, 1.0))],
         states=[State("w", "{sensor}")],
         update=lambda x, u, p: {"w": ca.fmin(ca.fmax(x.w, x.displacement - p.gap), x.displacement + p.gap)},
         on_output=lambda y, x, u, p: x.w,
-    )  # fmt: skip
+    )
