@@ -18,7 +18,7 @@ from pathlib import Path
 
 import greybox as gb
 from fits.paper_page import markdown
-from fits.real_page import arguments, told, write
+from fits.real_page import arguments, verdict_text, write
 from greybox.discovery import Refinement
 from models.cascaded_tanks import cascaded_tanks
 
@@ -40,7 +40,7 @@ class Study:
     """The discovery, what was found beyond it, the refit to the whole training record, and each member of the ambiguity set added:
     errors (V) on the training and the test record, by name."""
 
-    found: gb.discovery.Discovery
+    discovery: gb.discovery.Discovery
     refinement: Refinement
     refitted: gb.Fit
     base: gb.Fit
@@ -57,8 +57,8 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     """Discover, go on, refit, then put in and take out what may imitate each other."""
     train, test = (gb.read_csv(folder / name, cascaded_tanks) for name in FILES)
     learn, judge = train.window(0, LEARN), train.window(LEARN, train.rows)
-    found = gb.discover(cascaded_tanks, learn, validation=judge, say=say)
-    refinement = gb.discovery.refine(found.best, judge, plain=cascaded_tanks, say=say)
+    discovery = gb.discover(cascaded_tanks, learn, validation=judge, say=say)
+    refinement = gb.discovery.refine(discovery.best, judge, plain=cascaded_tanks, say=say)
     refitted, base = (_refit(model, train, test) for model in (refinement.fit.model, cascaded_tanks))
     beside, without = {}, {}
     for name in SET:
@@ -68,7 +68,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     for name in [e.name for e in refitted.model.effects]:
         without[name] = _errors(gb.discovery.drop_effect(refitted, name, validation=test).smaller)
         say(f"without {name}: {without[name]}")
-    return Study(found, refinement, refitted, base, beside, without)
+    return Study(discovery, refinement, refitted, base, beside, without)
 
 
 def _refit(model: gb.Model, train: gb.Experiment, test: gb.Experiment) -> gb.Fit:
@@ -84,17 +84,17 @@ def section(s: Study) -> list[str]:
     rows = [["Torricelli alone", *_shown(_errors(s.base))]]
     rows += [[f"**{', '.join(f'`{e.name}`' for e in s.refitted.model.effects)}**", *_shown(_errors(s.refitted))]]
     rows += [[f"without `{name}`", *_shown(e)] for name, e in s.without.items()]
-    own = _errors(s.refitted)[0]
+    reference = _errors(s.refitted)[0]
     rows += [[f"with `{name}` besides", *_shown(e)] for name, e in s.beside.items()]
     rows += [["*published, best*", "", f"{PUBLISHED:.2f}"]]
-    like = [f"`{n}`" for n, e in s.beside.items() if (1 - ALIKE) * own <= e[0] <= (1 + ALIKE) * own]
+    like = [f"`{n}`" for n, e in s.beside.items() if (1 - ALIKE) * reference <= e[0] <= (1 + ALIKE) * reference]
     constants = [
         [f"`{name}`", f"{q.value:.4g}", "" if q.interval is None else "{:.3g} to {:.3g}".format(*q.interval), q.unit]
         for name, q in s.refitted.parameters.items()
     ]
     return [
         "## Cascaded tanks",
-        told(s.found, s.refinement),
+        verdict_text(s.discovery, s.refinement),
         "Errors of the free run, refitted to the whole training record; the test record took no part in any choice:",
         markdown(["model", "training, V", "test, V"], rows),
         f"Beside what was found, {', '.join(like) or 'none of them'} change the training record by less than"

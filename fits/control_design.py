@@ -113,8 +113,8 @@ def standstill(plant: Any, disturbance: np.ndarray, target: float) -> tuple[np.n
     """State and input in which ``plant`` stands still with its output at ``target``, under a ``disturbance`` (nx,) of each step."""
     nx = plant.nstates
     matrix = np.block([[plant.A - np.eye(nx), plant.B], [plant.C, plant.D]])
-    found = np.linalg.solve(matrix, np.append(-disturbance, target))
-    return found[:nx], float(found[nx])
+    solution = np.linalg.solve(matrix, np.append(-disturbance, target))
+    return solution[:nx], float(solution[nx])
 
 
 def with_force(linear: Linearisation, body: str, mass: float) -> Linearisation:

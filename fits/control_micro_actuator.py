@@ -47,17 +47,19 @@ needs twice the time, for it has to find the force by itself, and the other one 
 uncompensated grey-box ones: from this record it gets the linear part right. What makes the difference is the compensation."""
 
 
-def verdict(found: Study) -> None:
+def verdict(results: Study) -> None:
     """What the page says of this rig."""
-    assert found.found.verdict == "named" and [e["name"] for e in found.found.effects] == ["coulomb_friction"]
-    best, plain, black = (found.verdicts[n] for n in (COMPENSATED, PLAIN, BLACK))
+    assert results.discovery.verdict == "named" and [e["name"] for e in results.discovery.effects] == [
+        "coulomb_friction"
+    ]
+    best, plain, black = (results.verdicts[n] for n in (COMPENSATED, PLAIN, BLACK))
     assert best.slowest < 0.015
     assert best.slowest < 0.5 * min(plain.slowest, black.slowest)
     assert best.steady < 0.5 * min(plain.steady, black.steady)
     for name in (PLAIN, COMPENSATED):
-        assert found.margins[name].distance > 0.5 and found.spread[name].worst > 0.45
-    assert max(v.slowest for v in found.spread[COMPENSATED].verdicts) < 0.02
-    for gentler in found.gentler.values():
+        assert results.margins[name].distance > 0.5 and results.spread[name].worst > 0.45
+    assert max(v.slowest for v in results.spread[COMPENSATED].verdicts) < 0.02
+    for gentler in results.gentler.values():
         assert min(v.slowest for n, v in gentler.items() if n != COMPENSATED) > 1.5 * gentler[COMPENSATED].slowest
 
 

@@ -31,42 +31,42 @@ whose `judge_comparison` asserts what is said here.
 """
 
 
-def section(title: str, name: str, words: str, found: Study, folder: Path) -> str:
+def section(title: str, name: str, words: str, results: Study, folder: Path) -> str:
     """One rig's part of the page; its figure is written beside it."""
-    draw(found, folder, name)
-    moves, (unit, size) = found.setting.moves, found.setting.shown
+    draw(results, folder, name)
+    moves, (unit, size) = results.setting.moves, results.setting.shown
     targets = ", ".join(f"{t / size:g}" for t in moves.targets)
     return "\n\n".join(
         [
             f"## {title}",
             words,
-            f"What `discover` says: {found.found.story}",
+            f"What `discover` says: {results.discovery.story}",
             f"Targets {targets} {unit}, {moves.hold:g} s each and {moves.rise:g} s on the way;"
             f" within {moves.band / size:g} {unit} is there.",
-            markdown(["", *ORDER], rows_of(found)),
+            markdown(["", *ORDER], rows_of(results)),
             "The conclusion does not depend on the LQ weights:",
-            markdown(gentler_head(), gentler_rows(found)),
+            markdown(gentler_head(), gentler_rows(results)),
             f"![{title}: positions and errors of each design](figures/{name}.png)",
         ]
     )
 
 
-def draw(found: Study, folder: Path, name: str) -> None:
+def draw(results: Study, folder: Path, name: str) -> None:
     """Positions, errors about the target, and the errors of the compensated design and its rival over the family."""
-    unit, size = found.setting.shown
+    unit, size = results.setting.shown
     figure, (above, middle, below) = picture(3, height=2.6)
-    run = found.runs[BLACK]
+    run = results.runs[BLACK]
     above.plot(run.time, run.target / size, color="black", lw=0.8, ls=":", label="target")
     for design in ORDER:
-        run = found.runs[design]
+        run = results.runs[design]
         above.plot(run.time, run.position / size, color=COLOURS[design], lw=1.1, label=design)
         middle.plot(run.time, (run.position - run.target) / size, color=COLOURS[design], lw=1.1)
     for design in (PLAIN, COMPENSATED):
-        error = (found.spread[design].positions - run.target) / size
+        error = (results.spread[design].positions - run.target) / size
         below.fill_between(
             run.time, error.min(axis=0), error.max(axis=0), color=COLOURS[design], alpha=0.4, lw=0, label=design
         )
-    band = found.setting.moves.band / size
+    band = results.setting.moves.band / size
     for axis in (middle, below):
         axis.axhspan(-band, band, color="black", alpha=0.08, lw=0)
         axis.set_ylim(-6 * band, 6 * band)
@@ -80,10 +80,10 @@ def main() -> None:
     """Both studies, their verdicts, and the page."""
     folder, parts = docs_folder("control_page"), []
     for title, module in (("Micro-motion actuator", control_micro_actuator), ("Pneumatic cylinder", control_pneumatic)):
-        found = module.study(module.SETTING)
-        print_tables(found)
-        module.verdict(found)
-        parts.append(section(title, module.__name__.rpartition(".")[2], module.WORDS, found, folder))
+        results = module.study(module.SETTING)
+        print_tables(results)
+        module.verdict(results)
+        parts.append(section(title, module.__name__.rpartition(".")[2], module.WORDS, results, folder))
     (folder / PAGE).write_text("\n\n".join([TITLE.rstrip(), *parts]) + "\n", encoding="utf-8")
 
 

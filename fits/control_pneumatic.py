@@ -52,17 +52,19 @@ amplitude. With the effect in the fit the margins are right, but the piston hunt
 it."""
 
 
-def verdict(found: Study) -> None:
+def verdict(results: Study) -> None:
     """What the page says of this rig."""
-    assert found.found.verdict == "named" and [e["name"] for e in found.found.effects] == ["stribeck_friction"]
-    best, plain, black = (found.verdicts[n] for n in (COMPENSATED, PLAIN, BLACK))
+    assert results.discovery.verdict == "named" and [e["name"] for e in results.discovery.effects] == [
+        "stribeck_friction"
+    ]
+    best, plain, black = (results.verdicts[n] for n in (COMPENSATED, PLAIN, BLACK))
     assert np.isfinite(best.slowest)
     assert not np.isfinite(plain.slowest) and not np.isfinite(black.slowest)
     assert best.steady < 0.5 * min(plain.steady, black.steady)
-    assert not found.margins[BLACK].stable and found.margins[PLAIN].distance < 0.1
-    assert found.margins[COMPENSATED].distance > 0.5 and found.spread[COMPENSATED].worst > 0.5
-    assert all(np.isfinite(v.slowest) for v in found.spread[COMPENSATED].verdicts)
-    for gentler in found.gentler.values():
+    assert not results.margins[BLACK].stable and results.margins[PLAIN].distance < 0.1
+    assert results.margins[COMPENSATED].distance > 0.5 and results.spread[COMPENSATED].worst > 0.5
+    assert all(np.isfinite(v.slowest) for v in results.spread[COMPENSATED].verdicts)
+    for gentler in results.gentler.values():
         assert [name for name, v in gentler.items() if np.isfinite(v.slowest)] == [COMPENSATED]
 
 

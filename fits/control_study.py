@@ -101,7 +101,7 @@ class Study:
     """
 
     setting: Setting
-    found: gb.discovery.Discovery
+    discovery: gb.discovery.Discovery
     black: Any
     designs: Mapping[str, Design]
     runs: Mapping[str, Run]
@@ -115,26 +115,26 @@ def study(setting: Setting) -> Study:
     """Everything, from the records to the closed loops."""
     estimation, validation = setting.record(1), setting.record(2)
     effects = [gb.effect(name) for name in setting.candidates]
-    found = gb.discover(setting.start, estimation, validation=validation, noise=setting.noise, effects=effects)
+    discovery = gb.discover(setting.start, estimation, validation=validation, noise=setting.noise, effects=effects)
     scans = best_black_boxes(estimation, output=setting.output, kinds=("arx", "output error"))
     black = min(scans.values(), key=lambda scan: scan.chosen.free_run).best
-    designs = designs_of(setting, found.base.model, found.best.model, black)
+    designs = designs_of(setting, discovery.base.model, discovery.best.model, black)
     runs = {name: run_of(setting, made) for name, made in designs.items()}
     true = channel(gb.linearise(setting.model, dt=setting.sampling_time), setting.output).state_space()
     gentler = {}
     for factor in GENTLER:
         other = replace(setting, weights=replace(setting.weights, effort=factor * setting.weights.effort))
-        softer = designs_of(other, found.base.model, found.best.model, black)
+        softer = designs_of(other, discovery.base.model, discovery.best.model, black)
         gentler[factor] = {name: judged(run_of(other, made), setting.moves) for name, made in softer.items()}
     return Study(
         setting,
-        found,
+        discovery,
         black,
         designs,
         runs,
         {name: judged(run, setting.moves) for name, run in runs.items()},
         {name: margins(made, true) for name, made in designs.items()},
-        spread_of(setting, found.best, designs),
+        spread_of(setting, discovery.best, designs),
         gentler,
     )
 

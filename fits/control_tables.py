@@ -24,12 +24,12 @@ MEASURES = (
 ORDER = (BLACK, PLAIN, KNOWING, COMPENSATED)
 
 
-def rows_of(found: Study) -> list[list[str]]:
+def rows_of(results: Study) -> list[list[str]]:
     """A row for each of `MEASURES`, a column for each design."""
-    unit, size = found.setting.shown
+    unit, size = results.setting.shown
     columns = []
     for name in ORDER:
-        verdict, m, spread = found.verdicts[name], found.margins[name], found.spread[name]
+        verdict, m, spread = results.verdicts[name], results.margins[name], results.spread[name]
         columns.append(
             [
                 ", ".join(map(seconds, verdict.settling)),
@@ -47,10 +47,10 @@ def rows_of(found: Study) -> list[list[str]]:
     return [[measure, *values] for measure, values in zip(MEASURES, zip(*columns, strict=True), strict=True)]
 
 
-def gentler_rows(found: Study) -> list[list[str]]:
+def gentler_rows(results: Study) -> list[list[str]]:
     """Steady error and slowest settling time of each design, at the weights of the study and at gentler ones."""
-    unit, size = found.setting.shown
-    columns = [found.verdicts, *(found.gentler[factor] for factor in GENTLER)]
+    unit, size = results.setting.shown
+    columns = [results.verdicts, *(results.gentler[factor] for factor in GENTLER)]
     return [
         [name, *(f"{seconds(column[name].slowest)}, {column[name].steady / size:.2g} {unit}" for column in columns)]
         for name in ORDER
@@ -67,10 +67,10 @@ def distance(value: float) -> str:
     return f"{value:.2f}" if value > 0 else "unstable"
 
 
-def print_tables(found: Study) -> None:
+def print_tables(results: Study) -> None:
     """The tables on the terminal."""
-    lines = [found.found.story, "", *format_table(["", *ORDER], rows_of(found)), ""]
-    lines += format_table(gentler_head(), gentler_rows(found))
+    lines = [results.discovery.story, "", *format_table(["", *ORDER], rows_of(results)), ""]
+    lines += format_table(gentler_head(), gentler_rows(results))
     sys.stdout.write("\n".join(lines) + "\n")
 
 

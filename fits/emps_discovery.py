@@ -20,7 +20,7 @@ import numpy as np
 
 import greybox as gb
 from fits.paper_page import markdown
-from fits.real_page import arguments, told, write
+from fits.real_page import arguments, verdict_text, write
 from greybox.discovery import DiscoveryProblem, Refinement
 from greybox.noise import NoiseModel
 from greybox.transcription import split_into_arcs
@@ -47,7 +47,7 @@ class Study:
     """The discovery; errors (m) on the repetition kept back, one row for each, by model and by the rows of `WINDOWS`; constants fitted
     to all arcs, by model; the free runs over both whole records by arc length of the fit; and what the test record's own constants are."""
 
-    found: gb.discovery.Discovery
+    discovery: gb.discovery.Discovery
     refinement: Refinement
     held_out: Mapping[str, np.ndarray]
     fits: Mapping[str, gb.Fit]
@@ -62,9 +62,9 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     train, test = (gb.read_csv(folder / name, emps) for name in FILES)
     arcs, tested = _arcs(train), _arcs(test)
     learn, judge = arcs[: 2 * QUARTERS], arcs[2 * QUARTERS : 3 * QUARTERS]
-    found = gb.discover(emps, learn, validation=judge, say=say)
-    refinement = gb.discovery.refine(found.best, judge, plain=emps, say=say)
-    noise = DiscoveryProblem.of(found.best).noise
+    discovery = gb.discover(emps, learn, validation=judge, say=say)
+    refinement = gb.discovery.refine(discovery.best, judge, plain=emps, say=say)
+    noise = DiscoveryProblem.of(discovery.best).noise
     assert isinstance(noise, NoiseModel)
     held_out = {}
     for name in MODELS:
@@ -80,7 +80,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
         )
         runs[seconds] = _error(fitted.model, [train], WINDOWS[0]), _error(fitted.model, [test], WINDOWS[0])
         say(f"free run over all of it, constants from arcs of {seconds:.2f} s: {runs[seconds]} m")
-    return Study(found, refinement, held_out, fits, runs, _pushed(fits["both"].model, train), other_day, known)
+    return Study(discovery, refinement, held_out, fits, runs, _pushed(fits["both"].model, train), other_day, known)
 
 
 def _arcs(record: gb.Experiment) -> list[gb.Experiment]:
@@ -113,8 +113,8 @@ def _error(model: gb.Model, records: Sequence[gb.Experiment], rows: int) -> floa
 
 
 def _rms(values: np.ndarray) -> np.ndarray:
-    found: np.ndarray = np.sqrt(np.mean(values**2, axis=0))
-    return found
+    rms: np.ndarray = np.sqrt(np.mean(values**2, axis=0))
+    return rms
 
 
 def _pushed(model: gb.Model, record: gb.Experiment) -> float:
@@ -140,12 +140,12 @@ def section(s: Study) -> list[str]:
     ]
     rows = [[titles[m], *(f"{1e3 * v:.2f}" for v in _rms(s.held_out[m])), *_friction(s.fits[m])] for m in MODELS]
     free = [[f"{t:.2f}", f"{1e3 * a:.1f}", f"{1e3 * b:.1f}"] for t, (a, b) in s.runs.items()]
-    there, here = s.other_day.parameters, s.fits["named"].parameters
-    more = {n: 100 * (there[n].value / here[n].value - 1) for n in ("Fv", "Fc")}
+    other_day, named = s.other_day.parameters, s.fits["named"].parameters
+    more = {n: 100 * (other_day[n].value / named[n].value - 1) for n in ("Fv", "Fc")}
     arcs = ", ".join(f"{1e3 * e:.2f} mm ({titles[m]})" for m, e in s.test_arcs.items())
     return [
         "## EMPS: an electro-mechanical drive",
-        told(s.found, s.refinement),
+        verdict_text(s.discovery, s.refinement),
         f"Errors on arcs of {REPETITION / QUARTERS:.2f} s of a repetition that was kept back, mean over the {REPETITIONS} repetitions. The"
         " initial position and velocity of each arc are estimated from its first part, the error is that of the rest:",
         markdown(head, rows),

@@ -154,7 +154,7 @@ def make(seed: int, kind: str, rows: int = ROWS, effects: Sequence[str] = (), ri
     records = [_record(f"record {k}", rig, base, truth, u, sigma, colour, rng) for k, u in enumerate(inputs, 1)]
     silence = np.zeros(QUIET_ROWS)
     noisy = {name: std * _noise(QUIET_ROWS, colour, rng) for name, std in sigma.items()}
-    told = rng.choice(["noise", "quiet", "nothing"], p=[0.5, 0.3, 0.2])
+    knowledge = rng.choice(["noise", "quiet", "nothing"], p=[0.5, 0.3, 0.2])
     quiet = Experiment(
         "quiet", np.arange(QUIET_ROWS) * period, {"u": silence}, {n: y + _rest(n, base) for n, y in noisy.items()}
     )
@@ -166,8 +166,8 @@ def make(seed: int, kind: str, rows: int = ROWS, effects: Sequence[str] = (), ri
         {n: float(f"{base[n] * rng.uniform(0.7, 1.4):.3g}") for n in free},
         records[0],
         records[1],
-        quiet if told == "quiet" else None,
-        dict(sigma) if told == "noise" else None,
+        quiet if knowledge == "quiet" else None,
+        dict(sigma) if knowledge == "noise" else None,
         base,
         truth,
         sigma,

@@ -44,9 +44,9 @@ def write(rows: Sequence[Row], docs: Path, length: int) -> None:
 
 def right(row: Row) -> bool:
     """Whether the names are right: each true effect (or one of its family) and nothing else."""
-    said = row["said"]
-    hit = all(any(name in names for name in said) for names in row["right"])
-    return hit and all(any(name in names for names in row["right"]) for name in said)
+    answer = row["said"]
+    hit = all(any(name in names for name in answer) for names in row["right"])
+    return hit and all(any(name in names for names in row["right"]) for name in answer)
 
 
 def _part(row: Row) -> bool:
@@ -65,7 +65,7 @@ def _scores(rows: Sequence[Row]) -> str:
     kinds = {
         kind: [r for r in rows if r["kind"] == kind] for kind in ("single", "pair", "complete", "outside", "relative")
     }
-    seen = {kind: [r for r in found if r["base"] >= VISIBLE] for kind, found in kinds.items()}
+    seen = {kind: [r for r in rows if r["base"] >= VISIBLE] for kind, rows in kinds.items()}
     effects = [r for r in rows if r["kind"] != "complete"]
     both = [r for r in kinds["pair"] if all(left >= VISIBLE for left in r["each"])]
     faint = [r for r in kinds["pair"] if r not in both]
@@ -113,8 +113,8 @@ def _scores(rows: Sequence[Row]) -> str:
 
 
 def _share(values: Any) -> str:
-    found = list(values)
-    return f"{sum(found)}/{len(found)} = {100 * np.mean(found):.0f} %" if found else "-"
+    values = list(values)
+    return f"{sum(values)}/{len(values)} = {100 * np.mean(values):.0f} %" if values else "-"
 
 
 def _two(values: Sequence[float]) -> str:
@@ -123,14 +123,14 @@ def _two(values: Sequence[float]) -> str:
 
 def _pairs(rows: Sequence[Row]) -> Counter[tuple[str, str]]:
     """(truth, answer) of every visible case with at most one true effect."""
-    found: Counter[tuple[str, str]] = Counter()
+    counts: Counter[tuple[str, str]] = Counter()
     for r in rows:
         if r["kind"] == "pair" or (r["kind"] != "complete" and r["base"] < VISIBLE):
             continue
         truth = NOTHING if r["kind"] == "complete" else OUTSIDE if r["kind"] == "outside" else next(iter(r["truth"]))
-        said = " + ".join(r["said"]) or (NOTHING if r["verdict"] == "complete" else UNKNOWN)
-        found[truth, f"{said}?" if r["verdict"] == "unknown" and r["said"] else said] += 1
-    return found
+        answer = " + ".join(r["said"]) or (NOTHING if r["verdict"] == "complete" else UNKNOWN)
+        counts[truth, f"{answer}?" if r["verdict"] == "unknown" and r["said"] else answer] += 1
+    return counts
 
 
 def _confusion(rows: Sequence[Row]) -> str:
@@ -138,7 +138,7 @@ def _confusion(rows: Sequence[Row]) -> str:
     lines = ["| hidden | said (a question mark: with the verdict unknown) |", "|---|---|"]
     for truth in sorted({t for t, _ in counted}):
         answers = sorted(((n, s) for (t, s), n in counted.items() if t == truth), reverse=True)
-        lines.append(f"| {truth} | {', '.join(f'{said} {n}' for n, said in answers)} |")
+        lines.append(f"| {truth} | {', '.join(f'{answer} {n}' for n, answer in answers)} |")
     return "\n".join(lines)
 
 

@@ -56,22 +56,22 @@ def answered(case: Case) -> dict[str, Any]:
     model = find_model(case.model).fix(**case.known).start(**case.start)
     options = gb.FitOptions(at_rest=True)
     began = time.process_time()
-    found = gb.discover(
+    discovery = gb.discover(
         model, case.estimation, validation=case.validation, noise=case.noise, quiet=case.quiet or (), options=options
     )
     seconds = time.process_time() - began
-    worst = max(found.gap.values(), key=lambda g: g.before / g.floor)
+    worst = max(discovery.gap.values(), key=lambda g: g.before / g.floor)
     return hidden(case) | {
-        "verdict": found.verdict,
-        "said": [e["name"] for e in found.effects],
-        "alternatives": found.alternatives,
-        "sites": list(found.sites),
-        "base": max(g.before / case.sigma[o] for o, g in found.gap.items()),
+        "verdict": discovery.verdict,
+        "said": [e["name"] for e in discovery.effects],
+        "alternatives": discovery.alternatives,
+        "sites": list(discovery.sites),
+        "base": max(g.before / case.sigma[o] for o, g in discovery.gap.items()),
         "closed": worst.explained_fraction,
-        "curve": found.surrogate.explained_fraction if found.surrogate else None,
-        "constants": _constants(case, found.effects),
+        "curve": discovery.surrogate.explained_fraction if discovery.surrogate else None,
+        "constants": _constants(case, discovery.effects),
         "seconds": seconds,
-        "correlation": by_correlation(found.base, model, case),
+        "correlation": by_correlation(discovery.base, model, case),
         "sparse": by_sparse_regression(model, case),
         "each": without_each(case, model),
     }
@@ -131,8 +131,8 @@ def _misfit(case: Case, bench: DiscoveryProblem, scales: Scales, names: Sequence
     for bound in model.bound_effects:
         truth |= {bound.own[n]: v for n, v in case.effects[bound.effect.name].items()}
     trial = bench.best(model, [truth, model.values])
-    found = model if trial is None else trial.model
-    seen = gb.validate(found, case.validation, noise=case.sigma, options=bench.options)
+    extended = model if trial is None else trial.model
+    seen = gb.validate(extended, case.validation, noise=case.sigma, options=bench.options)
     return {name: m.rmse for name, m in seen.misfit.items()}
 
 

@@ -123,15 +123,15 @@ def verdict(s: Study) -> None:
     assert fit.success
     low, high = fit.parameters["delay"].interval or (np.nan, np.nan)
     assert low < DELAY < high
-    own = scores["physical"]
-    assert own.sweep < 1.5 * own.step and own.fast is not None and own.fast < 1.5 * own.step
-    alike = [s for s in scores.values() if s.step < 1.05 * own.step]
-    assert len(alike) >= 5 and max(s.sweep for s in alike) > 2 * own.sweep
-    assert scores["arx(5,1,3)"].sweep > 15 * own.sweep and scores["armax(4,1,1,3)"].sweep > 8 * own.sweep
-    assert scores["smoothing"].sweep > 1.5 * own.sweep
+    physical = scores["physical"]
+    assert physical.sweep < 1.5 * physical.step and physical.fast is not None and physical.fast < 1.5 * physical.step
+    alike = [s for s in scores.values() if s.step < 1.05 * physical.step]
+    assert len(alike) >= 5 and max(s.sweep for s in alike) > 2 * physical.sweep
+    assert scores["arx(5,1,3)"].sweep > 15 * physical.sweep and scores["armax(4,1,1,3)"].sweep > 8 * physical.sweep
+    assert scores["smoothing"].sweep > 1.5 * physical.sweep
     assert all(s.fast is None for name, s in scores.items() if name != "physical")
     # honest: the right output-error structure is as good as physics, at this sampling rate
-    assert min(s.sweep for name, s in scores.items() if name.startswith("oe")) < 1.1 * own.sweep
+    assert min(s.sweep for name, s in scores.items() if name.startswith("oe")) < 1.1 * physical.sweep
 
 
 def write(s: Study, folder: Path) -> None:

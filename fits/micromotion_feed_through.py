@@ -76,15 +76,15 @@ def least_squares(record: gb.Experiment) -> MonteCarloSmoothing:
     return MonteCarloSmoothing("x", "u", SAMPLING_TIME, 1.0, constants, record.rows)
 
 
-def reading(found: MonteCarloSmoothing) -> Reading:
+def reading(result: MonteCarloSmoothing) -> Reading:
     """What a smoothing says about jump and delay."""
-    return Reading(found.jump, found.delay / SAMPLING_TIME, found.error)
+    return Reading(result.jump, result.delay / SAMPLING_TIME, result.error)
 
 
-def with_ratio_of_the_delay(found: MonteCarloSmoothing) -> float:
+def with_ratio_of_the_delay(result: MonteCarloSmoothing) -> float:
     """The jump in um if the ratio were the one that belongs to the phase's delay."""
-    b = found.best
-    ratio = np.exp(b.decay * found.delay) / np.sqrt(1 - found.damping**2)
+    b = result.best
+    ratio = np.exp(b.decay * result.delay) / np.sqrt(1 - result.damping**2)
     return float(b.amplitude * (1 - ratio * np.sin(b.phase)))
 
 
@@ -146,7 +146,7 @@ def write(s: Study, folder: Path) -> None:
     rows = [[name, f"{r.jump:.2f}", f"{r.delay:.2f}", f"{r.error:.3f}"] for name, r in named.items()]
     delay = s.with_delay.parameters["delay"]
     low, high = delay.interval or (np.nan, np.nan)
-    found, low, high = (v / SAMPLING_TIME for v in (delay.value, low, high))
+    samples, low, high = (v / SAMPLING_TIME for v in (delay.value, low, high))
     rmse = [MICRO * f.misfit["x"].rmse for f in (s.with_delay, s.without)]
     text = [
         "### The feed-through of 4.03 um/V is a delay (`fits/micromotion_feed_through.py`)",
@@ -154,7 +154,7 @@ def write(s: Study, folder: Path) -> None:
         markdown(["equation 17", "jump at the edge, um", "delay that its phase shows, samples", "J, um^2"], rows),
         f"The printed phase is that of a delay of {s.printed.delay:.2f} samples. With the ratio that goes with it the jump would be"
         f" {s.explained:.2f} um, the delay's parabola; the rest of the {s.printed.jump:.2f} um comes from a ratio drawn below 1. The"
-        f" physical model with a delay finds {found:.2f} samples, 95 % interval [{low:.2f}, {high:.2f}], where"
+        f" physical model with a delay finds {samples:.2f} samples, 95 % interval [{low:.2f}, {high:.2f}], where"
         f" {DELAY / SAMPLING_TIME:.2f} are right, has no feed-through, and leaves {rmse[0]:.2f} um rms; without the delay"
         f" {rmse[1]:.2f} um.",
         "![The first three milliseconds](figures/only_physics_feed_through.png)",
@@ -171,12 +171,12 @@ def draw(s: Study, folder: Path) -> None:
     axis.plot(1e3 * t, record.outputs["x"][:SHOWN], ".", color=MEASURED, label="generated record")
     axis.plot(1e3 * t, MICRO * motion(np.ones(SHOWN)), color="black", lw=0.8, ls=":", label="motion without noise")
     fine = np.linspace(0, t[-1], 400)
-    for colour, (name, found) in zip(
+    for colour, (name, result) in zip(
         MODELS[1:],
         {"printed": printed.smoothing(record.rows), "least squares": least_squares(record)}.items(),
         strict=False,
     ):
-        axis.plot(1e3 * fine, found.response(fine), color=colour, lw=1, label=f"equation 17, {name}")
+        axis.plot(1e3 * fine, result.response(fine), color=colour, lw=1, label=f"equation 17, {name}")
     run = MICRO * gb.simulate(s.with_delay.model, step_record()).outputs["x"][:SHOWN]
     axis.plot(1e3 * t, run, color=MODELS[0], lw=1, label="physical, with a delay")
     legend(axis, "time [ms]", "displacement [µm]", "The feed-through is a delay, read at the edge")

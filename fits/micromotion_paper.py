@@ -76,7 +76,7 @@ def smoothed(
     record: Experiment, seed: int, report: Callable[[SmoothingProgress], None] | None = None
 ) -> tuple[MonteCarloSmoothing, tuple[NumeratorComparison, ...]]:
     """Section 4.2 with the paper's intervals and specification, and Table 3."""
-    found = monte_carlo_smoothing(
+    smoothing = monte_carlo_smoothing(
         record,
         seed=seed,
         intervals=printed.INTERVALS,
@@ -85,7 +85,7 @@ def smoothed(
         units={"x": "um"},
         report=report,
     )
-    return found, compare_numerators(record, found)
+    return smoothing, compare_numerators(record, smoothing)
 
 
 def study(seed: int = SEED, report: Callable[[SmoothingProgress], None] | None = None) -> Study:

@@ -173,21 +173,21 @@ def recovered(truth: Model, records: Sequence[Experiment], seed: int = 3) -> Fit
     return fit(off(truth, np.random.default_rng(seed)), records, noise=noise)
 
 
-def worst_error(found: Fit, truth: Model) -> float:
+def worst_error(result: Fit, truth: Model) -> float:
     """Largest relative error of a free constant."""
-    return max(abs(found.parameters[n].value / truth.values[n] - 1) for n in found.uncertainty.free)
+    return max(abs(result.parameters[n].value / truth.values[n] - 1) for n in result.uncertainty.free)
 
 
-def worst_deviation(found: Fit, truth: Model) -> float:
+def worst_deviation(result: Fit, truth: Model) -> float:
     """Largest error of a free constant in its standard deviations; infinite where the fit gives none."""
-    pairs = ((found.parameters[n], truth.values[n]) for n in found.uncertainty.free)
+    pairs = ((result.parameters[n], truth.values[n]) for n in result.uncertainty.free)
     return max(abs(e.value - value) / e.std if e.std else np.inf for e, value in pairs)
 
 
-def at_raised_supply(found: Fit, truth: Model, duration: float = DURATION, repeats: int = REPEATS) -> float:
+def at_raised_supply(result: Fit, truth: Model, duration: float = DURATION, repeats: int = REPEATS) -> float:
     """Error of the position predicted at 800 kPa, over the noise of its sensor; only the initial states are fitted."""
     records = experiments(truth.fix(P_S=RAISED), duration=duration, repeats=repeats)
-    judged = validate(found.model.fix(P_S=RAISED), position_only(records), noise={"s": NOISE["s"]})
+    judged = validate(result.model.fix(P_S=RAISED), position_only(records), noise={"s": NOISE["s"]})
     return judged.misfit["s"].noise_ratio
 
 
@@ -197,22 +197,22 @@ def main(say: Callable[[str], object] = sys.stdout.write) -> None:
     for noisy in (False, True):
         with_pressures = experiments(truth, noisy=noisy)
         for measured, records in (("position", position_only(with_pressures)), ("pressures too", with_pressures)):
-            found = recovered(truth, records)
-            assert found.success and len(found.uncertainty.free) == 9
-            say(f"nine experiments, {measured}, {'with' if noisy else 'without'} noise\n{found}\n")
-            say(f"worst error {worst_error(found, truth):.2e}, {worst_deviation(found, truth):.2f} std\n")
-            assert worst_deviation(found, truth) < 3 if noisy else worst_error(found, truth) < 0.01
+            result = recovered(truth, records)
+            assert result.success and len(result.uncertainty.free) == 9
+            say(f"nine experiments, {measured}, {'with' if noisy else 'without'} noise\n{result}\n")
+            say(f"worst error {worst_error(result, truth):.2e}, {worst_deviation(result, truth):.2f} std\n")
+            assert worst_deviation(result, truth) < 3 if noisy else worst_error(result, truth) < 0.01
             if noisy:
-                ratio = at_raised_supply(found, truth)
+                ratio = at_raised_supply(result, truth)
                 say(f"at 800 kPa: {ratio:.3f} times the noise\n\n")
                 assert ratio < 2
 
     truth, successes = dead_band.free("b"), 0
     records = experiments(truth, duration=20.0, repeats=1)
     for seed in range(STARTS):
-        found = recovered(truth, records, seed)
-        successes += worst_error(found, truth) < TOGETHER
-        say(f"dead band, start {seed}: {found.status}, worst error {worst_error(found, truth):.2e}\n")
+        result = recovered(truth, records, seed)
+        successes += worst_error(result, truth) < TOGETHER
+        say(f"dead band, start {seed}: {result.status}, worst error {worst_error(result, truth):.2e}\n")
     say(f"{successes} of {STARTS} starts\n")
     assert successes >= 18
 

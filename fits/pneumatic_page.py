@@ -161,8 +161,8 @@ def draw(s: Study, folder: Path) -> None:
         time, y = record.time[rows], record.outputs["y"][rows]
         axis.plot(time, y, color=MEASURED, lw=1.6, label="generated record")
         for colour, (nk, m) in zip(MODELS, s.models.items(), strict=False):
-            said = f"arx22{nk}, {s.cells[nk][SHOWN][2].best_fit:.2f} %"
-            axis.plot(time, m.simulate(record, initial="zero")["y"][rows], color=colour, lw=0.8, label=said)
+            label = f"arx22{nk}, {s.cells[nk][SHOWN][2].best_fit:.2f} %"
+            axis.plot(time, m.simulate(record, initial="zero")["y"][rows], color=colour, lw=0.8, label=label)
         enlarged = ", enlarged" if len(time) < record.rows else ""
         legend(axis, "time [s]", "position [V]", f"Figure {number}: best fit on {SHOWN}{enlarged}", columns=2)
         save(figure, folder, _file(number))
@@ -178,8 +178,8 @@ def main(folder: Path, say: Say = sys.stdout.write) -> None:
         result = study(report=step)
     for order in printed.ORDERS:
         ours, theirs = by_input(result.cells[0], order), by_input(printed.TABLES[0], order)
-        said = ", ".join(f"{u} {theirs[u]:.1f} / {ours[u]:.1f}" for u in ours)
-        say(f"({order},{order},0) best fit in %, printed / generated, median: {said}\n")
+        values = ", ".join(f"{u} {theirs[u]:.1f} / {ours[u]:.1f}" for u in ours)
+        say(f"({order},{order},0) best fit in %, printed / generated, median: {values}\n")
     verdict(result)
     write(result, folder)
     say(f"written to {folder}\n")

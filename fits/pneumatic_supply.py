@@ -119,8 +119,8 @@ def verdict(s: Study) -> None:
     scores = s.scores
     assert s.fit.success
     for out in JUDGED:
-        own = scores[out]["physical"]
-        assert own.raised < 1.2 * own.same and own.raised < 3 * SENSORS[out]
+        physical = scores[out]["physical"]
+        assert physical.raised < 1.2 * physical.same and physical.raised < 3 * SENSORS[out]
     for kind in SCANS:
         pressure = scores["p_a"][kind]
         assert pressure.raised > 8 * pressure.same and pressure.raised > 5e4

@@ -163,14 +163,14 @@ def voltage(name: str, duration: float = DURATION) -> np.ndarray:
 
 def repeats() -> list[Repeat]:
     """The nine experiments, drawn from `SEED`."""
-    draw, found = np.random.default_rng(SEED), []
+    draw, repeats = np.random.default_rng(SEED), []
     for name, level in DRIFT.items():
         for k in range(REPEATS):
             sign = draw.choice((-1, 1))
             drift, friction = 1 + draw.standard_normal(2) * (DRIFT_SPREAD, FRICTION_SPREAD)
             coulomb = CONSTANTS["coulomb"] * float(friction)
-            found.append(Repeat(f"{name}_{k + 1}", float(sign * level * drift), coulomb, SEED + len(found)))
-    return found
+            repeats.append(Repeat(f"{name}_{k + 1}", float(sign * level * drift), coulomb, SEED + len(repeats)))
+    return repeats
 
 
 def trimmed(repeat: Repeat) -> float:

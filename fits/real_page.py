@@ -42,9 +42,9 @@ def write(folder: Path, name: str, parts: Sequence[str]) -> Path:
     return write_section(folder, name, "\n\n".join(parts), PAGE, TITLE)
 
 
-def told(found: Discovery, refinement: Refinement | None = None) -> str:
+def verdict_text(discovery: Discovery, refinement: Refinement | None = None) -> str:
     """The finding in its own words, then each further effect, as a list."""
-    lines = [f"`greybox discover` (verdict *{found.verdict}*): {found.story}"]
+    lines = [f"`greybox discover` (verdict *{discovery.verdict}*): {discovery.story}"]
     if refinement is not None:
         lines += [f"- {step}" for step in refinement.steps] or [
             "- `refine`: no other effect gains on records not used for it"

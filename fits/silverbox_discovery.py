@@ -18,7 +18,7 @@ from pathlib import Path
 
 import greybox as gb
 from fits.paper_page import markdown
-from fits.real_page import arguments, told, write
+from fits.real_page import arguments, verdict_text, write
 from greybox.discovery import Refinement
 from models.silverbox import silverbox
 
@@ -40,7 +40,7 @@ Say = Callable[[str], object]
 class Study:
     """The discovery, what was found beyond it, and errors on the three test records: by hold, and by form of the damping."""
 
-    found: gb.discovery.Discovery
+    discovery: gb.discovery.Discovery
     refinement: Refinement
     linear: Errors
     holds: Mapping[str, Errors]
@@ -61,8 +61,8 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     def errors(model: gb.Model, hold: str = "zero") -> Errors:
         return tuple(gb.validate(model, t.with_hold(hold), skip=SKIP).misfit["y"].rmse for t in tests)  # type: ignore[arg-type]
 
-    found = gb.discover(silverbox, train.window(*LEARN), validation=train.window(*JUDGE), say=say)
-    refinement = gb.discovery.refine(found.best, train.window(*JUDGE), plain=silverbox, say=say)
+    discovery = gb.discover(silverbox, train.window(*LEARN), validation=train.window(*JUDGE), say=say)
+    refinement = gb.discovery.refine(discovery.best, train.window(*JUDGE), plain=silverbox, say=say)
     springs = _with(silverbox, SPRINGS)
     holds = {}
     for hold in HOLDS:
@@ -74,7 +74,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
         forms[form] = errors(gb.fit(moving + gb.effect(form), whole).model)
         say(f"{form}: {_millivolt(forms[form])} mV")
     linear = gb.fit(silverbox + gb.effect("band_limited_input"), train.window(*LEARN))
-    return Study(found, refinement, errors(linear.model), holds, errors(gb.fit(moving, whole).model), forms)
+    return Study(discovery, refinement, errors(linear.model), holds, errors(gb.fit(moving, whole).model), forms)
 
 
 def _with(model: gb.Model, names: tuple[str, ...]) -> gb.Model:
@@ -97,7 +97,7 @@ def section(s: Study) -> list[str]:
     rows += [["*published, best*", *_millivolt(PUBLISHED)]]
     return [
         "## Silverbox: an electronic circuit",
-        told(s.found, s.refinement),
+        verdict_text(s.discovery, s.refinement),
         "Errors on the test records, which took no part in choosing effects or constants:",
         markdown(head, rows),
         "What the input does between samples was the first pick of the search. The members of the damping family differ by less than the"
