@@ -51,7 +51,7 @@ def page(result: dict) -> str:
     lines += [
         "",
         "In brackets: rounds, and by how much the cost that a peer reached lies above the best RK4 optimum (relative). A fit with",
-        "`solve_least_squares` + `solve_ivp` was not run: multiply one simulation by the 30 to 100 that finite differences need.",
+        "`least_squares` + `solve_ivp` was not run: multiply one simulation by the 30 to 100 that finite differences need.",
         "",
         f"First result after the imports (pneumatic): {first['cold']:.2f} s with an empty cache (goal 3), {first['warm']:.2f} s"
         " after that (goal 0.5).",

@@ -27,7 +27,7 @@ is outside it) on the linear rig; "distance from -1" is the least of the loop's 
 the confidence set of the constants.
 
 This page is written by `python -m fits.control_page`; the studies are `fits/control_micro_actuator.py` and `fits/control_pneumatic.py`,
-whose `judge_comparison` asserts what is said here.
+whose `verdict` asserts what is said here.
 """
 
 

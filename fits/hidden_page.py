@@ -84,7 +84,7 @@ def _scores(rows: Sequence[Row]) -> str:
         ),
         ("complete models left alone", _share([r["verdict"] == "complete" for r in kinds["complete"]])),
         (
-            "wrong or incomplete name with the verdict `name_value_table`",
+            "wrong or incomplete name with the verdict `named`",
             _share([r["verdict"] == "named" and not right(r) for r in effects]),
         ),
         (

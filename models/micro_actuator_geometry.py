@@ -14,7 +14,7 @@ the same constants::
 
 The paper prints `M = {m1 [(beta1 r1)^2 + I1] + m2 r1^2} / r1^2`, whose `m1 I1` has not the unit of the rest,
 and `B = B1 / r1^2`, `K = K1 / r1^2`, because its hinge 2 bends by `dtheta1 + dtheta2 = 0`: half the stiffness
-and damping for equal hinges. Both forms are here; `as_printed` is for comparing with the paper, `correct_by_measurement` for
+and damping for equal hinges. Both forms are here; `as_printed` is for comparing with the paper, `corrected` for
 everything else. The lumped values identified from a record do not depend on which one is right. The whole
 device is four quarters side by side.
 

@@ -42,7 +42,7 @@ class Valve:
 
 @dataclass(frozen=True)
 class Chambers:
-    """`fastest_and_slowest_rate(x, p, flows)`: named terms of the rates of `p_a` and of `p_b` [Pa/s]; `force(x, p)` of the gas on the
+    """`rates(x, p, flows)`: named terms of the rates of `p_a` and of `p_b` [Pa/s]; `force(x, p)` of the gas on the
     piston [N]; `start`: pressures at rest, as functions of the constants; `pressure_bounds`: where the equations hold.
     """
 

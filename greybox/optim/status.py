@@ -62,7 +62,7 @@ class MinimisationResult:
 
 
 IterationCallback = Callable[[int, float], object]  # (iteration, cost)
-TerminationTest = Callable[[np.ndarray, Any], TerminationStatus | None]  # (z, what `draw_and_search` gave there)
+TerminationTest = Callable[[np.ndarray, Any], TerminationStatus | None]  # (z, what `evaluate` gave there)
 
 # What IPOPT says at the end.
 IPOPT_STATUS = {
