@@ -9,6 +9,8 @@ import numpy as np
 
 from greybox.errors import DataError
 from greybox.experiment import Experiment
+from greybox.experiment.findings import RecordCode
+from greybox.findings import Finding
 
 ROUNDING = 1e-9  # of a step, by which the last new row may seem to lie behind the record
 
@@ -37,13 +39,14 @@ def resample(experiment: Experiment, sampling_time: float) -> Experiment:
     def held(values: np.ndarray) -> np.ndarray:
         return values[before]
 
+    resampled = {"sampling_time": sampling_time, "rows": experiment.rows}
     across = held if experiment.hold == "zero" else straight
     return replace(
         experiment,
         time=new,
         inputs={name: across(values) for name, values in experiment.inputs.items()},
         outputs={name: straight(values) for name, values in experiment.outputs.items()},
-        notes=(*experiment.notes, f"resampled to every {sampling_time:.6g} s from {experiment.rows} rows"),
+        findings=(*experiment.findings, Finding(RecordCode.RESAMPLED, values=resampled)),
     )
 
 

@@ -24,7 +24,7 @@ def to_plain_values(check: ModelCheck) -> dict[str, Any]:
                 "duration": e.duration,
                 "sampling_time": e.sampling_time,
                 "data": e.fingerprint,
-                "notes": list(e.notes),
+                "notes": [str(finding) for finding in e.findings],
             }
             for e in check.experiments
         ],

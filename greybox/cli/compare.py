@@ -238,11 +238,12 @@ def _tell(
     quiet: bool,
     json: bool,
 ) -> None:
-    from greybox.estimation.findings import collect_record_notes
     from greybox.estimation.fit import read_versions
+    from greybox.experiment import collect_record_findings
     from greybox.plots import comparison_figure
+    from greybox.rendering import sentences
 
-    known = collect_record_notes([*records, *judges])
+    known = sentences(collect_record_findings([*records, *judges]))
     prints = {e.name: e.fingerprint for e in (*records, *judges)}
     saved = result.save(folder / "compare.json", {"data": prints, "remarks": known, "versions": read_versions()})
     if json:

@@ -111,7 +111,7 @@ def read_records(
 ) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:  # fmt: skip
     """The records in ``data`` and those in ``validate``, each with its conditions: from its file, or as the command line has them.
 
-    ``split``: cut where their time starts anew and at its holes; if not, a long hole is refused. ``at_rest``: whether each begins at
+    ``split``: cut where their time starts anew and at its gaps; if not, a long gap is refused. ``at_rest``: whether each begins at
     rest. ``how``: further arguments of `greybox.experiment.read_experiments`. Raises GreyboxError.
     """
     from greybox.experiment import read_experiments
@@ -135,13 +135,16 @@ def read_records(
 
 
 def _known_as(judge: Experiment, records: Sequence[Experiment]) -> Experiment:
-    """A record for validation, with a note where it is one of those that are fitted."""
+    """A record for validation, with a finding where it is one of those that are fitted."""
+    from greybox.experiment.findings import RecordCode
+    from greybox.findings import Finding, Severity
+
     same = next((r for r in records if r.fingerprint == judge.fingerprint), None)
     if same is None:
         return judge
     name = same.source or same.name
-    note = f"the same data as {name}, which is fitted: it says nothing of records that were not used; judge by another"
-    return replace(judge, notes=(*judge.notes, note))
+    finding = Finding(RecordCode.ALSO_FITTED, Severity.WARNING, values={"record": name})
+    return replace(judge, findings=(*judge.findings, finding))
 
 
 def _under(

@@ -17,23 +17,21 @@ SplitHoles = Annotated[
     bool,
     typer.Option(
         "--split-holes",
-        help="Cut records where their time has a hole or starts anew (the logger dropped out, two runs in one file).",
+        help="Cut records where their time has a gap or starts anew (the logger dropped out, two runs in one file).",
     ),
 ]
 
 
 def print_record_notes(*groups: Iterable[Experiment]) -> None:
-    """The notes of records as lines on stderr; records that share a note share its line."""
-    found: dict[str, list[str]] = {}
-    for record in (r for group in groups for r in group):
-        for text in record.notes:
-            found.setdefault(text, []).append(record.source or record.name)
-    for text, names in found.items():
-        print_note(f"note: {', '.join(dict.fromkeys(names))}: {text}")
+    """The findings of records as lines on stderr; records that share a finding share its line."""
+    from greybox.experiment import collect_record_findings
+
+    for finding in collect_record_findings(record for group in groups for record in group):
+        print_note(f"note: {finding}")
 
 
 def split_records(at_rest: bool, *groups: Sequence[Experiment], runs: int = 0) -> list[tuple[Experiment, ...]]:
-    """Each group with its records cut at the holes in their time, and a word on what was done; ``runs``: cuts made before."""
+    """Each group with its records cut at the gaps in their time, and a word on what was done; ``runs``: cuts made before."""
     parts = [[record.split_at_time_gaps() for record in group] for group in groups]
     pairs = [
         (record.source or record.name, len(cut))
@@ -42,14 +40,14 @@ def split_records(at_rest: bool, *groups: Sequence[Experiment], runs: int = 0) -
         if cut != (record,)
     ]
     if not pairs and not runs:
-        print_note("note: --split-holes has no effect: no record has a hole in its time, and none starts anew")
+        print_note("note: --split-holes has no effect: no record has a gap in its time, and none starts anew")
     for name, number in pairs:
         print_note(
-            f"note: {name} was cut at the holes in its time: {number} piece{'s' * (number != 1)}, each a record of its own"
+            f"note: {name} was cut at the gaps in its time: {number} piece{'s' * (number != 1)}, each a record of its own"
         )
     if pairs and at_rest:
         print_note(
-            "note: --at-rest: each piece is taken to begin at rest; leave it out if the plant still moved behind a hole"
+            "note: --at-rest: each piece is taken to begin at rest; leave it out if the plant still moved after a gap"
         )
     return [tuple(part for cut in cuts for part in cut) for cuts in parts]
 

@@ -111,7 +111,8 @@ def simulate(
     """
     import numpy as np
 
-    from greybox.experiment.sampling import describe_longest_time_gap
+    from greybox.experiment.findings import RecordCode
+    from greybox.experiment.sampling import find_longest_time_gap
     from greybox.project import find_model
     from greybox.simulation import read_inputs, write_csv
     from greybox.simulation import simulate as run_model
@@ -127,9 +128,9 @@ def simulate(
     chosen = _one_drive(plant, inputs, shapes, shaping, column)
     if inputs is not None:
         experiment = read_inputs(inputs, plant, columns=o.parse_pairs("--column", column), hold=hold.value)
-        hole = describe_longest_time_gap(experiment.time)
-        if hole:
-            print_note(f"note: {experiment.source}: {hole}")
+        gap = find_longest_time_gap(experiment.time, code=RecordCode.INPUT_HELD_THROUGH_GAP)
+        if gap is not None:
+            print_note(f"note: {experiment.source}: {gap}")
     else:
         experiment = _signal(plant, chosen, band, offset, duration, sampling_time, hold.value, generator)
     run = run_model(

@@ -11,8 +11,8 @@ from greybox.estimation.parameter_constancy import VISIBLE, VISIBLE_BY_DIFFERENC
 from greybox.estimation.robust_estimation import compute_noise_ratios
 from greybox.estimation.simulation_failure import describe_simulation_failure
 from greybox.estimation.solution import Solution
-from greybox.experiment import Experiment
-from greybox.experiment.sensor_faults import is_sensor_fault
+from greybox.experiment import Experiment, collect_record_findings
+from greybox.experiment.findings import is_sensor_fault
 from greybox.noise.noise_sources import DIFFERENCES
 from greybox.optim import TerminationStatus
 from greybox.result import Estimate, Misfit, Trace
@@ -167,17 +167,14 @@ def _moved(move: ParameterShift) -> str:
 
 def collect_record_notes(experiments: Sequence[Experiment]) -> tuple[str, ...]:
     """What is to be known about the records themselves; records that share a note share its sentence."""
-    found: dict[str, list[str]] = {}
-    for experiment in experiments:
-        for text in experiment.notes:
-            found.setdefault(text, []).append(experiment.source or experiment.name)
-    return tuple(f"{', '.join(dict.fromkeys(names))}: {text}" for text, names in found.items())
+    return tuple(map(str, collect_record_findings(experiments)))
 
 
 def add_record_notes(remarks: Sequence[str], experiments: Sequence[Experiment]) -> tuple[str, ...]:
     """``remarks`` on a fit and what is to be known about its records: first what casts doubt on a measurement, then the rest."""
-    known = collect_record_notes(experiments)
-    return (*filter(is_sensor_fault, known), *remarks, *(text for text in known if not is_sensor_fault(text)))
+    known = collect_record_findings(experiments)
+    faults = [str(finding) for finding in known if is_sensor_fault(finding)]
+    return (*faults, *remarks, *(str(finding) for finding in known if not is_sensor_fault(finding)))
 
 
 def describe_direction(direction: Mapping[str, float]) -> str:

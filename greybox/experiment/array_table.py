@@ -32,7 +32,7 @@ class ArrayTable:
         return ()
 
     @property
-    def places(self) -> RowLabels:
+    def row_labels(self) -> RowLabels:
         """Rows are called by their number."""
         return RowLabels()
 
@@ -42,7 +42,7 @@ class ArrayTable:
         problems: list[str] = []
         for k in positions:
             header = self.headers[k]
-            columns[k] = _column(header, self.arrays[header], self.places, problems)
+            columns[k] = _to_column(header, self.arrays[header], self.row_labels, problems)
         rows = {len(values) for values in columns.values()}
         if not problems and len(rows) > 1:
             lengths = ", ".join(f"{self.headers[k]!r} {len(v)}" for k, v in columns.items())
@@ -115,7 +115,7 @@ def read_parquet(path: Path) -> ArrayTable:
     return ArrayTable(arrays)
 
 
-def _column(header: str, array: np.ndarray, places: RowLabels, problems: list[str]) -> np.ndarray:
+def _to_column(header: str, array: np.ndarray, labels: RowLabels, problems: list[str]) -> np.ndarray:
     if array.ndim == 2 and 1 in array.shape:
         array = array.ravel()
     if array.ndim != 1:
@@ -123,17 +123,17 @@ def _column(header: str, array: np.ndarray, places: RowLabels, problems: list[st
     elif array.dtype.kind in "biuf":
         return array.astype(np.float64)
     elif array.dtype.kind in "OUS":
-        values = [_number(v) for v in array]
+        values = [_to_number(v) for v in array]
         bad = [k for k, v in enumerate(values) if v is None]
         if not bad:
             return np.array(values, dtype=np.float64)
-        problems.append(describe_non_numbers(header, bad, [str(array[k]) for k in bad], places))
+        problems.append(describe_non_numbers(header, bad, [str(array[k]) for k in bad], labels))
     else:
         problems.append(f"column {header!r} holds {array.dtype}, not real numbers; write numbers (time in seconds)")
     return np.zeros(0)
 
 
-def _number(value: Any) -> float | None:
+def _to_number(value: Any) -> float | None:
     """A number, NaN for a missing one, None for anything else."""
     if value is None:
         return float("nan")

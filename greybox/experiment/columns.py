@@ -6,6 +6,7 @@ import difflib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -13,9 +14,17 @@ from greybox.errors import ModelError, nearest
 from greybox.model import Model
 from greybox.units import convert, unit_converter
 
-TIME = "time"
-LISTED = 12  # headers named in a message
+TIME = "time"  # the name of the time column
 _BRACKETS = re.compile(r"^(?P<name>[^\[\]]*?)\s*\[(?P<unit>[^\[\]]*)\]$")
+
+
+class SignalKind(StrEnum):
+    """What a column of a file is for."""
+
+    TIME = "time"
+    INPUT = "input"
+    OUTPUT = "output"
+    CONDITION = "condition"
 
 
 @dataclass(frozen=True)
@@ -32,14 +41,14 @@ class Column:
 class RequestedSignal:
     """A signal wanted from a file: ``kind`` is time, input, output or condition; ``unit`` is the model's."""
 
-    kind: str
+    kind: SignalKind
     name: str
     unit: str
 
     @property
     def label(self) -> str:
         """How messages call it: ``input 'u' [V]``."""
-        return f"time [{self.unit}]" if self.kind == TIME else f"{self.kind} {self.name!r} [{self.unit}]"
+        return f"time [{self.unit}]" if self.kind is SignalKind.TIME else f"{self.kind} {self.name!r} [{self.unit}]"
 
 
 @dataclass(frozen=True)
@@ -78,9 +87,9 @@ def match_columns(
     An output may be missing as long as another is there, and so may ``conditions``.
     """
     columns = [parse_header(h, k) for k, h in enumerate(headers)]
-    signals = [RequestedSignal(TIME, TIME, "s")]
-    signals += [RequestedSignal("input", i.name, i.unit) for i in model.inputs]
-    signals += [RequestedSignal("output", o.name, o.unit) for o in model.outputs]
+    signals = [RequestedSignal(SignalKind.TIME, TIME, "s")]
+    signals += [RequestedSignal(SignalKind.INPUT, i.name, i.unit) for i in model.inputs]
+    signals += [RequestedSignal(SignalKind.OUTPUT, o.name, o.unit) for o in model.outputs]
     signals += conditions
     known = [s.name for s in signals]
     problems = [
@@ -88,26 +97,28 @@ def match_columns(
         for n in mapping or {}
         if n not in known
     ]
-    found, free = _mapped(columns, signals, mapping or {}, problems)
+    matched, free = _apply_mapping(columns, signals, mapping or {}, problems)
     missing: list[RequestedSignal] = []
     for signal in signals:
         if signal.name in (mapping or {}):
             continue
-        hits = [c for c in free if _fits(c, signal)]
+        hits = [c for c in free if _is_for(c, signal)]
         if hits:
-            found[signal] = hits[0]
+            matched[signal] = hits[0]
         else:
             missing.append(signal)
         if len(hits) > 1:
             several = " and ".join(repr(c.header) for c in hits)
-            problems.append(f"{signal.label} has {len(hits)} columns, {several}; keep one, or {_say(signal)}")
-    used = {c.position for c in found.values()}
+            problems.append(
+                f"{signal.label} has {len(hits)} columns, {several}; keep one, or {_explain_mapping(signal)}"
+            )
+    used = {c.position for c in matched.values()}
     spare = [c for c in columns if c.position not in used and c.header]
-    problems += _without_column(missing, model, spare)
+    problems += _describe_missing(missing, model, spare)
     return ColumnMatch(
-        {s: found[s] for s in signals if s in found},
+        {s: matched[s] for s in signals if s in matched},
         tuple(c.header for c in spare),
-        tuple(s.name for s in missing if s.kind == "output"),
+        tuple(s.name for s in missing if s.kind is SignalKind.OUTPUT),
         tuple(problems),
     )
 
@@ -123,21 +134,21 @@ def convert_column(values: np.ndarray, signal: RequestedSignal, column: Column, 
         return values
 
 
-def _mapped(
+def _apply_mapping(
     columns: list[Column], signals: list[RequestedSignal], mapping: Mapping[str, str], problems: list[str]
 ) -> tuple[dict[RequestedSignal, Column], list[Column]]:
     """Columns that ``mapping`` names, and those left for matching by name."""
-    found: dict[RequestedSignal, Column] = {}
+    matched: dict[RequestedSignal, Column] = {}
     for signal in signals:
         header = mapping.get(signal.name)
         if header is None:
             continue
         hits = [c for c in columns if c.header == header.strip()] or [c for c in columns if c.name == header.strip()]
-        taken = [s for s, c in found.items() if c in hits]
+        taken = [s for s, c in matched.items() if c in hits]
         if not hits:
             problems.append(
                 f"columns maps {signal.name!r} to {header!r}, which the file does not have;"
-                f" {nearest(header, _listed(columns))}"
+                f" {nearest(header, _list_headers(columns))}"
             )
         elif len(hits) > 1:
             problems.append(
@@ -150,48 +161,48 @@ def _mapped(
                 " each signal needs its own column"
             )
         else:
-            found[signal] = hits[0]
-    used = {c.position for c in found.values()}
-    return found, [c for c in columns if c.position not in used]
+            matched[signal] = hits[0]
+    used = {c.position for c in matched.values()}
+    return matched, [c for c in columns if c.position not in used]
 
 
-def _fits(column: Column, signal: RequestedSignal) -> bool:
-    if signal.kind != TIME:
+def _is_for(column: Column, signal: RequestedSignal) -> bool:
+    if signal.kind is not SignalKind.TIME:
         return column.name == signal.name
     return column.name == "t" or column.name.lower() == TIME  # "T" is a temperature
 
 
-def _without_column(missing: Sequence[RequestedSignal], model: Model, spare: Sequence[Column]) -> list[str]:
+def _describe_missing(missing: Sequence[RequestedSignal], model: Model, spare: Sequence[Column]) -> list[str]:
     """Problems with the signals that no column is for; an output may be missing, but not all of them."""
-    needed = [s for s in missing if s.kind in (TIME, "input")]
-    found = [f"no column for {s.label}; {_nearest_headers(s, spare)}" for s in needed]
-    outputs = [s for s in missing if s.kind == "output"]
+    needed = [s for s in missing if s.kind in (SignalKind.TIME, SignalKind.INPUT)]
+    problems = [f"no column for {s.label}; {_suggest_headers(s, spare)}" for s in needed]
+    outputs = [s for s in missing if s.kind is SignalKind.OUTPUT]
     if len(outputs) == len(model.outputs):
         labels = ", ".join(s.label for s in outputs)
         what = f"any output of model {model.name!r} ({labels}), at least one is needed"
-        found.append(f"no column for {what}; {_nearest_headers(outputs[0], spare)}")
-    return found
+        problems.append(f"no column for {what}; {_suggest_headers(outputs[0], spare)}")
+    return problems
 
 
-def _nearest_headers(signal: RequestedSignal, spare: Sequence[Column]) -> str:
+def _suggest_headers(signal: RequestedSignal, spare: Sequence[Column]) -> str:
     wanted = signal.name.lower()
     close = difflib.get_close_matches(wanted, [c.name.lower() for c in spare], n=3, cutoff=0.5)
     near = [repr(c.header) for c in spare if c.name.lower() in close or wanted in re.split(r"[\W_]+", c.name.lower())]
     guess = f"did you mean {' or '.join(near[:3])}? " if near else ""
-    listing = ", ".join(_listed(spare))
+    listing = ", ".join(_list_headers(spare))
     if not listing:
-        return f"every other column is in use; add a column for it, or {_say(signal)}"
-    return f"{guess}unused headers: {listing}; rename one, or {_say(signal)}"
+        return f"every other column is in use; add a column for it, or {_explain_mapping(signal)}"
+    return f"{guess}unused headers: {listing}; rename one, or {_explain_mapping(signal)}"
 
 
-def _say(signal: RequestedSignal) -> str:
+def _explain_mapping(signal: RequestedSignal) -> str:
     """How to choose a column by hand, in Python and in the shell."""
-    return f"say columns={{{signal.name!r}: <header>}} (shell: --column {signal.name}=<header>)"
+    return f"set columns={{{signal.name!r}: <header>}} (shell: --column {signal.name}=<header>)"
 
 
-def _listed(columns: Sequence[Column]) -> list[str]:
+def _list_headers(columns: Sequence[Column], shown: int = 12) -> list[str]:
     headers = [c.header for c in columns if c.header]
-    return headers[:LISTED] + ([f"... {len(headers) - LISTED} more"] if len(headers) > LISTED else [])
+    return headers[:shown] + ([f"... {len(headers) - shown} more"] if len(headers) > shown else [])
 
 
 def _is_unit(text: str) -> bool:

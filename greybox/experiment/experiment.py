@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any, Literal
@@ -12,42 +14,69 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.errors import DataError
-from greybox.experiment.arrays import compute_fingerprint, describe_range, to_read_only_array
+from greybox.experiment.findings import TIMING, RecordCode
+from greybox.experiment.policy import RECORD_POLICY, RecordPolicy
 from greybox.experiment.problems import (
-    FEWEST_ROWS,
     RowLabels,
     find_array_problems,
     find_measurement_problems,
     raise_problems,
 )
-from greybox.experiment.sampling import describe_timing, find_sampling_time
-from greybox.experiment.sensor_faults import inspect_record
-from greybox.experiment.time_gaps import common_sampling_time, split_record
+from greybox.experiment.sampling import find_common_sampling_time, find_pieces, find_sampling_time, inspect_timing
+from greybox.experiment.sensor_faults import inspect_signals
+from greybox.findings import Finding
+from greybox.values import Printable
 
 Hold = Literal["zero", "first", "band-limited"]
-HOLDS = {
-    "zero": "input held between samples",
-    "first": "input linear between samples",
-    "band-limited": "band-limited input between samples",
-}
+HOLDS: tuple[Hold, ...] = ("zero", "first", "band-limited")
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class Experiment(Printable):
     """A record of one experiment, in the units of the model it was read for. Arrays are read-only float64.
 
-    ``time`` (N,) in seconds, increasing. ``inputs``: name -> (N,), finite. ``outputs``: name -> (N,), NaN where nothing
-    was measured. ``hold`` says how the input moves between samples: ``"zero"`` stays until the next row (a computer
-    drives it), ``"first"`` runs straight to it (the input itself is a measured, smooth signal), ``"band-limited"`` has no
-    content above half the sampling rate (a smooth signal behind an anti-alias filter). ``source`` is the file it came
-    from, ``conditions`` are constants of this experiment alone, ``notes`` what one should know about it (a part keeps
-    those of the whole).
+    Measured arrays are better given to `Experiment.from_arrays`, which also refuses records from which nothing can be learnt.
 
-    ``sampling_time`` in seconds, None when time is irregular (rule: `greybox.experiment.sampling`). ``fingerprint``: 16
-    hex digits of the SHA-256 over names and arrays; equal data, equal fingerprint, whatever the file was called.
+    Parameters
+    ----------
+    name
+        What results call the record.
+    time : array (N,)
+        Time in seconds, increasing.
+    inputs
+        Name -> array (N,), finite.
+    outputs
+        Name -> array (N,), NaN where nothing was measured.
+    hold
+        How the input moves between samples: ``"zero"`` stays until the next row (a computer drives it), ``"first"`` runs straight
+        to it (the input itself is a measured, smooth signal), ``"band-limited"`` has no content above half the sampling rate (a
+        smooth signal behind an anti-alias filter).
+    source
+        The file that it came from.
+    conditions
+        Constants of this experiment alone, name -> value in the model's unit.
+    findings
+        What a reader should know about the record. A part keeps those of the whole.
 
-    Raises DataError when lengths differ, time does not increase, or an input is not finite. Measured arrays are better
-    given to `Experiment.from_arrays`, which also refuses records that hold nothing to learn from.
+    Attributes
+    ----------
+    sampling_time : float or None
+        Seconds between rows; None when time is irregular (rule: `greybox.experiment.sampling`).
+    fingerprint : str
+        16 hex digits of the SHA-256 over names and arrays; equal data, equal fingerprint, whatever the file was called.
+
+    Raises
+    ------
+    DataError
+        When lengths differ, time does not increase, or an input is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = 0.01 * np.arange(200)
+    >>> record = Experiment("run", time, {"u": np.sin(time)}, {"y": np.cos(time)})
+    >>> record.rows, record.sampling_time
+    (200, 0.01)
     """
 
     name: str
@@ -57,7 +86,7 @@ class Experiment:
     hold: Hold = "zero"
     source: str = ""
     conditions: Mapping[str, float] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     sampling_time: float | None = field(init=False)
     fingerprint: str = field(init=False)
 
@@ -65,13 +94,13 @@ class Experiment:
         if self.hold not in HOLDS:
             raise DataError(
                 f"experiment {self.name!r}: hold {self.hold!r} is unknown;"
-                " say 'zero' (held) or 'first' (linear between samples) or 'band-limited' (no content above half the rate)"
+                " give 'zero' (held) or 'first' (linear between samples) or 'band-limited' (no content above half the rate)"
             )
         problems: list[str] = []
-        time = to_read_only_array("time", self.time, problems)
+        time = _to_read_only("time", self.time, problems)
         rows = None if problems else len(time)
-        inputs = {n: to_read_only_array(f"input {n!r}", v, problems, rows) for n, v in self.inputs.items()}
-        outputs = {n: to_read_only_array(f"output {n!r}", v, problems, rows) for n, v in self.outputs.items()}
+        inputs = {n: _to_read_only(f"input {n!r}", v, problems, rows) for n, v in self.inputs.items()}
+        outputs = {n: _to_read_only(f"output {n!r}", v, problems, rows) for n, v in self.outputs.items()}
         both = sorted(set(inputs) & set(outputs))
         problems += [f"{n!r} is both an input and an output; each signal needs its own name" for n in both]
         problems += [
@@ -79,11 +108,14 @@ class Experiment:
         ]
         raise_problems(f"experiment {self.name!r}", problems or find_array_problems(time, inputs, outputs, RowLabels()))
         values = {
-            "time": time, "inputs": MappingProxyType(inputs), "outputs": MappingProxyType(outputs),
+            "time": time,
+            "inputs": MappingProxyType(inputs),
+            "outputs": MappingProxyType(outputs),
             "conditions": MappingProxyType({n: float(v) for n, v in self.conditions.items()}),
-            "notes": tuple(self.notes), "sampling_time": find_sampling_time(time),
-            "fingerprint": compute_fingerprint(time, inputs, outputs),
-        }  # fmt: skip
+            "findings": tuple(self.findings),
+            "sampling_time": find_sampling_time(time),
+            "fingerprint": _compute_fingerprint(time, inputs, outputs),
+        }
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -98,23 +130,43 @@ class Experiment:
         hold: Hold = "zero",
         source: str = "",
         conditions: Mapping[str, float] | None = None,
-        notes: tuple[str, ...] = (),
+        findings: tuple[Finding, ...] = (),
         allow_constant_input: bool = False,
+        policy: RecordPolicy = RECORD_POLICY,
     ) -> Experiment:
-        """A measured record from arrays in the model's units: ``time`` (N,) in seconds, each signal (N,), NaN for gaps
-        of outputs.
+        """A measured record from arrays in the model's units; what it shows of time and sensors goes to ``findings``.
 
-        Raises DataError, besides what `Experiment` refuses, for fewer than 10 rows, for an output without any value,
-        for a record in which no output moves, and for inputs that are all constant at zero unless
-        ``allow_constant_input``.
+        Parameters
+        ----------
+        time : array (N,)
+            Time in seconds.
+        inputs, outputs
+            Name -> array (N,); NaN marks gaps of outputs.
+        name, hold, source, conditions
+            As of `Experiment`.
+        findings
+            What is known of the record already; what is found here comes after.
+        allow_constant_input
+            Accept inputs that are zero throughout (free decay).
+        policy
+            When a record is long enough, and when a sensor is in doubt.
+
+        Returns
+        -------
+        Experiment
+            The record with its findings.
+
+        Raises
+        ------
+        DataError
+            Besides what `Experiment` refuses: fewer than 10 rows, an output without any value, a record in which no output moves,
+            and inputs that are all constant at zero unless ``allow_constant_input``.
         """
         bare = cls(name, time, inputs, outputs, hold, source, conditions or {})  # type: ignore[arg-type]
-        raise_problems(
-            f"experiment {name!r}",
-            find_measurement_problems(bare.inputs, bare.outputs, bare.rows, allow_constant_input),
-        )
-        said = (*inspect_record(bare.time, bare.inputs, bare.outputs), *describe_timing(bare.time, bare.sampling_time))
-        return replace(bare, notes=(*notes, *said))
+        problems = find_measurement_problems(bare.inputs, bare.outputs, bare.rows, allow_constant_input, policy)
+        raise_problems(f"experiment {name!r}", problems)
+        seen = inspect_signals(bare.time, bare.inputs, bare.outputs, policy)
+        return replace(bare, findings=(*findings, *seen, *inspect_timing(bare.time, bare.sampling_time, policy)))
 
     @property
     def rows(self) -> int:
@@ -139,7 +191,10 @@ class Experiment:
         return np.full(self.rows - 1, self.sampling_time)
 
     def window(self, start_row: int, stop_row: int) -> Experiment:
-        """Rows ``start_row`` up to but without ``stop_row``, counted from 0, with the times of the whole record."""
+        """Rows ``start_row`` up to but without ``stop_row``, counted from 0, with the times of the whole record.
+
+        Raises DataError for rows that the record does not have, and for fewer than two.
+        """
         if not 0 <= start_row < stop_row - 1 < self.rows:
             raise DataError(
                 f"experiment {self.name!r}: window [{start_row}, {stop_row}) does not fit {self.rows} rows;"
@@ -153,10 +208,26 @@ class Experiment:
             inputs={n: v[cut] for n, v in self.inputs.items()},
             outputs={n: v[cut] for n, v in self.outputs.items()},
         )
-        return _with_step(part, self.sampling_time) if self.regular else part
+        return _with_sampling_time(part, self.sampling_time) if self.regular else part
 
     def split(self, fraction: float) -> tuple[Experiment, Experiment]:
-        """The first ``fraction`` (0 to 1) of the rows and the rest, each with its own times: train and validation."""
+        """Cut the record in two, each part with its own times: an estimation record and a validation record.
+
+        Parameters
+        ----------
+        fraction
+            Share of the rows in the first part, between 0 and 1.
+
+        Returns
+        -------
+        tuple of Experiment
+            The first ``fraction`` of the rows, and the rest.
+
+        Raises
+        ------
+        DataError
+            For a fraction that is not between 0 and 1, and for one that leaves fewer than two rows on a side.
+        """
         if not 0 < fraction < 1:
             raise DataError(
                 f"experiment {self.name!r}: cannot split at fraction {fraction:g}; give a number between 0 and 1"
@@ -169,35 +240,58 @@ class Experiment:
             )
         return self.window(0, row), self.window(row, self.rows)
 
-    def split_at_time_gaps(self, fewest: int = FEWEST_ROWS) -> tuple[Experiment, ...]:
-        """The pieces between holes in time, each a record of its own with an initial state of its own; itself without holes.
+    def split_at_time_gaps(
+        self, min_rows: int | None = None, *, policy: RecordPolicy = RECORD_POLICY
+    ) -> tuple[Experiment, ...]:
+        """The pieces between gaps in time, each a record of its own with an initial state of its own; itself without gaps.
 
-        A hole is a step of more than one and a half usual ones (`greybox.experiment.sampling`): the logger dropped out, or two
-        runs were pasted together. In it the input is unknown, and what a fit simulates through it is made up. Pieces of fewer
-        than ``fewest`` rows, or without a measured value, are left out, which ``notes`` say. Pieces that are sampled alike have the
-        same `sampling_time`. Raises DataError where no piece is left.
+        A gap is a step of more than one and a half usual ones (`greybox.experiment.sampling`): the logger dropped out, or two
+        runs were pasted together. In it the input is unknown, and what a fit simulates through it is made up. Pieces that are
+        sampled alike have the same `sampling_time`.
+
+        Parameters
+        ----------
+        min_rows
+            Pieces of fewer rows, or without a measured value, are left out, which ``findings`` say. None takes the policy's.
+        policy
+            When a step is a gap.
+
+        Returns
+        -------
+        tuple of Experiment
+            The pieces in the order of time.
+
+        Raises
+        ------
+        DataError
+            Where no piece is left.
         """
-        parts = split_record(self, fewest)
-        step = common_sampling_time(parts)
-        return parts if step is None else tuple(_with_step(part, step) for part in parts)
+        least = policy.min_rows if min_rows is None else min_rows
+        kept, dropped = find_pieces(self.time, self.outputs, least, policy)
+        if len(kept) + len(dropped) == 1:
+            return (self,)
+        if not kept:
+            longest = max(end - first for first, end in dropped)
+            rule = f"the longest has {longest} rows, and a record needs at least {least} with a measured output"
+            raise_problems(
+                f"experiment {self.name!r}", [f"gaps in time leave {len(dropped)} pieces: {rule}; record it anew"]
+            )
+        # What the whole record says of its time no longer holds of the pieces.
+        findings = [finding for finding in self.findings if finding.code not in TIMING]
+        if dropped:
+            left_out = [[float(self.time[first]), float(self.time[end - 1]), end - first] for first, end in dropped]
+            findings.append(Finding(RecordCode.PIECES_LEFT_OUT, values={"pieces": left_out}))
+        parts = [replace(self.window(first, end), findings=tuple(findings)) for first, end in kept]
+        step = find_common_sampling_time([(p.sampling_time, p.rows, p.duration) for p in parts], policy)
+        return tuple(parts) if step is None else tuple(_with_sampling_time(part, step) for part in parts)
 
     def with_hold(self, hold: Hold) -> Experiment:
         """The same record with another course of the input between samples: ``"zero"``, ``"first"``, ``"band-limited"``."""
-        return _with_step(replace(self, hold=hold), self.sampling_time)
+        return _with_sampling_time(replace(self, hold=hold), self.sampling_time)
 
     def with_outputs(self, outputs: Mapping[str, np.ndarray]) -> Experiment:
         """The same record with these outputs, name -> (N,), in place of its own; none for the inputs alone."""
-        return _with_step(replace(self, outputs=outputs), self.sampling_time)
-
-    def __str__(self) -> str:
-        pace = f"every {self.sampling_time:.6g} s" if self.regular else "at irregular times"
-        lines = [
-            f"{self.name}: {self.rows} rows {pace}, {self.duration:.6g} s, {HOLDS[self.hold]}, data {self.fingerprint}"
-        ]
-        for kind, signals in (("input", self.inputs), ("output", self.outputs)):
-            lines += [f"  {kind:<9} {name}: {describe_range(values)}" for name, values in signals.items()]
-        lines += [f"  condition {name}: {value:g}" for name, value in self.conditions.items()]
-        return "\n".join([*lines, *(f"  note      {note}" for note in self.notes)])
+        return _with_sampling_time(replace(self, outputs=outputs), self.sampling_time)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings cannot be pickled and arrays lose their protection: rebuild through the constructor.
@@ -206,11 +300,64 @@ class Experiment:
         return _restore, (values, self.sampling_time)
 
 
+def collect_record_findings(experiments: Iterable[Experiment]) -> tuple[Finding, ...]:
+    """The findings of several records, each once, with the records that it holds for under ``values["records"]``.
+
+    Parameters
+    ----------
+    experiments
+        The records, in the order in which their findings are to stand.
+
+    Returns
+    -------
+    tuple of Finding
+        As the records have them, with ``records``: the files, or the names of records without a file.
+    """
+    findings: dict[str, Finding] = {}
+    names: dict[str, dict[str, None]] = {}
+    for experiment in experiments:
+        for finding in experiment.findings:
+            key = json.dumps([finding.code, finding.subject, dict(finding.values)], default=str)
+            findings.setdefault(key, finding)
+            names.setdefault(key, {})[experiment.source or experiment.name] = None
+    return tuple(replace(f, values={**f.values, "records": list(names[key])}) for key, f in findings.items())
+
+
 def _restore(values: Mapping[str, Any], sampling_time: float | None) -> Experiment:
-    return _with_step(Experiment(**values), sampling_time)
+    return _with_sampling_time(Experiment(**values), sampling_time)
 
 
-def _with_step(experiment: Experiment, sampling_time: float | None) -> Experiment:
+def _with_sampling_time(experiment: Experiment, sampling_time: float | None) -> Experiment:
     # The whole record knows the step better than a part of it, and equal steps make equal discrete models.
     object.__setattr__(experiment, "sampling_time", sampling_time)
     return experiment
+
+
+def _to_read_only(what: str, values: ArrayLike, problems: list[str], rows: int | None = None) -> np.ndarray:
+    """A read-only copy (N,) in float64; what is wrong with it is added to ``problems``."""
+    given = np.asarray(values)
+    try:
+        # Text and complex numbers would be converted by numpy, the latter by dropping half of them.
+        if given.dtype.kind not in "biufO":
+            raise TypeError(f"its type is {given.dtype}")
+        array = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        problems.append(f"{what} does not hold real numbers: {error}")
+        return np.zeros(0)
+    if array.ndim != 1:
+        problems.append(f"{what} has shape {array.shape}; give one number for each row, shape (N,)")
+    elif rows is not None and len(array) != rows:
+        problems.append(f"{what} has {len(array)} rows, time has {rows}; each signal needs one value for each time")
+    array.setflags(write=False)
+    return array
+
+
+def _compute_fingerprint(time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray]) -> str:
+    """16 hex digits of the SHA-256 over names and values, whatever the order of the signals."""
+    digest = hashlib.sha256()
+    for kind, signals in (("time", {"time": time}), ("input", inputs), ("output", outputs)):
+        for name, values in sorted(signals.items()):
+            digest.update(f"{kind} {name} {len(values)}\n".encode())
+            # One bit pattern for every NaN and for both zeros, the same on every machine.
+            digest.update((np.where(np.isnan(values), np.nan, values) + 0.0).astype("<f8").tobytes())
+    return digest.hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""What a record must satisfy, said for all offending rows at once."""
+"""What a record must satisfy; a message names all offending rows at once."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.errors import DataError
-
-FEWEST_ROWS = 10  # of a measured record
-SHOWN = 5  # rows named in a message before "and 40 more"
+from greybox.experiment.policy import RECORD_POLICY, RecordPolicy
 
 
 @dataclass(frozen=True)
@@ -20,14 +18,14 @@ class RowLabels:
     word: str = "row"
     numbers: np.ndarray | None = None
 
-    def of(self, rows: slice) -> RowLabels:
+    def select(self, rows: slice) -> RowLabels:
         """The same for these rows alone, which are counted from 0 again."""
         numbers = np.arange(1, (rows.stop or 0) + 1) if self.numbers is None else self.numbers
         return RowLabels(self.word, numbers[rows])
 
-    def say(self, rows: Sequence[int] | np.ndarray) -> str:
+    def describe(self, rows: Sequence[int] | np.ndarray, shown: int = 5) -> str:
         """Name the rows (counted from 0): ``line 17`` or ``lines 17, 18, 19, 20, 21 and 40 more``."""
-        named = [str(int(r) + 1 if self.numbers is None else int(self.numbers[r])) for r in rows[:SHOWN]]
+        named = [str(int(r) + 1 if self.numbers is None else int(self.numbers[r])) for r in rows[:shown]]
         word = self.word if len(rows) == 1 else f"{self.word}s"
         return f"{word} {enumerate_first(named, len(rows))}"
 
@@ -46,62 +44,66 @@ def raise_problems(subject: str, problems: Sequence[str]) -> None:
 
 
 def find_array_problems(
-    time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray], places: RowLabels
+    time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray], labels: RowLabels
 ) -> list[str]:
     """Problems that make arrays of equal length unusable as any record, whole or part."""
-    found: list[str] = []
+    problems: list[str] = []
     if len(time) < 2:
-        found.append(f"{len(time)} rows; a record needs at least 2")
-    found += _time_problems(time, places)
+        problems.append(f"{len(time)} rows; a record needs at least 2")
+    problems += _find_time_problems(time, labels)
     for name, values in inputs.items():
-        found += _at(
+        problems += _find_rows(
             f"input {name!r} is empty or NaN",
             np.isnan(values),
-            places,
+            labels,
             "an input must be known at every row; fill it or cut the record there",
         )
     for kind, signals in (("input", inputs), ("output", outputs)):
         for name, values in signals.items():
-            found += _at(
+            problems += _find_rows(
                 f"{kind} {name!r} is infinite",
                 np.isinf(values),
-                places,
+                labels,
                 "write a finite number" + (", or leave it empty" if kind == "output" else ""),
             )
-    return found
+    return problems
 
 
 def find_measurement_problems(
-    inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray], rows: int, allow_constant_input: bool
+    inputs: Mapping[str, np.ndarray],
+    outputs: Mapping[str, np.ndarray],
+    rows: int,
+    allow_constant_input: bool,
+    policy: RecordPolicy = RECORD_POLICY,
 ) -> list[str]:
-    """Problems of a measured record that say: there is nothing to learn from it."""
-    found: list[str] = []
-    if rows < FEWEST_ROWS:
-        found.append(f"{rows} rows; a record needs at least {FEWEST_ROWS}")
+    """Problems of a measured record from which nothing can be learnt."""
+    problems: list[str] = []
+    if rows < policy.min_rows:
+        problems.append(f"{rows} rows; a record needs at least {policy.min_rows}")
     if not outputs:
-        found.append("no output; a record needs at least one measured output")
+        problems.append("no output; a record needs at least one measured output")
     if not rows:
-        return found
+        return problems
     empty = [name for name, values in outputs.items() if np.isnan(values).all()]
-    found += [
+    problems += [
         f"output {name!r} holds no value at all; remove it from the record if it was not measured" for name in empty
     ]
-    still = all(map(is_constant, inputs.values()))
+    inputs_rest = all(map(is_constant, inputs.values()))
     if outputs and not empty and all(map(is_constant, outputs.values())):
-        dead = [*(inputs if still else ()), *outputs]
-        what = "nothing moves" if still else "no output moves"
-        found.append(
-            f"{what}: {', '.join(map(repr, dead))} {'is' if len(dead) == 1 else 'are'} constant over the whole record;"
-            " a record must show the plant in motion, check the sensors and the columns"
+        constant = [*(inputs if inputs_rest else ()), *outputs]
+        what = "nothing moves" if inputs_rest else "no output moves"
+        problems.append(
+            f"{what}: {', '.join(map(repr, constant))} {'is' if len(constant) == 1 else 'are'} constant over the whole record;"
+            " a record must show the plant in motion: check the sensors and the columns"
         )
-    elif inputs and still and not allow_constant_input and not any(v[0] for v in inputs.values()):
+    elif inputs and inputs_rest and not allow_constant_input and not any(v[0] for v in inputs.values()):
         names = " and ".join(map(repr, inputs))
-        found.append(
+        problems.append(
             f"constant input: {names} {'is' if len(inputs) == 1 else 'are'} 0 in every row, so the record"
-            " does not excite the plant; check the column, or for a free decay say allow_constant_input=True"
+            " does not excite the plant; check the column, or for a free decay set allow_constant_input=True"
             " (shell: --free-decay)"
         )
-    return found
+    return problems
 
 
 def is_constant(values: np.ndarray) -> bool:
@@ -110,26 +112,25 @@ def is_constant(values: np.ndarray) -> bool:
     return bool(len(known) == 0 or np.all(known == known[0]))
 
 
-def _time_problems(time: np.ndarray, places: RowLabels) -> list[str]:
-    found = _at("time is empty or NaN", np.isnan(time), places, "every row needs its time")
-    found += _at("time is infinite", np.isinf(time), places, "every row needs its time")
-    if found:
-        return found
+def _find_time_problems(time: np.ndarray, labels: RowLabels) -> list[str]:
+    unknown = _find_rows("time is empty or NaN", np.isnan(time), labels, "every row needs its time")
+    unknown += _find_rows("time is infinite", np.isinf(time), labels, "every row needs its time")
+    if unknown:
+        return unknown
     step = np.diff(time)
-    found += _at("time is repeated", np.append(False, step == 0), places, "time must increase from row to row", time)
-    found += _at(
-        "time goes back",
-        np.append(False, step < 0),
-        places,
-        "time must increase from row to row; read separate runs from separate files, or split there (shell: --split-holes)",
-        time,
-    )
-    return found
+    repeated, backwards = np.append(False, step == 0), np.append(False, step < 0)
+    rule = "time must increase from row to row"
+    remedy = "read separate runs from separate files, or split there (shell: --split-holes)"
+    return [
+        *_find_rows("time is repeated", repeated, labels, rule, time),
+        *_find_rows("time goes back", backwards, labels, f"{rule}; {remedy}", time),
+    ]
 
 
-def _at(what: str, bad: np.ndarray, places: RowLabels, rule: str, time: np.ndarray | None = None) -> list[str]:
+def _find_rows(what: str, bad: np.ndarray, labels: RowLabels, rule: str, time: np.ndarray | None = None) -> list[str]:
+    """One problem that names the rows where ``bad`` (N,), and none if there is no such row."""
     rows = np.flatnonzero(bad)
     if not len(rows):
         return []
     value = "" if time is None else f" ({time[rows[0]]:.12g} s after {time[rows[0] - 1]:.12g} s)"
-    return [f"{what} at {places.say(rows)}{value}; {rule}"]
+    return [f"{what} at {labels.describe(rows)}{value}; {rule}"]

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from greybox.experiment.problems import SHOWN, RowLabels, enumerate_first
+from greybox.experiment.problems import RowLabels, enumerate_first
 
 _DATE = re.compile(r"\d+[-/.]\d+[-/.]\d+|\d+:\d\d")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
@@ -27,21 +27,21 @@ class DataTable(Protocol):
         """Lines about the table that are not part of it."""
 
     @property
-    def places(self) -> RowLabels:
+    def row_labels(self) -> RowLabels:
         """How rows are called in messages."""
 
     def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
         """Columns (N,) as float64 with NaN for gaps, and problems; with problems the columns are not to be used."""
 
 
-def describe_non_numbers(header: str, rows: Sequence[int], texts: Sequence[str], places: RowLabels) -> str:
+def describe_non_numbers(header: str, rows: Sequence[int], texts: Sequence[str], labels: RowLabels) -> str:
     """Message for text in a number column; ``texts`` belong to the first of ``rows``."""
-    quoted = enumerate_first([repr(t) for t in texts[:SHOWN]], len(rows))
+    quoted = enumerate_first([repr(t) for t in texts[:5]], len(rows))
     verb = "is not a number" if len(rows) == 1 else "are not numbers"
-    return f"column {header!r}, {places.say(rows)}: {quoted} {verb}; {_remedy(texts)}"
+    return f"column {header!r}, {labels.describe(rows)}: {quoted} {verb}; {_suggest_number_format(texts)}"
 
 
-def _remedy(texts: Sequence[str]) -> str:
+def _suggest_number_format(texts: Sequence[str]) -> str:
     first = texts[0].strip() if len(texts) else ""
     if _DATE.search(first):
         return "write time as seconds from the start of the record"

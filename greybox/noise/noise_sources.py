@@ -122,7 +122,7 @@ def _level(
             )
     values = np.concatenate([e.outputs[name] for e in experiments if name in e.outputs])
     movement = float(np.nanstd(values)) or float(np.nanmax(np.abs(values))) or 1.0
-    # the signal jumps across a hole in time: no difference may reach over it
+    # the signal jumps across a gap in time: no difference may reach over it
     columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments if name in e.outputs]
     estimate = estimate_noise_of_records(columns, robust=robust)
     if not np.isfinite(estimate):

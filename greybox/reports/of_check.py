@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from greybox.check import ModelCheck
-from greybox.estimation.findings import collect_record_notes
 from greybox.estimation.versions import read_versions
-from greybox.experiment import Experiment
-from greybox.experiment.sensor_faults import is_sensor_fault
+from greybox.experiment import Experiment, collect_record_findings
+from greybox.experiment.findings import is_sensor_fault
 from greybox.identifiability import ExpectedPrecision
 from greybox.reports.axes import envelope_length
 from greybox.reports.constant_figures import spread_figure
@@ -37,10 +36,8 @@ def report_of_check(check: ModelCheck, *, command: str = "") -> Page:
 
 
 def _verdict(check: ModelCheck) -> Text:
-    told, doubts = (
-        _told(check),
-        [as_sentence(f"record {n}") for n in collect_record_notes(check.experiments) if is_sensor_fault(n)],
-    )
+    faults = filter(is_sensor_fault, collect_record_findings(check.experiments))
+    told, doubts = _told(check), [as_sentence(f"record {finding}") for finding in faults]
     return Text([*doubts, *told.paragraphs], "caution" if doubts and told.tone == "good" else told.tone)
 
 
@@ -131,11 +128,10 @@ def _data(check: ModelCheck) -> Iterator[Block]:
         yield Text([f"No records were given; a simulated one stands in: {as_sentence(check.assumed)}"])
     head = ["record", "rows", "duration", "sampling time", "fingerprint"]
     yield Table("Records", head, [_record(e) for e in check.experiments], "" if check.assumed else _noise(check))
-    known = [
-        n for n in collect_record_notes(check.experiments) if not is_sensor_fault(n)
-    ]  # those stand above, with the verdict
+    # Sensor faults stand above, with the verdict.
+    known = [finding for finding in collect_record_findings(check.experiments) if not is_sensor_fault(finding)]
     if known:
-        yield Listing([as_sentence(f"record {n}") for n in known])
+        yield Listing([as_sentence(f"record {finding}") for finding in known])
     if not check.assumed:
         lines = dict.fromkeys(line for e in check.practical.excitation for line in str(e).splitlines())
         yield Listing([as_sentence(line) for line in lines])

@@ -24,7 +24,7 @@ def to_experiments(given: Experiment | Iterable[Experiment]) -> tuple[Experiment
     """One or several measured experiments as a tuple.
 
     Raises DataError for none, for what is no experiment (the path of a file), for one without a measured output, and for one with a
-    long hole in time.
+    long gap in time.
     """
     group = (given,) if isinstance(given, Experiment | str | Path) else tuple(given)
     if not group:

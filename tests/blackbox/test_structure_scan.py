@@ -6,6 +6,7 @@ from scipy.signal import lfilter
 
 import greybox as gb
 from greybox.blackbox import keep_measured_rows
+from greybox.experiment.findings import RecordCode
 
 A, B = [1.0, -1.5, 0.7], [0.0, 0.0, 1.0, 0.5]  # two samples of delay
 
@@ -135,7 +136,7 @@ def test_resampling_holds_inputs_and_joins_outputs():
     assert found.inputs["u"][:6] == pytest.approx([0, 0, 1, 1, 1, 2.5])
     assert found.outputs["y"] == pytest.approx(2 * found.time)
     assert np.flatnonzero(np.isnan(found.outputs["z"])).tolist() == [3, 4, 5, 6, 7]
-    assert "resampled to every 0.5 s" in found.notes[-1]
+    assert found.findings[-1].code == RecordCode.RESAMPLED and found.findings[-1].values["sampling_time"] == 0.5
 
 
 def test_a_slow_sensor_has_its_own_rows():

@@ -13,6 +13,7 @@ from typer.testing import Result
 from greybox import read_csv
 from greybox.cli.constraints import read_records
 from greybox.errors import DataError, GreyboxError
+from greybox.experiment.findings import RecordCode
 from greybox.simulation import write_csv
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import linear_record
@@ -68,8 +69,8 @@ def test_values_on_the_command_line_go_to_the_records_in_their_order(folder):
 def test_a_record_that_judges_its_own_fit_is_named(folder):
     low, high = folder / "low.csv", folder / "high.csv"
     _, (other, same) = read_records([], pneumatic_cylinder, [low], [high, low])
-    assert not any("which is fitted" in note for note in other.notes)
-    assert "the same data as low.csv, which is fitted" in same.notes[-1]
+    assert RecordCode.ALSO_FITTED not in [finding.code for finding in other.findings]
+    assert same.findings[-1].code == RecordCode.ALSO_FITTED and same.findings[-1].values["record"] == "low.csv"
 
 
 @pytest.mark.parametrize("command", ["check", "discover"])

@@ -11,6 +11,8 @@ from greybox.effects import effect
 from greybox.errors import DataError, FitError, ModelError
 from greybox.estimation import FitOptions, fit, validate
 from greybox.experiment import Experiment
+from greybox.experiment.findings import RecordCode
+from greybox.findings import Finding
 from greybox.model import Balance, Model
 from greybox.model.signals import Input, Output, Parameter, State
 from greybox.result import load_fit
@@ -325,5 +327,8 @@ def test_a_fit_is_read_only_and_can_be_copied():
 def test_what_is_odd_about_a_record_stands_in_the_fit():
     truth = micro_actuator.fix("M", "Ra")
     data = linear_record(truth, actuator_input(1, 400), 2.5e-4, noise={"x": 2e-7, "i": 5e-3})
-    odd = [replace(data, name=name, notes=("columns ignored: 'temp'",)) for name in ("a", "b")]
+    odd = [
+        replace(data, name=name, findings=(Finding(RecordCode.COLUMNS_IGNORED, values={"columns": ["temp"]}),))
+        for name in ("a", "b")
+    ]
     assert fit(truth, odd, options=REST).find_fit_issues[-1] == "a, b: columns ignored: 'temp'"

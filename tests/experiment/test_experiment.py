@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from greybox.errors import DataError
-from greybox.experiment import Experiment
+from greybox.experiment import Experiment, collect_record_findings
+from greybox.experiment.findings import RecordCode, is_sensor_fault
 from greybox.experiment.sampling import estimate_time_resolution, find_sampling_time
 
 N = 40
@@ -22,6 +23,10 @@ ANSWER = np.cos(TIME)
 def make(**changes):
     given = {"time": TIME, "inputs": {"u": DRIVE}, "outputs": {"y": ANSWER}, "name": "run"} | changes
     return Experiment.from_arrays(given.pop("time"), given.pop("inputs"), given.pop("outputs"), **given)
+
+
+def codes(experiment):
+    return [finding.code for finding in experiment.findings]
 
 
 def test_keeps_the_arrays_as_protected_copies():
@@ -51,12 +56,12 @@ def test_irregular_time_keeps_every_interval_and_says_so():
     assert experiment.sampling_time is None
     assert not experiment.regular
     np.testing.assert_array_equal(experiment.intervals, np.diff(time))
-    assert any("time is irregular" in note for note in experiment.notes)
+    assert codes(experiment) == [RecordCode.TIME_IRREGULAR]
     assert "at irregular times" in str(experiment)
 
 
 REFUSED = [
-    ({"hold": "cubic"}, "hold 'cubic' is unknown; say 'zero' (held) or 'first'"),
+    ({"hold": "cubic"}, "hold 'cubic' is unknown; give 'zero' (held) or 'first'"),
     (
         {"time": TIME[:9], "inputs": {"u": DRIVE[:9]}, "outputs": {"y": ANSWER[:9]}},
         "9 rows; a record needs at least 10",
@@ -112,9 +117,13 @@ def test_all_problems_come_in_one_message():
 
 
 def test_a_step_from_rest_and_an_allowed_free_decay_are_records_with_a_note():
-    assert "input 'u' is constant at 1" in make(inputs={"u": np.ones(N)}).notes
-    assert "input 'u' is constant at 0" in make(inputs={"u": np.zeros(N)}, allow_constant_input=True).notes
-    assert make(inputs={"u": DRIVE, "w": np.zeros(N)}).notes == ("input 'w' is constant at 0",)
+    for record, name, value in (
+        (make(inputs={"u": np.ones(N)}), "u", 1.0),
+        (make(inputs={"u": np.zeros(N)}, allow_constant_input=True), "u", 0.0),
+        (make(inputs={"u": DRIVE, "w": np.zeros(N)}), "w", 0.0),
+    ):
+        (finding,) = record.findings
+        assert (finding.code, finding.subject, finding.values["value"]) == (RecordCode.INPUT_CONSTANT, name, value)
     assert make(inputs={}).rows == N
 
 
@@ -128,7 +137,9 @@ def test_gaps_of_outputs_stay_and_are_counted():
     answer[[3, 17]] = np.nan
     experiment = make(outputs={"y": answer})
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(experiment.outputs["y"])), [3, 17])
-    assert experiment.notes == ("output 'y' has 2 gaps in 40 rows",)
+    (finding,) = experiment.findings
+    assert (finding.code, finding.subject) == (RecordCode.OUTPUT_GAPS, "y")
+    assert finding.values == {"gaps": 2, "rows": 40}
 
 
 @pytest.mark.parametrize("reading", [0.0, 0.731])
@@ -137,24 +148,24 @@ def test_a_sensor_that_stands_still_while_the_input_moves_is_named(reading):
     answer = np.cos(7 * time) + 1e-3 * np.sin(900 * time)
     answer[60:100] = reading
     drive = {"u": np.sin(5 * time)}
-    (note,) = make(time=time, inputs=drive, outputs={"y": answer}).notes
-    assert note.startswith(f"output 'y' stands still at exactly {reading:g} for 40 rows, from 0.6 to 0.99 s, while the")
-    assert note.endswith("leave these fields empty")
+    (finding,) = make(time=time, inputs=drive, outputs={"y": answer}).findings
+    assert (finding.code, finding.subject) == (RecordCode.SENSOR_FROZEN, "y")
+    assert finding.values == {"value": reading, "rows": 40, "start": time[60], "stop": time[99]}
+    assert is_sensor_fault(finding)
 
 
 def test_a_sensor_that_dies_without_a_jump_is_named_while_the_input_goes_on():
     time = 0.01 * np.arange(200)
     drive, answer = np.sin(5 * time), np.cos(7 * time) + 1e-3 * np.sin(900 * time)
     answer[150:] = answer[149]
-    (note,) = make(time=time, inputs={"u": drive}, outputs={"y": answer}).notes
-    assert note.startswith(
-        f"output 'y' stands still at exactly {answer[149]:g} from 1.49 s to the end (51 rows), while the input"
-    )
+    (finding,) = make(time=time, inputs={"u": drive}, outputs={"y": answer}).findings
+    assert finding.code == RecordCode.SENSOR_DEAD
+    assert finding.values == {"value": answer[149], "start": time[149], "rows": 51}
     silent = np.where(time > 1.4, drive[140], drive)
-    assert make(time=time, inputs={"u": silent}, outputs={"y": answer}).notes == ()
+    assert not make(time=time, inputs={"u": silent}, outputs={"y": answer}).findings
     stopped = np.minimum(np.cos(time / 2 + np.pi), -0.8)  # comes smoothly to the end of its range
     assert np.all(np.diff(stopped[-40:]) == 0)
-    assert make(time=time, inputs={"u": drive}, outputs={"y": stopped}).notes == ()
+    assert not make(time=time, inputs={"u": drive}, outputs={"y": stopped}).findings
 
 
 def test_a_coarse_sensor_an_end_stop_and_a_plant_at_rest_are_no_dead_sensors():
@@ -165,8 +176,8 @@ def test_a_coarse_sensor_an_end_stop_and_a_plant_at_rest_are_no_dead_sensors():
     coarse, stopped = np.round(smooth, 1), np.minimum(smooth, 0.8)
     assert np.diff(np.flatnonzero(np.diff(coarse))).max() >= 10  # it does repeat itself for long
     for answer in (coarse, stopped):
-        assert make(time=time, inputs={"u": drive}, outputs={"y": answer}).notes == ()
-    assert make(time=time, inputs={"u": silent}, outputs={"y": resting}).notes == ()
+        assert not make(time=time, inputs={"u": drive}, outputs={"y": answer}).findings
+    assert not make(time=time, inputs={"u": silent}, outputs={"y": resting}).findings
 
 
 def shaken(rows=400, seed=0):
@@ -176,41 +187,42 @@ def shaken(rows=400, seed=0):
     return time, drive, np.cos(5 * time) + 1e-3 * np.random.default_rng(seed).normal(size=rows)
 
 
-def notes_of(time, drive, answer):
-    return make(time=time, inputs={"u": drive}, outputs={"y": answer}).notes
+def findings_of(time, drive, answer):
+    return make(time=time, inputs={"u": drive}, outputs={"y": answer}).findings
 
 
 def test_spikes_of_one_row_are_counted_and_placed():
     time, drive, answer = shaken()
     answer[[40, 41 + 100, 300]] += [0.3, -0.2, 0.15]
-    (note,) = notes_of(time, drive, answer)
-    assert note.startswith("output 'y' jumps away and back within one row, 3 times (at 0.4 s, 1.41 s, 3 s)")
-    assert "--loss huber" in note
+    (finding,) = findings_of(time, drive, answer)
+    assert finding.code == RecordCode.SENSOR_SPIKES
+    assert finding.values == {"count": 3, "times": [time[40], time[141], time[300]]}
 
 
 def test_what_the_plant_does_itself_is_no_spike():
     time, drive, answer = shaken()
-    assert notes_of(time, drive, answer) == ()
+    assert not findings_of(time, drive, answer)
     stepped = answer + 3.0 * (time > 1.2)  # a level that stays
-    assert notes_of(time, drive, stepped) == ()
+    assert not findings_of(time, drive, stepped)
     hammer = drive.copy()
     hammer[[60, 200]] += 5.0
     followed = answer.copy()
     followed[[61, 201]] += 0.4  # one row after the input's own pulse
-    assert notes_of(time, hammer, followed) == ()
-    assert notes_of(time, np.where(time < 2, 1.0, -1.0), np.random.default_rng(1).normal(size=len(time))) == ()
+    assert not findings_of(time, hammer, followed)
+    assert not findings_of(time, np.where(time < 2, 1.0, -1.0), np.random.default_rng(1).normal(size=len(time)))
     often = answer.copy()
     often[::20] += 0.3  # one row in twenty: the noise is such
-    assert notes_of(time, drive, often) == ()
+    assert not findings_of(time, drive, often)
 
 
 def test_a_sensor_that_ends_before_the_motion_does_is_named_at_either_end():
     time, drive, answer = shaken()
     clipped = np.clip(answer, -0.8, 0.9)
-    upper, lower = notes_of(time, drive, clipped)
-    assert upper.startswith("output 'y' reads exactly its largest value, 0.9, in ")
-    assert lower.startswith("output 'y' reads exactly its smallest value, -0.8, in ")
-    assert notes_of(time, drive, np.round(clipped, 1)) == ()  # a coarse sensor repeats itself anyway
+    upper, lower = findings_of(time, drive, clipped)
+    assert upper.code == lower.code == RecordCode.SENSOR_SATURATED
+    assert (upper.values["end"], upper.values["value"]) == ("largest", 0.9)
+    assert (lower.values["end"], lower.values["value"]) == ("smallest", -0.8)
+    assert not findings_of(time, drive, np.round(clipped, 1))  # a coarse sensor repeats itself anyway
 
 
 def test_split_covers_every_row_once_and_keeps_the_times():
@@ -347,8 +359,9 @@ def test_time_printed_to_nearly_half_a_step_is_uniform_and_noted():
     assert find_sampling_time(time) == pytest.approx(2.5e-4, rel=1e-5)
     experiment = make(time=time, inputs={"u": np.sin(time)}, outputs={"y": np.cos(time)})
     assert experiment.regular
-    (note,) = experiment.notes
-    assert note.startswith("time looks rounded: steps from 0.0002 to 0.0003 s differ by no more than a printed unit")
+    (finding,) = experiment.findings
+    assert finding.code == RecordCode.TIME_ROUNDED
+    assert finding.values["shortest"] == pytest.approx(2e-4) and finding.values["longest"] == pytest.approx(3e-4)
     for row in (1, 7, 1000, 1998):
         assert find_sampling_time(np.delete(time, row)) is None
 
@@ -365,20 +378,30 @@ def test_rounding_as_coarse_as_the_step_is_irregular():
     assert find_sampling_time(np.round(np.arange(100) * 0.12, 1)) is None
 
 
-def test_a_hole_is_named_with_its_place():
+def test_a_gap_in_time_is_found_with_its_place():
     time = np.where(np.arange(N) > 20, TIME + 30, TIME)
-    (note,) = make(time=time).notes
-    assert note.startswith("time has a hole from 10 to 40.5 s (usual step 0.5 s)")
+    (finding,) = make(time=time).findings
+    assert finding.code == RecordCode.TIME_GAP
+    assert finding.values == {"gaps": 1, "start": 10.0, "stop": 40.5, "usual_step": 0.5}
     late = 0.5 * np.arange(100) + 30 * (np.arange(100) > 20) + 5 * (np.arange(100) > 60)
-    (note,) = make(time=late, inputs={"u": np.sin(late)}, outputs={"y": np.cos(late)}).notes
-    assert note.startswith("time has 2 holes, the longest from 10 to 40.5 s")
+    (finding,) = make(time=late, inputs={"u": np.sin(late)}, outputs={"y": np.cos(late)}).findings
+    assert finding.values == {"gaps": 2, "start": 10.0, "stop": 40.5, "usual_step": 0.5}
 
 
 def test_lost_rows_are_counted_where_the_others_keep_the_pace():
     time, drive, answer = shaken()
     kept = np.setdiff1d(np.arange(400), np.arange(7, 390, 10))
-    (note,) = notes_of(time[kept], drive[kept], answer[kept])
-    assert note.startswith("time lacks 39 rows in 39 places (usual step 0.01 s)")
+    (finding,) = findings_of(time[kept], drive[kept], answer[kept])
+    assert finding.code == RecordCode.TIME_ROWS_MISSING
+    assert (finding.values["rows"], finding.values["places"]) == (39, 39)
+
+
+def test_a_finding_of_several_records_names_them_all_once():
+    first, second = make(inputs={"u": np.ones(N)}, name="a"), make(inputs={"u": np.ones(N)}, source="b.csv")
+    other = make(name="c", outputs={"y": np.where(TIME == 2, np.nan, ANSWER)})
+    constant, gaps = collect_record_findings([first, second, other])
+    assert constant.values["records"] == ["a", "b.csv"]
+    assert (gaps.code, gaps.values["records"]) == (RecordCode.OUTPUT_GAPS, ["c"])
 
 
 def test_a_drifting_clock_is_irregular():

@@ -15,6 +15,9 @@ from scipy.io import savemat
 from greybox.errors import DataError
 from greybox.experiment import read_csv, read_experiments
 from greybox.experiment.columns import parse_header
+from greybox.experiment.findings import RecordCode
+from greybox.experiment.policy import ReadingPolicy
+from greybox.experiment.text_table import read_text
 from greybox.model import Balance, Model
 from greybox.model.signals import Input, Output, Parameter, State
 
@@ -93,7 +96,7 @@ LOOKS = {
 def test_every_look_of_a_text_file_gives_the_same_arrays(tmp_path, how):
     experiment = read_csv(good(tmp_path / "run.csv", **how), RIG)
     same(experiment)
-    assert (experiment.name, experiment.source, experiment.hold, experiment.notes) == ("run", "run.csv", "zero", ())
+    assert (experiment.name, experiment.source, experiment.hold, experiment.findings) == ("run", "run.csv", "zero", ())
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".CSV", ".tsv", ".txt", ".dat"])
@@ -142,7 +145,8 @@ def test_gaps_of_an_output_stay_gaps(tmp_path, gap, separator):
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(experiment.outputs["x"])), [0, 6, N - 1])
     known = ~np.isnan(experiment.outputs["x"])
     np.testing.assert_array_equal(experiment.outputs["x"][known], ANSWER[known])
-    assert f"output 'x' has 3 gaps in {N} rows" in experiment.notes
+    (finding,) = experiment.findings
+    assert (finding.code, finding.subject, finding.values["gaps"]) == (RecordCode.OUTPUT_GAPS, "x", 3)
 
 
 @dataclass(frozen=True)
@@ -242,13 +246,18 @@ def test_signs_of_older_instruments_are_understood(tmp_path):
     np.testing.assert_allclose(experiment.outputs["x"], ANSWER, rtol=1e-14)
 
 
-def test_a_file_of_many_chunks_is_read_whole_and_its_late_lines_are_named(tmp_path, monkeypatch):
-    monkeypatch.setattr("greybox.experiment.text_table.CHUNK", 7)
-    same(read_csv(good(tmp_path / "run.csv"), RIG))
-    with pytest.raises(DataError, match=r"column 'u \[V\]', lines 3, 25: 'a', 'b'"):
-        read_csv(edited(tmp_path / "run.csv", {3: "0.1,a,0,0", 25: "2.3,b,0,0"}), RIG)
-    with pytest.raises(DataError, match=r"lines 3, 25 have another number of fields \(2 in the first of them\)"):
-        read_csv(edited(tmp_path / "run.csv", {3: "0.1,0", 25: "2.3,0,0"}), RIG)
+def test_a_file_of_many_chunks_is_read_whole_and_its_late_lines_are_named(tmp_path):
+    def read(path):
+        return read_text(path, ReadingPolicy(rows_per_chunk=7)).values(range(4))
+
+    columns, problems = read(good(tmp_path / "run.csv"))
+    for values, expected in zip(columns.values(), (TIME, DRIVE, ANSWER, CURRENT), strict=True):
+        np.testing.assert_array_equal(values, expected)
+    assert not problems
+    _, (problem,) = read(edited(tmp_path / "run.csv", {3: "0.1,a,0,0", 25: "2.3,b,0,0"}))
+    assert "column 'u [V]', lines 3, 25: 'a', 'b'" in problem
+    _, (problem,) = read(edited(tmp_path / "run.csv", {3: "0.1,0", 25: "2.3,0,0"}))
+    assert "lines 3, 25 have another number of fields (2 in the first of them)" in problem
 
 
 def test_offset_units_are_converted_as_data(tmp_path):
@@ -276,7 +285,10 @@ def test_columns_maps_signals_to_other_headers(tmp_path):
     np.testing.assert_allclose(experiment.time, TIME, rtol=1e-15)
     np.testing.assert_array_equal(experiment.inputs["u"], DRIVE)
     assert (experiment.name, experiment.hold) == ("first", "first")
-    assert experiment.notes == ("no unit in the header of u: taken as V", "columns ignored: 'x [m]'")
+    assert [(f.code, dict(f.values)) for f in experiment.findings] == [
+        (RecordCode.UNITS_ASSUMED, {"units": {"u": "V"}}),
+        (RecordCode.COLUMNS_IGNORED, {"columns": ["x [m]"]}),
+    ]
 
 
 def test_outputs_may_be_missing_and_other_columns_may_hold_anything(tmp_path):
@@ -288,7 +300,10 @@ def test_outputs_may_be_missing_and_other_columns_may_hold_anything(tmp_path):
     path.write_text("\n".join(lines))
     experiment = read_csv(path, RIG, conditions={"T": 293.0})
     assert list(experiment.outputs) == ["x"]
-    assert experiment.notes == ("not measured: output 'i'", "columns ignored: 'state'")
+    assert [(f.code, dict(f.values)) for f in experiment.findings] == [
+        (RecordCode.OUTPUT_NOT_MEASURED, {"outputs": ["i"]}),
+        (RecordCode.COLUMNS_IGNORED, {"columns": ["state"]}),
+    ]
     assert experiment.conditions["T"] == 293.0
 
 
@@ -300,13 +315,13 @@ def test_a_model_without_inputs_reads_a_free_decay(tmp_path):
 
 def test_constant_inputs(tmp_path):
     step = write(tmp_path / "step.csv", ["t", "u", "x"], [TIME, np.ones(N), ANSWER])
-    assert "input 'u' is constant at 1" in read_csv(step, RIG).notes
+    assert RecordCode.INPUT_CONSTANT in [f.code for f in read_csv(step, RIG).findings]
     decay = write(tmp_path / "decay.csv", ["t", "u", "x"], [TIME, np.zeros(N), ANSWER])
     with pytest.raises(
         DataError, match=r"^decay\.csv: constant input: 'u' is 0 in every row.*allow_constant_input=True"
     ):
         read_csv(decay, RIG)
-    assert "input 'u' is constant at 0" in read_csv(decay, RIG, allow_constant_input=True).notes
+    assert RecordCode.INPUT_CONSTANT in [f.code for f in read_csv(decay, RIG, allow_constant_input=True).findings]
     still = write(tmp_path / "still.csv", ["t", "u", "x"], [TIME, np.ones(N), np.ones(N)])
     with pytest.raises(DataError, match="nothing moves: 'u', 'x' are constant over the whole record"):
         read_csv(still, RIG, allow_constant_input=True)
@@ -385,13 +400,17 @@ def test_text_in_a_column_of_numbers_has_its_own_remedy(tmp_path, field, remedy)
 
 def test_headers_without_units_are_noted(tmp_path):
     path = write(tmp_path / "run.csv", ["t", "u [V]", "x", "i []"], [TIME, DRIVE, ANSWER, CURRENT])
-    assert read_csv(path, RIG).notes == ("no unit in the header of time, x, i: taken as s, m, A",)
+    (finding,) = read_csv(path, RIG).findings
+    assert (finding.code, dict(finding.values["units"])) == (
+        RecordCode.UNITS_ASSUMED,
+        {"time": "s", "x": "m", "i": "A"},
+    )
 
 
 def test_a_sensor_that_never_moves_is_noted(tmp_path):
     path = write(tmp_path / "run.csv", ["t [s]", "u [V]", "x [m]", "i [A]"], [TIME, DRIVE, np.full(N, 3e-6), CURRENT])
-    (note,) = read_csv(path, RIG).notes
-    assert note.startswith("output 'x' is constant at 3e-06: a sensor that never moves")
+    (finding,) = read_csv(path, RIG).findings
+    assert (finding.code, finding.subject, finding.values["value"]) == (RecordCode.OUTPUT_CONSTANT, "x", 3e-6)
 
 
 # --- one clear message
@@ -478,16 +497,16 @@ def test_an_output_without_any_value(tmp_path):
 HEADERS = [
     (
         ["time", "U [V]", "x"],
-        "no column for input 'u' [V]; did you mean 'U [V]'? unused headers: U [V]; rename one, or say",
+        "no column for input 'u' [V]; did you mean 'U [V]'? unused headers: U [V]; rename one, or set",
     ),
     (
         ["time", "voltage", "x"],
-        "no column for input 'u' [V]; unused headers: voltage; rename one, or say columns={'u': <header>} (shell: --column u=<header>)",
+        "no column for input 'u' [V]; unused headers: voltage; rename one, or set columns={'u': <header>} (shell: --column u=<header>)",
     ),
     (["T", "u", "x"], "no column for time [s]; "),
     (
         ["time", "x", "i"],
-        "no column for input 'u' [V]; every other column is in use; add a column for it, or say columns={'u': <header>}",
+        "no column for input 'u' [V]; every other column is in use; add a column for it, or set columns={'u': <header>}",
     ),
     (
         ["time", "u", "z"],
@@ -495,7 +514,7 @@ HEADERS = [
     ),
     (
         ["time", "u", "u [mV]"],
-        "input 'u' [V] has 2 columns, 'u' and 'u [mV]'; keep one, or say columns={'u': <header>} (shell: --column u=<header>)",
+        "input 'u' [V] has 2 columns, 'u' and 'u [mV]'; keep one, or set columns={'u': <header>} (shell: --column u=<header>)",
     ),
     (["time [s]", "u", "x", "t"], "time [s] has 2 columns, 'time [s]' and 't'"),
     (["time", "u", "x [V]"], "column 'x [V]' in V does not convert to output 'x' [m]: V cannot be converted to m"),
@@ -697,4 +716,4 @@ def test_real_records_are_regular_and_complete(shared_data, file, model, rows, s
     (u,), (y,) = experiment.inputs.values(), experiment.outputs.values()
     assert ((u[0], y[0]), (u[-1], y[-1])) == (first, last)
     assert not np.isnan(y).any()
-    assert experiment.notes == ()
+    assert experiment.findings == ()

@@ -1,4 +1,4 @@
-"""Holes in the time of a record: where the input is unknown a record is two records, and a fit says so."""
+"""Gaps in the time of a record: where the input is unknown a record is two records, and a fit says so."""
 
 import re
 
@@ -8,6 +8,7 @@ import pytest
 from greybox import Experiment, FitOptions, fit
 from greybox.errors import DataError
 from greybox.experiment import read_experiments
+from greybox.experiment.findings import RecordCode, is_sensor_fault
 from greybox.experiment.time_gaps import refuse_unknown_input
 from greybox.simulation import write_csv
 from models.micro_actuator import micro_actuator
@@ -30,7 +31,7 @@ def without(record, *gone):
     return Experiment.from_arrays(record.time[kept], *signals, name="run", source="run.csv")
 
 
-def test_a_record_is_cut_at_its_holes_and_short_pieces_are_named():
+def test_a_record_is_cut_at_its_gaps_and_short_pieces_are_named():
     whole = driven()
     torn = without(whole, slice(800, 1200), slice(1204, 1210))
     first, second = torn.split_at_time_gaps()
@@ -38,21 +39,23 @@ def test_a_record_is_cut_at_its_holes_and_short_pieces_are_named():
     np.testing.assert_array_equal(second.outputs["x"], whole.outputs["x"][1210:])
     np.testing.assert_array_equal(second.time, whole.time[1210:])
     assert first.sampling_time == second.sampling_time == pytest.approx(PERIOD, rel=1e-12)
-    assert first.notes == second.notes
-    assert first.notes == ("left out, too few rows between two holes in time: 0.3 to 0.30075 s (4)",)
-    assert [part.rows for part in torn.split_at_time_gaps(fewest=4)] == [800, 4, 790]
+    assert first.findings == second.findings
+    (finding,) = first.findings
+    assert finding.code == RecordCode.PIECES_LEFT_OUT
+    assert finding.values["pieces"] == [[whole.time[1200], whole.time[1203], 4]]
+    assert [part.rows for part in torn.split_at_time_gaps(min_rows=4)] == [800, 4, 790]
     with pytest.raises(
         DataError, match=re.escape("leave 3 pieces: the longest has 800 rows, and a record needs at least 900")
     ):
-        torn.split_at_time_gaps(fewest=900)
+        torn.split_at_time_gaps(min_rows=900)
     assert whole.split_at_time_gaps() == (whole,)
 
 
-def test_a_long_hole_of_a_moving_input_is_refused_and_its_pieces_give_the_constants():
+def test_a_long_gap_of_a_moving_input_is_refused_and_its_pieces_give_the_constants():
     torn = without(driven(), slice(800, 1200))
     with pytest.raises(DataError) as error:
         fit(PLANT, torn)
-    for part in ("'run'", "a hole from 0.19975 to 0.3 s", "400 rows are missing", "input 'u'", "--split-holes"):
+    for part in ("'run'", "a gap from 0.19975 to 0.3 s", "400 rows are missing", "input 'u'", "--split-holes"):
         assert part in str(error.value)
     result = fit(PLANT, torn.split_at_time_gaps(), noise={"x": 1e-9, "i": 1e-6})
     assert result.success
@@ -60,7 +63,7 @@ def test_a_long_hole_of_a_moving_input_is_refused_and_its_pieces_give_the_consta
         assert result.parameters[name.name].value == pytest.approx(micro_actuator.values[name.name], rel=1e-8)
 
 
-def test_a_short_hole_a_still_drive_and_a_slow_input_are_noted_only():
+def test_a_short_gap_a_resting_drive_and_a_slow_input_are_only_noted():
     short = without(driven(), slice(800, 815))
     time = PERIOD * np.arange(2000)
     pause = np.where((time > 0.19) & (time < 0.31), 0.0, driven().inputs["u"])
@@ -68,8 +71,9 @@ def test_a_short_hole_a_still_drive_and_a_slow_input_are_noted_only():
     still, steady = (without(linear_record(micro_actuator, u, PERIOD), slice(800, 1200)) for u in (pause, slow))
     for record in (short, still, steady):
         refuse_unknown_input([record])
-        (note,) = record.notes
-        assert note.startswith("time has a hole from 0.19975 to") and "split_at_holes()" in note
+        (finding,) = record.findings
+        assert finding.code == RecordCode.TIME_GAP
+        assert finding.values["start"] == pytest.approx(0.19975)
 
 
 def test_a_torn_record_for_validation_is_refused_before_the_fit():
@@ -79,18 +83,18 @@ def test_a_torn_record_for_validation_is_refused_before_the_fit():
     assert not reports
 
 
-def test_a_step_that_falls_into_a_hole_is_refused():
+def test_a_step_that_falls_into_a_gap_is_refused():
     stepped = np.where(np.arange(2000) < 1000, 0.0, 1.0)
-    with pytest.raises(DataError, match=r"a hole from 0.22475 to 0.275 s: 200 rows are missing.* changes by 2 times"):
+    with pytest.raises(DataError, match=r"a gap from 0.22475 to 0.275 s: 200 rows are missing.* changes by 2 times"):
         fit(PLANT, without(linear_record(micro_actuator, stepped, PERIOD), slice(900, 1100)))
 
 
-def test_a_long_hole_is_refused_of_every_model_that_is_integrated_in_steps():
+def test_a_long_gap_is_refused_of_every_model_that_is_integrated_in_steps():
     pause = np.where(np.arange(2000) // 500 == 1, 0.0, driven().inputs["u"])
     record = without(linear_record(micro_actuator, pause, PERIOD), slice(600, 900))
     assert fit(PLANT, record, noise={"x": 1e-9, "i": 1e-6}).success  # the exact hold goes through the pause
     with pytest.raises(
-        DataError, match=re.escape("a hole from 0.14975 to 0.225 s: 300 rows are missing, and a model that is")
+        DataError, match=re.escape("a gap from 0.14975 to 0.225 s: 300 rows are missing, and a model that is")
     ):
         fit(PLANT, record, options=FitOptions(method="rk4"))
 
@@ -100,8 +104,10 @@ def test_a_sensor_in_doubt_is_the_first_thing_that_a_fit_says():
     frozen = {name: values.copy() for name, values in record.outputs.items()}
     frozen["x"][300:] = frozen["x"][299]
     doubted = Experiment.from_arrays(record.time, record.inputs, frozen, name="run")
+    (fault,) = filter(is_sensor_fault, doubted.findings)
+    assert (fault.code, fault.subject) == (RecordCode.SENSOR_DEAD, "x")
     result = fit(PLANT, doubted, noise={"x": 2e-7, "i": 5e-3})
-    assert result.notes[0].startswith("run: output 'x' stands still at exactly")
+    assert result.notes[0] == f"run: {fault}"
     assert len(result.notes) > 1
 
 
@@ -116,7 +122,7 @@ def torn(tmp_path):
 def test_every_command_refuses_the_guess_and_writes_nothing(run, torn, tmp_path, command):
     result = run(command, "micro_actuator", torn, "--fix", "Ra=8")
     assert result.exit_code == 2
-    assert "a hole from 0.04975 to 0.0825 s: 130 rows are missing" in result.stderr
+    assert "a gap from 0.04975 to 0.0825 s: 130 rows are missing" in result.stderr
     assert not (tmp_path / "results").exists()
 
 
@@ -124,7 +130,7 @@ def test_the_option_splits_and_says_so(run, torn):
     result = run("check", "micro_actuator", torn, "--fix", "Ra=8", "--split-holes", "--at-rest", "--no-report")
     assert result.exit_code == 0
     assert "run[0:200]: 200 rows every 0.00025 s" in result.stdout and "run[200:470]: 270 rows" in result.stdout
-    assert "run.csv was cut at the holes in its time: 2 pieces" in result.stderr
+    assert "run.csv was cut at the gaps in its time: 2 pieces" in result.stderr
     assert "each piece is taken to begin at rest" in result.stderr
 
 
@@ -141,7 +147,8 @@ def test_runs_in_one_file_are_read_apart_where_time_starts_anew(run, tmp_path):
     assert (one.fingerprint, two.fingerprint) == tuple(
         read_experiments(tmp_path / name, micro_actuator)[0].fingerprint for name in ("a.csv", "b.csv")
     )
-    assert one.notes == two.notes == ("one of 2 runs in its file, in which time starts anew",)
+    assert one.findings == two.findings
+    assert [(f.code, dict(f.values)) for f in one.findings] == [(RecordCode.ONE_OF_RUNS, {"runs": 2})]
     (tmp_path / "both.csv").write_text(rows.replace("\n0.01,", "\nten,"))
     with pytest.raises(DataError, match=r"lines 42, 242: 'ten', 'ten' are not numbers"):
         read_experiments(tmp_path / "both.csv", micro_actuator, split=True)
@@ -153,10 +160,10 @@ def test_runs_in_one_file_are_read_apart_where_time_starts_anew(run, tmp_path):
     assert checked.exit_code == 0 and "both[200:500]: 300 rows" in checked.stdout and "no effect" not in checked.stderr
 
 
-def test_without_a_hole_the_option_is_idle_and_a_simulation_goes_on_through_one(run, torn, tmp_path):
+def test_without_a_gap_the_option_is_idle_and_a_simulation_goes_on_through_one(run, torn, tmp_path):
     write_csv(driven(100), micro_actuator, tmp_path / "whole.csv")
     checked = run("check", "micro_actuator", "whole.csv", "--fix", "Ra=8", "--split-holes", "--no-report")
-    assert "--split-holes has no effect: no record has a hole in its time" in checked.stderr
+    assert "--split-holes has no effect: no record has a gap in its time" in checked.stderr
     simulated = run("simulate", "micro_actuator", torn, "--output", "again.csv", "--no-report")
     assert simulated.exit_code == 0
-    assert "run.csv: time has a hole from 0.04975 to 0.0825 s" in simulated.stderr
+    assert "run.csv: time has a gap from 0.04975 to 0.0825 s" in simulated.stderr

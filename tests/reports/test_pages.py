@@ -111,9 +111,9 @@ def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
     found = check(micro_actuator.fix("M", "Ra"), record, noise={"x": 2e-7, "i": 5e-3})
     page = page_of(found)
     assert page.verdict.tone == "caution"
-    assert page.verdict.paragraphs[0].startswith("Record bench: output 'i' stands still at exactly")
+    assert page.verdict.paragraphs[0].startswith("Record bench: output 'i' stays at exactly")
     html = render(page)
-    assert html.count("stands still") == 1
+    assert html.count("stays at exactly") == 1
     assert "Record bench: output &#39;x&#39; has 40 gaps" in html
     assert found.as_dict()["records"][0]["notes"] == list(record.notes)
 

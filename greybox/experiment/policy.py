@@ -1,0 +1,73 @@
+"""The numbers by which a record is judged: when time is uniform, when a sensor is in doubt, when a gap is too long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class RecordPolicy:
+    """Rules for records. Shares and ratios have no unit; rows and steps are counted."""
+
+    min_rows: int = 10
+    """Fewest rows of a measured record: with fewer there is nothing to learn from."""
+
+    step_tolerance: float = 1e-3
+    """A step may differ from the mean step by this share of it; clocks of loggers stay within."""
+    grid_tolerance: float = 0.1
+    """A stamp may lie this share of the mean step off the uniform grid; beyond it, the clock drifts or jitters."""
+    rounding_units: float = 1.2
+    """Printed units that rounding may change a step by: two roundings of half a unit, and the error of the mean step itself."""
+    coarsest_print: float = 0.45
+    """Largest printed unit, as a share of the step; with a coarser one a missing row could pass for two roundings."""
+    max_decimals: int = 12
+    """Printed decimal places that are looked for; double precision shows no more of a time in seconds."""
+
+    gap_steps: float = 1.5
+    """A step of more than this many usual ones is a gap in time: at least one row is missing."""
+    max_gap_share: float = 0.05
+    """Largest share of the steps that can be gaps; with more of them there is no usual step."""
+    long_gap_rows: int = 20
+    """Missing rows from which a gap is long; fewer do little harm to a simulation."""
+    neighbourhood_rows: int = 20
+    """Rows before and after a gap in which an input that rests shows that it rests."""
+    lags_tried: int = 12
+    """Time differences, up to the length of a gap, over which the change of an input is measured."""
+    lost_input_change: float = 1.0
+    """Change of an input (rms, over its standard deviation) in a gap, from which it is known no better than by its mean."""
+
+    frozen_rows: int = 20
+    """Rows with one value from which a sensor counts as frozen."""
+    input_goes_on: float = 0.5
+    """Share of an input's earlier range that it must still cover for the plant to be moving."""
+    repeat_share: float = 0.05
+    """Share of repeated values from which a sensor is coarse, or the plant rests, and a frozen stretch says nothing."""
+    spike_ratio: float = 5.0
+    """Distance from both neighbours, over the distance that 95 % of the rows stay within, from which a row is a spike."""
+    pulse_share: float = 0.25
+    """Share of an input's range; an input that leaves so far for one row may have caused the spike."""
+    max_spike_share: float = 0.02
+    """Largest share of the rows that can be spikes; more of them are a kind of noise."""
+    min_stays: int = 3
+    """Times that a sensor stays at the same end of its range before it counts as saturated."""
+    min_saturated_rows: int = 10
+    """Rows that it stays there altogether."""
+
+    condition_spread: float = 0.05
+    """Largest standard deviation of a column over its mean for its mean to be a condition of the whole record."""
+
+
+@dataclass(frozen=True)
+class ReadingPolicy:
+    """How far into a text file the reader looks, and how much it takes at a time."""
+
+    rows_per_chunk: int = 20_000
+    """Lines taken apart at a time: large enough for speed, small enough for memory."""
+    separator_lines: int = 20
+    """Lines on which the separator is decided."""
+    header_lines: int = 60
+    """Lines in which the first row of numbers is looked for, to find a header that is not the first line."""
+
+
+RECORD_POLICY = RecordPolicy()
+READING_POLICY = ReadingPolicy()

@@ -1,0 +1,124 @@
+"""One golden text for each template of a record."""
+
+import numpy as np
+import pytest
+
+from greybox.experiment import Experiment
+from greybox.experiment.findings import RecordCode
+from greybox.findings import Finding
+from greybox.rendering import sentence
+
+GAP = {"gaps": 2, "start": 10.0, "stop": 40.5, "usual_step": 0.5}
+GOLDEN = {
+    RecordCode.INPUT_CONSTANT: ("u", {"value": 1.0}, "input 'u' is constant at 1"),
+    RecordCode.OUTPUT_CONSTANT: (
+        "x",
+        {"value": 3e-6},
+        "output 'x' is constant at 3e-06: a sensor that never moves carries no information; leave it out",
+    ),
+    RecordCode.OUTPUT_GAPS: ("x", {"gaps": 1, "rows": 40}, "output 'x' has 1 gap in 40 rows"),
+    RecordCode.SENSOR_FROZEN: (
+        "x",
+        {"value": 0.731, "rows": 40, "start": 0.6, "stop": 0.99},
+        "output 'x' stays at exactly 0.731 for 40 rows, from 0.6 to 0.99 s, while the input moves, and jumps there: if the sensor or the"
+        " logger failed, leave these fields empty",
+    ),
+    RecordCode.SENSOR_DEAD: (
+        "x",
+        {"value": 0.2, "start": 1.49, "rows": 51},
+        "output 'x' stays at exactly 0.2 from 1.49 s to the end (51 rows) while the input keeps moving: if the sensor or the logger"
+        " failed, leave these fields empty",
+    ),
+    RecordCode.SENSOR_SPIKES: (
+        "x",
+        {"count": 3, "times": [0.4, 1.41]},
+        "output 'x' jumps away and back within one row, 3 times (at 0.4 s, 1.41 s and 1 more): if the sensor caused this and not the"
+        " plant, leave these fields empty, or fit with a robust loss (shell: --loss huber)",
+    ),
+    RecordCode.SENSOR_SATURATED: (
+        "x",
+        {"end": "largest", "value": 0.9, "rows": 60, "stays": 4},
+        "output 'x' reads exactly its largest value, 0.9, in 60 rows and stays there 4 times: if the sensor or the converter saturates,"
+        " leave these fields empty (an end stop of the plant looks the same)",
+    ),
+    RecordCode.TIME_ROUNDED: (
+        "",
+        {"shortest": 2e-4, "longest": 3e-4, "sampling_time": 2.5e-4},
+        "time looks rounded: steps from 0.0002 to 0.0003 s differ by no more than one printed unit; taken as uniform, every 0.00025 s",
+    ),
+    RecordCode.TIME_GAP: (
+        "",
+        GAP,
+        "time has 2 gaps, the longest from 10 to 40.5 s (usual step 0.5 s): the input is assumed to continue through it; split the record"
+        " there with split_at_time_gaps() (shell: --split-holes)",
+    ),
+    RecordCode.INPUT_HELD_THROUGH_GAP: (
+        "",
+        {**GAP, "gaps": 1},
+        "time has a gap from 10 to 40.5 s (usual step 0.5 s): the input is assumed to continue through it",
+    ),
+    RecordCode.TIME_ROWS_MISSING: (
+        "",
+        {"rows": 39, "places": 38, "usual_step": 0.01},
+        "39 rows are missing in 38 places (usual step 0.01 s): the input is assumed to continue through each, which is wrong where it"
+        " moved",
+    ),
+    RecordCode.TIME_IRREGULAR: (
+        "",
+        {"shortest": 0.5, "longest": 1.5},
+        "time is irregular: steps from 0.5 to 1.5 s; each interval is used as it is",
+    ),
+    RecordCode.PIECES_LEFT_OUT: (
+        "",
+        {"pieces": [[0.3, 0.30075, 4]]},
+        "left out, too few rows between two gaps in time: 0.3 to 0.30075 s (4)",
+    ),
+    RecordCode.OUTPUT_NOT_MEASURED: ("", {"outputs": ["x", "i"]}, "not measured: output 'x' and 'i'"),
+    RecordCode.UNITS_ASSUMED: (
+        "",
+        {"units": {"time": "s", "x": "m"}},
+        "no unit in the header of time, x: taken as s, m",
+    ),
+    RecordCode.COLUMNS_IGNORED: ("", {"columns": ["a", "b"]}, "columns ignored: 'a', 'b'"),
+    RecordCode.CONDITION_READ: (
+        "P_S",
+        {"value": 801e3, "unit": "Pa", "source": "comment"},
+        "condition P_S: 801000 Pa, from a comment of the file",
+    ),
+    RecordCode.ONE_OF_RUNS: ("", {"runs": 2}, "one of 2 runs in its file, in which time starts anew"),
+    RecordCode.RESAMPLED: (
+        "",
+        {"sampling_time": 0.5, "rows": 100},
+        "resampled to every 0.5 s from 100 rows",
+    ),
+    RecordCode.ALSO_FITTED: (
+        "",
+        {"record": "low.csv"},
+        "the same data as low.csv, which is fitted: it does not validate the model; use a record that was not fitted",
+    ),
+}
+
+
+@pytest.mark.parametrize("code", RecordCode)
+def test_each_code_of_a_record_has_its_sentence(code):
+    subject, values, text = GOLDEN[code]
+    assert sentence(Finding(code, subject=subject, values=values)) == text
+
+
+def test_the_records_of_a_finding_stand_before_its_sentence():
+    finding = Finding(RecordCode.INPUT_CONSTANT, subject="u", values={"value": 1.0, "records": ["a.csv", "b"]})
+    assert sentence(finding) == "a.csv, b: input 'u' is constant at 1"
+
+
+def test_a_record_shows_its_signals_conditions_and_findings():
+    time = 0.5 * np.arange(40)
+    outputs = {"y": np.where(time == 2, np.nan, np.cos(time))}
+    record = Experiment.from_arrays(time, {"u": np.ones(40)}, outputs, name="run", conditions={"T": 293.0})
+    assert str(record).splitlines() == [
+        f"run: 40 rows every 0.5 s, 19.5 s, input held between samples, data {record.fingerprint}",
+        "  input     u: 1 to 1, 0 gaps",
+        "  output    y: -0.997172 to 1, 1 gaps",
+        "  condition T: 293",
+        "  note      input 'u' is constant at 1",
+        "  note      output 'y' has 1 gap in 40 rows",
+    ]
