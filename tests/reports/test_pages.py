@@ -115,7 +115,7 @@ def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
     html = render(page)
     assert html.count("stays at exactly") == 1
     assert "Record bench: output &#39;x&#39; has 40 gaps" in html
-    assert found.as_dict()["records"][0]["notes"] == list(record.notes)
+    assert found.as_dict()["records"][0]["notes"] == list(map(str, record.findings))
 
 
 def test_errors_further_ahead_stand_on_the_page_of_a_comparison(good: gb.Fit) -> None:
