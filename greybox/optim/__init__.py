@@ -1,7 +1,18 @@
-"""The optimiser: IPOPT. The only room that names the solver."""
+"""Minimisation of sums of squares and of sparse programs. The only room that names IPOPT."""
 
 from greybox.optim.ipopt_dense import minimise
 from greybox.optim.ipopt_sparse import solve_sparse
+from greybox.optim.policy import DampedGaussNewtonPolicy, GradientSamplingPolicy, MinimisationPolicy
 from greybox.optim.status import IterationCallback, MinimisationResult, QuadraticModel, TerminationStatus
 
-__all__ = ["IterationCallback", "MinimisationResult", "QuadraticModel", "TerminationStatus", "minimise", "solve_sparse"]
+__all__ = [
+    "DampedGaussNewtonPolicy",
+    "GradientSamplingPolicy",
+    "IterationCallback",
+    "MinimisationPolicy",
+    "MinimisationResult",
+    "QuadraticModel",
+    "TerminationStatus",
+    "minimise",
+    "solve_sparse",
+]

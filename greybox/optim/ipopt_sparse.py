@@ -12,7 +12,7 @@ from greybox.optim.minimisation import stop_on_interrupt
 from greybox.optim.status import IPOPT_STATUS, IterationCallback, MinimisationResult, TerminationStatus
 
 
-class _Follow(ca.Callback):
+class _IterationMonitor(ca.Callback):
     """Reports each iteration of `solve_sparse` and ends it after Ctrl-C."""
 
     def __init__(self, n: int, constraints: int, scale: float, progress: IterationCallback | None) -> None:
@@ -50,33 +50,53 @@ def solve_sparse(
     iterations: int = 500,
     progress: IterationCallback | None = None,
 ) -> MinimisationResult:
-    """Minimise a sparse program with constraints ``g = 0``: ``nlp`` has the expressions ``x`` (n, 1), ``f`` and ``g``.
+    """Minimise a sparse program with the constraints ``g = 0`` by IPOPT.
 
-    ``hessian``: ``(x, p, lam_f, lam_g) -> triu(H)`` in place of the exact one, for example Gauss-Newton's. ``f`` is the cost over
-    ``scale``. Each derivative comes from the expressions, so thousands of variables are no trouble as long as ``g`` is sparse.
+    Every derivative comes from the expressions, so thousands of variables are no trouble as long as ``g`` is sparse.
+
+    Parameters
+    ----------
+    nlp
+        The expressions ``x`` (n, 1), ``f`` (the cost over ``scale``) and ``g``.
+    start, low, high
+        The first point and the bounds (n,).
+    hessian
+        ``(x, p, lam_f, lam_g) -> triu(H)`` in the place of the exact Hessian of the Lagrangian, for example Gauss and Newton's.
+    scale
+        What ``f`` was divided by; the costs of ``progress`` and of the result are multiplied by it.
+    tolerance, iterations, progress
+        As for `minimise`.
     """
     began = time.perf_counter()
-    follow = _Follow(nlp["x"].numel(), nlp["g"].numel(), scale, progress)
+    monitor = _IterationMonitor(nlp["x"].numel(), nlp["g"].numel(), scale, progress)
     options: dict[str, Any] = {
-        "print_time": False, "show_eval_warnings": False, "iteration_callback": follow,
+        "print_time": False,
+        "show_eval_warnings": False,
+        "iteration_callback": monitor,
         "ipopt": {
-            "print_level": 0, "sb": "yes", "tol": tolerance, "max_iter": iterations, "mu_strategy": "adaptive",
-            "bound_relax_factor": 0.0, "nlp_scaling_method": "none",
-            # The permutation that MUMPS likes best fills the matrix of a long record until memory ends; our variables are scaled.
-            # Minimum degree orders the long thin matrix three times as fast as what MUMPS picks.
-            "mumps_permuting_scaling": 0, "mumps_pivot_order": 0,
+            "print_level": 0,
+            "sb": "yes",  # no banner
+            "tol": tolerance,
+            "max_iter": iterations,
+            "mu_strategy": "adaptive",
+            "bound_relax_factor": 0.0,
+            "nlp_scaling_method": "none",
+            # MUMPS's default permutation fills the matrix of a long record until memory runs out; our variables are scaled.
+            "mumps_permuting_scaling": 0,
+            # Minimum degree orders the long thin matrix three times as fast as the ordering that MUMPS picks.
+            "mumps_pivot_order": 0,
         },
-    }  # fmt: skip
+    }
     if hessian is not None:
         options["hess_lag"] = hessian
     solver = ca.nlpsol("sparse", "ipopt", nlp, options)
-    with stop_on_interrupt(follow):
-        found = solver(x0=start, lbx=low, ubx=high, lbg=0.0, ubg=0.0)
+    with stop_on_interrupt(monitor):
+        solution = solver(x0=start, lbx=low, ubx=high, lbg=0.0, ubg=0.0)
     stats = solver.stats()
-    word = stats["return_status"]
-    status = TerminationStatus.INTERRUPTED if follow.stop else IPOPT_STATUS.get(word, TerminationStatus.FAILED)
-    z = np.clip(found["x"].full().ravel(), low, high)
+    ipopt_word = stats["return_status"]
+    status = TerminationStatus.INTERRUPTED if monitor.stop else IPOPT_STATUS.get(ipopt_word, TerminationStatus.FAILED)
+    z = np.clip(solution["x"].full().ravel(), low, high)
     seconds = time.perf_counter() - began
     return MinimisationResult(
-        z, float(found["f"]) * scale, status, int(stats["iter_count"]), follow.count, seconds, word
+        z, float(solution["f"]) * scale, status, int(stats["iter_count"]), monitor.count, seconds, ipopt_word
     )

@@ -11,14 +11,16 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from greybox.optim.policy import MinimisationPolicy
 from greybox.optim.status import IterationCallback, QuadraticModel, TerminationStatus, TerminationTest
-
-# A step that was shortened so often without gain points the wrong way: the gradient there is that of one side of a kink.
-SHORTENINGS = 10
 
 
 class Minimisation:
-    """The function being minimised, with its last value kept (IPOPT asks for cost, gradient and Hessian one by one)."""
+    """The function being minimised, with its last value kept (IPOPT asks for cost, gradient and Hessian one by one).
+
+    ``best``, ``best_value`` and ``best_cost`` are those of the best point so far; ``status`` is how the search ended, None while it
+    runs; ``shortenings`` counts the evaluations since the last gain; ``error`` is what ``evaluate`` raised.
+    """
 
     def __init__(
         self,
@@ -26,12 +28,14 @@ class Minimisation:
         scale: float,
         finished: TerminationTest | None,
         progress: IterationCallback | None,
+        policy: MinimisationPolicy,
     ) -> None:
-        self.evaluate, self.scale, self.finished, self.progress = evaluate, scale, finished, progress
+        self.evaluate, self.scale, self.progress, self.policy = evaluate, scale, progress, policy
+        self.termination_test = finished
         self.evaluations = self.iteration = self.shortenings = 0
         self.stop = False
         self.error: BaseException | None = None
-        self.done: TerminationStatus | None = None
+        self.status: TerminationStatus | None = None
         self.best = np.empty(0)
         self.best_value: QuadraticModel | None = None
         self.best_cost = np.inf
@@ -40,38 +44,36 @@ class Minimisation:
     def __call__(self, z: np.ndarray) -> QuadraticModel:
         """The function at ``z``; what it gave last if that is asked again."""
         if self._last[0] != z.tobytes() or self._last[1] is None:
-            if self.lost:
-                return NotEvaluated(
-                    np.inf, np.zeros_like(z), np.eye(len(z))
-                )  # IPOPT cannot be told to stop between two iterations
+            if self.stalled:  # IPOPT cannot be told to stop between two iterations
+                return NotEvaluated(np.inf, np.zeros_like(z), np.eye(len(z)))
             self.evaluations += 1
-            self.keep(z, self.evaluate(z))
+            self.remember(z, self.evaluate(z))
         return self._last[1]
 
     @property
-    def lost(self) -> bool:
-        """Whether the present step has been shortened for nothing."""
-        return self.shortenings > SHORTENINGS
+    def stalled(self) -> bool:
+        """Whether the present step has been shortened again and again without any gain."""
+        return self.shortenings > self.policy.max_shortenings
 
-    def keep(self, z: np.ndarray, value: QuadraticModel) -> None:
+    def remember(self, z: np.ndarray, value: QuadraticModel) -> None:
         """Remember the value at ``z``, and the best one."""
         self._last = z.tobytes(), value
         self.shortenings += np.isfinite(value.cost)
         if self.best_value is None or value.cost < self.best_cost:
             self.best, self.best_value, self.best_cost, self.shortenings = z.copy(), value, value.cost, 0
 
-    def enough(self) -> bool:
-        """Whether the best point so far ends the search."""
-        if self.finished and self.best_value is not None:
-            self.done = self.finished(self.best, self.best_value)
-        return self.done is not None
+    def test_termination(self) -> bool:
+        """Whether the caller's test says that the best point so far ends the search."""
+        if self.termination_test and self.best_value is not None:
+            self.status = self.termination_test(self.best, self.best_value)
+        return self.status is not None
 
-    def iterated(self) -> bool:
-        """After an iteration: report progress; whether to stop."""
+    def finish_iteration(self) -> bool:
+        """Report the progress after an iteration; whether to stop."""
         if self.progress:
             self.progress(self.iteration, self.best_cost)
         self.iteration += 1
-        return self.stop or self.lost or self.error is not None or self.enough()
+        return self.stop or self.stalled or self.error is not None or self.test_termination()
 
 
 @dataclass(frozen=True)
@@ -96,13 +98,13 @@ def stop_on_interrupt(search: Stoppable) -> Iterator[None]:
         yield
         return
 
-    def ask(*_: object) -> None:
+    def request_stop(*_: object) -> None:
         if search.stop:
             raise KeyboardInterrupt
         search.stop = True
 
-    before = signal.signal(signal.SIGINT, ask)
+    previous = signal.signal(signal.SIGINT, request_stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous)

@@ -1,4 +1,4 @@
-"""How an optimisation ended."""
+"""How a minimisation ended, and what is minimised."""
 
 from __future__ import annotations
 
@@ -61,10 +61,13 @@ class MinimisationResult:
     value: Any = None
 
 
-IterationCallback = Callable[[int, float], object]  # (iteration, cost)
-TerminationTest = Callable[[np.ndarray, Any], TerminationStatus | None]  # (z, what `evaluate` gave there)
+IterationCallback = Callable[[int, float], object]
+"""``(iteration, cost)``, called after every iteration."""
 
-# What IPOPT says at the end.
+TerminationTest = Callable[[np.ndarray, Any], TerminationStatus | None]
+"""``(z, value)`` of the best point so far, ``value`` being what the minimised function returned there; a status ends the search."""
+
+# IPOPT's return status in its own words.
 IPOPT_STATUS = {
     "Solve_Succeeded": TerminationStatus.CONVERGED,
     "Solved_To_Acceptable_Level": TerminationStatus.ACCEPTABLE,

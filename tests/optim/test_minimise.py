@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from greybox.optim import TerminationStatus, ipopt_dense, minimisation, minimise
+from greybox.optim import MinimisationPolicy, TerminationStatus, ipopt_dense, minimise
 
 
 class Bowl:
@@ -42,16 +42,16 @@ def free(n):
 
 
 def test_the_valley_is_followed_to_its_end():
-    found = minimise(Curved, np.array([-1.2, 1.0]), *free(2))
-    assert found.status is TerminationStatus.CONVERGED
-    assert found.z == pytest.approx([1, 1], abs=1e-6)
-    assert found.value.cost == found.cost < 1e-12
+    result = minimise(Curved, np.array([-1.2, 1.0]), *free(2))
+    assert result.status is TerminationStatus.CONVERGED
+    assert result.z == pytest.approx([1, 1], abs=1e-6)
+    assert result.value.cost == result.cost < 1e-12
 
 
 def test_a_bound_stops_the_search_exactly_there():
-    found = minimise(Bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]))
-    assert found.status is TerminationStatus.CONVERGED
-    assert found.z[0] <= 1.0 and found.z == pytest.approx([1, 3], abs=1e-4)
+    result = minimise(Bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]))
+    assert result.status is TerminationStatus.CONVERGED
+    assert result.z[0] <= 1.0 and result.z == pytest.approx([1, 3], abs=1e-4)
 
 
 def test_an_impossible_point_is_a_step_to_be_shortened():
@@ -61,8 +61,8 @@ def test_an_impossible_point_is_a_step_to_be_shortened():
             value.cost, value.gradient, value.hessian = np.inf, 0 * z, 0 * value.hessian
         return value
 
-    found = minimise(lambda z: wall(z), np.array([-40.0]), *free(1))
-    assert found.z == pytest.approx([3], abs=1e-6)
+    result = minimise(lambda z: wall(z), np.array([-40.0]), *free(1))
+    assert result.z == pytest.approx([3], abs=1e-6)
     lost = minimise(lambda z: wall(z), np.array([4.0]), *free(1))
     assert lost.status is TerminationStatus.NO_START and lost.value is None
 
@@ -75,8 +75,8 @@ def test_a_known_first_value_is_not_asked_for_again():
 
 def test_each_point_is_computed_once():
     asked = []
-    found = minimise(lambda z: asked.append(z.tobytes()) or Curved(z), np.array([-1.2, 1.0]), *free(2))
-    assert len(asked) == found.evaluations
+    result = minimise(lambda z: asked.append(z.tobytes()) or Curved(z), np.array([-1.2, 1.0]), *free(2))
+    assert len(asked) == result.evaluations
     assert all(a != b for a, b in pairwise(asked))
 
 
@@ -93,25 +93,25 @@ def test_the_callers_rule_ends_the_search():
 
 
 def test_a_kink_is_found_and_certified_with_few_evaluations():
-    found = minimise(Kinked, np.array([2.0, -1.0]), *free(2))
-    assert found.status is TerminationStatus.KINK and found.status.success
-    assert found.cost == pytest.approx(1.0, abs=0.01)
-    assert found.evaluations < 200
+    result = minimise(Kinked, np.array([2.0, -1.0]), *free(2))
+    assert result.status is TerminationStatus.KINK and result.status.success
+    assert result.cost == pytest.approx(1.0, abs=0.01)
+    assert result.evaluations < 200
     quick = minimise(Kinked, np.array([2.0, -1.0]), *free(2), thorough=False)
-    assert quick.status is TerminationStatus.STUCK and quick.evaluations < found.evaluations
+    assert quick.status is TerminationStatus.STUCK and quick.evaluations < result.evaluations
 
 
 @pytest.mark.parametrize(
     "finished", [None, lambda z, value: TerminationStatus.CONVERGED if value.cost < 1e-9 else None]
 )
-def test_a_search_that_strays_goes_on_by_damped_steps(monkeypatch, finished):
-    """Lost at once, as behind a barrier that leads away from the optimum: no kink is called out where the gradient is right."""
-    monkeypatch.setattr(minimisation, "SHORTENINGS", 0)
-    found = minimise(Curved, np.array([-1.2, 1.0]), *free(2), finished=finished)
-    assert found.status is TerminationStatus.CONVERGED
-    assert found.z == pytest.approx([1, 1], abs=1e-3 if finished else 1e-9)
-    assert found.evaluations < 60
-    held = minimise(Bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]))
+def test_a_stalled_search_goes_on_by_damped_steps(finished):
+    """Stalled at once, as behind a barrier that leads away from the optimum: where the gradient is right, no kink is reported."""
+    at_once = MinimisationPolicy(max_shortenings=0)
+    result = minimise(Curved, np.array([-1.2, 1.0]), *free(2), finished=finished, policy=at_once)
+    assert result.status is TerminationStatus.CONVERGED
+    assert result.z == pytest.approx([1, 1], abs=1e-3 if finished else 1e-9)
+    assert result.evaluations < 60
+    held = minimise(Bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]), policy=at_once)
     assert held.z == pytest.approx([1, 3], abs=1e-9)
 
 

@@ -1,0 +1,75 @@
+"""Numbers that steer a minimisation: how long a step may be shortened, how damping adapts, how a kink is searched around."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class DampedGaussNewtonPolicy:
+    """How damped Gauss-Newton steps adapt and when they give up."""
+
+    initial_damping: float = 1e-6
+    """Damping of the first step, as a share of the curvature: nearly a full Gauss-Newton step, which is right near a smooth optimum."""
+
+    decrease: float = 0.1
+    """Factor on the damping after a step that gains nearly what its quadratic model predicts."""
+
+    increase: float = 10.0
+    """Factor on the damping after a step that gains little of what was predicted, or nothing."""
+
+    good_share: float = 0.75
+    """Share of the predicted decrease from which a step counts as well predicted (Fletcher's upper ratio)."""
+
+    poor_share: float = 0.25
+    """Share of the predicted decrease below which a step counts as badly predicted (Fletcher's lower ratio)."""
+
+    max_steps: int = 50
+    """Steps in all; a smooth cost needs ten to twenty from a lost start."""
+
+    max_rejections: int = 8
+    """Steps in a row that gain nothing: by then the damping has grown to 100 times the curvature, and no direction is left to try."""
+
+    kink_share: float = 0.1
+    """Along a kink even a short step gains less than this share of what is predicted, because the gradient is that of one side."""
+
+    max_kink_steps: int = 6
+    """Steps in a row below ``kink_share`` after which the cost counts as kinked."""
+
+
+@dataclass(frozen=True)
+class GradientSamplingPolicy:
+    """How gradients are sampled around a point where the cost has a kink."""
+
+    radii: tuple[float, ...] = (1e-2, 1e-3, 1e-4)
+    """Distances of the sampled points, in turn: where a smooth cost would rise by these shares of itself."""
+
+    least_gain: float = 1e-4
+    """Share of the cost that a round has to gain; otherwise the next radius follows."""
+
+    max_rounds: int = 6
+    """Rounds at each radius; every round evaluates twice as many points as there are unknowns."""
+
+    longer: tuple[float, ...] = (2.0, 4.0, 8.0)
+    """Factors by which a step that gains is lengthened while that helps."""
+
+    shorter: tuple[float, ...] = (0.5, 0.25, 0.1)
+    """Factors by which a step that gains nothing is shortened until it gains."""
+
+
+@dataclass(frozen=True)
+class MinimisationPolicy:
+    """When a search by IPOPT counts as stalled, and how it goes on from there."""
+
+    max_shortenings: int = 10
+    """Times that a step is shortened without any gain before the search counts as stalled: IPOPT halves it each time, so a direction
+    that gains nothing at a thousandth of its length points the wrong way, or the gradient is that of one side of a kink."""
+
+    damped: DampedGaussNewtonPolicy = field(default_factory=DampedGaussNewtonPolicy)
+    """The damped Gauss-Newton steps that a stalled search goes on with."""
+
+    sampling: GradientSamplingPolicy = field(default_factory=GradientSamplingPolicy)
+    """The search around a kink, where damped steps gain nothing either."""
+
+
+DEFAULT_POLICY = MinimisationPolicy()
