@@ -1,5 +1,4 @@
-"""All samples of an experiment with sensitivities in one call: compiled where there is a C compiler, interpreted
-elsewhere."""
+"""All samples of an experiment with sensitivities in one call: compiled where there is a C compiler, else interpreted."""
 
 from __future__ import annotations
 
@@ -9,7 +8,7 @@ from functools import lru_cache
 
 from greybox.errors import GreyboxError
 from greybox.integrators.step import Step
-from greybox.kernel.c_compiler import CompilerError, GreyboxWarning
+from greybox.kernel.c_compiler import CompilerError, GreyboxWarning, NoCompilerError
 from greybox.kernel.compiled import CompiledKernel
 from greybox.kernel.interface import GaussNewtonSums, Kernel
 from greybox.kernel.interpreted import InterpretedKernel
@@ -28,37 +27,52 @@ __all__ = [
     "make_kernel",
 ]
 
-# Kernels that are kept, for the next fit with the same step.
-KEPT = 64
-
+# Reasons that were reported already: one warning a process is enough.
 _warned: set[str] = set()
 
 
 def make_kernel(step: Step) -> Kernel:
-    """The fastest kernel that works here; ``kernel.reason`` says why it is the one.
+    """The fastest kernel that works on this machine.
 
-    The environment variable ``GREYBOX_KERNEL`` forces ``compiled`` or ``interpreted``. A compiler that fails is
-    reported once, as a GreyboxWarning, and the interpreted kernel takes over. Raises CompilerError or
-    UnsupportedOperationError only if ``compiled`` is forced and impossible, UnsupportedOperationError if neither kernel
-    knows an operation.
+    The environment variable ``GREYBOX_KERNEL`` forces ``compiled`` or ``interpreted``. Without a C compiler the interpreted kernel is
+    taken silently; a compiler that fails is reported once, as a GreyboxWarning.
+
+    Parameters
+    ----------
+    step
+        The discrete step to run over records.
+
+    Returns
+    -------
+    Kernel
+        Its ``reason`` says why it is the one.
+
+    Raises
+    ------
+    CompilerError, UnsupportedOperationError
+        If ``compiled`` is forced and impossible.
+    UnsupportedOperationError
+        If neither kernel knows an operation.
+    GreyboxError
+        If ``GREYBOX_KERNEL`` names no kernel.
     """
-    wanted = os.environ.get("GREYBOX_KERNEL", "")
-    if wanted not in ("", "compiled", "interpreted"):
-        raise GreyboxError(f"GREYBOX_KERNEL={wanted}: no such kernel; set it to compiled or interpreted, or unset it")
-    if wanted == "interpreted":
+    forced = os.environ.get("GREYBOX_KERNEL", "")
+    if forced not in ("", "compiled", "interpreted"):
+        raise GreyboxError(f"GREYBOX_KERNEL={forced}: no such kernel; set it to compiled or interpreted, or unset it")
+    if forced == "interpreted":
         return InterpretedKernel(step, "GREYBOX_KERNEL=interpreted")
     try:
-        return _compiled(step)
+        return _make_compiled(step)
     except (CompilerError, UnsupportedOperationError) as error:
-        if wanted == "compiled":
+        if forced == "compiled":
             raise
-        reason = str(error)
-    if reason not in _warned and not reason.startswith("no C compiler"):
+        reason, is_expected = str(error), isinstance(error, NoCompilerError)
+    if reason not in _warned and not is_expected:
         _warned.add(reason)
         warnings.warn(f"{reason}; fits run without compiled code, many times slower", GreyboxWarning, stacklevel=2)
     return InterpretedKernel(step, reason)
 
 
-@lru_cache(maxsize=KEPT)
-def _compiled(step: Step) -> CompiledKernel:
+@lru_cache(maxsize=64)  # for the next fit with the same step
+def _make_compiled(step: Step) -> CompiledKernel:
     return CompiledKernel(step)

@@ -38,7 +38,6 @@ FLAGS = (
     "-shared",
 )
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-TIMEOUT = 300.0  # seconds for one compiler run
 
 
 class GreyboxWarning(UserWarning):
@@ -49,12 +48,17 @@ class CompilerError(GreyboxError):
     """The C compiler is missing or failed."""
 
 
+class NoCompilerError(CompilerError):
+    """There is no C compiler on this machine."""
+
+
 @dataclass(frozen=True)
 class Compiler:
-    """A command and the version text it gives."""
+    """A C compiler: its command, the version text that it gives, and the seconds after which a run is given up."""
 
     command: tuple[str, ...]
     version: str
+    timeout: float = 300.0
 
 
 def load_library(source: Callable[[], str], key: str) -> ctypes.CDLL:
@@ -64,10 +68,10 @@ def load_library(source: Callable[[], str], key: str) -> ctypes.CDLL:
     """
     compiler = find_compiler()
     flags = (*FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
-    whole = "\0".join([key, hash_generator(), *flags, *compiler.command, compiler.version, describe_machine()])
-    name = f"{hashlib.sha256(whole.encode()).hexdigest()}{SUFFIX}"
+    cache_key = "\0".join([key, hash_generator(), *flags, *compiler.command, compiler.version, describe_machine()])
+    name = f"{hashlib.sha256(cache_key.encode()).hexdigest()}{SUFFIX}"
     path = find_cache_folder() / name
-    if not _whole(path):
+    if not _is_intact(path):
         _compile(compiler, flags, source(), path)
     try:
         return ctypes.CDLL(str(path))
@@ -155,18 +159,18 @@ _temporary: list[tempfile.TemporaryDirectory[str]] = []
 def _find_compiler(cc: str, path: str) -> Compiler:
     if cc:
         command = shlex.split(cc, posix=os.name != "nt")
-        found = shutil.which(command[0], path=path)
-        if found is None:
+        program = shutil.which(command[0], path=path)
+        if program is None:
             raise CompilerError(f"CC={cc}: no such program on the path; set CC to a C compiler, or unset it")
-        return Compiler((found, *command[1:]), _version((found, *command[1:])))
+        return Compiler((program, *command[1:]), _version((program, *command[1:])))
     for name in ("cc", "gcc", "clang"):
-        found = shutil.which(name, path=path)
-        if found is not None:
-            return Compiler((found,), _version((found,)))
+        program = shutil.which(name, path=path)
+        if program is not None:
+            return Compiler((program,), _version((program,)))
     if importlib.util.find_spec("ziglang") is not None:
         zig = (sys.executable, "-m", "ziglang", "cc")
         return Compiler(zig, importlib.metadata.version("ziglang"))
-    raise CompilerError(
+    raise NoCompilerError(
         "no C compiler (cc, gcc, clang) on the path; install one, or the package ziglang, for fits many times as fast"
     )
 
@@ -175,32 +179,34 @@ def _version(command: tuple[str, ...]) -> str:
     """What ``--version`` says, remembered as long as the program is the same file."""
     program = os.path.realpath(command[0])
     stamp = f"{' '.join(command)} {program} {os.stat(program).st_mtime_ns}"
-    notes = find_cache_folder() / "compilers.json"
-    known: dict[str, str] = {}
+    versions_file = find_cache_folder() / "compilers.json"
+    versions: dict[str, str] = {}
     with contextlib.suppress(OSError, ValueError):  # not there yet, or unreadable: ask the compiler again
-        known = json.loads(notes.read_text(encoding="utf-8"))
-    if stamp not in known:
-        run = _run([*command, "--version"])
-        if run.returncode != 0:
+        versions = json.loads(versions_file.read_text(encoding="utf-8"))
+    if stamp not in versions:
+        result = _run([*command, "--version"])
+        if result.returncode != 0:
             raise CompilerError(
-                f"C compiler {' '.join(command)} does not work: --version ended with code {run.returncode} {_tail(run)}"
+                f"C compiler {' '.join(command)} does not work: --version ended with code {result.returncode} {_error_lines(result)}"
             )
-        known[stamp] = run.stdout.strip()
-        with tempfile.TemporaryDirectory(dir=notes.parent, prefix="part-", ignore_cleanup_errors=True) as folder:
-            Path(folder, notes.name).write_text(json.dumps(known), encoding="utf-8")
-            _replace(Path(folder, notes.name), notes)
-    return known[stamp]
+        versions[stamp] = result.stdout.strip()
+        with tempfile.TemporaryDirectory(
+            dir=versions_file.parent, prefix="part-", ignore_cleanup_errors=True
+        ) as folder:
+            Path(folder, versions_file.name).write_text(json.dumps(versions), encoding="utf-8")
+            _replace(Path(folder, versions_file.name), versions_file)
+    return versions[stamp]
 
 
-def _whole(path: Path) -> bool:
+def _is_intact(path: Path) -> bool:
     """Whether the library is there as it was written; loading one that a full disk cut short would end the process."""
     try:
-        return _digest_of(path).read_text(encoding="utf-8") == hashlib.sha256(path.read_bytes()).hexdigest()
+        return _digest_path(path).read_text(encoding="utf-8") == hashlib.sha256(path.read_bytes()).hexdigest()
     except (OSError, ValueError):
         return False
 
 
-def _digest_of(path: Path) -> Path:
+def _digest_path(path: Path) -> Path:
     return path.with_suffix(".sha256")
 
 
@@ -212,14 +218,14 @@ def _compile(compiler: Compiler, flags: Sequence[str], source: str, path: Path) 
     with tempfile.TemporaryDirectory(dir=path.parent, prefix="part-", ignore_cleanup_errors=True) as folder:
         text, library, digest = (Path(folder, f"kernel{suffix}") for suffix in (".c", SUFFIX, ".sha256"))
         text.write_text(source, encoding="utf-8")
-        run = _run([*compiler.command, *flags, "-o", str(library), str(text), "-lm"])
+        run = _run([*compiler.command, *flags, "-o", str(library), str(text), "-lm"], compiler.timeout)
         if run.returncode != 0 or not library.exists():
             raise CompilerError(
-                f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {_tail(run)}"
+                f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {_error_lines(run)}"
             )
         digest.write_text(hashlib.sha256(library.read_bytes()).hexdigest(), encoding="utf-8")
         _replace(library, path)
-        _replace(digest, _digest_of(path))
+        _replace(digest, _digest_path(path))
 
 
 def _replace(temporary: Path, path: Path) -> None:
@@ -230,13 +236,13 @@ def _replace(temporary: Path, path: Path) -> None:
             raise
 
 
-def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+def _run(command: Sequence[str], timeout: float = 300.0) -> subprocess.CompletedProcess[str]:
     try:
-        return subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=TIMEOUT, check=False)
+        return subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=timeout, check=False)
     except (OSError, subprocess.SubprocessError) as error:
         raise CompilerError(f"C compiler {' '.join(command[:3])} cannot be run: {error}") from error
 
 
-def _tail(run: subprocess.CompletedProcess[str]) -> str:
+def _error_lines(run: subprocess.CompletedProcess[str]) -> str:
     lines = [line for line in run.stderr.splitlines() if "error" in line.lower()] or run.stderr.splitlines()
-    return f"({'; '.join(lines[:3])})" if lines else "and said nothing"
+    return f"({'; '.join(lines[:3])})" if lines else "without a message"

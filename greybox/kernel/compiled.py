@@ -1,5 +1,7 @@
-"""The compiled kernel: a step as C with tangents in vector registers. A pass costs about one simulation, whatever N in
-memory."""
+"""The compiled kernel: a step as C with tangents in vector registers.
+
+A pass with gradient and Gauss-Newton matrix takes little longer than one simulation, and its memory does not grow with the record.
+"""
 
 from __future__ import annotations
 
@@ -48,13 +50,13 @@ class CompiledKernel:
         self.description = f"compiled C, {step.label}"
         self.sizes = StepSizes.of(step)
         self._libraries: dict[tuple[int, int, bool], KernelLibrary] = {}
-        self._simulate = _declared(self._load(0, 0, True).simulate, None, (ctypes.c_int, ctypes.c_int), 8)
+        self._simulate = _declare(self._load_library(0, 0, True).simulate, None, (ctypes.c_int, ctypes.c_int), 8)
 
-    def _load(self, width: int, blocks: int, first_order: bool) -> ctypes.CDLL:
+    def _load_library(self, width: int, blocks: int, first_order: bool) -> ctypes.CDLL:
         """The library of `source`. Writing that takes longer than loading one that was compiled before, so it is known by the functions."""
         return load_library(
             lambda: self.source(width, blocks, first_order),
-            f"{self._functions} {width} {blocks} {first_order} {self._once}",
+            f"{self._functions} {width} {blocks} {first_order} {self._is_one_step}",
         )
 
     @cached_property
@@ -80,13 +82,13 @@ class CompiledKernel:
         if blocks:
             parts += [f"#define W {width}", f"#define NB {blocks}", _template("lanes.h")]
             parts.append(f"#define FIRST_ORDER {'first_order' if first_order else 0}")
-            parts.append(f"#define SUBSTEPS {1 if self._once else 'substeps'}")
+            parts.append(f"#define SUBSTEPS {1 if self._is_one_step else 'substeps'}")
         parts.append(CRoutine("advance", advance, ADVANCE, (0, 3), blocks).text())
         parts.append(CRoutine("outputs", outputs, OUTPUTS, (0, 2), blocks).text())
         parts.append(_template("sums.c" if blocks else "simulate.c"))
         if blocks and self.step.generator is not None:
             tape = simplify_tape(read_tape(self.step.generator, active=(0,), varying=(0,)))
-            parts += [CRoutine("generator", tape, ("p",), (0,), blocks).text(), _template("hold.c")]
+            parts += [CRoutine("generator", tape, ("p",), (0,), blocks).text(), _template("exact_hold.c")]
         return "\n".join(parts)
 
     def with_substeps(self, substeps: int) -> CompiledKernel:
@@ -94,12 +96,12 @@ class CompiledKernel:
         other = copy.copy(self)
         other.step = replace(self.step, substeps=substeps)
         other.description = f"compiled C, {other.step.label}"
-        if self._once or other._once:
+        if self._is_one_step or other._is_one_step:
             other._libraries = {}  # the number of substeps is a constant there
         return other
 
     @property
-    def _once(self) -> bool:
+    def _is_one_step(self) -> bool:
         """Whether an interval is always one step, as the exact hold takes it."""
         return self.step.per_interval and self.step.substeps == 1
 
@@ -108,16 +110,19 @@ class CompiledKernel:
         if self.step.generator is None:
             return chain_coefficients(self.step, record.lengths, p, dp)
         directions, rows = dp.shape[1], len(record.lengths)
-        p, dp = (np.ascontiguousarray(a, dtype=np.float64) for a in (p, _lanes(dp)))
-        q, dq = np.empty((rows, self.sizes.nq)), np.empty((rows, self.sizes.nq, _padded(directions)))
-        self._library(directions, record.first_order).hold(rows, *map(_address, (record.lengths, p, dp, q, dq)))
+        p, dp = (np.ascontiguousarray(a, dtype=np.float64) for a in (p, _pad_directions(dp)))
+        q, dq = np.empty((rows, self.sizes.nq)), np.empty((rows, self.sizes.nq, _count_padded(directions)))
+        self._get_library(directions, record.first_order).hold(rows, *map(_get_address, (record.lengths, p, dp, q, dq)))
         return q, np.ascontiguousarray(dq[:, :, :directions])
 
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
-        a = check_arguments(self.sizes, record, q, p, x0)
+        arguments = check_arguments(self.sizes, record, q, p, x0)
         y, x = np.empty((len(record.y), self.sizes.ny)), np.empty((len(record.y), self.sizes.nx))
-        self._simulate(*self._head(record, len(y)), *map(_address, (record.h, a.row, a.q, a.p, a.x0, y, x)))
+        self._simulate(
+            *self._leading_arguments(record, len(y)),
+            *map(_get_address, (record.h, arguments.row, arguments.q, arguments.p, arguments.x0, y, x)),
+        )
         return y, x
 
     def sums(
@@ -133,17 +138,18 @@ class CompiledKernel:
         rows: int | None = None,
     ) -> GaussNewtonSums:
         """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
-        a = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
-        n, lanes, ny, used = (
-            len(record.y) if rows is None else min(rows, len(record.y)),
-            _padded(a.directions),
-            self.sizes.ny,
-            a.directions,
+        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        samples = len(record.y) if rows is None else min(rows, len(record.y))
+        ny, directions, padded = self.sizes.ny, arguments.directions, _count_padded(arguments.directions)
+        results = np.zeros(2 * ny + padded + padded * padded)
+        failed_at = self._run_pass(record, samples, arguments, (results, None, None))
+        gradient, matrix = (
+            results[2 * ny : 2 * ny + directions],
+            results[2 * ny + padded :].reshape(padded, padded)[:directions, :directions],
         )
-        found = np.zeros(2 * ny + lanes + lanes * lanes)
-        failed = self._pass(record, n, a, (found, None, None))
-        gradient, matrix = found[2 * ny : 2 * ny + used], found[2 * ny + lanes :].reshape(lanes, lanes)[:used, :used]
-        return check_sums(found[:ny], found[ny : 2 * ny], gradient, matrix, None if failed < 0 else failed, n)
+        return check_sums(
+            results[:ny], results[ny : 2 * ny], gradient, matrix, None if failed_at < 0 else failed_at, samples
+        )
 
     def residuals(
         self,
@@ -157,35 +163,51 @@ class CompiledKernel:
         weight: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
-        a = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
-        n = len(record.y)
-        r, jacobian = np.full((n, self.sizes.ny), np.nan), np.full((n, self.sizes.ny, _padded(a.directions)), np.nan)
-        self._pass(record, n, a, (None, r, jacobian))
-        return r, np.ascontiguousarray(jacobian[:, :, : a.directions])
+        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        samples = len(record.y)
+        r, jacobian = (
+            np.full((samples, self.sizes.ny), np.nan),
+            np.full((samples, self.sizes.ny, _count_padded(arguments.directions)), np.nan),
+        )
+        self._run_pass(record, samples, arguments, (None, r, jacobian))
+        return r, np.ascontiguousarray(jacobian[:, :, : arguments.directions])
 
-    def _pass(self, record: Record, n: int, a: KernelArguments, results: tuple[np.ndarray | None, ...]) -> int:
-        """One pass over the first ``n`` samples; the first sample that failed, or -1."""
-        arrays = (record.y, record.h, a.row, a.q, _lanes(a.dq), a.p, _lanes(a.dp), a.x0, _lanes(a.dx0), a.weight)
-        run = self._library(a.directions, record.first_order).sums
-        return run(*self._head(record, n), *map(_address, (*arrays, *results)))
+    def _run_pass(
+        self, record: Record, samples: int, arguments: KernelArguments, results: tuple[np.ndarray | None, ...]
+    ) -> int:
+        """One pass over the first ``samples`` samples; the first sample that failed, or -1."""
+        arrays = (
+            record.y,
+            record.h,
+            arguments.row,
+            arguments.q,
+            _pad_directions(arguments.dq),
+            arguments.p,
+            _pad_directions(arguments.dp),
+            arguments.x0,
+            _pad_directions(arguments.dx0),
+            arguments.weight,
+        )
+        run = self._get_library(arguments.directions, record.first_order).sums
+        return run(*self._leading_arguments(record, samples), *map(_get_address, (*arrays, *results)))
 
-    def _library(self, directions: int, first_order: bool) -> KernelLibrary:
+    def _get_library(self, directions: int, first_order: bool) -> KernelLibrary:
         """The functions with tangents, compiled when first asked for."""
         width = choose_vector_width(directions)
-        shape = (width, _padded(directions) // width, first_order)
+        shape = (width, _count_padded(directions) // width, first_order)
         if shape not in self._libraries:
-            library = self._load(*shape)
-            sums = _declared(library.sums, ctypes.c_long, (ctypes.c_int, ctypes.c_int), 14)
-            hold = _declared(library.hold, None, (), 5) if self.step.generator is not None else None
+            library = self._load_library(*shape)
+            sums = _declare(library.sums, ctypes.c_long, (ctypes.c_int, ctypes.c_int), 14)
+            hold = _declare(library.hold, None, (), 5) if self.step.generator is not None else None
             self._libraries[shape] = KernelLibrary(sums, hold)
         return self._libraries[shape]
 
-    def _head(self, record: Record, n: int) -> tuple[Any, ...]:
-        return n, record.first_order, self.step.substeps, _address(record.u)
+    def _leading_arguments(self, record: Record, n: int) -> tuple[Any, ...]:
+        return n, record.first_order, self.step.substeps, _get_address(record.u)
 
 
-def _declared(function: Any, result: Any, numbers: tuple[Any, ...], arrays: int) -> Any:
-    """A function ``(length, numbers ..., arrays ...)`` of a library with its types told."""
+def _declare(function: Any, result: Any, numbers: tuple[Any, ...], arrays: int) -> Any:
+    """A function ``(length, numbers ..., arrays ...)`` of a library with its types declared."""
     function.argtypes = (ctypes.c_long, *numbers, *[ctypes.c_void_p] * arrays)
     function.restype = result
     return function
@@ -195,23 +217,23 @@ def _template(name: str) -> str:
     return files("greybox.kernel").joinpath(name).read_text(encoding="utf-8")
 
 
-def _padded(directions: int) -> int:
+def _count_padded(directions: int) -> int:
     """Room for the directions in whole blocks, at least one."""
     width = choose_vector_width(directions)
     return max(1, -(-directions // width)) * width
 
 
-def _lanes(array: np.ndarray) -> np.ndarray:
+def _pad_directions(array: np.ndarray) -> np.ndarray:
     """Directions (last axis) filled up with zeros to whole blocks."""
     directions = array.shape[-1]
-    if directions == _padded(directions):
+    if directions == _count_padded(directions):
         return array
-    padded = np.zeros((*array.shape[:-1], _padded(directions)))
+    padded = np.zeros((*array.shape[:-1], _count_padded(directions)))
     padded[..., :directions] = array
     return padded
 
 
-def _address(array: np.ndarray | None) -> int | None:
+def _get_address(array: np.ndarray | None) -> int | None:
     """Where the numbers of an array begin; a pass asks for some fifteen, and the short way takes a quarter of the time."""
     if array is None:
         return None

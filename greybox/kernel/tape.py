@@ -27,10 +27,9 @@ class Node(NamedTuple):
 
 
 class Tangent(NamedTuple):
-    """One tangent instruction: ``sum coefficient * lane``; ``condition ? first : second``; or the tangent of an
-    input."""
+    """One tangent instruction: ``sum coefficient * tangent``; ``condition ? first : second``; or the tangent of an input."""
 
-    terms: tuple[tuple[int | None, int | None], ...]  # (coefficient node or None for 1, lane or None for no tangent)
+    terms: tuple[tuple[int | None, int | None], ...]  # (coefficient node or None for 1, tangent or None for none)
     condition: int | None
     source: tuple[int, int] | None
     varying: bool
@@ -39,8 +38,7 @@ class Tangent(NamedTuple):
 
 @dataclass
 class Tape:
-    """``order`` lists ('node' | 'lane', number); ``outputs[i]`` the (node, lane or None) of each element of output
-    ``i``."""
+    """``order`` lists ('node' | 'tangent', number); ``outputs[i]`` the (node, tangent or None) of each element of output ``i``."""
 
     nodes: list[Node] = field(default_factory=list)
     tangents: list[Tangent] = field(default_factory=list)
@@ -77,7 +75,7 @@ class Tape:
         if tangent not in self._known:
             self.tangents.append(tangent)
             self._known[tangent] = len(self.tangents) - 1
-            self.order.append(("lane", len(self.tangents) - 1))
+            self.order.append(("tangent", len(self.tangents) - 1))
         return self._known[tangent]
 
     def keep(self, k: int) -> None:
@@ -218,8 +216,8 @@ def _step(tape: Tape, op: int, args: list[tuple[Scalar, int | None]]) -> tuple[S
         return result, None
     if len(terms) == 1 and terms[0][0] is None:
         return result, terms[0][1]
-    moving = any(tape.tangents[tangent].varying or (c is not None and tape.nodes[c].varying) for c, tangent in terms)  # type: ignore[index]
-    return result, tape.tangent(Tangent(tuple(terms), None, None, moving))
+    varying = any(tape.tangents[tangent].varying or (c is not None and tape.nodes[c].varying) for c, tangent in terms)  # type: ignore[index]
+    return result, tape.tangent(Tangent(tuple(terms), None, None, varying))
 
 
 def _pick(tape: Tape, selection: Selection, scalars: Sequence[Scalar], tangents: list[int | None]) -> int | None:
@@ -227,5 +225,5 @@ def _pick(tape: Tape, selection: Selection, scalars: Sequence[Scalar], tangents:
     chosen = [None if side is None else tangents[side] for side in selection.operands]
     if chosen[0] == chosen[1]:
         return chosen[0]
-    moving = condition.varying or any(tape.tangents[tangent].varying for tangent in chosen if tangent is not None)
-    return tape.tangent(Tangent(tuple((None, tangent) for tangent in chosen), condition.index, None, moving))
+    varying = condition.varying or any(tape.tangents[tangent].varying for tangent in chosen if tangent is not None)
+    return tape.tangent(Tangent(tuple((None, tangent) for tangent in chosen), condition.index, None, varying))

@@ -55,7 +55,9 @@ def run_in_process(folder, barrier, answers):
 def test_second_kernel_does_not_compile_again(monkeypatch):
     commands = []
     original = compiling._run
-    monkeypatch.setattr(compiling, "_run", lambda command: commands.append(command) or original(command))
+    monkeypatch.setattr(
+        compiling, "_run", lambda command, *timeout: commands.append(command) or original(command, *timeout)
+    )
     first = make_kernel(halving())
     assert first.name == "compiled"
     assert run(first) == [1, 0.5, 0.25, 0.125]
