@@ -31,3 +31,8 @@ FLAT_CURVATURE = 1e-12
 
 SUM_TO_ONE_WEIGHT = 1e3
 """Weight of the equation that makes the weights of a convex combination add up to one, beside gradients of size one."""
+
+PHI_SERIES_BELOW = 0.5
+PHI_SERIES_TERMS = 14
+"""Below this argument the exponential's remainders ``phi_k`` cancel in their closed form; so many terms of their series then reach
+full precision (``0.5^14 / 14!`` is below 1e-15)."""

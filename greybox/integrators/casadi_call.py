@@ -13,8 +13,8 @@ def call_function(function: ca.Function, *arguments: np.ndarray) -> list[np.ndar
     own for each call, hence for each thread.
     """
     buffer, evaluate = function.buffer()
-    held = [np.asarray(a, dtype=np.float64).ravel(order="F") for a in arguments]
-    for i, array in enumerate(held):
+    columns = [np.asarray(a, dtype=np.float64).ravel(order="F") for a in arguments]
+    for i, array in enumerate(columns):
         buffer.set_arg(i, array.data)
     results = [np.empty((function.size2_out(i), function.size1_out(i))) for i in range(function.n_out())]
     for i, array in enumerate(results):

@@ -1,8 +1,8 @@
-"""How a substep is put together: delay, dry friction, the smooth method, updates.
+"""How a substep is composed: input delay, dry friction, the smooth method, state updates.
 
-Within one substep, in this order: the input is taken as it arrives after its delay; dry friction cuts the substep where the
+Within one substep, in this order: the input is taken as it arrives after its delay; dry friction splits the substep where the
 velocity crosses zero; each piece is one step of the smooth method (with the exponentials of relaxing states inside); at the end
-the states that are set (play) are set.
+come the states that are set instead of having a rate (play, ``w+ = min(max(w, s - gap), s + gap)``).
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.integrators.dry_friction import split_at_standstill
 from greybox.integrators.input_delay import count_history_columns, delay_input, delay_outputs
-from greybox.integrators.state_updates import apply_updates
 from greybox.integrators.step import AdvanceFunction, InputHistory, IntegrationMethod, Step
 from greybox.model.system import System
 
@@ -29,7 +28,7 @@ def make_step(name: str, system: System, method: IntegrationMethod, substeps: in
     if past is not None:
         substeps = max(substeps, 2)
         advance, outputs = delay_input(system, advance, past), delay_outputs(system, past)
-    return Step(name, _function(system, advance, past), outputs, as_coefficients, substeps, past=past)
+    return Step(name, _make_advance(system, advance, past), outputs, as_coefficients, substeps, past=past)
 
 
 def make_rate_function(system: System) -> ca.Function:
@@ -42,8 +41,27 @@ def as_coefficients(p: np.ndarray, lengths: np.ndarray, which: np.ndarray) -> tu
     return p[None, :], np.eye(len(p))[None, :, which]
 
 
-def _function(system: System, advance: AdvanceFunction, past: InputHistory | None) -> ca.Function:
+def _make_advance(system: System, advance: AdvanceFunction, past: InputHistory | None) -> ca.Function:
     x, p, h = ca.SX.sym("x", system.x.numel()), ca.SX.sym("p", system.p.numel()), ca.SX.sym("h")
     columns = system.u.numel() + count_history_columns(past)
     ua, ub = ca.SX.sym("ua", columns), ca.SX.sym("ub", columns)
     return ca.Function("advance", [x, ua, ub, p, h], [ca.cse(advance(x, ua, ub, p, h))])
+
+
+def apply_updates(system: System, advance: AdvanceFunction) -> AdvanceFunction:
+    """``advance`` followed by the updates of ``system``.
+
+    They see the other states and the input at the end of the substep and their own state as it was before it. Play is exact
+    while the motion keeps its direction; a reversal inside a substep is missed by the way run beyond its ends (order 2).
+    """
+    values = ca.vertcat(*[update.value for update in system.updates])
+    update = ca.Function("update", [system.x, system.u, system.p], [values])
+
+    def step(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
+        following = ca.SX(advance(x, ua, ub, p, h))
+        updated = update(following, ub, p)  # a state without a rate stayed where it was
+        for k, entry in enumerate(system.updates):
+            following[entry.state] = updated[k]
+        return following
+
+    return step

@@ -25,9 +25,9 @@ class DelayedHold:
         nx, nu = system.x.numel(), system.u.numel()
         self.past, self.rows = past, past.rows + 1
         level, ramp = ca.SX.sym("level", nx, self.rows), ca.SX.sym("ramp", nx, self.rows)
-        own = [past.column, *range(nu, nu + past.rows)]
+        input_columns = [past.column, *range(nu, nu + past.rows)]
         self.q = ca.vertcat(ca.vec(level), ca.vec(ramp))
-        self.share = level @ ua[own] + ramp @ ((ub - ua)[own] * ua[-2])
+        self.share = level @ ua[input_columns] + ramp @ ((ub - ua)[input_columns] * ua[-2])
         seconds = make_delay_function(system)(system.p)
         densified = ca.densify(ca.jacobian(seconds, system.p))
         self.seconds = ca.Function("seconds", [system.p], [ca.densify(seconds), densified])
@@ -44,8 +44,8 @@ class DelayedHold:
         c, b, nx = self.past.column, (1 - (delay - n)) * h, len(whole.values[0])
         db = -along[which] if 0 <= seconds[0] <= self.past.rows * h else 0 * along[which]
         rest = compute_exponentials(generator, slopes, np.array([b]), nx).of(0)
-        (g1, g2), (dg1, dg2) = _columns(whole, c)
-        (r1, r2), (dr1, dr2) = _columns(rest, c)
+        (g1, g2), (dg1, dg2) = _input_columns(whole, c)
+        (r1, r2), (dr1, dr2) = _input_columns(rest, c)
         # d g(b) / d b = exp(A b) B; d (b G2(b)) / d b = g(b)
         rate = rest.values[0] @ generator[:nx, nx + c]
         dr2 = b * dr2 + np.outer(db, r1)
@@ -65,7 +65,7 @@ class DelayedHold:
         return delay, min(math.floor(delay), self.past.rows - 1) if math.isfinite(delay) else 0
 
 
-def _columns(blocks: HoldBlocks, c: int) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+def _input_columns(blocks: HoldBlocks, c: int) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """Column ``c`` of G1 and G2 (nx,), and their slopes (n, nx)."""
     (_, g1, g2), (_, dg1, dg2) = blocks.values, blocks.slopes
     return (g1[:, c], g2[:, c]), (dg1[..., c], dg2[..., c])

@@ -13,8 +13,7 @@ import casadi as ca
 from greybox.errors import ModelError
 from greybox.integrators.step import AdvanceFunction, IntegrationMethod
 from greybox.model.system import System
-
-TINY = 1e-300
+from greybox.numerics import TINY
 
 
 def split_at_standstill(system: System, one_step: IntegrationMethod) -> AdvanceFunction:
@@ -24,67 +23,71 @@ def split_at_standstill(system: System, one_step: IntegrationMethod) -> AdvanceF
         names = ", ".join(d.effect for d in system.dry)
         raise ModelError(f"dry friction on two velocities at once ({names}) cannot be stepped yet; keep it on one")
     j = bodies.pop()
-    slide, hold, free, static = _rates(system, j)
+    slide, hold, free, static = _make_rate_functions(system, j)
 
-    def part(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX, direction: ca.SX, stuck: ca.SX) -> ca.SX:
+    def step_piece(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX, direction: ca.SX, is_stuck: ca.SX) -> ca.SX:
         """One smooth piece: sliding in a given direction, or standing still."""
 
         def rate(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-            return ca.if_else(stuck, hold(x, u, p), slide(x, u, p, direction))
+            return ca.if_else(is_stuck, hold(x, u, p), slide(x, u, p, direction))
 
         return one_step(rate)(x, ua, ub, p, h)
 
-    def beyond(x: ca.SX, u: ca.SX, p: ca.SX, way: ca.SX) -> ca.SX:
-        """At standstill: by how much the push one way exceeds what holds."""
-        return way * free(x, u, p) - static(x, u, p)
+    def compute_excess(x: ca.SX, u: ca.SX, p: ca.SX, push_direction: ca.SX) -> ca.SX:
+        """At standstill: by how much the push in one direction exceeds the static level."""
+        return push_direction * free(x, u, p) - static(x, u, p)
 
     def advance(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
-        v, way = x[j], ca.sign(free(x, ua, p))
-        stuck = ca.logic_and(v == 0, beyond(x, ua, p, way) <= 0)
-        direction = ca.if_else(v == 0, way, ca.sign(v))
-        whole = part(x, ua, ub, p, h, direction, stuck)
-        crossed = ca.logic_and(ca.logic_not(stuck), ca.logic_and(v != 0, direction * whole[j] <= 0))
-        late = ca.sign(free(whole, ub, p))
-        early, excess = beyond(x, ua, p, late), beyond(whole, ub, p, late)
-        broken = ca.logic_and(stuck, excess > 0)
+        v, push_direction = x[j], ca.sign(free(x, ua, p))
+        is_stuck = ca.logic_and(v == 0, compute_excess(x, ua, p, push_direction) <= 0)
+        direction = ca.if_else(v == 0, push_direction, ca.sign(v))
+        end = step_piece(x, ua, ub, p, h, direction, is_stuck)
+        has_crossed = ca.logic_and(ca.logic_not(is_stuck), ca.logic_and(v != 0, direction * end[j] <= 0))
+        leaving_direction = ca.sign(free(end, ub, p))
+        early_excess, late_excess = (
+            compute_excess(x, ua, p, leaving_direction),
+            compute_excess(end, ub, p, leaving_direction),
+        )
+        leaves = ca.logic_and(is_stuck, late_excess > 0)
 
-        stop = _crossing(v, h * slide(x, ua, p, direction)[j], whole[j], direction)
-        # The push grows past what holds as a straight line, near enough: an error of h^2 in the time of leaving.
-        leave = ca.fmin(ca.fmax(-early / ca.fmax(excess - early, TINY), 0), 1)
-        share = ca.if_else(crossed, stop, ca.if_else(broken, leave, 1))
-        meeting = ua + share * (ub - ua)
-        at_rest = part(x, ua, meeting, p, share * h, direction, stuck)
+        stop_share = _crossing_share(v, h * slide(x, ua, p, direction)[j], end[j], direction)
+        # The push is taken to grow in a straight line, which leaves an error of order h^2 in the time of leaving.
+        leave_share = ca.fmin(ca.fmax(-early_excess / ca.fmax(late_excess - early_excess, TINY), 0), 1)
+        share = ca.if_else(has_crossed, stop_share, ca.if_else(leaves, leave_share, 1))
+        u_at_event = ua + share * (ub - ua)
+        at_rest = step_piece(x, ua, u_at_event, p, share * h, direction, is_stuck)
         at_rest[j] = 0
-        way = ca.if_else(broken, late, ca.sign(free(at_rest, meeting, p)))
-        stays = ca.logic_and(crossed, beyond(at_rest, meeting, p, way) <= 0)
-        after = part(at_rest, meeting, ub, p, (1 - share) * h, way, stays)
-        after[j] = way * ca.fmax(way * after[j], 0)  # a second crossing within one step is a stop
-        return ca.if_else(ca.logic_or(crossed, broken), after, whole)
+        push_direction = ca.if_else(leaves, leaving_direction, ca.sign(free(at_rest, u_at_event, p)))
+        stays_at_rest = ca.logic_and(has_crossed, compute_excess(at_rest, u_at_event, p, push_direction) <= 0)
+        rest_of_step = step_piece(at_rest, u_at_event, ub, p, (1 - share) * h, push_direction, stays_at_rest)
+        # A second crossing within one step is a stop.
+        rest_of_step[j] = push_direction * ca.fmax(push_direction * rest_of_step[j], 0)
+        return ca.if_else(ca.logic_or(has_crossed, leaves), rest_of_step, end)
 
     return advance
 
 
-def _rates(system: System, j: int) -> tuple[ca.Function, ca.Function, ca.Function, ca.Function]:
+def _make_rate_functions(system: System, j: int) -> tuple[ca.Function, ca.Function, ca.Function, ca.Function]:
     """Rates while sliding and while held, and at standstill the acceleration without friction and the most that holds it."""
     arguments = [system.x, system.u, system.p]
-    one = ca.SX.sym("direction")
+    direction = ca.SX.sym("direction")
 
-    def directed(value: ca.SX) -> ca.SX:
+    def rhs_with_direction(value: ca.SX) -> ca.SX:
         return ca.substitute(system.rhs, system.direction, ca.repmat(value, len(system.dry), 1))
 
-    held = directed(ca.SX(0))
-    push = held[j]
+    held = rhs_with_direction(ca.SX(0))
+    free_acceleration = held[j]
     held[j] = 0
-    static = ca.substitute(sum((d.static for d in system.dry), ca.SX(0)) / system.storages[j], system.x[j], 0)
+    static_limit = ca.substitute(sum((d.static for d in system.dry), ca.SX(0)) / system.storages[j], system.x[j], 0)
     return (
-        ca.Function("slide", [*arguments, one], [directed(one)]),
+        ca.Function("slide", [*arguments, direction], [rhs_with_direction(direction)]),
         ca.Function("hold", arguments, [held]),
-        ca.Function("free", arguments, [push]),
-        ca.Function("static", arguments, [static]),
+        ca.Function("free", arguments, [free_acceleration]),
+        ca.Function("static", arguments, [static_limit]),
     )
 
 
-def _crossing(v: ca.SX, first: ca.SX, last: ca.SX, direction: ca.SX) -> ca.SX:
+def _crossing_share(v: ca.SX, first: ca.SX, last: ca.SX, direction: ca.SX) -> ca.SX:
     """Share of the step after which the velocity is zero: root of the parabola through ``v``, its slope ``first`` and ``last``."""
     c0, c1 = ca.fabs(v), direction * first
     c2 = direction * last - c0 - c1

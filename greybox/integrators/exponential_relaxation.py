@@ -20,8 +20,7 @@ from greybox.errors import ModelError
 from greybox.integrators.composition import make_step
 from greybox.integrators.step import AdvanceFunction, InputHistory, IntegrationMethod, RateFunction, Step
 from greybox.model.system import System
-
-SERIES_BELOW, SERIES_TERMS = 0.5, 14
+from greybox.numerics import PHI_SERIES_BELOW, PHI_SERIES_TERMS
 
 
 def mixed(system: System, numbers: Sequence[int], substeps: int = 1, past: InputHistory | None = None) -> Step:
@@ -44,22 +43,22 @@ def find_fast_relaxing_states(system: System, p: np.ndarray, x: np.ndarray) -> t
     every eigenvalue of the equations without it, at the parameters ``p`` (np,) and each of the states ``x`` (k, nx).
     """
     others = ca.vertcat(system.x, system.u, system.direction)
-    found = set(system.relaxing)
+    fast_states = set(system.relaxing)
     u = np.zeros(system.u.numel())
-    slopes = [system.jacobian(row, u, p).full() for row in x]
+    jacobians = [system.jacobian(row, u, p).full() for row in x]
     for k in range(system.x.numel()):
-        own = ca.jacobian(system.rhs[k], system.x[k])
-        rubbing = any(d.state == k for d in system.dry)
-        if not rubbing and not own.is_zero() and not ca.depends_on(own, others) and slopes:
-            found |= {k} if all(abs(j[k, k]) > compute_fastest_rate(j, [k]) for j in slopes) else set()
-    return tuple(sorted(found))
+        own_rate = ca.jacobian(system.rhs[k], system.x[k])
+        has_friction = any(d.state == k for d in system.dry)
+        if not has_friction and not own_rate.is_zero() and not ca.depends_on(own_rate, others) and jacobians:
+            fast_states |= {k} if all(abs(j[k, k]) > compute_fastest_rate(j, [k]) for j in jacobians) else set()
+    return tuple(sorted(fast_states))
 
 
-def compute_fastest_rate(slopes: np.ndarray, own: Sequence[int]) -> float:
+def compute_fastest_rate(jacobian: np.ndarray, excluded: Sequence[int]) -> float:
     """The largest eigenvalue (1/s) of a Jacobian without the own rates of some states; 0 if it is not finite."""
-    rest = slopes.copy()
-    rest[list(own), list(own)] = 0.0
-    return float(np.abs(np.linalg.eigvals(rest)).max()) if np.isfinite(rest).all() else 0.0
+    remaining = jacobian.copy()
+    remaining[list(excluded), list(excluded)] = 0.0
+    return float(np.abs(np.linalg.eigvals(remaining)).max()) if np.isfinite(remaining).all() else 0.0
 
 
 def make_exponential_method(numbers: Sequence[int]) -> IntegrationMethod:
@@ -68,23 +67,23 @@ def make_exponential_method(numbers: Sequence[int]) -> IntegrationMethod:
     def one_step(rate: RateFunction) -> AdvanceFunction:
         def advance(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
             middle = (ua + ub) / 2
-            start = [_coefficients(rate, k, x, ua, p) for k in numbers]
-            early = [_course(x[k], a, 0, b, h / 2) for k, (a, b, _) in zip(numbers, start, strict=True)]
-            slope = rate(_with(x, numbers, [z.at(0) for z in early]), ua, p)
-            slope = rate(_with(x + h / 4 * slope, numbers, [z.mean for z in early]), (ua + middle) / 2, p)
+            start = [_linear_coefficients(rate, k, x, ua, p) for k in numbers]
+            early = [_relax_over_step(x[k], a, 0, b, h / 2) for k, (a, b, _) in zip(numbers, start, strict=True)]
+            slope = rate(_replace_states(x, numbers, [z.at(0) for z in early]), ua, p)
+            slope = rate(_replace_states(x + h / 4 * slope, numbers, [z.mean for z in early]), (ua + middle) / 2, p)
             halfway = x + h / 2 * slope
-            halfway = _with(halfway, numbers, [z.end for z in early])
+            halfway = _replace_states(halfway, numbers, [z.end for z in early])
             courses = []
             for k, (first, _, steady) in zip(numbers, start, strict=True):
-                alpha, beta, _ = _coefficients(rate, k, halfway, middle, p)
+                alpha, beta, _ = _linear_coefficients(rate, k, halfway, middle, p)
                 ramp = 2 * (alpha - first) if steady else 0
-                courses.append(_course(x[k], alpha - ramp / 2, ramp, beta, h))
+                courses.append(_relax_over_step(x[k], alpha - ramp / 2, ramp, beta, h))
             at = [[z.at(share) for z in courses] for share in (0, 0.5, 1)]
-            k1 = rate(_with(x, numbers, at[0]), ua, p)
-            k2 = rate(_with(x + h / 2 * k1, numbers, at[1]), middle, p)
-            k3 = rate(_with(x + h / 2 * k2, numbers, at[1]), middle, p)
-            k4 = rate(_with(x + h * k3, numbers, at[2]), ub, p)
-            return _with(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), numbers, [z.end for z in courses])
+            k1 = rate(_replace_states(x, numbers, at[0]), ua, p)
+            k2 = rate(_replace_states(x + h / 2 * k1, numbers, at[1]), middle, p)
+            k3 = rate(_replace_states(x + h / 2 * k2, numbers, at[1]), middle, p)
+            k4 = rate(_replace_states(x + h * k3, numbers, at[2]), ub, p)
+            return _replace_states(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), numbers, [z.end for z in courses])
 
         return advance
 
@@ -103,10 +102,10 @@ class RelaxationCourse(NamedTuple):
         return self.mean + self.rise * (share - 0.5)
 
 
-def _course(z: ca.SX, alpha: ca.SX, ramp: ca.SX | float, beta: ca.SX, h: ca.SX) -> RelaxationCourse:
+def _relax_over_step(z: ca.SX, alpha: ca.SX, ramp: ca.SX | float, beta: ca.SX, h: ca.SX) -> RelaxationCourse:
     """``dz/dt = alpha + ramp t / h - beta z`` over ``h`` seconds."""
-    w = beta * h
-    phi = [_phi(k, w) for k in range(5)]
+    beta_h = beta * h
+    phi = [_phi(k, beta_h) for k in range(5)]
     sums = [phi[k] * z + h * (phi[k + 1] * alpha + phi[k + 2] * ramp) for k in range(3)]
     # z at the end, its integral over the step and the integral of that (both over shares of the step)
     end, mean, twice = sums
@@ -117,10 +116,10 @@ def _phi(order: int, w: ca.SX) -> ca.SX:
     """``phi_0 = exp(-w)``, ``phi_(k+1) = (1/k! - phi_k) / w``; near zero by their series ``sum (-w)^j / (j + k)!``."""
     if order == 0:
         return ca.exp(-w)
-    near = ca.fabs(w) < SERIES_BELOW
+    near = ca.fabs(w) < PHI_SERIES_BELOW
     small, large = ca.if_else(near, w, 0), ca.if_else(near, 1, w)
     series = ca.SX(0)
-    for j in reversed(range(SERIES_TERMS)):
+    for j in reversed(range(PHI_SERIES_TERMS)):
         series = series * -small + 1 / math.factorial(j + order)
     closed = ca.exp(-large)
     for k in range(order):
@@ -128,18 +127,18 @@ def _phi(order: int, w: ca.SX) -> ca.SX:
     return ca.if_else(near, series, closed)
 
 
-def _coefficients(rate: RateFunction, k: int, x: ca.SX, u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, bool]:
+def _linear_coefficients(rate: RateFunction, k: int, x: ca.SX, u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, bool]:
     """alpha and beta of state ``k`` at one point, and whether beta depends on parameters alone."""
-    own = ca.SX.sym("z")
-    value = rate(_with(x, [k], [own]), u, p)[k]
-    beta = -ca.jacobian(value, own)
-    steady = not ca.depends_on(beta, ca.vertcat(own, *ca.symvar(ca.vertcat(x, u))))
-    here = ca.substitute(ca.vertcat(value, beta), own, x[k])
+    z = ca.SX.sym("z")
+    value = rate(_replace_states(x, [k], [z]), u, p)[k]
+    beta = -ca.jacobian(value, z)
+    steady = not ca.depends_on(beta, ca.vertcat(z, *ca.symvar(ca.vertcat(x, u))))
+    at_point = ca.substitute(ca.vertcat(value, beta), z, x[k])
     # |z| in the rate: beta holds on this side of zero.
-    return here[0] + here[1] * x[k], here[1], steady
+    return at_point[0] + at_point[1] * x[k], at_point[1], steady
 
 
-def _with(x: ca.SX, numbers: Sequence[int], values: Sequence[ca.SX]) -> ca.SX:
+def _replace_states(x: ca.SX, numbers: Sequence[int], values: Sequence[ca.SX]) -> ca.SX:
     changed = ca.SX(x)
     for k, value in zip(numbers, values, strict=True):
         changed[k] = value

@@ -14,17 +14,20 @@ import casadi as ca
 import numpy as np
 
 from greybox.errors import DataError, ModelError
+from greybox.integrators.policy import DEFAULT_POLICY, DiscretisationPolicy
 from greybox.integrators.step import AdvanceFunction, InputHistory
 from greybox.model.system import System
 
-MOST_ROWS = 64
-FLAGS = 3  # columns after the earlier rows: 0 and 1 in turn, whether the input is linear between rows, the interval's length
+FLAG_COLUMNS = ("parity", "linear", "length")
+"""Columns after the earlier rows: 0 and 1 in turn, whether the input is linear between rows, and the interval's length in seconds."""
 
 
-def required_history(system: System, lengths: np.ndarray) -> InputHistory | None:
+def require_history(
+    system: System, lengths: np.ndarray, policy: DiscretisationPolicy = DEFAULT_POLICY
+) -> InputHistory | None:
     """What a step must see of the past for the delays of ``system`` on records with intervals of ``lengths`` (s).
 
-    Raises ModelError for delays of two different inputs, and for one of more than 64 intervals.
+    Raises ModelError for delays of two different inputs, and for one of more intervals than the policy allows.
     """
     if not system.delays:
         return None
@@ -36,17 +39,18 @@ def required_history(system: System, lengths: np.ndarray) -> InputHistory | None
         )
     longest, shortest = sum(d.longest for d in system.delays), float(np.min(lengths, initial=np.inf))
     rows = max(1, math.ceil(longest / shortest - 1e-9)) if np.isfinite(shortest) else 1
-    if rows > MOST_ROWS:
+    most = policy.max_delay_rows
+    if rows > most:
         raise ModelError(
-            f"effect {names!r}: a delay of up to {longest:g} s is {rows} intervals of {shortest:g} s, more than {MOST_ROWS}; give"
-            f" its parameter an upper bound of {MOST_ROWS * shortest:.4g} s or less, or shift the record by whole samples first"
+            f"effect {names!r}: a delay of up to {longest:g} s is {rows} intervals of {shortest:g} s, more than {most}; give"
+            f" its parameter an upper bound of {most * shortest:.4g} s or less, or shift the record by whole samples first"
         )
     return InputHistory(columns.pop(), rows)
 
 
 def count_history_columns(past: InputHistory | None) -> int:
     """How many columns `add_input_history` adds."""
-    return 0 if past is None else past.rows + FLAGS
+    return 0 if past is None else past.rows + len(FLAG_COLUMNS)
 
 
 def add_input_history(u: np.ndarray, lengths: np.ndarray, past: InputHistory, first_order: bool) -> np.ndarray:
@@ -73,42 +77,45 @@ def delay_input(system: System, advance: AdvanceFunction, past: InputHistory) ->
     nu = system.u.numel()
     seconds = make_delay_function(system)
 
-    def late(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
+    def advance_delayed(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
         # The kernel runs straight from row to row: the column of 0 and 1 tells which of how many substeps this is.
         n = ca.floor(1 / ca.fabs(ub[-3] - ua[-3]) + 0.5)
         number = ca.floor(ca.if_else(ub[-3] > ua[-3], ua[-3], 1 - ua[-3]) * n + 0.5)
-        run = (ub - ua) * n
-        begin = ua - number / n * run
-        run = run * ua[-2]
-        whole, part = _split(seconds(p), n * h, past.rows)
+        u_ramp = (ub - ua) * n
+        u_start = ua - number / n * u_ramp
+        u_ramp = u_ramp * ua[-2]
+        whole, part = _split_delay(seconds(p), n * h, past.rows)
         before = ca.floor(n / 2)
-        first = number < before
+        is_before_cut = number < before
         steps = (number, number + 1)
         a, b = (
-            ca.if_else(first, part * (k / before), part + (1 - part) * ((k - before) / (n - before))) for k in steps
+            ca.if_else(is_before_cut, part * (k / before), part + (1 - part) * ((k - before) / (n - before)))
+            for k in steps
         )
-        own = [past.column, *range(nu, nu + past.rows)]
-        newer, older = (_pick(begin[own], whole + k) + _pick(run[own], whole + k) * (k - part) for k in (0, 1))
-        slope = ca.if_else(first, _pick(run[own], whole + 1), _pick(run[own], whole))
-        arrived = ca.if_else(first, older, newer)
+        columns = [past.column, *range(nu, nu + past.rows)]
+        newer, older = (
+            _select(u_start[columns], whole + k) + _select(u_ramp[columns], whole + k) * (k - part) for k in (0, 1)
+        )
+        slope = ca.if_else(is_before_cut, _select(u_ramp[columns], whole + 1), _select(u_ramp[columns], whole))
+        arrived = ca.if_else(is_before_cut, older, newer)
 
         def at(share: ca.SX) -> ca.SX:
-            values = begin[:nu] + run[:nu] * share
+            values = u_start[:nu] + u_ramp[:nu] * share
             values[past.column] = arrived + slope * share
             return values
 
         return advance(x, at(a), at(b), p, (b - a) * n * h)
 
-    return late
+    return advance_delayed
 
 
 def delay_outputs(system: System, past: InputHistory) -> ca.Function:
     """``(x, row of with_past, p) -> y``."""
     nu = system.u.numel()
     row = ca.SX.sym("u", nu + count_history_columns(past))
-    whole, part = _split(make_delay_function(system)(system.p), row[-1], past.rows)
-    own = row[[past.column, *range(nu, nu + past.rows)]]
-    newer, older = _pick(own, whole), _pick(own, whole + 1)
+    whole, part = _split_delay(make_delay_function(system)(system.p), row[-1], past.rows)
+    row_inputs = row[[past.column, *range(nu, nu + past.rows)]]
+    newer, older = _select(row_inputs, whole), _select(row_inputs, whole + 1)
     held = ca.if_else(part > 0, older, newer)
     u = ca.SX(row[:nu])
     u[past.column] = ca.if_else(row[-2] > 0, newer + part * (older - newer), held)
@@ -121,12 +128,12 @@ def make_delay_function(system: System) -> ca.Function:
     return ca.Function("seconds", [system.p], [sum((d.seconds for d in system.delays), ca.SX(0))])
 
 
-def _split(seconds: ca.SX, interval: ca.SX, rows: int) -> tuple[ca.SX, ca.SX]:
+def _split_delay(seconds: ca.SX, interval: ca.SX, rows: int) -> tuple[ca.SX, ca.SX]:
     """A delay as whole intervals and the share (0 to 1) of one more."""
     delay = ca.fmin(ca.fmax(seconds / interval, 0), rows)
     whole = ca.fmin(ca.floor(delay), rows - 1)
     return whole, delay - whole
 
 
-def _pick(values: ca.SX, number: ca.SX) -> ca.SX:
+def _select(values: ca.SX, number: ca.SX) -> ca.SX:
     return sum((ca.if_else(number == k, values[k], 0) for k in range(values.numel())), ca.SX(0))

@@ -24,7 +24,7 @@ class HoldExponentials(NamedTuple):
 
     def of(self, k: int) -> HoldBlocks:
         """The blocks of length number ``k``."""
-        return HoldBlocks(_cut(self.values[k], self.nx), _cut(self.slopes[k], self.nx))
+        return HoldBlocks(_cut_blocks(self.values[k], self.nx), _cut_blocks(self.slopes[k], self.nx))
 
 
 class HoldBlocks(NamedTuple):
@@ -48,17 +48,19 @@ def compute_exponentials(generator: np.ndarray, slopes: np.ndarray, lengths: np.
     pairs = np.zeros((nh, n, 2 * size, 2 * size))
     pairs[:, :, :size, :size] = pairs[:, :, size:, size:] = scaled[:, None]
     pairs[:, :, :size, size:] = slopes * lengths[:, None, None, None]
-    found = expm(pairs)
-    return HoldExponentials(found[:, 0, :size, :size], found[:, :, :size, size:], nx)
+    exponential_pairs = expm(pairs)
+    return HoldExponentials(exponential_pairs[:, 0, :size, :size], exponential_pairs[:, :, :size, size:], nx)
 
 
 def index_hold_entries(nx: int, nu: int) -> np.ndarray:
     """Where the entries of ``Phi, G1, G2``, each column by column, stand in a flattened exponential."""
     size = nx + 2 * (nu + 1)
-    return np.concatenate([block.ravel(order="F") for block in _cut(np.arange(size * size).reshape(size, size), nx)])
+    return np.concatenate(
+        [block.ravel(order="F") for block in _cut_blocks(np.arange(size * size).reshape(size, size), nx)]
+    )
 
 
-def _cut(e: np.ndarray, nx: int) -> tuple[np.ndarray, ...]:
+def _cut_blocks(e: np.ndarray, nx: int) -> tuple[np.ndarray, ...]:
     """``Phi, G1, G2``; the constant's column has no ramp."""
     inputs = (e.shape[-1] - nx) // 2
     return e[..., :nx, :nx], e[..., :nx, nx : nx + inputs], e[..., :nx, nx + inputs : nx + 2 * inputs - 1]

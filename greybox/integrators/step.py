@@ -62,5 +62,5 @@ class Step:
 
     @property
     def label(self) -> str:
-        """Name for people: ``RK4, 4 substeps a sample``."""
+        """Name with the substeps: ``RK4, 4 substeps a sample``."""
         return self.name if self.substeps == 1 else f"{self.name}, {self.substeps} substeps a sample"

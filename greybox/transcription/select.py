@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from greybox.integrators.exponential_relaxation import compute_fastest_rate
-from greybox.integrators.implicit import MOST_STATES
+from greybox.integrators.policy import DEFAULT_POLICY as DISCRETISATION
 from greybox.kernel import Record
 from greybox.model.system import System
 
@@ -117,7 +117,7 @@ def _stiff(system: System, slopes: np.ndarray, record: Record) -> TranscriptionP
     if system.linear or needed <= SUBSTEPS:
         return None
     why = f"stiff: the fastest mode moves within {1 / fastest:.2g} s, {needed:.0f} explicit steps a sample"
-    if system.x.numel() <= MOST_STATES:
+    if system.x.numel() <= DISCRETISATION.max_implicit_states:
         return TranscriptionProposal("single", f"{why}; implicit ones take it in a few", True)
     if system.dry or system.updates or system.delays:
         return TranscriptionProposal(

@@ -13,7 +13,7 @@ from greybox.errors import DataError, ModelError
 from greybox.estimation import FitOptions
 from greybox.estimation.problem import prepare_problem
 from greybox.estimation.solve import solve
-from greybox.integrators.implicit import MOST_STATES
+from greybox.integrators import DiscretisationPolicy
 from greybox.model import Balance, Model
 from greybox.model.signals import Input, Output, Parameter, State
 from greybox.optim import TerminationStatus, minimise, solve_sparse
@@ -284,8 +284,8 @@ def test_a_stiff_plant_is_picked_for_implicit_steps_or_for_collocation_and_fitte
     data = experiment(model, t, u[:, None], np.array(y))
     for line, expected in {
         0: ("single", True),
-        MOST_STATES - 2: ("single", True),
-        MOST_STATES - 1: ("collocation", False),
+        DiscretisationPolicy().max_implicit_states - 2: ("single", True),
+        DiscretisationPolicy().max_implicit_states - 1: ("collocation", False),
     }.items():
         larger = stiff(line)
         name, reason, implicit = propose_transcription(
