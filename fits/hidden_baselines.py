@@ -42,7 +42,7 @@ def by_correlation(base: gb.Fit, plain: gb.Model, case: Case) -> str:
     best, name = 0.0, ""
     for effect in applicable_effects(base.model, scales):
         model = base.model + effect
-        own = next(b.own for b in model.bound_effects)
+        own = next(b.model_names for b in model.bound_effects)
         grid = effect.grid(scales) if effect.grid else {}
         start = {q: sorted(values)[len(values) // 2] for q, values in grid.items()}
         start |= dict(effect.probe(scales)) if effect.probe else {}

@@ -19,13 +19,13 @@ def models(
     effect: o.Effects,
 ) -> None:
     """List the models there are, or print the equations and constants of one."""
-    from greybox.model.validation import unused_parameters
+    from greybox.model.system import unused_parameters
     from greybox.project import find_model, list_models
 
     if model is not None:
         one = o.change_model(find_model(model), effects=effect)
         typer.echo(str(one))
-        for name in unused_parameters(one):
+        for name in unused_parameters(one.system):
             print_note(
                 f"note: parameter {name!r} is in no equation: a term is missing, or the parameter is one too many"
             )

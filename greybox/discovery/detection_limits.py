@@ -19,7 +19,7 @@ def hidden(singles: Sequence[CandidateFit]) -> list[str]:
 
 def _limit(trial: CandidateFit) -> str:
     bound = trial.model.bound_effects[-1]
-    own, variables = bound.own, trial.variables
+    own, variables = bound.model_names, trial.variables
     amplitudes = [own[name] for name in bound.effect.amplitudes if own[name] in variables.names]
     if not amplitudes:
         return ""

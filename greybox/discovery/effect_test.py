@@ -53,7 +53,7 @@ class EffectTest(ReadOnly):
             f"  criterion (Schwarz) better by {self.gain:.4g}, needed {decision.STRONG:g}",
             f"  closes {100 * self.explained_fraction:.3g} % of the misfit beyond noise, needed {100 * decision.FIRST_SHARE:g} %",
         ]
-        own = next(b.own for b in self.larger.model.bound_effects if b.effect.name == self.name)
+        own = next(b.model_names for b in self.larger.model.bound_effects if b.effect.name == self.name)
         for inner, name in own.items():
             constant = self.larger.parameters.get(name)
             if constant is not None:

@@ -80,7 +80,7 @@ class Discovery:
             if is_shape_correction(b.effect.name):
                 continue
             constants = {}
-            for own, there in b.own.items():
+            for own, there in b.model_names.items():
                 estimate = self.best.parameters.get(there)
                 if estimate is not None:
                     constants[own] = {

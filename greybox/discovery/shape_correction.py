@@ -59,6 +59,6 @@ def _curves(bench: DiscoveryProblem, trial: CandidateFit) -> Iterator[RefitJob]:
         )
         curve, start = make_curve_effect(place, m.region, m.variable, m.value - m.modelled, m.std, HEIGHTS)
         model = trial.model + curve
-        own = next(b.own for b in model.bound_effects if b.effect.name == NAME)
+        own = next(b.model_names for b in model.bound_effects if b.effect.name == NAME)
         starts = ({**trial.model.values, **{own[n]: v for n, v in start.items()}}, trial.model.values)
         yield RefitJob(model, starts, 1, ITERATIONS)

@@ -22,7 +22,7 @@ def generate_starting_points(
     model: Model, effect: Effect, parent: CandidateFit, plain: Model, scales: Scales, ladder: Sequence[float] = LADDER
 ) -> Iterator[StartValues]:
     """Start values for ``model``, which is ``parent.model + effect``: constants, amplitude (on a ``ladder``) and shape."""
-    names = next(b.own for b in model.bound_effects if b.effect.name == effect.name)
+    names = next(b.model_names for b in model.bound_effects if b.effect.name == effect.name)
     nominal = {**parent.model.values, **plain.values}
     origins = [parent.model.values] + ([nominal] if nominal != parent.model.values else [])
     sizes = _probe(effect, scales)
@@ -39,8 +39,8 @@ def generate_child_starting_points(
     """Start values for ``model``, in which ``child`` stands in the place of its fitted parent effect."""
     if child.from_parent is None:
         return
-    fitted = next(b.own for b in parent.model.bound_effects if b.effect.name == parent_effect.name)
-    own = next(b.own for b in model.bound_effects if b.effect.name == child.name)
+    fitted = next(b.model_names for b in parent.model.bound_effects if b.effect.name == parent_effect.name)
+    own = next(b.model_names for b in model.bound_effects if b.effect.name == child.name)
     values = {name: parent.model.values[there] for name, there in fitted.items() if there in parent.model.values}
     kept = {
         name: value

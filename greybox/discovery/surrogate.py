@@ -171,7 +171,7 @@ def _refitted(
         effect, _ = make_sinusoid_effect(place, region, region.period, z, signal.value)
         starts = [make_sinusoid_effect(place, region, share * region.period, z, signal.value)[1] for share in PERIODS]
     model = trial.model + effect
-    names = next(b.own for b in model.bound_effects if b.effect.name == NAME)
+    names = next(b.model_names for b in model.bound_effects if b.effect.name == NAME)
     nominal = {q.name: q.value for q in bench.plain.free_parameters}
     begins = [
         {**trial.model.values, **values, **{names[n]: v for n, v in start.items()}}
@@ -195,7 +195,7 @@ def _drawn(
     # The refit is over: a curve of many heights would go on for long with what does not show.
     brief = replace(bench.options, transcription="single", iterations=LAST)
     fitted = finish_and_validate(trial, replace(bench, options=brief), judges, skip)
-    names = next(b.own for b in trial.model.bound_effects if b.effect.name == NAME)
+    names = next(b.model_names for b in trial.model.bound_effects if b.effect.name == NAME)
     values = {n: trial.model.values[there] for n, there in names.items()}
     seen = signal.variables[region.variable]
     points = POINTS if region.period is None else max(int(FINE * np.ptp(seen) / region.period), POINTS)

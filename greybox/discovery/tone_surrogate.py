@@ -89,7 +89,7 @@ def _own(fit: Fit) -> tuple[str, str, str]:
     """How the frequency and the two states of the tone are called in the model."""
     bound = next(b for b in fit.model.bound_effects if b.effect.name == TONE)
     first, second = (s.name for s in bound.states)
-    return bound.own["frequency"], first, second
+    return bound.model_names["frequency"], first, second
 
 
 def _drawn(

@@ -36,7 +36,6 @@ from greybox.estimation.versions import read_versions
 from greybox.experiment import Experiment
 from greybox.model import Model
 from greybox.model.equations import equations_text
-from greybox.model.process_noise import noise_intensities
 from greybox.noise import NoiseModel
 from greybox.result import (
     Estimate,
@@ -146,7 +145,7 @@ def _result(
         ),
         constraints=FitConstraints({tie.name: tie.formula for tie in model.ties}, tied, per_experiment, priors),
         prediction=PredictionReport(
-            {state: value for state, value in noise_intensities(fitted).items() if state in model.noisy_states},
+            {state: value for state, value in fitted.noise_intensities.items() if state in model.noisy_states},
             one_step,
             found.likelihood if np.isfinite(found.likelihood) else None,
         ),

@@ -16,7 +16,6 @@ from greybox.estimation.prediction_error_runs import evaluate_start
 from greybox.experiment import Experiment
 from greybox.filtering import smooth_states
 from greybox.model import Model
-from greybox.model.process_noise import noise_intensities
 from greybox.noise import NoiseModel
 from greybox.result import Fit
 from greybox.units import format_unit
@@ -105,7 +104,7 @@ def smooth(
         experiment.name, experiment.time, by_state(found.mean), by_state(spread), by_state(found.filtered), by_state(before),
         {o.name: innovations[:, j] for j, o in measured}, -0.5 * cost.cost(),
         {o.name: float(cost.unknowns.level[j]) for j, o in measured},
-        {name: value for name, value in noise_intensities(given.model).items() if value},
+        {name: value for name, value in given.model.noise_intensities.items() if value},
         {s.name: s.unit for s in given.model.all_states}, cost.kalman.whole.label,
     )  # fmt: skip
 

@@ -139,12 +139,12 @@ def _seen(bound: BoundEffect, model: Model) -> tuple[NamedValues, NamedValues, N
     u = NamedValues("input", {i.name: ca.SX.sym(i.name) for i in model.inputs}, roles)
     p = NamedValues("parameter", {q.name: ca.SX.sym(q.name) for q in model.stated_parameters}, roles)
     x, p = x.replaced({"sensor": ca.SX.sym(SENSOR)}), p.replaced({"sensor": ca.SX.sym(SENSOR_AT_REST)})
-    return bound.within(x, bound.effect.states), u, bound.within(p, bound.effect.parameters)
+    return bound.placed.sees_states(x), u, bound.placed.sees_parameters(p)
 
 
 def _symbols(bound: BoundEffect, model: Model) -> dict[str, str]:
     """What each symbol is called inside the effect's functions: its own names come first."""
-    own = {there: inner for inner, there in bound.own.items()}
+    own = {there: inner for inner, there in bound.model_names.items()}
     groups = (("x", model.all_states), ("u", model.inputs), ("p", model.stated_parameters))
     found = {SENSOR: "x.sensor", SENSOR_AT_REST: "p.sensor", VALUE: "value"}
     for letter, group in groups:

@@ -95,18 +95,3 @@ class Effect:
     grid: Callable[[Any], Mapping[str, Sequence[float]]] | None = None
     limits: Callable[[Any], Mapping[str, tuple[float, float]]] | None = None
     from_parent: Callable[[Mapping[str, float], Any], list[Mapping[str, float]]] | None = None
-
-    def has_same_equations(self, other: Effect) -> bool:
-        """Whether both write the same equations: they may differ in the values and bounds of their parameters, and in what is told."""
-        alike = all(getattr(self, name) == getattr(other, name) for name in EQUATIONS)
-        return alike and _names(self.parameters) == _names(other.parameters)
-
-
-def _names(parameters: Sequence[Parameter]) -> list[tuple[str, str, str]]:
-    return [(q.name, q.unit, q.role) for q in parameters]
-
-
-EQUATIONS = (
-    "name", "site", "terms", "dry", "states", "balances", "update", "delay", "on_input", "on_output", "on_parameter", "on_state",
-    "on_term", "on_storage",
-)  # fmt: skip

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from greybox.errors import ModelError, nearest
-from greybox.model.signals import Expression, Parameter, State
+from greybox.model.signals import Expression, State
 
 
 @dataclass(frozen=True)
@@ -32,22 +32,25 @@ class InputDelay:
 
 
 def collect_updates(
-    effect: str, given: Mapping[str, Expression], own: Mapping[str, str], states: Sequence[str]
+    effect: str, updates: Mapping[str, Expression], model_names: Mapping[str, str], states: Sequence[str]
 ) -> list[StateUpdate]:
-    """The states that an effect sets; ``own`` leads from its names to the model's. Raises ModelError for a state of others."""
-    strange = [name for name in given if own.get(name) not in states]
-    if strange:
-        mine = [name for name, there in own.items() if there in states]
+    """The states that an effect sets; ``model_names`` leads from its names to the model's.
+
+    Raises ModelError for a state that is not the effect's own.
+    """
+    others = [name for name in updates if model_names.get(name) not in states]
+    if others:
+        own_states = [own for own, name in model_names.items() if name in states]
         raise ModelError(
-            f"effect {effect!r} sets {strange[0]!r}, which is no state of its own; {nearest(strange[0], mine)}"
+            f"effect {effect!r} sets {others[0]!r}, which is no state of its own; {nearest(others[0], own_states)}"
         )
-    return [StateUpdate(effect, list(states).index(own[name]), ca.SX(value)) for name, value in given.items()]
+    return [StateUpdate(effect, list(states).index(model_names[name]), ca.SX(value)) for name, value in updates.items()]
 
 
 def build_delay(
-    effect: str, seconds: Expression, site: str, inputs: Sequence[str], parameters: Sequence[Parameter]
+    effect: str, seconds: Expression, site: str, inputs: Sequence[str], ranges: Mapping[str, tuple[float, ...]]
 ) -> InputDelay:
-    """The delay of an input, with the longest one that the bounds of its parameters allow.
+    """The delay of an input, with the longest one that the ``ranges`` of the parameters allow: bounds, or the value of a fixed one.
 
     Raises ModelError for a site that is no input, an expression of states or inputs, and a delay that may be negative or
     has no upper bound.
@@ -55,16 +58,14 @@ def build_delay(
     if site not in inputs:
         raise ModelError(f"effect {effect!r} delays {site!r}, which is no input; {nearest(site, inputs)}")
     value = ca.SX(seconds)
-    known = {q.name: q for q in parameters}
     symbols = ca.symvar(value)
-    strange = [s.name() for s in symbols if s.name() not in known]
-    if strange:
+    others = [s.name() for s in symbols if s.name() not in ranges]
+    if others:
         raise ModelError(
-            f"effect {effect!r}: its delay changes with {strange[0]!r}; a delay may depend on parameters alone"
+            f"effect {effect!r}: its delay changes with {others[0]!r}; a delay may depend on parameters alone"
         )
-    edges = [(known[s.name()].value,) if known[s.name()].fixed else known[s.name()].bounds for s in symbols]
-    at = ca.Function("seconds", [ca.vertcat(*symbols)], [value])
-    corners = [float(at(list(corner))) for corner in itertools.product(*edges)]
+    delay = ca.Function("seconds", [ca.vertcat(*symbols)], [value])
+    corners = [float(delay(list(corner))) for corner in itertools.product(*(ranges[s.name()] for s in symbols))]
     low, high = min(corners), max(corners)
     if not (low >= 0 and high < ca.inf):
         names = ", ".join(s.name() for s in symbols)

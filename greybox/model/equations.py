@@ -1,33 +1,19 @@
-"""A model as a person writes it: each balance as an equation with the names of its terms below, then the parameters."""
+"""The equations of a model as a person writes them: each balance with the names of its terms below, then inputs and outputs."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from greybox.expressions.text import expression_text, number_text, signed_text
+from greybox.expressions.text import expression_text, signed_text
 from greybox.model.balance import Balance
+from greybox.model.model import Model
 from greybox.model.process_noise import intensity_unit
-from greybox.model.signals import Parameter
 from greybox.units import format_unit
-
-if TYPE_CHECKING:
-    from greybox.model.model import Model
-
-__all__ = ["equations_text", "expression_text", "model_text"]
 
 Line = Callable[[str, str, str], str]  # name, unit, text -> one line of the equations
 WIDTH = 110  # longer balances are written one term a line
-
-
-def model_text(model: Model) -> str:
-    """Title, equations and parameters of a model."""
-    title = f"{model.title}: {model.description}" if model.description else model.title
-    parameters = ["  parameters", *_table([_row(q) for q in model.all_parameters])] if model.all_parameters else []
-    return "\n".join([title, equations_text(model), *parameters])
 
 
 def equations_text(model: Model) -> str:
@@ -41,13 +27,13 @@ def equations_text(model: Model) -> str:
     pushed = {
         k: _bracketed(intensity_unit(s)) for k, s in enumerate(model.all_states) if not system.diffusion[k].is_zero()
     }
-    held = [d for d in system.dry if d.static.element_hash() != d.sliding.element_hash()]
-    extra = [*("standstill" for _ in held), *("after a step" for _ in system.updates), "outputs"]
+    sticking = [d for d in system.dry if d.static.element_hash() != d.sliding.element_hash()]
+    extra = [*("standstill" for _ in sticking), *("after a step" for _ in system.updates), "outputs"]
     extra += [*("process noise" for _ in pushed), *("tied" for _ in model.ties)]
     name_width = max(map(len, [*(name for name, _ in heads), *extra])) + 2
     units = {q.name: _bracketed(q.unit) for q in model.stated_parameters}
-    given = [units[tie.name] for tie in model.ties]
-    unit_width = max(map(len, [*(unit for _, unit in heads), *pushed.values(), *given])) + 2
+    tie_units = [units[tie.name] for tie in model.ties]
+    unit_width = max(map(len, [*(unit for _, unit in heads), *pushed.values(), *tie_units])) + 2
     indent = 2 + name_width + unit_width
 
     def line(name: str, unit: str, text: str) -> str:
@@ -57,7 +43,7 @@ def equations_text(model: Model) -> str:
     for balance, head in zip(system.balances, heads, strict=False):
         first, *rest = _balance(balance, WIDTH - indent)
         lines += [line(*head, first), *(" " * indent + text for text in rest)]
-    for d in held:
+    for d in sticking:
         unit = next(b.unit for b in system.balances if b.name == d.balance)
         lines.append(line("standstill", _bracketed(unit), f"{d.effect} holds up to {expression_text(d.static)}"))
     for update in system.updates:
@@ -68,14 +54,14 @@ def equations_text(model: Model) -> str:
     for k, unit in pushed.items():
         text = f"{expression_text(system.diffusion[k])} dw pushes {model.all_states[k].name}"
         lines.append(line("process noise", unit, text))
-    lines += [line("tied", unit, str(tie)) for tie, unit in zip(model.ties, given, strict=True)]
+    lines += [line("tied", unit, str(tie)) for tie, unit in zip(model.ties, tie_units, strict=True)]
     if model.inputs:
-        late = {
+        delays = {
             k: " + ".join(expression_text(d.seconds) for d in system.delays if d.column == k)
             for k in range(len(model.inputs))
         }
         inputs = [
-            f"{i.name} {_bracketed(i.unit)}" + f" delayed by {late[k]}" * bool(late[k])
+            f"{i.name} {_bracketed(i.unit)}" + f" delayed by {delays[k]}" * bool(delays[k])
             for k, i in enumerate(model.inputs)
         ]
         lines += _listed(line, "inputs", inputs, WIDTH - indent)
@@ -133,25 +119,3 @@ def _listed(line: Line, head: str, items: Sequence[str], width: int) -> list[str
     if len(together) <= width:
         return [line(head, "", together)]
     return [line(head if k == 0 else "", "", item) for k, item in enumerate(items)]
-
-
-def _row(parameter: Parameter) -> tuple[str, ...]:
-    low, high = parameter.bounds
-    bounded = math.isfinite(low) or math.isfinite(high)
-    return (
-        parameter.name,
-        number_text(parameter.value),
-        format_unit(parameter.unit) or "-",
-        "fixed" if parameter.fixed else "free",
-        f"[{number_text(low)}, {number_text(high)}]" if bounded else "",
-        "" if parameter.prior is None else "prior " + " +- ".join(map(number_text, parameter.prior)),
-        parameter.source,
-    )
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        ("    " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True) if width)).rstrip()
-        for row in rows
-    ]

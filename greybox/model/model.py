@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -13,28 +14,74 @@ import numpy as np
 from greybox.errors import ModelError, nearest
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
-from greybox.model.equations import model_text
-from greybox.model.process_noise import check_process_noise, noise_parameters, noisy_states, with_process_noise
+from greybox.model.process_noise import (
+    check_process_noise,
+    find_noise_parameters,
+    find_noisy_states,
+    intensity_name,
+    noise_intensities,
+)
 from greybox.model.rules import Rule, check_constants, check_measured, check_outputs_known
 from greybox.model.schedules import schedule_effect
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State
-from greybox.model.system import BoundEffect, System, bind_effects, build_system, inner_signals
-from greybox.model.ties import Formula, Tie, apply_ties, as_formula, check_tie, check_tied_value, order_ties
-from greybox.model.unit_check import check_units
-from greybox.model.validation import check_expressions, check_names
+from greybox.model.system import BoundEffect, ParameterSymbol, Statement, System
+from greybox.model.system_cache import SYSTEMS
+from greybox.model.ties import Formula, Tie, apply_ties, as_formula, check_tie, check_tied_value
+from greybox.values import Printable
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
-    """A physical model: ``balances(x, u, p)`` returns its list of `Balance`, one for each state.
+class Model(Printable):
+    """A physical model as a value: named balances of named terms, one for each state.
 
-    Nothing changes a model in place: ``model + effect``, ``fix``, ``free``, ``start``, ``bound``, ``prior`` and ``tie`` return new
-    models.
-    Names and units are checked on construction, and so are ``rules`` (`Rule`: what several constants must satisfy
-    together). The first input is the drive, the first output the main sensor. ``candidates``: names of the catalogue's
-    effects that this rig may hide; none given means all that have a place in it.
+    Nothing changes a model in place: ``model + effect``, `fix`, `free`, `start`, `bound`, `prior` and `tie` return new models. Names and
+    units are checked on construction, and so are the rules.
 
-    Raises ModelError for names that clash or are unknown, UnitError for a term whose unit is not its balance's.
+    Parameters
+    ----------
+    name
+        Letters, digits, ``_`` and ``-``; it becomes the name of files.
+    states, inputs, outputs, parameters
+        What the equations speak of. The first input is the drive, the first output the main sensor.
+    balances
+        ``balances(x, u, p)`` returns a list of `Balance`, one for each state; ``x.v``, ``u.u``, ``p.Kf`` are states, inputs and
+        parameters by name or role.
+    effects
+        Effects that were added; write ``model + effect``.
+    description, source
+        What the model is of, and where it is from.
+    rules
+        What several parameters must satisfy together, and what a sensor may show (`Rule`).
+    candidates
+        Names of the catalogue's effects that this rig may hide. None given means all that have a place in it.
+    ties
+        Parameters that others give; write ``model.tie(Kv="Kf")``.
+
+    Raises
+    ------
+    ModelError
+        For names that clash or are unknown, balances that are missing, rules that the parameters break.
+    UnitError
+        For a term whose unit is not its balance's: all offenders, with the unit found and the unit expected.
+
+    Examples
+    --------
+    >>> from greybox import Balance, Input, Model, Output, Parameter, State
+    >>> def balances(x, u, p):
+    ...     return [
+    ...         Balance("position", "m/s", 1, "x", velocity=x.v),
+    ...         Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * x.x),
+    ...     ]
+    >>> rig = Model(
+    ...     "rig",
+    ...     states=[State("x", "m"), State("v", "m/s")],
+    ...     inputs=[Input("F", "N")],
+    ...     outputs=[Output("x", "m")],
+    ...     parameters=[Parameter("M", "kg", 1.0, (0.1, 10)), Parameter("K", "N/m", 50.0, (1, 1e4))],
+    ...     balances=balances,
+    ... )
+    >>> rig.fix(M=2.0).values
+    {'M': 2.0, 'K': 50.0}
     """
 
     name: str
@@ -51,42 +98,35 @@ class Model:
     ties: tuple[Tie, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.states or not self.outputs:
-            raise ModelError(f"model {self.name!r} needs at least one state and one output")
-        inner = [item.name for item in inner_signals(self)]
-        outer = [*(i.name for i in self.inputs), *(o.name for o in self.outputs)]
-        for names in (inner, outer):
-            twice = sorted({n for n in names if names.count(n) > 1})
-            if twice:
-                raise ModelError(
-                    f"model {self.name!r}: the name {twice[0]!r} is used twice; every signal and parameter needs its own"
-                )
-        check_names(self)
-        check_expressions(self)
-        order_ties(self.ties)
-        check_units(self)
+        system, parameters = self.system, self.all_parameters  # writing the equations out checks them
         check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
-        self._check_numbers()
-
-    def _check_numbers(self) -> None:
-        """What depends on the values and bounds of the parameters."""
-        check_process_noise(self)
+        check_process_noise(self.title, system, parameters)
         check_constants(self.title, self.rules, self._constants)
+
+    @cached_property
+    def statement(self) -> Statement:
+        """Everything that determines the equations: models with equal statements share one system."""
+        return Statement.of(
+            self.name, self.states, self.inputs, self.outputs, self.parameters, self.balances, self.effects, self.ties
+        )
 
     @cached_property
     def system(self) -> System:
         """The equations as CasADi expressions."""
-        return build_system(self)
+        return SYSTEMS.system(self.statement)
 
     @cached_property
     def bound_effects(self) -> tuple[BoundEffect, ...]:
         """Each effect with the names and units it has in this model."""
-        return bind_effects(self)
+        return tuple(
+            BoundEffect(effect, tuple(map(_renamed, effect.parameters, placed.parameters)), placed)
+            for effect, placed in zip(self.effects, self.system.effects, strict=True)
+        )
 
     @property
     def all_states(self) -> tuple[State, ...]:
         """States of the plant and of its effects."""
-        return (*self.states, *(s for b in self.bound_effects for s in b.states))
+        return self.system.states
 
     @property
     def all_parameters(self) -> tuple[Parameter, ...]:
@@ -118,12 +158,17 @@ class Model:
     @cached_property
     def noisy_states(self) -> tuple[str, ...]:
         """States with process noise, or with an intensity that is free to become positive."""
-        return noisy_states(self)
+        return find_noisy_states(self.system, self.all_parameters)
 
     @cached_property
     def noise_parameters(self) -> tuple[str, ...]:
         """Names of the constants that are intensities of process noise and nothing else."""
-        return noise_parameters(self)
+        return find_noise_parameters(self.system)
+
+    @property
+    def noise_intensities(self) -> dict[str, float]:
+        """State -> present intensity of its process noise, in the state's unit over sqrt(s)."""
+        return noise_intensities(self.system, self.all_parameters)
 
     @property
     def title(self) -> str:
@@ -169,14 +214,7 @@ class Model:
     def __add__(self, effect: Effect) -> Model:
         if not isinstance(effect, Effect):
             return NotImplemented
-        effects = (*self.effects, effect)
-        known = next((system for before, system in self.system.extended if before.has_same_equations(effect)), None)
-        if known is not None:
-            return self._written_as(known, effects=effects)
-        found = replace(self, effects=effects)
-        if not found.system.delays:  # how long these can be is in the bounds
-            self.system.extended.append((effect, found.system))
-        return found
+        return replace(self, effects=(*self.effects, effect))
 
     def without(self, effect: str) -> Model:
         """The model without the effect of this name."""
@@ -205,10 +243,52 @@ class Model:
         return self._changed({n: {"bounds": b} for n, b in bounds.items()})
 
     def with_process_noise(self, *estimated: str, **known: float | str) -> Model:
-        """Random pushes on states: ``with_process_noise("v")`` estimates the intensity, as a new parameter ``noise_v``;
-        ``with_process_noise(v=0.1)`` knows it, in the state's unit over sqrt(s). See `State`.
+        """The model with random pushes on some of its states, in the place of what these had.
+
+        Parameters
+        ----------
+        *estimated
+            States whose intensity is estimated, as a new parameter ``noise_<state>`` that starts at 0.
+        **known
+            State -> intensity in the state's unit over sqrt(s), or the name of a parameter that gives it. See `State`.
+
+        Raises
+        ------
+        ModelError
+            For an unknown state, and for one that is named twice.
+
+        Examples
+        --------
+        ``model.with_process_noise("v")`` estimates how strongly ``v`` is pushed, ``model.with_process_noise(v=0.1)`` knows it.
         """
-        return with_process_noise(self, estimated, known)
+        states = {s.name: s for s in self.all_states}
+        unknown = [n for n in (*estimated, *known) if n not in states]
+        if unknown:
+            raise ModelError(f"model {self.title!r} has no state {unknown[0]!r}; {nearest(unknown[0], states)}")
+        both = [n for n in estimated if n in known]
+        if both:
+            raise ModelError(f"process noise of {both[0]!r}: either estimated or known; name the state once")
+        noise: dict[str, float | str] = {**known, **{name: intensity_name(name) for name in estimated}}
+        added = [
+            Parameter(
+                intensity_name(name),
+                f"({states[name].unit or '1'})/s^0.5",
+                0.0,
+                (0.0, math.inf),
+                description=f"intensity of the process noise of {name}",
+            )
+            for name in estimated
+            if intensity_name(name) not in self.values
+        ]
+        plant = tuple(replace(s, noise=noise[s.name]) if s.name in noise else s for s in self.states)
+        effects = []
+        for b in self.bound_effects:
+            own = [
+                replace(inner, noise=noise[outer.name]) if outer.name in noise else inner
+                for inner, outer in zip(b.effect.states, b.states, strict=True)
+            ]
+            effects.append(replace(b.effect, states=tuple(own)))
+        return replace(self, states=plant, parameters=(*self.parameters, *added), effects=tuple(effects))
 
     def prior(self, **priors: tuple[float, float] | None) -> Model:
         """What is known of constants without the records: ``prior(M=(0.0100, 0.0001))``, mean and standard deviation.
@@ -242,12 +322,12 @@ class Model:
             if name in before:
                 raise ModelError(f"tie {name}: it is tied already, {before[name]}; first untie({name!r})")
         ties = [check_tie(Tie(name, as_formula(name, given, p)), known, roles) for name, given in formulas.items()]
-        found = replace(model, ties=(*model.ties, *ties))
+        with_ties = replace(model, ties=(*model.ties, *ties))
         for tie in ties:
-            if tie.formula in found.values:
-                found = _within(found, tie, known[tie.name])
-            check_tied_value(tie, known[tie.name], found.tied_values[tie.name])
-        return found
+            if tie.formula in with_ties.values:
+                with_ties = _narrow_bounds(with_ties, tie, known[tie.name])
+            check_tied_value(tie, known[tie.name], with_ties.tied_values[tie.name])
+        return with_ties
 
     def untie(self, *names: str) -> Model:
         """The model with these constants standing for themselves again, at the values that their ties gave them."""
@@ -292,36 +372,24 @@ class Model:
                 problems.append(str(error))
         if problems:
             raise ModelError("; ".join(problems))
-        base = tuple(new.get(q.name, q) for q in self.parameters)
-        bound = []
+        effects = []
         for b in self.bound_effects:
-            inner = [
-                replace(new[outer.name], name=own.name) if outer.name in new else own
-                for own, outer in zip(b.effect.parameters, b.parameters, strict=True)
-            ]
-            outer = tuple(new.get(q.name, q) for q in b.parameters)
-            bound.append(replace(b, effect=replace(b.effect, parameters=tuple(inner)), parameters=outer))
-        effects = tuple(b.effect for b in bound)
-        if self.system.delays:  # how long these can be is in the bounds
-            return replace(self, parameters=base, effects=effects)
-        return self._written_as(self.system, parameters=base, effects=effects, bound_effects=tuple(bound))
-
-    def _written_as(self, system: System, **changes: Any) -> Model:
-        """The model with these fields changed, whose equations are ``system``: written out and checked before, with other numbers."""
-        found = object.__new__(type(self))
-        vars(found).update({f.name: getattr(self, f.name) for f in fields(self)} | changes | {"system": system})
-        found._check_numbers()
-        return found
+            pairs = zip(b.effect.parameters, b.parameters, strict=True)
+            own = [replace(new[q.name], name=own.name, unit=own.unit) if q.name in new else own for own, q in pairs]
+            effects.append(replace(b.effect, parameters=tuple(own)))
+        return replace(self, parameters=tuple(new.get(q.name, q) for q in self.parameters), effects=tuple(effects))
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields alone: a copy, here or in another process, writes out its own equations."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
-    def __str__(self) -> str:
-        return model_text(self)
+
+def _renamed(parameter: Parameter, symbol: ParameterSymbol) -> Parameter:
+    """A parameter of an effect with the name and the unit that it has in a model."""
+    return replace(parameter, name=symbol.name, unit=symbol.unit)
 
 
-def _within(model: Model, tie: Tie, quantity: Parameter) -> Model:
+def _narrow_bounds(model: Model, tie: Tie, quantity: Parameter) -> Model:
     """``model`` with the bounds of the one constant that a tie speaks of narrowed to those of the tied one."""
     other = model.parameter(tie.formula)
     low, high = max(other.bounds[0], quantity.bounds[0]), min(other.bounds[1], quantity.bounds[1])
@@ -340,17 +408,17 @@ def _pair(name: str, given: Any) -> tuple[float, float]:
 
 def _numeric(name: str, change: dict[str, Any]) -> dict[str, Any]:
     """``change`` of the parameter ``name`` with its value and bounds as numbers. Raises ModelError for what is none."""
-    found = dict(change)
+    numbers = dict(change)
     try:
         if "value" in change:
-            found["value"] = float(change["value"])
+            numbers["value"] = float(change["value"])
         if "bounds" in change:
             low, high = change["bounds"]
-            found["bounds"] = (float(low), float(high))
+            numbers["bounds"] = (float(low), float(high))
         if change.get("prior") is not None:
-            found["prior"] = _pair(name, change["prior"])
+            numbers["prior"] = _pair(name, change["prior"])
     except (TypeError, ValueError):
         key, given = next((k, v) for k, v in change.items() if k != "fixed")
         wanted = "(low, high), two numbers" if key == "bounds" else "a number, without its unit"
         raise ModelError(f"parameter {name!r}: {key} {given!r}; give {wanted}") from None
-    return found
+    return numbers

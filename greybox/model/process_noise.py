@@ -1,30 +1,26 @@
-"""Process noise: how strongly each state is pushed at random, what may be said about it, and how a model is given some."""
+"""Process noise: how strongly each state is pushed at random, and which intensities make sense."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import casadi as ca
 
 from greybox.errors import ModelError, nearest
 from greybox.model.signals import Expression, NamedValues, Parameter, State
+from greybox.model.system import PlacedEffect, System
 from greybox.units import format_unit
 
-if TYPE_CHECKING:
-    from greybox.model.model import Model
-    from greybox.model.system import BoundEffect
 
-
-def build_diffusion(states: Sequence[State], effects: Sequence[BoundEffect], p: NamedValues) -> ca.SX:
+def build_diffusion(states: Sequence[State], effects: Sequence[PlacedEffect], p: NamedValues) -> ca.SX:
     """Intensity of each state's process noise (nx,), in the state's unit over sqrt(s): those of the plant, then of its effects.
 
-    ``p`` are the constants by name; a state of an effect sees the effect's own ones first.
+    ``p`` are the parameters by name; a state of an effect sees the effect's own ones first.
     """
-    own = [_intensity(s, b.within(p, b.effect.parameters)) for b in effects for s in b.states]
-    return ca.vertcat(*[ca.SX(value) for value in (*(_intensity(s, p) for s in states), *own)])
+    plant = [_intensity(s, p) for s in states]
+    of_effects = [_intensity(s, effect.sees_parameters(p)) for effect in effects for s in effect.states]
+    return ca.vertcat(*map(ca.SX, (*plant, *of_effects)))
 
 
 def _intensity(state: State, p: NamedValues) -> Expression:
@@ -37,13 +33,14 @@ def _intensity(state: State, p: NamedValues) -> Expression:
     return p[state.noise] if isinstance(state.noise, str) else state.noise
 
 
-def check_process_noise(model: Model) -> None:
-    """Refuse process noise that cannot be one: negative or not finite, on a state that is set and not moved, of either sign."""
-    system = model.system
+def check_process_noise(title: str, system: System, parameters: Sequence[Parameter]) -> None:
+    """Refuse process noise that cannot be one: negative or not finite, on a state that is set and not moved, of either sign.
+
+    ``parameters`` are those of ``system.p``, in its order.
+    """
     problems = []
-    values = noise_intensities(model)
     set_afterwards = {u.state for u in system.updates}
-    for k, (state, value) in enumerate(zip(model.all_states, values.values(), strict=True)):
+    for k, (state, value) in enumerate(zip(system.states, _intensities(system, parameters), strict=True)):
         subject = f"noise of state {state.name!r}"
         if not (math.isfinite(value) and value >= 0):
             problems.append(
@@ -51,19 +48,19 @@ def check_process_noise(model: Model) -> None:
             )
         elif k in set_afterwards and not system.diffusion[k].is_zero():
             problems.append(f"{subject}: this state is set after each step and has no rate to push; put it on another")
-    for name in noise_parameters(model):
-        q = model.parameter(name)
-        if q.bounds[0] < 0:
+    intensities = set(find_noise_parameters(system))
+    for q in parameters:
+        if q.name in intensities and q.bounds[0] < 0:
             problems.append(
-                f"parameter {name!r}: an intensity of process noise has no sign; bound it from 0 up:"
+                f"parameter {q.name!r}: an intensity of process noise has no sign; bound it from 0 up:"
                 f" bounds=(0, {q.bounds[1]:g})"
             )
     if problems:
-        raise ModelError(f"model {model.title!r}: {'; '.join(problems)}")
+        raise ModelError(f"model {title!r}: {'; '.join(problems)}")
 
 
 def intensity_name(state: str) -> str:
-    """Name of the parameter that `with_process_noise` makes for a state: ``noise_v``."""
+    """Name of the parameter that `Model.with_process_noise` makes for a state: ``noise_v``."""
     return f"noise_{state.replace('.', '_')}"
 
 
@@ -72,61 +69,31 @@ def intensity_unit(state: State) -> str:
     return format_unit(f"({state.unit or '1'})/s^0.5")
 
 
-def noisy_states(model: Model) -> tuple[str, ...]:
-    """States with process noise: its intensity is not zero at the present values, or is free to become so."""
-    system = model.system
-    free = {q.name for q in model.free_parameters}
+def noise_intensities(system: System, parameters: Sequence[Parameter]) -> dict[str, float]:
+    """State -> intensity of its process noise at the values of ``parameters``, in the state's unit over sqrt(s)."""
+    return dict(zip(system.state_names, _intensities(system, parameters), strict=True))
+
+
+def find_noisy_states(system: System, parameters: Sequence[Parameter]) -> tuple[str, ...]:
+    """States with process noise: its intensity is not zero at the values of ``parameters``, or is free to become so."""
+    free = {q.name for q in parameters if not q.fixed}
     return tuple(
         name
-        for k, (name, value) in enumerate(noise_intensities(model).items())
+        for k, (name, value) in enumerate(noise_intensities(system, parameters).items())
         if value != 0 or free & {s.name() for s in ca.symvar(system.diffusion[k])}
     )
 
 
-def noise_intensities(model: Model) -> dict[str, float]:
-    """Intensity of each state's process noise at the present values, in the state's unit over sqrt(s)."""
-    system = model.system
-    values = ca.Function("noise", [system.p], [system.diffusion])(list(model.values.values())).full().ravel()
-    return dict(zip(system.state_names, values.tolist(), strict=True))
-
-
-def noise_parameters(model: Model) -> tuple[str, ...]:
-    """Names of the constants that are intensities of process noise: no other equation speaks of them."""
-    system = model.system
-    pushed = {s.name() for s in ca.symvar(system.diffusion)}
+def find_noise_parameters(system: System) -> tuple[str, ...]:
+    """Names of the parameters that are intensities of process noise: no other equation speaks of them."""
+    in_diffusion = {s.name() for s in ca.symvar(system.diffusion)}
+    if not in_diffusion:
+        return ()
     elsewhere = {s.name() for s in ca.symvar(ca.vertcat(*system.free_run_expressions))}
-    return tuple(name for name in system.parameter_names if name in pushed - elsewhere)
+    return tuple(name for name in system.parameter_names if name in in_diffusion - elsewhere)
 
 
-def with_process_noise(model: Model, estimated: Sequence[str], known: Mapping[str, float | str]) -> Model:
-    """``model`` with process noise on some of its states, in the place of what they had.
-
-    ``estimated``: states whose intensity is a new parameter ``noise_<state>`` that starts at 0; ``known``: state -> intensity or the
-    name of a parameter. Raises ModelError for an unknown state.
-    """
-    names = [s.name for s in model.all_states]
-    unknown = [n for n in (*estimated, *known) if n not in names]
-    if unknown:
-        raise ModelError(f"model {model.title!r} has no state {unknown[0]!r}; {nearest(unknown[0], names)}")
-    units = {s.name: s.unit for s in model.all_states}
-    both = [n for n in estimated if n in known]
-    if both:
-        raise ModelError(f"process noise of {both[0]!r}: either estimated or known; name the state once")
-    noise: dict[str, float | str] = dict(known)
-    added = []
-    for name in estimated:
-        parameter = intensity_name(name)
-        noise[name] = parameter
-        if parameter not in model.values:
-            unit = f"({units[name] or '1'})/s^0.5"
-            described = f"intensity of the process noise of {name}"
-            added.append(Parameter(parameter, unit, 0.0, (0.0, math.inf), description=described))
-    plant = tuple(replace(s, noise=noise[s.name]) if s.name in noise else s for s in model.states)
-    effects = []
-    for b in model.bound_effects:
-        own = [
-            replace(inner, noise=noise[outer.name]) if outer.name in noise else inner
-            for inner, outer in zip(b.effect.states, b.states, strict=True)
-        ]
-        effects.append(replace(b.effect, states=tuple(own)))
-    return replace(model, states=plant, parameters=(*model.parameters, *added), effects=tuple(effects))
+def _intensities(system: System, parameters: Sequence[Parameter]) -> list[float]:
+    if system.diffusion.is_zero():
+        return [0.0] * len(system.states)
+    return system.diffusion_function([q.value for q in parameters]).full().ravel().tolist()

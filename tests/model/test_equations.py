@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State
 from greybox.expressions import text
-from greybox.model.equations import equations_text, expression_text, model_text
+from greybox.expressions.text import expression_text
+from greybox.model.equations import equations_text
 
 x, y, v, k, a, b = (ca.SX.sym(name) for name in ("x", "y", "v", "k", "a", "b"))
 
@@ -201,7 +202,7 @@ def test_show() -> None:
             Ra  8       ohm    free
             La  0.0005  H      free                data sheet
     """)
-    assert model_text(actuator()) == expected
+    assert str(actuator()) == expected
     assert str(actuator()) == expected
 
 
@@ -242,8 +243,8 @@ def test_effects_are_written_out() -> None:
           outputs            x [m] = z,  i [A] = i
     """)
     assert dedent(equations_text(model)) == expected
-    assert model_text(model).startswith("actuator + stiction + fading + lag + offset: coil and flexure\n  position ")
-    assert "\n    a    1       1/m^2  free\n" in model_text(model)
+    assert str(model).startswith("actuator + stiction + fading + lag + offset: coil and flexure\n  position ")
+    assert "\n    a    1       1/m^2  free\n" in str(model)
 
 
 def tank(terms: int) -> Model:

@@ -1,8 +1,9 @@
-"""A model with other numbers has the same equations: they are not written out again, and are what they would be."""
+"""Models with the same statement share one system, and it is what writing the equations out again would give."""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+import copy
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -11,19 +12,16 @@ import pytest
 import greybox as gb
 from greybox.effects import applicable_effects
 from greybox.errors import ModelError, UnitError
-from greybox.model import Model, Rule
+from greybox.model import Model, Rule, System
+from greybox.model.signals import Parameter
+from greybox.model.system_cache import SystemCache, build_checked_system
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 
 
-def anew(model: Model) -> Model:
-    """The same model, stated and checked from the beginning."""
-    return type(model)(**{f.name: getattr(model, f.name) for f in fields(model) if f.init})
-
-
-def rates(model: Model) -> np.ndarray:
-    """Every expression of the model at one point of states, inputs and constants."""
-    s = model.system
+def rates(model: Model, system: System | None = None) -> np.ndarray:
+    """Every expression of the model at one point of states, inputs and parameters."""
+    s = system or model.system
     f = ca.Function(
         "f", [s.x, s.u, s.p, s.direction], [ca.vertcat(*s.free_run_expressions, s.explicit, s.diffusion, s.storages)]
     )
@@ -32,28 +30,55 @@ def rates(model: Model) -> np.ndarray:
 
 
 @pytest.mark.parametrize("plant", [micro_actuator, pneumatic_cylinder], ids=lambda m: m.name)
-def test_every_effect_of_the_catalogue_added_twice_is_the_model_stated_anew(plant: Model) -> None:
-    plain = anew(plant)
-    for entry in applicable_effects(plain):
-        first = plain + entry
+def test_models_that_differ_in_numbers_share_the_system_that_would_be_built(plant: Model) -> None:
+    for entry in applicable_effects(plant):
+        first = plant + entry
         moved = first.start(**{q.name: 1.1 * q.value for q in first.parameters[:2]})
         q = entry.parameters[0]
-        again = plain.start(**{plain.parameters[0].name: moved.values[plain.parameters[0].name]}) + replace(
+        again = plant.start(**{plant.parameters[0].name: moved.values[plant.parameters[0].name]}) + replace(
             entry, parameters=(replace(q, value=0.5 * (q.value + min(q.bounds[1], 2 * q.value))), *entry.parameters[1:])
         )
-        assert (again.system is first.system) == (not first.system.delays)
         for model in (first, moved, again):
-            other = anew(model)
-            assert model.values == other.values
-            assert model.all_parameters == other.all_parameters
-            assert model.noisy_states == other.noisy_states
-            assert [b.own for b in model.bound_effects] == [b.own for b in other.bound_effects]
-            np.testing.assert_array_equal(rates(model), rates(other), err_msg=model.title)
+            assert model.system is first.system
+            built = build_checked_system(model.statement)
+            assert built.states == model.system.states
+            assert [e.model_names for e in built.effects] == [b.model_names for b in model.bound_effects]
+            np.testing.assert_array_equal(rates(model), rates(model, built), err_msg=model.title)
+
+
+def test_other_states_units_or_ties_are_another_system() -> None:
+    plain = micro_actuator
+    spare = Parameter("spare", "N", 1.0)
+    for other in (
+        replace(plain, name="another"),
+        replace(plain, parameters=(*plain.parameters, spare)),
+        plain.with_process_noise("v"),
+        plain.tie(Kv="Kf"),
+    ):
+        assert other.system is not plain.system
+    assert replace(plain, description="told otherwise").fix("M").prior(K=(100.0, 1.0)).system is plain.system
+
+
+def test_a_cache_keeps_the_systems_that_were_used_last() -> None:
+    cache = SystemCache(size=2)
+    statements = [replace(micro_actuator, name=name).statement for name in ("a", "b", "c")]
+    first = cache.system(statements[0])
+    assert cache.system(statements[0]) is first
+    cache.system(statements[1])
+    cache.system(statements[2])
+    assert len(cache) == 2
+    assert cache.system(statements[0]) is not first
+    cache.clear()
+    assert len(cache) == 0
+
+
+def test_a_copy_of_a_model_finds_its_system() -> None:
+    assert copy.copy(micro_actuator).system is micro_actuator.system
 
 
 def test_an_effect_of_the_same_name_with_another_equation_is_another_effect() -> None:
     entry = gb.effect("cubic_stiffness")
-    base = anew(micro_actuator)
+    base = micro_actuator
     twice = replace(entry, terms=lambda x, u, p: 2 * entry.terms(x, u, p))
     one, two = base + entry, base + twice
     assert one.system is not two.system
@@ -82,3 +107,5 @@ def test_the_longest_delay_follows_the_bounds() -> None:
     shorter = late.bound(**{name: (0.0, 2e-4)})
     assert shorter.system.delays[0].longest == pytest.approx(2e-4)
     assert late.system.delays[0].longest > 2e-4
+    assert late.start(**{name: 1e-4}).system is late.system
+    assert late.fix(**{name: 1e-4}).system.delays[0].longest == pytest.approx(1e-4)

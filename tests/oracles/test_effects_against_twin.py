@@ -110,7 +110,7 @@ def with_effects(model, truth):
     """``model`` with effects at their true values: {name: {parameter: value}}."""
     for name, values in truth.items():
         model = model + effect(name)
-        own = model.bound_effects[-1].own
+        own = model.bound_effects[-1].model_names
         if name == "transport_delay":
             model = model.bound(delay=(0.0, 16 * PERIOD[model.name]))
         model = model.start(**{own[k]: v for k, v in values.items()})
@@ -170,7 +170,7 @@ def test_slopes_along_the_parameters_are_those_of_differences(rig, names):
     x0, dx0 = (np.asarray(value) for value in model.system.start_function(p))
     step = discretise(model.system, p, x0.T, record.lengths, substeps=10)
     kernel, seen, weight = make_kernel(step), record.read_by(step), 1 / np.array(NOISE[rig])
-    which = np.array([model.system.parameter_names.index(model.bound_effects[0].own[k]) for k in truth])
+    which = np.array([model.system.parameter_names.index(model.bound_effects[0].model_names[k]) for k in truth])
     q, dq = step.coefficients(p, record.lengths, which)
     _, slopes = kernel.residuals(seen, q, dq, p, np.eye(len(p))[:, which], x0.ravel(), dx0[:, which], weight)
     for k, number in enumerate(which):
@@ -196,7 +196,7 @@ def test_absent_effects_leave_the_outputs_and_probes_move_them_a_little(rig):
     peak = np.abs(plain - plain[0]).max(axis=0)
     for entry in greybox.effects.applicable_effects(model, scales):
         absent = model + entry
-        own = absent.bound_effects[0].own
+        own = absent.bound_effects[0].model_names
         if entry.amplitudes:
             away = np.abs(outputs(absent, experiment, substeps=20)[0] - plain).max(axis=0) / NOISE[rig]
             assert away.max() < 0.01, entry.name

@@ -296,9 +296,8 @@ def test_other_values_keep_the_equations_and_other_bounds_of_a_delay_do_not():
     assert late.fix(delay=5e-4).system.delays[0].longest == 5e-4
 
 
-def test_a_copy_writes_out_its_own_equations():
-    copied = copy.deepcopy(micro_actuator)
-    assert copied.system is not micro_actuator.system and str(copied.system.rhs) == str(micro_actuator.system.rhs)
+def test_a_deep_copy_of_a_model_has_the_same_system():
+    assert copy.deepcopy(micro_actuator).system is micro_actuator.system
 
 
 def test_something_is_missing_in_the_plant_and_not_in_the_balance_of_an_effect():

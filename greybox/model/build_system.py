@@ -1,0 +1,312 @@
+"""From what a model states to CasADi expressions: balances with every effect applied, right-hand side, outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import casadi as ca
+
+from greybox.errors import ModelError, nearest
+from greybox.model.balance import Balance
+from greybox.model.effect_hooks import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
+from greybox.model.process_noise import build_diffusion
+from greybox.model.signals import NamedValues, Output, State
+from greybox.model.system import (
+    DryFrictionTerm,
+    EffectEquations,
+    Item,
+    ParameterSymbol,
+    PlacedEffect,
+    Statement,
+    System,
+    named_symbols,
+)
+from greybox.model.ties import apply_ties
+from greybox.numerics import STATE_BOUND_MARGIN
+from greybox.units import format_unit
+
+
+def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
+    """Each effect with unique names, resolved units and its site.
+
+    Raises ModelError for an effect that is added twice, acts at a place that the model does not have, or needs a unit of something that
+    it does not have.
+    """
+    plant: tuple[Item, ...] = (*statement.states, *statement.inputs, *statement.parameters)
+    taken = {item.name for item in plant}
+    base = _plant_balances(statement)
+    units = _units_by_word(statement, base)
+    inputs, outputs = statement.inputs, statement.outputs
+    sites = [*(b.name for b in base), *(i.name for i in inputs), *(o.name for o in outputs)]
+    site_names = {"sensor": outputs[0].name} | {i.role: i.name for i in inputs if i.role}
+    if inputs:
+        site_names = {"input": inputs[0].name} | site_names
+    placed: list[PlacedEffect] = []
+    for effect in statement.effects:
+        if any(effect.name == other.effect.name for other in placed):
+            raise ModelError(
+                f"model {statement.name!r} already has the effect {effect.name!r}; an effect can be added once"
+            )
+        site = site_names.get(effect.site, effect.site)
+        if effect.site and site not in sites:
+            raise ModelError(
+                f"effect {effect.name!r} acts at {effect.site!r}, which model {statement.name!r} does not have;"
+                f" {nearest(site, sites)}"
+            )
+        own: tuple[Item, ...] = (*effect.parameters, *effect.states)
+        names = {item.name: f"{effect.name}.{item.name}" if item.name in taken else item.name for item in own}
+        parameters = tuple(
+            ParameterSymbol(names[q.name], _fill_unit(q.unit, units, effect, statement.name), q.role)
+            for q in effect.parameters
+        )
+        states = tuple(
+            replace(s, name=names[s.name], unit=_fill_unit(s.unit, units, effect, statement.name))
+            for s in effect.states
+        )
+        taken |= set(names.values())
+        placed.append(PlacedEffect(effect, parameters, states, site))
+    return tuple(placed)
+
+
+def build_system(statement: Statement) -> System:
+    """The equations of a model, effects applied in the order in which they were added."""
+    effects = place_effects(statement)
+    states = (*statement.states, *(s for e in effects for s in e.states))
+    every = (*statement.parameters, *(q for e in effects for q in e.parameters))
+    tied = {tie.name for tie in statement.ties}
+    parameters = [q for q in every if q.name not in tied]
+    x, u, p = (
+        named_symbols("state", states),
+        named_symbols("input", statement.inputs),
+        named_symbols("parameter", every),
+    )
+    symbols_x, symbols_u, symbols_p = (
+        ca.vertcat(*[named[item.name] for item in group])
+        for named, group in ((x, states), (u, statement.inputs), (p, parameters))
+    )
+
+    p = apply_ties(statement.ties, p)
+    diffusion = build_diffusion(statement.states, effects, p)
+    x, u, p, before = _transform_signals(statement, effects, x, u, p)
+    balances = {b.name: b for b in statement.balances(x, u, p)}
+    outputs = {o.name: _output(o, x, u, p) for o in statement.outputs}
+    start = _start(statement, effects, p, outputs[statement.outputs[0].name], symbols_x, symbols_u)
+    ranges = dict(zip((q.name for q in every), statement.delay_ranges, strict=False))
+    equations = _Equations(
+        statement, [s.name for s in states], symbols_x, balances, outputs, _units_by_word(statement, balances.values()),
+        {name: ranges[name] for name in (q.name for q in parameters)} if ranges else {},
+    )  # fmt: skip
+    for effect in effects:
+        equations.add(effect, *before.get(effect.effect.name, (x, u)), p)
+
+    order = equations.states
+    ordered = _order_balances(statement.name, states, balances, {order[s.state]: s.effect for s in equations.updates})
+    direction = ca.SX.sym("direction", len(equations.dry))
+    storages, sums = ca.SX.ones(len(order)), ca.SX.zeros(len(order))
+    rows = [order.index(b.state) for b in ordered]
+    storages[rows] = ca.vertcat(*[ca.SX(b.storage) for b in ordered])
+    sums[rows] = _sums(ordered, equations.dry, direction)
+    rhs = _hold_inside_bounds(sums / storages, symbols_x, states)
+    return System(
+        x=symbols_x,
+        u=symbols_u,
+        p=symbols_p,
+        direction=direction,
+        states=states,
+        input_names=tuple(i.name for i in statement.inputs),
+        output_names=tuple(outputs),
+        parameter_names=tuple(q.name for q in parameters),
+        balances=ordered,
+        storages=storages,
+        rhs=rhs,
+        outputs=ca.vertcat(*outputs.values()),
+        start=start,
+        diffusion=diffusion,
+        dry=tuple(equations.dry),
+        updates=tuple(equations.updates),
+        delays=tuple(equations.delays),
+        relaxing=find_relaxing_states(statement.name, states, rhs, symbols_x),
+        effects=effects,
+    )
+
+
+@dataclass
+class _Equations:
+    """Balances, outputs and the rest of a model while its effects are applied one after the other."""
+
+    statement: Statement
+    states: list[str]
+    x: ca.SX
+    balances: dict[str, Balance]
+    outputs: dict[str, ca.SX]
+    units: Mapping[str, str]
+    delay_ranges: Mapping[str, tuple[float, ...]]
+    dry: list[DryFrictionTerm] = field(default_factory=list)
+    updates: list[StateUpdate] = field(default_factory=list)
+    delays: list[InputDelay] = field(default_factory=list)
+
+    def add(self, placed: PlacedEffect, x: NamedValues, u: NamedValues, p: NamedValues) -> None:
+        """Apply an effect that comes to see the states ``x`` and the inputs ``u``."""
+        effect, outputs = placed.effect, self.outputs
+        sensor = outputs[placed.site if placed.site in outputs else self.statement.outputs[0].name]
+        names = placed.sees_states(x.replaced({"sensor": sensor})), u, placed.sees_parameters(p)
+        for site, changed in (effect.on_term(*names) if effect.on_term else {}).items():
+            self.balances[site] = self._balance(site, effect).with_terms_replaced(changed)
+        for site, factor in (effect.on_storage(*names) if effect.on_storage else {}).items():
+            self.balances[site] = self._balance(site, effect).with_storage(factor)
+        if effect.terms:
+            terms = effect.terms(*names)
+            for site, term in (terms if isinstance(terms, Mapping) else {placed.site: terms}).items():
+                self.balances[site] = self._balance(site, effect).with_term(effect.name, term)
+        if effect.dry:
+            target = self._balance(placed.site, effect)
+            state, friction = self.states.index(target.state), effect.dry(*names)
+            self.dry.append(
+                DryFrictionTerm(effect.name, placed.site, state, ca.SX(friction.sliding), ca.SX(friction.static))
+            )
+            self.balances[placed.site] = target.with_term(effect.name, -friction.sliding * ca.sign(self.x[state]))
+        model_names = placed.model_names
+        for own in effect.balances(*names) if effect.balances else ():
+            name, unit = f"{effect.name}.{own.name}", _fill_unit(own.unit, self.units, effect, self.statement.name)
+            state_name = model_names.get(own.state, own.state)
+            self.balances[name] = Balance(name, unit, own.storage, state_name, **own.terms)
+        if effect.update:
+            self.updates += collect_updates(effect.name, effect.update(*names), model_names, self.states)
+        if effect.delay:
+            inputs = [i.name for i in self.statement.inputs]
+            self.delays.append(build_delay(effect.name, effect.delay(*names), placed.site, inputs, self.delay_ranges))
+        if effect.on_output:
+            outputs[placed.site] = effect.on_output(outputs[placed.site], *names)
+
+    def _balance(self, site: str, effect: EffectEquations) -> Balance:
+        if site not in self.balances:
+            raise ModelError(f"effect {effect.name!r} adds to a balance {site!r}; {nearest(site, self.balances)}")
+        return self.balances[site]
+
+
+def _transform_signals(
+    statement: Statement, effects: Sequence[PlacedEffect], x: NamedValues, u: NamedValues, p: NamedValues
+) -> tuple[NamedValues, NamedValues, NamedValues, dict[str, tuple[NamedValues, NamedValues]]]:
+    """States, inputs and parameters as the balances see them, and for effects that change them what came to each of these."""
+    for placed in effects:  # parameters where they are used
+        if placed.effect.on_parameter:
+            used = placed.effect.on_parameter(placed.sees_states(x), u, placed.sees_parameters(p))
+            p = p.replaced({_name_of(name, statement.parameters): value for name, value in used.items()})
+    before: dict[str, tuple[NamedValues, NamedValues]] = {}
+    for placed in effects:  # inputs on their way in
+        if placed.effect.on_input:
+            before[placed.effect.name] = x, u
+            value = placed.effect.on_input(u[placed.site], placed.sees_states(x), u, placed.sees_parameters(p))
+            u = u.replaced({placed.site: value})
+    for placed in effects:  # states as the model sees them
+        if placed.effect.on_state:
+            seen = before[placed.effect.name] = x, before.get(placed.effect.name, (x, u))[1]
+            used = placed.effect.on_state(placed.sees_states(x), seen[1], placed.sees_parameters(p))
+            x = x.replaced({_name_of(name, statement.states): value for name, value in used.items()})
+    return x, u, p, before
+
+
+def _plant_balances(statement: Statement) -> list[Balance]:
+    groups = ("state", statement.states), ("input", statement.inputs), ("parameter", statement.parameters)
+    return statement.balances(*(named_symbols(kind, items) for kind, items in groups))
+
+
+def _start(
+    statement: Statement, effects: Sequence[PlacedEffect], p: NamedValues, reading: ca.SX, x: ca.SX, u: ca.SX
+) -> ca.SX:
+    """The state at rest: that of the plant, and those of effects, which may speak of the main output ``reading`` at rest."""
+    plant = _start_values(statement.states, p)
+    at_rest = ca.substitute(
+        ca.SX(reading), ca.vertcat(x[: plant.numel()], u), ca.vertcat(plant, ca.SX.zeros(u.numel()))
+    )
+    known = p.replaced({"sensor": at_rest})
+    return ca.vertcat(plant, *(_start_values(e.states, e.sees_parameters(known)) for e in effects))
+
+
+def _start_values(states: Sequence[State], p: NamedValues) -> ca.SX:
+    return ca.vertcat(*[ca.SX(s.start(p) if callable(s.start) else s.start) for s in states])
+
+
+def _name_of(name: str, items: Sequence[ParameterSymbol] | Sequence[State]) -> str:
+    """The name of the item that ``name`` is the name or the role of."""
+    return next((q.name for q in items if name in (q.name, q.role)), name)
+
+
+def _units_by_word(statement: Statement, balances: Iterable[Balance]) -> dict[str, str]:
+    """What the words in the units of an effect stand for: roles, names, balances, ``sensor`` and ``input``."""
+    items: tuple[Item, ...] = (*statement.states, *statement.inputs, *statement.parameters)
+    words = {item.role: item.unit for item in items if item.role}
+    words |= {item.name: item.unit for item in items}
+    words |= {b.name: b.unit for b in balances}
+    words["sensor"] = statement.outputs[0].unit
+    if statement.inputs:
+        words["input"] = statement.inputs[0].unit
+    return {word: f"({unit or '1'})" for word, unit in words.items()}
+
+
+def _fill_unit(unit: str, words: Mapping[str, str], effect: EffectEquations, model: str) -> str:
+    try:
+        return format_unit(unit.format_map(words))
+    except KeyError as missing:
+        word = missing.args[0]
+        raise ModelError(
+            f"effect {effect.name!r} needs a {word}, which model {model!r} does not have; {nearest(word, words)}"
+        ) from None
+    except ModelError as error:
+        raise ModelError(f"effect {effect.name!r}: {error}") from None
+
+
+def _output(output: Output, x: NamedValues, u: NamedValues, p: NamedValues) -> ca.SX:
+    return ca.SX(output.equation(x, u, p) if output.equation else x[output.name])
+
+
+def _order_balances(
+    model: str, states: Sequence[State], balances: Mapping[str, Balance], updated: Mapping[str, str]
+) -> tuple[Balance, ...]:
+    """The balances in the order of the states; a state that an effect sets after each step has none."""
+    by_state: dict[str, Balance] = {}
+    for b in balances.values():
+        if b.state in by_state:
+            raise ModelError(
+                f"model {model!r}: balances {by_state[b.state].name!r} and {b.name!r} both give the rate of {b.state!r};"
+                " each state needs one"
+            )
+        by_state[b.state] = b
+    both = [n for n in updated if n in by_state]
+    if both:
+        raise ModelError(
+            f"effect {updated[both[0]]!r} sets the state {both[0]!r} after each step, but balance {by_state[both[0]].name!r} gives"
+            " its rate; leave out one of the two"
+        )
+    names = [s.name for s in states if s.name not in updated]
+    missing = [n for n in names if n not in by_state]
+    unknown = [n for n in by_state if n not in names]
+    if missing or unknown:
+        problems = [f"no balance gives the rate of {n!r}" for n in missing] + [
+            f"balance {by_state[n].name!r} names an unknown state {n!r}" for n in unknown
+        ]
+        raise ModelError(
+            f"model {model!r}: {'; '.join(problems)}; every state needs exactly one balance (states: {', '.join(names)})"
+        )
+    return tuple(by_state[n] for n in names)
+
+
+def _sums(ordered: Sequence[Balance], dry: Sequence[DryFrictionTerm], direction: ca.SX) -> ca.SX:
+    """Sum of the terms of each balance, dry friction written with the direction of motion as a symbol."""
+    rows = []
+    for balance in ordered:
+        frictions = {d.effect: -d.sliding * direction[k] for k, d in enumerate(dry) if d.balance == balance.name}
+        rows.append(sum((frictions.get(name, ca.SX(term)) for name, term in balance.terms.items()), ca.SX(0)))
+    return ca.vertcat(*rows)
+
+
+def _hold_inside_bounds(rhs: ca.SX, x: ca.SX, states: Sequence[State]) -> ca.SX:
+    """The right-hand side with every bounded state held inside its bounds."""
+    for k, state in enumerate(states):
+        low, high = state.bounds
+        if low > -ca.inf:
+            rhs = ca.substitute(rhs, x[k], ca.fmax(x[k], low + STATE_BOUND_MARGIN))
+        if high < ca.inf:
+            rhs = ca.substitute(rhs, x[k], ca.fmin(x[k], high - STATE_BOUND_MARGIN))
+    return rhs
