@@ -12,7 +12,6 @@ from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 import pytest
 from scipy.signal import periodogram
@@ -21,7 +20,6 @@ from typer.testing import CliRunner
 import greybox as gb
 from greybox.check import check
 from greybox.cli.app import app
-from greybox.expressions.latex import expression_latex, symbol_latex
 from greybox.reports import page_of, write
 from greybox.reports.axes import amplitude_density, thin_spectrum
 from greybox.reports.page import Figure, Page, Section, Text, View
@@ -217,25 +215,6 @@ def test_numbers_travel_in_six_digits_and_gaps_as_gaps() -> None:
     figure = Figure("a", "caption", "a description of the figure", [{"y": given}], {})
     html = render(Page("t", "q", Text(["v"]), [Section("s", "S", [figure])]))
     assert '"y":[0.123457,-1.98765e-09,12345700.0,0.0,null,null]' in html
-
-
-@pytest.mark.parametrize(
-    ("expression", "expected"),
-    [
-        (lambda a, b: a * b / (a + b), r"\frac{a\,b}{a + b}"),
-        (lambda a, b: -(a + b) * a, r"-\left(a + b\right)\,a"),
-        (lambda a, b: ca.sqrt(ca.fabs(a)) / b, r"\frac{\sqrt{\left|a\right|}}{b}"),
-        (lambda a, b: b * a * a**2, r"b\,{a}^{3}"),
-    ],
-)
-def test_expressions_are_typeset(expression, expected: str) -> None:
-    assert expression_latex(expression(ca.SX.sym("a"), ca.SX.sym("b"))) == expected
-
-
-def test_names_become_symbols_and_never_commands() -> None:
-    assert symbol_latex("Kf") == "K_{f}"
-    assert symbol_latex("tau_e") == r"\tau_{e}"
-    assert "\\input" not in symbol_latex("a_\\input{x}") and "{x}" not in symbol_latex("a_\\input{x}")
 
 
 def luminance(colour: str) -> float:
