@@ -8,6 +8,12 @@ from __future__ import annotations
 TINY = 1e-300
 """Smallest divisor: keeps a quotient finite where numerator and denominator vanish together."""
 
+MAD_TO_STD = 1.482602218505602
+"""Standard deviation of normal values over the median of their sizes."""
+
+PERIOD_CLOSURE = 1e-9
+"""Two stretches of an input may be a period apart where the energy of their difference is below this share of the input's."""
+
 SWITCH_EDGE = 1e-11
 """A comparison, ``|a|``, ``min`` or ``max`` is at its edge where its two sides differ by less than this share of their size."""
 

@@ -113,7 +113,7 @@ def check(
         model, model.system.linear, problem.step.label, problem.kernel.description, problem.kernel.reason,
         group, assumed,
         {o.name: float(problem.noise.std[j]) for j, o in enumerate(model.outputs) if o.name in measured},
-        "; ".join([problem.noise.source, *find_excluded_outputs(problem)]), structure, analyse_problem(problem, structure), doubt,
+        "; ".join([str(problem.noise), *find_excluded_outputs(problem)]), structure, analyse_problem(problem, structure), doubt,
     )  # fmt: skip
 
 

@@ -72,7 +72,7 @@ class DiscoveryProblem:
         outputs = [o.name for o in fit.model.outputs]
         std = np.array([fit.noise.std.get(name, np.nan) for name in outputs])
         colour = tuple(AutoRegression(fit.noise.colour.get(name, ())) for name in outputs)
-        noise = NoiseModel(std, fit.noise.source, False, fit.noise.sources, colour)
+        noise = NoiseModel(tuple(outputs), std, fit.noise.sources, colour, False)
         known = {f.name for f in fields(FitOptions)}
         options = FitOptions(**{name: value for name, value in fit.provenance.options.items() if name in known})
         return cls(fit.model, tuple(t.experiment for t in fit.traces), noise, (), options)

@@ -13,14 +13,14 @@ import numpy as np
 
 from greybox.discovery.problem import CandidateFit
 from greybox.estimation.problem import EstimationProblem
-from greybox.noise import NoiseModel, fit_autoregression, join_series
+from greybox.noise import NoiseModel, NoiseSource, fit_autoregression, join_series
 from greybox.transcription import SingleShooting
 
 # Correlation from sample to sample below which a residual counts as white.
 WHITE = 0.1
 # Autocorrelations looked at after first-order whitening; the sum of their squares may exceed chance by this much.
 LAGS, LEFT_OVER = 30, 0.03
-KNOWN = ("given", "quiet record")
+KNOWN = (NoiseSource.GIVEN, NoiseSource.QUIET_RECORD)
 
 
 def is_noise_known(noise: NoiseModel, quiet: bool) -> bool:
@@ -36,7 +36,7 @@ def estimate_residual_noise(trial: CandidateFit) -> NoiseModel:
         name = trial.problem.model.outputs[j].name
         if noise.sources.get(name) not in KNOWN:
             std[j] = noise.std[j] * float(np.sqrt(np.nanmean(series**2)))
-        found = fit_autoregression(series, most=1)
+        found = fit_autoregression(series, max_order=1)
         colour[j] = found if found.order and abs(found.reflection[0]) > WHITE else type(found)()
     return replace(noise, std=std, colour=tuple(colour))
 

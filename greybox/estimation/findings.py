@@ -13,7 +13,7 @@ from greybox.estimation.simulation_failure import describe_simulation_failure
 from greybox.estimation.solution import Solution
 from greybox.experiment import Experiment, collect_record_findings
 from greybox.experiment.findings import is_sensor_fault
-from greybox.noise.noise_sources import DIFFERENCES
+from greybox.noise.noise_sources import NoiseSource
 from greybox.optim import TerminationStatus
 from greybox.result import Estimate, Misfit, Trace
 from greybox.transcription import DecisionVector
@@ -144,7 +144,7 @@ def _excess(solution: Solution, misfit: Mapping[str, Misfit]) -> list[str]:
     if not louder:
         return []
     sources = solution.problem.noise.sources
-    if all(sources.get(n) == DIFFERENCES and ratio < VISIBLE_BY_DIFFERENCES for n, ratio in louder.items()):
+    if all(sources.get(n) is NoiseSource.DIFFERENCES and ratio < VISIBLE_BY_DIFFERENCES for n, ratio in louder.items()):
         return [
             "the misfit exceeds the noise that the records' differences show: the model lacks something, or the noise is"
             " coloured (a quiet record tells)"

@@ -36,7 +36,8 @@ from greybox.experiment.time_gaps import refuse_long_time_gaps
 from greybox.model import Model
 from greybox.model.equations import equations_text
 from greybox.noise import AutoRegression, NoiseModel
-from greybox.noise.noise_sources import LEAST_NOISE, RESIDUAL
+from greybox.noise.noise_sources import NoiseSource
+from greybox.noise.policy import NOISE_POLICY
 from greybox.result import (
     Fit,
     FitConstraints,
@@ -127,7 +128,7 @@ def fit(
     if colour == "white":
         problem = problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in model.outputs)))
     solution = solve(problem, options, report)
-    if RESIDUAL in problem.noise.sources.values() and solution.status.success:
+    if NoiseSource.RESIDUAL in problem.noise.sources.values() and solution.status.success:
         solution = _weighted_by_residual(solution, options, report)
     solution = refit_robustly(solution, options, report)
     if colour == "residual" and solution.status.success:
@@ -155,8 +156,8 @@ def _weighted_by_residual(solution: Solution, options: FitOptions, report: FitPr
     problem, evaluation = solution.problem, solution.evaluation
     counts = np.maximum(evaluation.counts, 1)
     size = np.sqrt(evaluation.squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
-    told = np.array([problem.noise.sources.get(o.name) == RESIDUAL for o in problem.model.outputs])
-    std = problem.noise.std * np.where(told & (size > 0), np.maximum(size, LEAST_NOISE), 1.0)
+    told = np.array([problem.noise.sources.get(o.name) is NoiseSource.RESIDUAL for o in problem.model.outputs])
+    std = problem.noise.std * np.where(told & (size > 0), np.maximum(size, NOISE_POLICY.min_relative_level), 1.0)
     weighted = replace(problem.with_noise(replace(problem.noise, std=std)), variables=solution.variables)
     return solve(weighted, replace(options, progressive=False), report)
 
@@ -164,7 +165,7 @@ def _weighted_by_residual(solution: Solution, options: FitOptions, report: FitPr
 def _coloured_by_residual(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
     """The fit repeated with the noise coloured as the residual is, where its colour is not known already."""
     problem, variables = solution.problem, solution.variables
-    residual = estimate_residual_colour(solution.residuals(), solution.unknowns, problem.noise.given)
+    residual = estimate_residual_colour(solution.residuals(), solution.unknowns, problem.noise.known)
     models = tuple(
         known if known.order else found for known, found in zip(problem.noise.colour, residual.models, strict=True)
     )
@@ -179,7 +180,7 @@ def _result(model: Model, solution: Solution, options: FitOptions) -> Fit:
     runs, rows = make_traces(problem, solution.simulate()), solution.residuals()
     misfit = compute_misfits(problem, runs)
     found = estimate_covariance(
-        variables, solution.evaluation, problem.noise.given, rows, solution.unknowns, problem.least
+        variables, solution.evaluation, problem.noise.known, rows, solution.unknowns, problem.least
     )
     constants, priors, robust = (
         to_estimates(variables, found),
@@ -208,7 +209,7 @@ def _result(model: Model, solution: Solution, options: FitOptions) -> Fit:
         ),
         noise=FitNoise(
             to_noise_by_output(problem, misfit),
-            problem.noise.source,
+            str(problem.noise),
             dict(problem.noise.sources),
             {
                 o.name: a.reflection

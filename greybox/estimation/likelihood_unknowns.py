@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.estimation.problem import EstimationProblem
-from greybox.noise.noise_sources import GIVEN, QUIET
 from greybox.transcription import DecisionVector
 
 # The noise of an output is not followed below this share of what the records' differences say, nor above its level at ``z = 0`` times
@@ -86,5 +85,6 @@ class LikelihoodUnknowns:
 def make_likelihood_unknowns(problem: EstimationProblem, variables: DecisionVector) -> LikelihoodUnknowns:
     """``variables`` with the noise of the outputs: known where it is given or a quiet record tells it, else estimated."""
     measured = np.any([np.isfinite(r.y).any(axis=0) for r in problem.records], axis=0)
-    known = np.array([problem.noise.sources.get(o.name) in (GIVEN, QUIET) for o in problem.model.outputs])
+    sources = problem.noise.sources
+    known = np.array([o.name in sources and sources[o.name].is_independent for o in problem.model.outputs])
     return LikelihoodUnknowns(variables, problem.noise.std, measured & ~known, LEAST * problem.noise.std)

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour, estimate_score_covariance
 from greybox.estimation.solve import Solution
 from greybox.noise import AutoRegression
-from greybox.noise.noise_sources import DIFFERENCES
+from greybox.noise.noise_sources import NoiseSource
 from greybox.transcription import DecisionVector
 from greybox.transcription.decision_vector import SHARED
 
@@ -153,13 +153,13 @@ def _amplitudes(judged: ConstancyInput) -> list[DataPart]:
 def _noise(solution: Solution, rows: Rows) -> ResidualColour:
     """Colour and variance of what noise alone leaves in the weighted residual."""
     noise, everything = solution.problem.noise, np.concatenate([r for r, _ in rows])
-    found = estimate_residual_colour(rows, solution.unknowns, noise.given, solution.problem.least)
+    found = estimate_residual_colour(rows, solution.unknowns, noise.known, solution.problem.least)
     names = [o.name for o in solution.problem.model.outputs]
     counts = np.isfinite(everything).sum(axis=0)
     ratio = np.sqrt(np.nansum(everything**2, axis=0) / np.maximum(counts, 1))
     found = replace(found, variance=tuple(max(v, LITTLE**2) for v in found.variance))
     for j, name in enumerate(names):
-        limit = VISIBLE_BY_DIFFERENCES if noise.sources.get(name) == DIFFERENCES else VISIBLE
+        limit = VISIBLE_BY_DIFFERENCES if noise.sources.get(name) is NoiseSource.DIFFERENCES else VISIBLE
         if ratio[j] > limit:
             models, variance = list(found.models), list(found.variance)
             models[j], variance[j] = AutoRegression(), 1.0

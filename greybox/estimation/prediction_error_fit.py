@@ -36,7 +36,7 @@ from greybox.estimation.versions import read_versions
 from greybox.experiment import Experiment
 from greybox.model import Model
 from greybox.model.equations import equations_text
-from greybox.noise import NoiseModel
+from greybox.noise import NoiseModel, NoiseSource
 from greybox.result import (
     Estimate,
     Fit,
@@ -50,7 +50,6 @@ from greybox.result import (
 )
 from greybox.transcription import DecisionVector
 
-INNOVATIONS = "the innovations"
 # Ends of an interval that are further from the value than by a factor of e to this say nothing.
 HARDLY = 5.0
 
@@ -207,9 +206,9 @@ def _moves(problem: EstimationProblem, found: LikelihoodOptimum, runs: Runs) -> 
     return find_parameter_shifts(judged, rows)
 
 
-def _source(problem: EstimationProblem, unknowns: LikelihoodUnknowns, output: str) -> str:
+def _source(problem: EstimationProblem, unknowns: LikelihoodUnknowns, output: str) -> NoiseSource:
     place = problem.model.system.output_names.index(output)
-    return INNOVATIONS if unknowns.estimated[place] else problem.noise.sources[output]
+    return NoiseSource.INNOVATIONS if unknowns.estimated[place] else problem.noise.sources[output]
 
 
 def _sources(problem: EstimationProblem, unknowns: LikelihoodUnknowns, around: LikelihoodCovariance) -> dict[str, str]:
@@ -221,9 +220,9 @@ def _sources(problem: EstimationProblem, unknowns: LikelihoodUnknowns, around: L
             unit = problem.model.outputs[j].unit
             told = reach < HARDLY
             ends = f" [{value * np.exp(-reach):.3g}, {value * np.exp(reach):.3g}]" if told else " (hardly told)"
-            texts[output.name] = f"{value:.3g}{ends} {unit} from {INNOVATIONS}"
+            texts[output.name] = f"{value:.3g}{ends} {unit} from the innovations"
         elif output.name in problem.noise.sources:
-            texts[output.name] = problem.noise.sources[output.name]
+            texts[output.name] = problem.noise.sources[output.name].replace("_", " ")
     return texts
 
 

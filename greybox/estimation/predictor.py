@@ -23,7 +23,6 @@ from greybox.estimation.prediction_error_runs import compute_free_runs, predict_
 from greybox.experiment import Experiment
 from greybox.model import Model
 from greybox.noise import NoiseModel
-from greybox.noise.noise_sources import GIVEN, QUIET
 from greybox.result import Fit
 
 InitialState = Mapping[str, float]
@@ -114,7 +113,11 @@ def predictor(
             )
         if not given.model.noisy_states and noise is None:
             # What was not told by anybody the filter finds together with the process noise.
-            told = {n: v for n, v in given.noise.std.items() if given.noise.sources.get(n) in (GIVEN, QUIET)}
+            told = {
+                n: v
+                for n, v in given.noise.std.items()
+                if n in given.noise.sources and given.noise.sources[n].is_independent
+            }
             found = replace(found, noise=told)
         group = group or tuple(t.experiment for t in given.traces)
     if not group:

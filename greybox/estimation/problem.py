@@ -9,12 +9,12 @@ import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.experiment import Experiment
+from greybox.experiment.problems import is_constant
 from greybox.experiment.time_gaps import refuse_long_time_gaps
 from greybox.integrators import Step, discretise
 from greybox.kernel import Kernel, Record, make_kernel
 from greybox.model import Model
 from greybox.noise import NoiseModel, estimate_noise
-from greybox.noise.differences import is_constant_signal
 from greybox.transcription import DecisionVector, InitialStates, SingleShooting, to_record
 from greybox.transcription.records import to_experiments
 from greybox.transcription.robust_loss import RobustLoss
@@ -116,9 +116,7 @@ def prepare_problem(
 def _resting(model: Model, experiments: Sequence[Experiment], noise: NoiseModel) -> tuple[str, ...]:
     """Outputs that read the same in every row and have no noise from anywhere."""
     columns = {o.name: [e.outputs[o.name] for e in experiments if o.name in e.outputs] for o in model.outputs}
-    return tuple(
-        n for n, found in columns.items() if found and n not in noise.sources and all(map(is_constant_signal, found))
-    )
+    return tuple(n for n, found in columns.items() if found and n not in noise.sources and all(map(is_constant, found)))
 
 
 def _without(record: Record, outputs: Sequence[bool]) -> Record:

@@ -12,7 +12,6 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import EstimationProblem, prepare_problem
 from greybox.model import Model
 from greybox.noise import AutoRegression, NoiseModel
-from greybox.noise.noise_sources import GIVEN, QUIET
 from greybox.result import Fit
 from greybox.transcription.robust_loss import RobustLoss, parse_loss
 
@@ -91,5 +90,5 @@ def restore_noise(fit: Fit) -> NoiseModel:
     outputs = fit.model.outputs
     std = np.array([fit.noise.std.get(o.name, 1.0) for o in outputs])
     colour = tuple(AutoRegression(tuple(fit.noise.colour.get(o.name, ()))) for o in outputs)
-    known = bool(fit.noise.sources) and set(fit.noise.sources.values()) <= {GIVEN, QUIET}
-    return NoiseModel(std, fit.noise.source, known, fit.noise.sources, colour)
+    known = bool(fit.noise.sources) and all(source.is_independent for source in fit.noise.sources.values())
+    return NoiseModel(tuple(o.name for o in outputs), std, fit.noise.sources, colour, known)

@@ -35,7 +35,8 @@ def restore_likelihood(fit: Fit) -> PredictionErrorObjective:
         substeps=int(fit.solver.statistics.get("substeps", 0)),
     )
     std = np.array([fit.noise.std.get(o.name, 1.0) for o in fit.model.outputs])
-    noise = NoiseModel(std, fit.noise.source, True, fit.noise.sources, tuple(AutoRegression() for _ in std))
+    outputs = tuple(o.name for o in fit.model.outputs)
+    noise = NoiseModel(outputs, std, fit.noise.sources, tuple(AutoRegression() for _ in std), True)
     none = [name for name in fit.model.noise_parameters if fit.model.values[name] == 0]
     cost = make_likelihood(
         FixedParameterModel(fit.model.fix(*none), noise, options), [t.experiment for t in fit.traces], free=True

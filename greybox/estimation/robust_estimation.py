@@ -54,7 +54,7 @@ def refit_robustly(solution: Solution, options: FitOptions, report: FitProgressC
 def estimate_bulk_scale(solution: Solution) -> np.ndarray:
     """Size of the bulk of each output's residual over its noise (ny,), one at least where the noise is given."""
     r = np.concatenate(compute_whitened_residuals(solution))
-    least = 1.0 if solution.problem.noise.given else LEAST
+    least = 1.0 if solution.problem.noise.known else LEAST
     return np.array([max(estimate_spread(column, robust=True), least) for column in r.T])
 
 

@@ -1,12 +1,16 @@
-"""How large the noise of each sensor is, what colour it has, and how one knows."""
+"""How large the noise of each sensor is, what colour it has, and where that is known from."""
 
 from greybox.noise.autoregression import AutoRegression, fit_autoregression, join_series
 from greybox.noise.differences import estimate_noise_from_differences, estimate_noise_of_records
-from greybox.noise.noise_sources import NoiseModel, estimate_noise
+from greybox.noise.noise_sources import NoiseModel, NoiseSource, estimate_noise
+from greybox.noise.policy import NOISE_POLICY, NoisePolicy
 
 __all__ = [
+    "NOISE_POLICY",
     "AutoRegression",
     "NoiseModel",
+    "NoisePolicy",
+    "NoiseSource",
     "estimate_noise",
     "estimate_noise_from_differences",
     "estimate_noise_of_records",

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.blas import dtbsv
 
-# Highest order that is tried; a record must have this many samples for each order.
-MOST_ORDERS, SAMPLES_PER_ORDER = 12, 10
+from greybox.noise.policy import NOISE_POLICY, NoisePolicy
+from greybox.values import Printable
 
 
 @dataclass(frozen=True, eq=False)
-class AutoRegression:
+class AutoRegression(Printable):
     """Noise of unit variance ``r[k] = a1 r[k-1] + ... + ap r[k-p] + e[k]``, stated by its reflection coefficients (p,).
 
     Order zero is white noise. Reflection coefficients lie between -1 and 1, and every such sequence is a stationary process
@@ -31,11 +31,11 @@ class AutoRegression:
     @cached_property
     def predictors(self) -> tuple[tuple[np.ndarray, float], ...]:
         """Best predictors from the last 0, 1, ... p samples: coefficients (m,), nearest sample first, and error variance."""
-        rungs = [(np.zeros(0), 1.0)]
+        predictors = [(np.zeros(0), 1.0)]
         for k in self.reflection:  # Levinson and Durbin
-            a, variance = rungs[-1]
-            rungs.append((np.append(a - k * a[::-1], k), variance * (1 - k * k)))
-        return tuple(rungs)
+            a, variance = predictors[-1]
+            predictors.append((np.append(a - k * a[::-1], k), variance * (1 - k * k)))
+        return tuple(predictors)
 
     @property
     def coefficients(self) -> np.ndarray:
@@ -71,11 +71,11 @@ class AutoRegression:
         standard deviation of its own prediction error, so that white noise of variance one comes out everywhere.
         """
         values = np.asarray(values, float)
-        there = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-        behind = _samples_behind(there, self.order)
+        measured = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        behind = _count_samples_behind(measured, self.order)
         result = np.full(values.shape, np.nan)
         for m, (a, variance) in enumerate(self.predictors):
-            rows = np.flatnonzero(there & (behind == m))
+            rows = np.flatnonzero(measured & (behind == m))
             predicted = sum((c * values[rows - j - 1] for j, c in enumerate(a)), np.zeros_like(values[rows]))
             result[rows] = (values[rows] - predicted) / np.sqrt(variance)
         return result
@@ -83,12 +83,12 @@ class AutoRegression:
     def predict(self, values: np.ndarray, steps: int) -> np.ndarray:
         """Prediction (N,) of ``values`` (N,) from the samples up to ``steps`` before each; zero where nothing is known."""
         known = np.asarray(values, float)
-        there = np.isfinite(known)
-        behind = _samples_behind(there, self.order) + there  # samples in a row up to and with this one
+        measured = np.isfinite(known)
+        behind = _count_samples_behind(measured, self.order) + measured  # samples in a row up to and with this one
         guess = np.zeros((len(known), steps))
         for m in range(1, self.order + 1):
             a = self.predictors[m][0]
-            rows = np.flatnonzero(there & ((behind == m) | (behind > m) & (m == self.order)))
+            rows = np.flatnonzero(measured & ((behind == m) | (behind > m) & (m == self.order)))
             past = np.stack([known[rows - j] for j in range(m)], axis=1)
             for ahead in range(steps):
                 guess[rows, ahead] = past @ a
@@ -99,33 +99,53 @@ class AutoRegression:
         result[steps:] = guess[:-steps, steps - 1]
         return result
 
-    def __str__(self) -> str:
-        if not self.order:
-            return "white"
-        return f"AR({self.order}), correlation {self.autocorrelation(2)[1]:.2g} from sample to sample"
-
 
 def join_series(parts: Iterable[np.ndarray]) -> np.ndarray:
     """Several series (n,) as one, with a NaN between them, so that nothing is carried over."""
     return np.concatenate([piece for part in parts for piece in (np.asarray(part, float), [np.nan])] or [np.zeros(0)])
 
 
-def fit_autoregression(values: np.ndarray, *, most: int = MOST_ORDERS, copies: float = 1.0) -> AutoRegression:
-    """The autoregression of a series (N,) of mean zero with NaN in gaps; order up to ``most`` by Schwarz's criterion (BIC).
+def fit_autoregression(
+    values: np.ndarray, *, max_order: int | None = None, copies: float = 1.0, policy: NoisePolicy = NOISE_POLICY
+) -> AutoRegression:
+    """Fit an autoregression by Burg's method, its order chosen by Schwarz's criterion (BIC).
 
-    ``copies``: how many times over the series holds the same information (deviations from the mean of two repeats are each
-    other's mirror image: 2). Each order is judged by the stretches without a gap that it was found from: with gaps these are few.
+    Each order is judged by the stretches without a gap that it was found from: with gaps these are few.
+
+    Parameters
+    ----------
+    values : array (N,)
+        A series of mean zero, NaN in gaps.
+    max_order
+        Highest order tried; None takes the policy's.
+    copies
+        How many times over the series holds the same information (deviations from the mean of two repeats are each other's mirror
+        image: 2).
+    policy
+        Highest order and samples for each order.
+
+    Returns
+    -------
+    AutoRegression
+        Of order zero where white noise explains the series as well.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> fit_autoregression(np.random.default_rng(0).normal(size=1000)).order
+    0
     """
+    max_order = policy.max_order if max_order is None else max_order
     forward = np.asarray(values, float).copy()
     backward = forward.copy()
     count = np.isfinite(forward).sum() / copies
     reflection: list[float] = []
     best, chosen, criterion = 0.0, 0, 0.0
-    for order in range(1, min(most, int(count / SAMPLES_PER_ORDER)) + 1):
+    for order in range(1, min(max_order, int(count / policy.samples_per_order)) + 1):
         f, b = forward[1:], backward[:-1]
         both = np.isfinite(f) & np.isfinite(b)
         energy = float(f[both] @ f[both] + b[both] @ b[both])
-        if both.sum() < SAMPLES_PER_ORDER or energy <= 0:
+        if both.sum() < policy.samples_per_order or energy <= 0:
             break
         k = 2 * float(f[both] @ b[both]) / energy
         if not abs(k) < 1:
@@ -138,8 +158,8 @@ def fit_autoregression(values: np.ndarray, *, most: int = MOST_ORDERS, copies: f
     return AutoRegression(tuple(reflection[:chosen]))
 
 
-def _samples_behind(there: np.ndarray, most: int) -> np.ndarray:
+def _count_samples_behind(measured: np.ndarray, most: int) -> np.ndarray:
     """How many samples in a row, up to ``most``, lie directly before each one."""
-    last_gap = np.maximum.accumulate(np.where(there, -1, np.arange(len(there))))
+    last_gap = np.maximum.accumulate(np.where(measured, -1, np.arange(len(measured))))
     before = np.concatenate([[-1], last_gap[:-1]])
-    return np.minimum(np.arange(len(there)) - before - 1, most)
+    return np.minimum(np.arange(len(measured)) - before - 1, most)

@@ -4,46 +4,78 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
 from greybox.errors import DataError, ModelError, nearest
 from greybox.experiment import Experiment
+from greybox.experiment.problems import is_constant
 from greybox.experiment.sampling import find_time_gaps
 from greybox.model import Model
 from greybox.noise.autoregression import AutoRegression, fit_autoregression, join_series
-from greybox.noise.differences import estimate_noise_of_records, estimate_spread, is_constant_signal
+from greybox.noise.differences import estimate_noise_of_records, estimate_spread
+from greybox.noise.policy import NOISE_POLICY, NoisePolicy
 from greybox.noise.repeats import deviations_between_periods, deviations_between_repeats
-
-# Where the noise is not given and the record shows none (a simulation), misfits are judged against this share of the signal.
-LEAST_NOISE = 1e-6
-# An input that moves in a quiet record by more than this share of its movement in the other records is not at rest.
-AT_REST = 0.05
-# Sampling times that differ by more than this share of themselves do not share a colour.
-SAME_PACE = 0.01
-LEAST_SAMPLES = 20
+from greybox.values import Printable
 
 WHITE = AutoRegression()
-GIVEN, QUIET = "given", "quiet record"
-PERIODS, REPEATS = "repeated periods", "repeated experiments"
-DIFFERENCES, RESIDUAL = "the records' differences", "the residual of the fit"
+
+
+class NoiseSource(StrEnum):
+    """Where the noise of an output is known from, the most trustworthy first."""
+
+    GIVEN = "given"
+    QUIET_RECORD = "quiet_record"
+    REPEATED_PERIODS = "repeated_periods"
+    REPEATED_EXPERIMENTS = "repeated_experiments"
+    DIFFERENCES = "differences"
+    RESIDUAL = "residual"
+    INNOVATIONS = "innovations"
+
+    @classmethod
+    def _missing_(cls, value: object) -> NoiseSource | None:
+        """The source that an older file names by a phrase."""
+        phrases = {
+            "quiet record": cls.QUIET_RECORD,
+            "repeated periods": cls.REPEATED_PERIODS,
+            "repeated experiments": cls.REPEATED_EXPERIMENTS,
+            "the records' differences": cls.DIFFERENCES,
+            "the residual of the fit": cls.RESIDUAL,
+            "the innovations": cls.INNOVATIONS,
+        }
+        return phrases.get(str(value))
+
+    @property
+    def is_independent(self) -> bool:
+        """Whether it does not use the records that are fitted."""
+        return self in (NoiseSource.GIVEN, NoiseSource.QUIET_RECORD)
 
 
 @dataclass(frozen=True)
-class NoiseModel:
-    """Noise of each output in the order of the model's outputs.
+class NoiseModel(Printable):
+    """Level and colour of the noise of each output.
 
-    ``std`` (ny,) in the model's units; ``source`` in words, ``sources`` by name of each measured output; ``colour`` (ny,): an
-    autoregression of order zero where the noise is white or its colour unknown. ``given``: no value was estimated from the
-    records that are fitted. An output with too few samples for any of it has ``the residual of the fit`` as its source; until there
-    is a fit its ``std`` is the spread of the measurement.
+    Parameters
+    ----------
+    outputs
+        Names of the model's outputs, in their order (ny).
+    std : array (ny,)
+        Standard deviations in the model's units. Of an output with too few samples for any source it is the spread of the
+        measurement, until there is a fit with a residual.
+    sources
+        Where each is known from, by name of the measured outputs. An output that reads the same in every row has none.
+    colour
+        An autoregression for each output (ny), of order zero where the noise is white or its colour unknown.
+    known
+        Whether no level was estimated from the records that are fitted.
     """
 
+    outputs: tuple[str, ...]
     std: np.ndarray
-    source: str
-    given: bool
-    sources: Mapping[str, str]
+    sources: Mapping[str, NoiseSource]
     colour: tuple[AutoRegression, ...]
+    known: bool
 
     @property
     def coloured(self) -> bool:
@@ -54,7 +86,7 @@ class NoiseModel:
 @dataclass(frozen=True)
 class _Level:
     std: float
-    source: str
+    source: NoiseSource
     colour: AutoRegression = WHITE
 
 
@@ -66,80 +98,116 @@ def estimate_noise(
     *,
     robust: bool = False,
     alike: bool = True,
+    policy: NoisePolicy = NOISE_POLICY,
 ) -> NoiseModel:
-    """Noise of each output of ``model``: as ``given`` (standard deviations), else from ``quiet``, repetition, or differences.
+    """Noise of each output: as given, else from quiet records, from repetition, or from differences.
 
-    ``quiet``: records with the input at rest; they also tell the colour, of given noise as well. Repetition is looked for in the
-    experiments themselves: a periodic input, or several experiments with the same input, unless they are not ``alike`` (constants of
-    their own). ``robust`` estimates are not moved by a few outliers. An output that reads the same in every row has no source: nothing
-    tells its noise. Raises ModelError for noise of an unknown output, DataError for a quiet record whose input moves or that lacks
-    an output it should tell about.
+    Repetition is looked for in the experiments themselves: a periodic input, or several experiments with the same input.
+
+    Parameters
+    ----------
+    model
+        Its outputs are the sensors.
+    experiments
+        The records that are to be fitted.
+    given
+        Standard deviations by output, in the model's units.
+    quiet
+        Records with the input at rest; they also show the colour, of given noise as well.
+    robust
+        Estimates that a few outliers do not move.
+    alike
+        Whether experiments with the same input repeat one another; not where they have constants of their own.
+    policy
+        When a record is quiet, when inputs are the same, how high the order of the colour may be.
+
+    Returns
+    -------
+    NoiseModel
+        Level, source and colour of each output.
+
+    Raises
+    ------
+    ModelError
+        For noise of an unknown output.
+    DataError
+        For a quiet record whose input moves, or that lacks an output it should show.
     """
-    silent = (quiet,) if isinstance(quiet, Experiment) else tuple(quiet)
+    quiet_records = (quiet,) if isinstance(quiet, Experiment) else tuple(quiet)
     _check_given(model, given)
-    _check_quiet(model, experiments, silent)
+    _check_quiet(model, experiments, quiet_records, policy)
     levels: dict[str, _Level] = {}
-    std, colour = np.ones(len(model.outputs)), [AutoRegression()] * len(model.outputs)
+    std, colour = np.ones(len(model.outputs)), [WHITE] * len(model.outputs)
     for j, output in enumerate(model.outputs):
         columns = [e.outputs[output.name] for e in experiments if output.name in e.outputs]
         if any(np.isfinite(c).any() for c in columns):
-            level = _level(model, experiments, silent, output.name, given, robust, alike)
+            level = _estimate_level(model, experiments, quiet_records, output.name, given, robust, alike, policy)
             std[j], colour[j] = level.std, level.colour
             levels[output.name] = level
-    for name in _silent(levels, experiments):
+    for name in _find_silent_outputs(levels, experiments):
         del levels[name]
     sources = {name: level.source for name, level in levels.items()}
-    estimated = [name for name, source in sources.items() if source not in (GIVEN, QUIET)]
-    return NoiseModel(std, _words(levels), not estimated, sources, tuple(colour))
+    known = all(source.is_independent for source in sources.values())
+    return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known)
 
 
-def _level(
-    model: Model, experiments: Sequence[Experiment], silent: Sequence[Experiment], name: str, given: Mapping[str, float],
-    robust: bool, alike: bool,
-) -> _Level:  # fmt: skip
+def _estimate_level(
+    model: Model,
+    experiments: Sequence[Experiment],
+    quiet: Sequence[Experiment],
+    name: str,
+    given: Mapping[str, float],
+    robust: bool,
+    alike: bool,
+    policy: NoisePolicy,
+) -> _Level:
     inputs = [i.name for i in model.inputs]
-    hushed = [
-        e.outputs[name] - np.nanmean(e.outputs[name]) for e in silent if np.isfinite(e.outputs.get(name, np.nan)).any()
+    at_rest = [
+        e.outputs[name] - np.nanmean(e.outputs[name]) for e in quiet if np.isfinite(e.outputs.get(name, np.nan)).any()
     ]
-    colour = AutoRegression()
-    if hushed:
-        found = join_series(hushed)
-        if _same_pace(experiments, silent):
-            colour = fit_autoregression(found)
-        if name not in given and np.isfinite(found).sum() >= LEAST_SAMPLES and not is_constant_signal(found):
-            return _Level(estimate_spread(found, robust=robust), QUIET, colour)
+    colour = WHITE
+    if at_rest:
+        series = join_series(at_rest)
+        if _have_same_pace(experiments, quiet, policy):
+            colour = fit_autoregression(series, policy=policy)
+        enough = np.isfinite(series).sum() >= policy.quiet_min_samples and not is_constant(series)
+        if name not in given and enough:
+            return _Level(estimate_spread(series, robust=robust), NoiseSource.QUIET_RECORD, colour)
     if name in given:
-        return _Level(given[name], GIVEN, colour)
-    for source, groups in (
-        (PERIODS, [d for e in experiments if (d := deviations_between_periods(e, name, inputs))]),
-        (REPEATS, deviations_between_repeats(experiments, name, inputs) if alike else []),
+        return _Level(given[name], NoiseSource.GIVEN, colour)
+    periods = [d for e in experiments if (d := deviations_between_periods(e, name, inputs, policy))]
+    for source, sets in (
+        (NoiseSource.REPEATED_PERIODS, periods),
+        (
+            NoiseSource.REPEATED_EXPERIMENTS,
+            deviations_between_repeats(experiments, name, inputs, policy) if alike else [],
+        ),
     ):
-        if groups and estimate_spread(everything := join_series([d for group in groups for d in group])) > 0:
-            # K repeats less their mean hold the information of K - 1
-            copies = sum(map(len, groups)) / sum(len(group) - 1 for group in groups)
-            return _Level(
-                estimate_spread(everything, robust=robust), source, fit_autoregression(everything, copies=copies)
-            )
+        if sets and estimate_spread(series := join_series([d for each in sets for d in each])) > 0:
+            # K repeats less their mean hold the information of K - 1.
+            copies = sum(map(len, sets)) / sum(len(each) - 1 for each in sets)
+            level_colour = fit_autoregression(series, copies=copies, policy=policy)
+            return _Level(estimate_spread(series, robust=robust), source, level_colour)
     values = np.concatenate([e.outputs[name] for e in experiments if name in e.outputs])
     movement = float(np.nanstd(values)) or float(np.nanmax(np.abs(values))) or 1.0
-    # the signal jumps across a gap in time: no difference may reach over it
+    # The signal jumps across a gap in time: no difference may reach over it.
     columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments if name in e.outputs]
-    estimate = estimate_noise_of_records(columns, robust=robust)
-    if not np.isfinite(estimate):
-        return _Level(movement, RESIDUAL)
-    return _Level(max(estimate, LEAST_NOISE * movement), DIFFERENCES)
+    level = estimate_noise_of_records(columns, robust=robust, policy=policy)
+    if not np.isfinite(level):
+        return _Level(movement, NoiseSource.RESIDUAL)
+    return _Level(max(level, policy.min_relative_level * movement), NoiseSource.DIFFERENCES)
 
 
-def _silent(levels: Mapping[str, _Level], experiments: Sequence[Experiment]) -> list[str]:
-    """Outputs that read the same in every row while another one moves, and whose noise nobody gave: nothing tells it.
+def _find_silent_outputs(levels: Mapping[str, _Level], experiments: Sequence[Experiment]) -> list[str]:
+    """Outputs that read the same in every row while another one moves, and whose noise nobody gave: nothing shows it.
 
     A handful of samples may be equal by chance; those have the residual of the fit as their source.
     """
     columns = {name: [e.outputs[name] for e in experiments if name in e.outputs] for name in levels}
-    resting = [name for name, found in columns.items() if all(map(is_constant_signal, found))]
+    resting = [name for name, each in columns.items() if all(map(is_constant, each))]
     if len(resting) == len(levels):
         return []
-    return [name for name in resting if levels[name].source == DIFFERENCES]
+    return [name for name in resting if levels[name].source is NoiseSource.DIFFERENCES]
 
 
 def _check_given(model: Model, given: Mapping[str, float]) -> None:
@@ -156,8 +224,10 @@ def _check_given(model: Model, given: Mapping[str, float]) -> None:
             raise ModelError(f"noise of {name!r}: {value} is not a positive standard deviation; give it in {unit}")
 
 
-def _check_quiet(model: Model, experiments: Sequence[Experiment], silent: Sequence[Experiment]) -> None:
-    for record in silent:
+def _check_quiet(
+    model: Model, experiments: Sequence[Experiment], quiet: Sequence[Experiment], policy: NoisePolicy
+) -> None:
+    for record in quiet:
         for signal in model.inputs:
             if signal.name not in record.inputs:
                 raise DataError(
@@ -165,7 +235,7 @@ def _check_quiet(model: Model, experiments: Sequence[Experiment], silent: Sequen
                 )
             moved = float(np.ptp(record.inputs[signal.name]))
             range_of = max((float(np.ptp(e.inputs[signal.name])) for e in experiments), default=0.0)
-            if moved > AT_REST * range_of:
+            if moved > policy.quiet_input_share * range_of:
                 raise DataError(
                     f"quiet record {record.name!r}: input {signal.name!r} moves by {moved:.4g} {signal.unit}, and by {range_of:.4g}"
                     f" {signal.unit} in the fitted records; give a record with the input at rest"
@@ -176,24 +246,6 @@ def _check_quiet(model: Model, experiments: Sequence[Experiment], silent: Sequen
             )
 
 
-def _same_pace(experiments: Sequence[Experiment], silent: Sequence[Experiment]) -> bool:
-    paces = [float(np.median(e.intervals)) for e in (*experiments, *silent)]
-    return max(paces) - min(paces) <= SAME_PACE * max(paces)
-
-
-def _words(levels: Mapping[str, _Level]) -> str:
-    """``given``, or ``x from quiet record (AR(2), ...), i from ...``."""
-    groups: dict[str, list[str]] = {}
-    for name, level in levels.items():
-        text = (
-            level.source
-            if level.source in (GIVEN, DIFFERENCES, RESIDUAL) and not level.colour.order
-            else f"{level.source} ({level.colour})"
-        )
-        text = text if level.source == GIVEN else f"estimated from {text}"
-        groups.setdefault(text, []).append(name)
-    remarks = {DIFFERENCES: " (too small if the noise is coloured)", RESIDUAL: " (too few samples to tell otherwise)"}
-    texts = [t + next((remark for end, remark in remarks.items() if t.endswith(end)), "") for t in groups]
-    if len(texts) == 1:
-        return texts[0]
-    return "; ".join(f"{', '.join(names)}: {text}" for names, text in zip(groups.values(), texts, strict=True))
+def _have_same_pace(experiments: Sequence[Experiment], quiet: Sequence[Experiment], policy: NoisePolicy) -> bool:
+    paces = [float(np.median(e.intervals)) for e in (*experiments, *quiet)]
+    return max(paces) - min(paces) <= policy.same_pace * max(paces)

@@ -7,16 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.experiment import Experiment
-
-# Inputs are the same where they differ by less than this share of their range.
-SAME_INPUT = 1e-6
-# A period has at least this many rows.
-LEAST_ROWS = 20
-# Variance that begins this much larger than it goes on still shows how the records began.
-SETTLED = 1.5
+from greybox.noise.policy import NOISE_POLICY, NoisePolicy
+from greybox.numerics import PERIOD_CLOSURE
 
 
-def find_period(inputs: np.ndarray) -> int | None:
+def find_period(inputs: np.ndarray, policy: NoisePolicy = NOISE_POLICY) -> int | None:
     """The period in rows of ``inputs`` (N, nu), if they repeat to the last digits for two periods or more."""
     rows = len(inputs)
     span = np.ptp(inputs, axis=0) if rows else np.zeros(0)
@@ -27,15 +22,17 @@ def find_period(inputs: np.ndarray) -> int | None:
     power = np.concatenate([[0.0], np.cumsum((moving**2).sum(axis=1))])
     spectrum = np.fft.rfft(moving, 2 * rows, axis=0)
     product = np.fft.irfft(np.abs(spectrum) ** 2, 2 * rows, axis=0).sum(axis=1)
-    lags = np.arange(LEAST_ROWS, rows // 2 + 1)
+    lags = np.arange(policy.min_period_rows, rows // 2 + 1)
     difference = power[rows - lags] + power[rows] - power[lags] - 2 * product[lags]
-    for lag in lags[difference < 1e-9 * power[rows]]:
-        if np.abs(moving[lag:] - moving[:-lag]).max() <= SAME_INPUT:
+    for lag in lags[difference < PERIOD_CLOSURE * power[rows]]:
+        if np.abs(moving[lag:] - moving[:-lag]).max() <= policy.same_input:
             return int(lag)
     return None
 
 
-def deviations_between_periods(experiment: Experiment, output: str, inputs: Sequence[str]) -> list[np.ndarray]:
+def deviations_between_periods(
+    experiment: Experiment, output: str, inputs: Sequence[str], policy: NoisePolicy = NOISE_POLICY
+) -> list[np.ndarray]:
     """Each period of ``output`` minus the mean of all periods; empty where the input is not periodic.
 
     Of three periods or more the first is left out, and further ones as long as they are clearly louder than those that follow:
@@ -43,35 +40,34 @@ def deviations_between_periods(experiment: Experiment, output: str, inputs: Sequ
     """
     if not experiment.regular or output not in experiment.outputs:
         return []
-    rows = find_period(
-        np.column_stack([experiment.inputs[n] for n in inputs]) if inputs else np.zeros((experiment.rows, 0))
-    )
+    driven = np.column_stack([experiment.inputs[n] for n in inputs]) if inputs else np.zeros((experiment.rows, 0))
+    rows = find_period(driven, policy)
     if rows is None:
         return []
     count = experiment.rows // rows
     folded = experiment.outputs[output][: count * rows].reshape(count, rows)
     folded = folded[1:] if count > 2 else folded
-    while len(folded) > 2 and _louder(folded[0], folded[1:]):
+    while len(folded) > 2 and _is_louder(folded[0], folded[1:], policy):
         folded = folded[1:]
-    return deviations_from_mean(list(folded))
+    return deviations_from_mean(list(folded), policy)
 
 
 def deviations_between_repeats(
-    group: Sequence[Experiment], output: str, inputs: Sequence[str]
+    experiments: Sequence[Experiment], output: str, inputs: Sequence[str], policy: NoisePolicy = NOISE_POLICY
 ) -> list[list[np.ndarray]]:
     """Deviations of ``output`` in each set of experiments that had the same inputs at the same times, and the same conditions."""
-    left = [e for e in group if output in e.outputs]
-    found = []
+    left = [e for e in experiments if output in e.outputs]
+    sets = []
     while left:
         first, *others = left
-        alike = [e for e in others if _same(first, e, inputs)]
+        alike = [e for e in others if _is_repeat(first, e, inputs, policy)]
         if alike:
-            found.append(deviations_from_mean([e.outputs[output] for e in (first, *alike)]))
+            sets.append(deviations_from_mean([e.outputs[output] for e in (first, *alike)], policy))
         left = [e for e in others if not any(e is a for a in alike)]
-    return [f for f in found if f]
+    return [deviations for deviations in sets if deviations]
 
 
-def deviations_from_mean(repeats: list[np.ndarray]) -> list[np.ndarray]:
+def deviations_from_mean(repeats: list[np.ndarray], policy: NoisePolicy = NOISE_POLICY) -> list[np.ndarray]:
     """Repeats (n,) each of the same signal minus their mean, enlarged so that their variance is that of the noise.
 
     ``(y - mean) sqrt(K / (K - 1))`` for K repeats. Each repeat's own mean is removed. Where the first half is clearly louder
@@ -80,31 +76,32 @@ def deviations_from_mean(repeats: list[np.ndarray]) -> list[np.ndarray]:
     y = np.array(repeats, float)
     difference = y - y.mean(axis=0)
     finite = np.isfinite(difference)
-    if len(y) < 2 or finite.sum() < LEAST_ROWS:
+    if len(y) < 2 or finite.sum() < policy.min_period_rows:
         return []
     half = difference.shape[1] // 2
     early, late = (
         np.nanvar(part) if np.isfinite(part).any() else np.nan for part in (difference[:, :half], difference[:, half:])
     )
-    if early > SETTLED * late:
+    if early > policy.settled_ratio * late:
         difference = difference[:, half:]
     usable = [d for d in difference if np.isfinite(d).any()]
     return [(d - np.nanmean(d)) * np.sqrt(len(y) / (len(y) - 1)) for d in usable]
 
 
-def _louder(first: np.ndarray, others: np.ndarray) -> bool:
+def _is_louder(first: np.ndarray, others: np.ndarray, policy: NoisePolicy) -> bool:
     """Whether ``first`` (n,) is farther from the mean of the ``others`` (m, n) than they are from it, chance allowed for."""
     count = len(others)
     mean = others.mean(axis=0)
-    apart = np.nanmean((first - mean) ** 2) / (1 + 1 / count)
-    return bool(apart > SETTLED * np.nanmean((others - mean) ** 2) * count / (count - 1))
+    distance = np.nanmean((first - mean) ** 2) / (1 + 1 / count)
+    return bool(distance > policy.settled_ratio * np.nanmean((others - mean) ** 2) * count / (count - 1))
 
 
-def _same(one: Experiment, other: Experiment, inputs: Sequence[str]) -> bool:
+def _is_repeat(one: Experiment, other: Experiment, inputs: Sequence[str], policy: NoisePolicy) -> bool:
+    """Whether two experiments had the same conditions, the same times and the same inputs, one of which moves."""
     if dict(one.conditions) != dict(other.conditions):
         return False
     if one.rows != other.rows or not inputs or not np.allclose(one.intervals, other.intervals, rtol=1e-6, atol=0.0):
         return False
     pairs = [(one.inputs[n], other.inputs[n]) for n in inputs]
     moves = any(np.ptp(a) > 0 for a, _ in pairs)
-    return moves and all(np.abs(a - b).max() <= SAME_INPUT * (np.ptp(a) or 1.0) for a, b in pairs)
+    return moves and all(np.abs(a - b).max() <= policy.same_input * (np.ptp(a) or 1.0) for a, b in pairs)

@@ -12,6 +12,7 @@ import numpy as np
 from greybox.experiment import Experiment
 from greybox.experiment.experiment import Hold
 from greybox.model import Model
+from greybox.noise.noise_sources import NoiseSource
 from greybox.values import ReadOnly
 
 # An interval that reaches further than this share of the value determines nothing.
@@ -136,7 +137,7 @@ class FitNoise(ReadOnly):
 
     std: Mapping[str, float]
     source: str = ""
-    sources: Mapping[str, str] = field(default_factory=dict)
+    sources: Mapping[str, NoiseSource] = field(default_factory=dict)
     colour: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from greybox.errors import DataError
 from greybox.model import Model
 from greybox.model.process_noise import intensity_name
+from greybox.noise.noise_sources import NoiseSource
 from greybox.result.fit import (
     Estimate,
     Fit,
@@ -151,7 +152,7 @@ def load_fit(path: str | Path, model: Model) -> Fit:
         noise=FitNoise(
             _numbers(data["noise"]),
             data["noise_source"],
-            dict(get("noise_sources", {})),
+            {name: NoiseSource(source) for name, source in get("noise_sources", {}).items()},
             {n: tuple(k) for n, k in get("noise_colour", {}).items()},
         ),
         uncertainty=FitUncertainty(

@@ -95,7 +95,7 @@ def _of_free_runs(fit: Fit) -> _Optimum:
     rows = problem.shooting(v).residuals(zero)
     prior = np.pad(v.penalty(zero)[2] / 2, (0, v.size - len(v.which)))
     information = compute_information(v, rows) + np.diag(prior)
-    return _Optimum(v, v, [(r, slopes, None) for r, slopes in rows], information, problem.noise.given)
+    return _Optimum(v, v, [(r, slopes, None) for r, slopes in rows], information, problem.noise.known)
 
 
 def _of_predictions(fit: Fit) -> _Optimum:

@@ -71,12 +71,12 @@ def profile(fit: Fit, name: str) -> Profile:
     shooting = problem.shooting(v)
     z = np.zeros(v.size)
     evaluation = shooting.evaluate(z)
-    found = estimate_covariance(v, evaluation, problem.noise.given, shooting.residuals(z), least=problem.least)
+    found = estimate_covariance(v, evaluation, problem.noise.known, shooting.residuals(z), least=problem.least)
     k = v.names.index(name)
     variance = found.covariance[k, k]
     std = float(np.sqrt(variance)) if np.isfinite(variance) else None
     scale = evaluation.cost / max(evaluation.count - v.size, 1)
-    scale = max(scale, 1.0) if problem.noise.given else scale
+    scale = max(scale, 1.0) if problem.noise.known else scale
     if std is not None and found.information is not None:
         inside = np.flatnonzero(~v.active)
         whole = found.information[np.ix_(inside, inside)] + np.diag(v.penalty(z)[2][inside] / 2)

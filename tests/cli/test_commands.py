@@ -486,5 +486,5 @@ def test_a_quiet_record_tells_the_noise(run: Run, data: Path, tmp_path: Path) ->
         "--json",
     )
     found = json.loads(done.stdout)
-    assert found["noise_source"].startswith("estimated from quiet record"), done.stderr
+    assert found["noise_sources"] == {"x": "quiet_record", "i": "quiet_record"}, done.stderr
     assert found["noise"]["x"] == pytest.approx(2e-7, rel=0.1)

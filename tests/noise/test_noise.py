@@ -18,6 +18,7 @@ from greybox.noise import (
     fit_autoregression,
     join_series,
 )
+from greybox.noise.noise_sources import NoiseSource
 from greybox.noise.repeats import deviations_from_mean, find_period
 from greybox.transcription.whitened_shooting import WhitenedShooting
 from models.micro_actuator import micro_actuator
@@ -92,22 +93,22 @@ def test_correlations_and_forecasts_are_those_of_the_process():
     assert AutoRegression().predict(series, 3) == pytest.approx(np.zeros(50000))
 
 
-def test_the_hierarchy_is_given_quiet_repeated_differences():
+def test_noise_comes_from_the_most_trustworthy_source():
     rng = np.random.default_rng(5)
     one, two = (noisy(clean_record(), rng, 0.9) for _ in range(2))
     quiet = quiet_record(rng, 0.9)
     told = estimate_noise(TRUTH, [one, two], {"x": 3e-7}, quiet)
-    assert told.sources == {"x": "given", "i": "quiet record"} and told.given
+    assert told.sources == {"x": NoiseSource.GIVEN, "i": NoiseSource.QUIET_RECORD} and told.known
     assert told.std[0] == 3e-7 and told.std[1] == pytest.approx(LEVEL["i"], rel=0.2)
     assert [a.autocorrelation(2)[1] for a in told.colour] == pytest.approx([0.9, 0.9], abs=0.05)
     repeated = estimate_noise(TRUTH, [one, two], {})
-    assert set(repeated.sources.values()) == {"repeated experiments"} and not repeated.given
+    assert set(repeated.sources.values()) == {NoiseSource.REPEATED_EXPERIMENTS} and not repeated.known
     assert repeated.std == pytest.approx([LEVEL["x"], LEVEL["i"]], rel=0.2)
     assert [a.autocorrelation(2)[1] for a in repeated.colour] == pytest.approx([0.9, 0.9], abs=0.05)
     alone = estimate_noise(TRUTH, [one], {})
-    assert set(alone.sources.values()) == {"the records' differences"} and not alone.coloured
+    assert set(alone.sources.values()) == {NoiseSource.DIFFERENCES} and not alone.coloured
     assert alone.std[0] < 0.5 * LEVEL["x"], "differences see little of coloured noise, and the source says so"
-    assert "too small if the noise is coloured" in alone.source
+    assert "too small if the noise is coloured" in str(alone)
 
 
 def test_periods_of_the_input_tell_level_and_colour():
@@ -115,7 +116,7 @@ def test_periods_of_the_input_tell_level_and_colour():
     once = multisine(rng, 500, PERIOD, 10, 600, 3.0)
     record = noisy(linear_record(TRUTH, np.tile(once, 4), PERIOD), rng, 0.7)
     told = estimate_noise(TRUTH, [record], {})
-    assert set(told.sources.values()) == {"repeated periods"}
+    assert set(told.sources.values()) == {NoiseSource.REPEATED_PERIODS}
     assert told.std == pytest.approx([LEVEL["x"], LEVEL["i"]], rel=0.15)
     assert [a.autocorrelation(2)[1] for a in told.colour] == pytest.approx([0.7, 0.7], abs=0.06)
     assert find_period(np.tile(once, 4)[:, None]) == 500
@@ -136,7 +137,7 @@ def test_differences_tell_white_noise():
     assert estimate_noise_from_differences(slow + 0.01 * rng.normal(size=5000)) == pytest.approx(0.01, rel=0.05)
 
 
-def test_a_hole_in_time_is_no_noise():
+def test_a_gap_in_time_is_no_noise():
     record = noisy(clean_record(), np.random.default_rng(8))
     kept = np.delete(np.arange(record.rows), slice(400, 470))
     cut = Experiment(
@@ -153,7 +154,7 @@ def test_a_handful_of_samples_takes_the_noise_from_the_residual():
         record, outputs={n: np.where(np.arange(1500) % 100 == 7, y, np.nan) for n, y in record.outputs.items()}
     )
     found = fit(TRUTH, sparse, options=FitOptions(at_rest=True))
-    assert "residual of the fit" in found.noise.source
+    assert set(found.noise.sources.values()) == {NoiseSource.RESIDUAL}
     assert all(0.7 < m.noise_ratio < 1.1 for m in found.misfit.values())
 
 
@@ -211,7 +212,7 @@ def test_known_colour_is_used_and_leaves_a_white_residual():
             assert abs(each.parameters[q.name].value - q.value) < 4 * each.parameters[q.name].std, q.name
 
 
-def test_bad_quiet_records_and_colours_are_refused_in_words():
+def test_a_moving_or_incomplete_quiet_record_and_an_unknown_colour_are_refused():
     record = noisy(clean_record(), np.random.default_rng(12))
     with pytest.raises(
         DataError, match=r"input 'u' moves by .* V in the fitted records; give a record with the input at rest"
@@ -228,4 +229,4 @@ def test_a_quiet_record_of_another_pace_tells_the_level_but_not_the_colour():
     quiet = quiet_record(rng, 0.9)
     slower = replace(quiet, time=2 * quiet.time)
     told = estimate_noise(TRUTH, [noisy(clean_record(), rng)], {}, slower)
-    assert set(told.sources.values()) == {"quiet record"} and not told.coloured
+    assert set(told.sources.values()) == {NoiseSource.QUIET_RECORD} and not told.coloured
