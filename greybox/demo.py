@@ -20,7 +20,7 @@ from greybox.experiment import Experiment, read_csv
 from greybox.export import Linearisation, linearise
 from greybox.export.linear_files import write_control
 from greybox.model import Model
-from greybox.plots import fit_figure, gap_figure
+from greybox.plots import draw_fit, draw_gap
 from greybox.project import find_shipped_model
 from greybox.result import Estimate, Fit
 from greybox.result.summary import format_table, format_with_std
@@ -158,7 +158,7 @@ def run_demo(directory: str | Path, *, say: Say | None = None, report: Callable[
         write_control(plant, folder / "plant_ss.py"): "the state space for python-control",
     }
     files |= dict.fromkeys(_gap(plain, found.best, compared, folder), "the gap before and after")
-    files |= dict.fromkeys(fit_figure(found.best, folder), "measured and simulated")
+    files |= dict.fromkeys(draw_fit(found.best, folder), "measured and simulated")
     return Demo(truth, start, plain, found, compared, plant, records, files, time.perf_counter() - began)
 
 
@@ -178,7 +178,7 @@ def _gap(plain: Fit, best: Fit, compared: Comparison, folder: Path) -> list[Path
     added = "".join(f" + {e.name}" for e in best.model.effects)
     names = {PLAIN: PLAIN, EXTENDED: PLAIN + added if added else EXTENDED, **{n: f"{n} (black box)" for n in black}}
     ratios = {names[n]: compared[n].validation["x"].rmse / noise for n in order}
-    return gap_figure(
+    return draw_gap(
         plain.validation.traces[0], best.validation.traces[0], output="x", unit="m", noise=noise, ratios=ratios,
         names=(names[PLAIN], names[EXTENDED]), path=folder / "gap",
     )  # fmt: skip

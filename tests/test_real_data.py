@@ -157,7 +157,7 @@ def test_going_on_finds_the_small_effect_and_stops(hardening):
 def test_the_command_goes_on_after_its_answer(tmp_path, monkeypatch):
     truth = (silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")).start(K3=7e5, K2=-4e3)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("greybox.plots.discovery_figures", lambda *_: [])  # they are drawn in another test
+    monkeypatch.setattr("greybox.plots.draw_discovery", lambda *_: [])  # they are drawn in another test
 
     def stopping(*given, effects, **more):  # a discovery that stops after the first effect
         return discover(*given, effects=effects[:1], **more)

@@ -240,7 +240,7 @@ def _tell(
 ) -> None:
     from greybox.estimation.fit import read_versions
     from greybox.experiment import collect_record_findings
-    from greybox.plots import comparison_figure
+    from greybox.plots import draw_comparison
     from greybox.rendering import sentences
 
     known = sentences(collect_record_findings([*records, *judges]))
@@ -251,7 +251,7 @@ def _tell(
     elif not quiet:
         typer.echo(str(result))
     try:
-        figures = comparison_figure(result, folder)
+        figures = draw_comparison(result, folder)
         report = (
             None if fits is None else write_report(result, folder / "report.html", fits=fits, data=prints, known=known)
         )

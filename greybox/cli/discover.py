@@ -114,14 +114,14 @@ def discover(
 
 def _write(found: Discovery, folder: Path, *, json: bool, page: bool) -> None:
     from greybox.export import to_python
-    from greybox.plots import discovery_figures
+    from greybox.plots import draw_discovery
 
     saved = found.save(folder / "discovery.json")
     typer.echo(saved.read_text(encoding="utf-8") if json else str(found), nl=not json)
     files = [saved]
     try:
         files.append(to_python(found.extended, folder / "model.py"))
-        files += discovery_figures(found, folder)
+        files += draw_discovery(found, folder)
         report = write_report(found, folder / "report.html") if page else None
     except KeyboardInterrupt:
         exit_with_error(f"interrupted while drawing; the answer is in {saved}", INTERRUPTED)

@@ -173,11 +173,11 @@ def _tested(result: Fit) -> ResidualTests | None:
 
 
 def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool, page: bool) -> None:
-    from greybox.plots import fit_figure, residual_figure
+    from greybox.plots import draw_fit, draw_residual_tests
 
     try:
-        figures = fit_figure(result, saved.parent, skip=skip)
-        figures += residual_figure(tests, saved.parent, title=result.model.title) if tests else []
+        figures = draw_fit(result, saved.parent, skip=skip)
+        figures += draw_residual_tests(tests, saved.parent, title=result.model.title) if tests else []
         report = write_report(result, saved.parent / "report.html", tests=tests, skip=skip) if page else None
     except KeyboardInterrupt:
         exit_with_error(f"interrupted while drawing; the fit is in {saved}", INTERRUPTED)

@@ -54,7 +54,7 @@ def split_records(at_rest: bool, *groups: Sequence[Experiment], runs: int = 0) -
 
 def misfit_by_record(fit: Fit, skip: int) -> list[str]:
     """Lines of a table with the misfit of each record, where there are several; ``skip`` rows of those for validation."""
-    from greybox.plots import misfits_of
+    from greybox.plots import record_misfits
     from greybox.result.summary import MISFIT_HEADS, format_table, to_misfit_cells
 
     lines: list[str] = []
@@ -65,7 +65,7 @@ def misfit_by_record(fit: Fit, skip: int) -> list[str]:
         rows: list[Sequence[str]] = [
             [trace.name, output, *to_misfit_cells(m)]
             for trace in traces
-            for output, m in misfits_of(fit, trace, left_out).items()
+            for output, m in record_misfits(fit, trace, left_out).items()
         ]
         if len(traces) > 1:
             lines += ["", *format_table([title, "output", *MISFIT_HEADS], rows)]

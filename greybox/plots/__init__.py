@@ -1,4 +1,7 @@
-"""The only room that draws: pictures of fits as PNG files."""
+"""What figures show, as data, and two thin back ends that draw it: matplotlib for pictures, Plotly for pages.
+
+`draw_fit` and its kin write pictures; ``plot_run`` and its kin in the modules of this package build the figures, which pages show too.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +9,29 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from greybox.plots.comparison import comparison_figure
-    from greybox.plots.discovery import discovery_figures
-    from greybox.plots.gap import gap_figure
-    from greybox.plots.of_fit import fit_figure, misfits_of
-    from greybox.plots.residual_tests import residual_figure
+    from greybox.plots.figure import Axis, Figure, Panel, Role
+    from greybox.plots.pictures import draw_comparison, draw_discovery, draw_fit, draw_gap, draw_residual_tests
+    from greybox.plots.records import record_misfits
 
-# Where each name lives. Loaded when first asked for: a page needs the thinning of curves, and not the drawing library.
+# Loaded when first asked for: the figures of one page do not need what those of another one import.
 _HOME = {
-    "comparison_figure": "comparison",
-    "discovery_figures": "discovery",
-    "fit_figure": "of_fit",
-    "gap_figure": "gap",
-    "misfits_of": "of_fit",
-    "residual_figure": "residual_tests",
+    **dict.fromkeys(("Axis", "Figure", "Panel", "Role"), "figure"),
+    **dict.fromkeys(("draw_comparison", "draw_discovery", "draw_fit", "draw_gap", "draw_residual_tests"), "pictures"),
+    "record_misfits": "records",
 }
 
-__all__ = ["comparison_figure", "discovery_figures", "fit_figure", "gap_figure", "misfits_of", "residual_figure"]
+__all__ = [
+    "Axis",
+    "Figure",
+    "Panel",
+    "Role",
+    "draw_comparison",
+    "draw_discovery",
+    "draw_fit",
+    "draw_gap",
+    "draw_residual_tests",
+    "record_misfits",
+]
 
 
 def __getattr__(name: str) -> Any:

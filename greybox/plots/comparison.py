@@ -1,163 +1,156 @@
-"""Models side by side in pictures: their runs over each record, their errors, and who is best."""
+"""Models side by side in figures: their errors, their runs over each record, and the errors of these."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from greybox.comparison import Comparison, ComparisonEntry, ComparisonRun
-from greybox.plots.files import save_figure
-from greybox.plots.thinning import min_max_envelope
-from greybox.plots.units import axis_label, scale_to_prefix
+from greybox.comparison import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
+from greybox.findings import Finding
+from greybox.plots.figure import (
+    MODELS,
+    Axis,
+    Bars,
+    Curve,
+    Figure,
+    Height,
+    Panel,
+    Points,
+    Role,
+    Scale,
+    Symbol,
+    Thinning,
+    bar_axis,
+)
+from greybox.plots.limits import LIMITS
+from greybox.plots.records import TIME
+from greybox.plots.scaling import root_mean_square, scale_to_prefix
+from greybox.rendering.plots import FigureText, phrase
 
-MEASURED = "#b0b0b0"
-# Grey boxes in warm colours, black boxes in cold and dark ones
-GREY = ("#c0392b", "#e67e22", "#b7950b", "#8e44ad")
-BLACK = ("#1f5a8a", "#16a085", "#5d6d7e", "#2e86c1", "#1e8449", "#17202a", "#76448a")
-ZOOM_ROWS = 200
-DECADE = 10.0  # ratio of the largest to the smallest error, from which bars have a logarithmic axis
-BEYOND = 1e100  # size from which a run is no longer drawn
-FAR = 2.0  # ranges of the measured signal, beyond which a run is cut off
+
+def model_roles(entries: Sequence[ComparisonEntry]) -> dict[str, Role]:
+    """A role for each model: grey boxes first."""
+    ordered = sorted(entries, key=lambda e: e.kind != "grey")
+    return {e.name: MODELS[k % len(MODELS)] for k, e in enumerate(ordered)}
 
 
-def comparison_figure(comparison: Comparison, directory: str | Path) -> list[Path]:
-    """Draw each validation record (each training record where there is no other) as ``comparison-<record>.png``, with an SVG beside it.
+def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figure:
+    """Free-run error of each model as a bar, best on top, and its error one sample ahead as a mark; a panel for each output.
 
-    For each output: measured and every model's free run around its liveliest stretch, the free-run errors over the whole record, and
-    bars of the free-run and the one-step error, best first. Returns the files.
+    On all judging records, or on one ``record``.
     """
-    folder = Path(directory)
-    folder.mkdir(parents=True, exist_ok=True)
-    files: list[Path] = []
-    for record in dict.fromkeys(comparison.validation or comparison.training):
-        file = folder / f"comparison-{re.sub(r'[^A-Za-z0-9_.-]+', '_', record)}.png"
-        if file in files:
-            file = file.with_stem(f"{file.stem}-{len(files) + 1}")
-        save_figure(_draw(comparison, record), file)
-        files.append(file)
-    return files
-
-
-def _runs(comparison: Comparison, entry: ComparisonEntry, record: str, output: str) -> ComparisonRun | None:
-    group = entry.validation_runs if comparison.validation else entry.training_runs
-    return next((r for r in group if (r.record, r.output) == (record, output)), None)
-
-
-def _draw(comparison: Comparison, record: str) -> Figure:
-    outputs = [
-        name for name in comparison.outputs if any(_runs(comparison, e, record, name) for e in comparison.entries)
-    ]
-    figure = Figure(figsize=(12, 0.8 + 4.2 * len(outputs)), layout="constrained")
-    FigureCanvasAgg(figure)
-    where = "validation record" if comparison.validation else "fitted record"
-    figure.suptitle(f"{where} {record}: free run of every model", fontsize=11)
-    grid = figure.add_gridspec(2 * len(outputs), 2, height_ratios=[1.6, 1] * len(outputs), width_ratios=[2.1, 1])
-    colours = _colours(comparison.entries)
-    for k, output in enumerate(outputs):
-        found = {e.name: _runs(comparison, e, record, output) for e in comparison.entries}
-        runs = {name: run for name, run in found.items() if run is not None}
-        top, bottom = (figure.add_subplot(grid[2 * k + row, 0]) for row in (0, 1))
-        _output(top, bottom, output, comparison.outputs[output], runs, colours)
-        _bars(figure.add_subplot(grid[2 * k : 2 * k + 2, 1]), comparison, record, output, colours)
-    return figure
-
-
-def _output(
-    top: Axes, bottom: Axes, output: str, unit: str, runs: dict[str, ComparisonRun], colours: dict[str, str]
-) -> None:
-    some = next(iter(runs.values()))
-    factor, text = scale_to_prefix(unit, some.measured)
-    free = {name: _drawable(run.simulated) for name, run in runs.items()}
-    errors = [run.measured - free[name] for name, run in runs.items()]
-    small, small_text = scale_to_prefix(unit, np.array([_typical(e) for e in errors]))
-    start, stop = _liveliest(some)
-    inside = (some.time >= start) & (some.time <= stop)
-    top.plot(some.time[inside], factor * some.measured[inside], color=MEASURED, lw=3.0, label="measured")
-    for name, run in reversed(runs.items()):  # the first, as a rule the grey box, on top
-        rows = (run.time >= start) & (run.time <= stop)
-        top.plot(run.time[rows], factor * free[name][rows], color=colours[name], lw=1.0)
-        bottom.plot(
-            *min_max_envelope(run.time, small * (run.measured - free[name])), color=colours[name], lw=0.6, alpha=0.8
+    roles, panels, description = model_roles(comparison.entries), [], []
+    for output, unit in comparison.outputs.items():
+        scores = {e.name: s for e in comparison.entries if (s := _score(comparison, e, output, record)) is not None}
+        factor, text = scale_to_prefix(unit, np.array([_usable(s.rmse) for s in scores.values()] or [np.nan]))
+        ranked = sorted(scores, key=lambda name: scores[name].rmse if np.isfinite(scores[name].rmse) else np.inf)
+        free_run = np.array([factor * _usable(scores[name].rmse) for name in ranked])
+        one_step = np.array([factor * _usable(scores[name].one_step_rmse) for name in ranked])
+        fits = [
+            f"{s.best_fit_percent:.1f} %" if np.isfinite(s.rmse) else "diverges" for s in (scores[n] for n in ranked)
+        ]
+        series = (
+            Bars(ranked, free_run, [roles[n] for n in ranked], "free run", horizontal=True, texts=fits),
+            Points(one_step, ranked, Role.REFERENCE, "one sample ahead", size=9, symbol=Symbol.DIAMOND, hollow=True),
         )
-    low, high = np.nanmin(factor * some.measured), np.nanmax(factor * some.measured)
-    reach = FAR * (high - low) or 1.0
-    bounds = np.clip(top.get_ylim(), low - reach, high + reach)
-    top.set_ylim(*bounds)
-    most = 4 * small * max(_typical(e) for e in errors if np.isfinite(_typical(e)))
-    bottom.set_ylim(-most or -1.0, most or 1.0)
-    top.set_ylabel(axis_label(output, text))
-    bottom.set_ylabel(axis_label("error", small_text), fontsize=9)
-    bottom.set_xlabel("time [s]")
-    closer = "closer look where it moves most; " if stop - start < some.time[-1] - some.time[0] else ""
-    top.set_title(f"{closer}measured in light grey", loc="left", fontsize=9)
-    for axis in (top, bottom):
-        axis.grid(alpha=0.25, lw=0.5)
-        axis.margins(x=0.01)
-        axis.tick_params(labelsize=8)
+        x = bar_axis(f"rms error of {output}", text, np.concatenate([free_run, one_step]))
+        panels.append(Panel(output, series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY))
+        errors = dict(zip(ranked, free_run.tolist(), strict=True))
+        description.append(phrase(FigureText.MODEL_ERROR_RANKING, output, errors=errors, unit=text))
+    return Figure("errors", tuple(panels), phrase(FigureText.MODEL_ERRORS), tuple(description))
 
 
-def _bars(axis: Axes, comparison: Comparison, record: str, output: str, colours: dict[str, str]) -> None:
-    """Free-run error as a bar and one-step error as a mark, best at the top; on a logarithmic axis where they lie far apart."""
-    scores = {e.name: e.records[record][output] for e in comparison.entries if output in e.records.get(record, {})}
-    ranked = sorted(scores, key=lambda name: -scores[name].rmse if np.isfinite(scores[name].rmse) else -np.inf)
-    factor, text = scale_to_prefix(comparison.outputs[output], np.array([_finite(s.rmse) for s in scores.values()]))
-    for row, name in enumerate(ranked):
-        s = scores[name]
-        axis.barh(row, factor * _finite(s.rmse), color=colours[name], height=0.6)
-        axis.plot(
-            [factor * _finite(s.one_step_rmse)], [row], marker="D", ms=5, mfc="white", mec=colours[name], ls="none"
+def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
+    """Measured outputs and the free run of every model over one record, a panel for each output."""
+    roles, panels = model_roles(comparison.entries), []
+    for output, runs in _runs_by_output(comparison, record).items():
+        first = next(iter(runs.values()))
+        factor, unit = scale_to_prefix(comparison.outputs[output], first.measured)
+        measured = Curve(
+            first.time, factor * first.measured, Role.MEASURED, "measured", 3.0, thinning=Thinning.ENVELOPE
         )
-        end = factor * np.nanmax([_finite(s.rmse), _finite(s.one_step_rmse), 0.0])
-        said = f" {s.best_fit_percent:.1f} %" if np.isfinite(s.rmse) else " grows away"
-        axis.annotate(said, (end, row), va="center", fontsize=8)
-    errors = [factor * e for s in scores.values() for e in (s.rmse, s.one_step_rmse) if np.isfinite(_finite(e))]
-    low, high = min(errors, default=1.0), max(errors, default=1.0)
-    if high > DECADE * low:
-        axis.set_xscale("log")
-        axis.set_xlim(low / 2, high * (2 * high / low) ** 0.25)
-    else:
-        axis.set_xlim(0, 1.3 * high)
-    axis.set_yticks(range(len(ranked)), [f"{name} ({comparison[name].parameters})" for name in ranked], fontsize=8)
-    axis.set_xlabel(axis_label("rms error", text), fontsize=9)
-    axis.set_title("bar: free run, with best fit; diamond: one sample ahead", loc="right", fontsize=8)
-    axis.tick_params(axis="x", labelsize=8)
-    axis.grid(axis="x", alpha=0.25, lw=0.5)
+        curves = [
+            Curve(run.time, factor * _cut(run.simulated, run.measured), roles[n], n, 1.4, thinning=Thinning.ENVELOPE)
+            for n, run in reversed(runs.items())  # the first, as a rule the grey box, on top
+        ]  # fmt: skip
+        panels.append(Panel(output, (measured, *curves), TIME, Axis(output, unit), height=Height.TALL))
+    return Figure(name, tuple(panels), phrase(FigureText.MODEL_RUNS, record), _error_sizes(comparison, record))
 
 
-def _colours(entries: Sequence[ComparisonEntry]) -> dict[str, str]:
-    found, used = {}, {"grey": 0, "black": 0}
-    for entry in entries:
-        palette = GREY if entry.kind == "grey" else BLACK
-        found[entry.name] = palette[used[entry.kind] % len(palette)]
-        used[entry.kind] += 1
-    return found
+def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figure:
+    """Measured minus simulated of every model over one record, a panel for each output."""
+    roles, panels = model_roles(comparison.entries), []
+    for output, runs in _runs_by_output(comparison, record).items():
+        typical = np.array([_error_size(run) for run in runs.values()])
+        factor, unit = scale_to_prefix(comparison.outputs[output], typical)
+        curves = [
+            Curve(
+                run.time, factor * _cut(run.measured - run.simulated, run.measured), roles[n], n, 1.0,
+                thinning=Thinning.ENVELOPE,
+            )
+            for n, run in reversed(runs.items())
+        ]  # fmt: skip
+        reach = LIMITS.typical_errors * factor * max(typical[np.isfinite(typical)], default=1.0) or 1.0
+        axis = Axis(f"error of {output}", unit, limits=(-reach, reach))
+        panels.append(Panel(output, tuple(curves), TIME, axis))
+    return Figure(name, tuple(panels), phrase(FigureText.MODEL_RESIDUALS, record), _error_sizes(comparison, record))
 
 
-def _drawable(values: np.ndarray) -> np.ndarray:
-    """``values`` (N,) with NaN where a run has left all bounds."""
-    return np.where(np.abs(values) < BEYOND, values, np.nan)
+def runs_over(comparison: Comparison, entry: ComparisonEntry, record: str) -> tuple[ComparisonRun, ...]:
+    """A model's runs over one judging record."""
+    runs = entry.validation_runs if comparison.validation else entry.training_runs
+    return tuple(run for run in runs if run.record == record)
 
 
-def _typical(error: np.ndarray) -> float:
-    """Root mean square of the finite errors; NaN where there are none."""
-    known = error[np.isfinite(error)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+def judging_records(comparison: Comparison) -> list[str]:
+    """Names of the validation records, of the fitted ones where there are no others."""
+    return list(dict.fromkeys(comparison.validation or comparison.training))
 
 
-def _finite(value: float) -> float:
-    return value if np.isfinite(value) and value > 0 else np.nan
+def _score(comparison: Comparison, entry: ComparisonEntry, output: str, record: str | None) -> ComparisonScore | None:
+    scores: Mapping[str, ComparisonScore] = (
+        comparison.judged(entry) if record is None else entry.records.get(record, {})
+    )
+    return scores.get(output)
 
 
-def _liveliest(run: ComparisonRun) -> tuple[float, float]:
-    """Times of the `ZOOM_ROWS` rows around the largest deviation from the mean; the whole record where it is short."""
-    if len(run.time) <= 2 * ZOOM_ROWS:
-        return float(run.time[0]), float(run.time[-1])
-    middle = int(np.nanargmax(np.abs(run.measured - np.nanmean(run.measured))))
-    first = min(max(0, middle - ZOOM_ROWS // 2), len(run.time) - ZOOM_ROWS)
-    return float(run.time[first]), float(run.time[first + ZOOM_ROWS - 1])
+def _runs_by_output(comparison: Comparison, record: str) -> dict[str, dict[str, ComparisonRun]]:
+    """Output -> model -> its run over the record, where there is one."""
+    runs = {
+        output: {
+            e.name: run for e in comparison.entries for run in runs_over(comparison, e, record) if run.output == output
+        }
+        for output in comparison.outputs
+    }
+    return {output: by_model for output, by_model in runs.items() if by_model}
+
+
+def _error_sizes(comparison: Comparison, record: str) -> tuple[Finding, ...]:
+    description = []
+    for output, runs in _runs_by_output(comparison, record).items():
+        sizes = {n: _error_size(run) for n, run in runs.items()}
+        factor, unit = scale_to_prefix(comparison.outputs[output], np.array(list(sizes.values())))
+        errors = {n: factor * size for n, size in sizes.items()}
+        description.append(phrase(FigureText.MODEL_RESIDUAL_SIZES, output, errors=errors, unit=unit))
+    return tuple(description)
+
+
+def _error_size(run: ComparisonRun) -> float:
+    """Root mean square error; NaN where the run leaves all bounds."""
+    if not (np.abs(run.simulated) < LIMITS.overflow).all():
+        return np.nan
+    return _usable(root_mean_square(run.measured - run.simulated))
+
+
+def _cut(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """A run (N,) without what lies far outside the measured signal."""
+    low, high = np.nanmin(measured), np.nanmax(measured)
+    reach = LIMITS.ranges_from_measured * (high - low) or 1.0
+    inside = np.isfinite(values) & (values > low - reach) & (values < high + reach)
+    return np.where(inside, values, np.nan)
+
+
+def _usable(error: float) -> float:
+    """An error that can be drawn: NaN where a run left all bounds, and where it is exact."""
+    return error if np.isfinite(error) and 0 < error < LIMITS.overflow else np.nan

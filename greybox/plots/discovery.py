@@ -1,139 +1,205 @@
-"""A discovery in pictures: the missing signal with the effect's curve through it, candidates in order, the gap before and after."""
+"""A discovery in figures: the error before and after, the signal that the model lacks, where and when, and the candidates."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
-
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from greybox.discovery import Discovery, EffectSignal, Surrogate
-from greybox.discovery.surrogate import describe_explained_share
-from greybox.plots.discovery_residual import draw_residuals
-from greybox.plots.files import save_figure
-from greybox.plots.layout import HEADING, NAMES, NUMBERS, legends, panels, settle
-from greybox.plots.several import both
-from greybox.plots.units import axis_label, scale_to_prefix, typeset_exponents
-
-DATA, EFFECT, BEFORE, AFTER, FLOOR = "#8a8a8a", "#c0392b", "#b7950b", "#1f5a8a", "#dcdcdc"
-CANDIDATES = 12  # of the ranking that are shown
-
-
-def discovery_figures(found: Discovery, directory: str | Path) -> list[Path]:
-    """Draw ``found`` into ``directory``, each picture as PNG and SVG; returns the files.
-
-    ``missing-EFFECT`` (or ``missing-unknown``): the unexplained signal against the variable it depends on, with the curve of the effect
-    (of the stand-in) through it. ``residuals``: the validation error in time and by frequency, before and after, with the noise.
-    ``candidates``: misfit over noise of the refitted candidates. ``gap``: rms misfit before and after beside the noise floor.
-    """
-    drawings: dict[str, Callable[[], Figure]]
-    drawings = {f"missing-{_file(m.effect)}": partial(_missing, m) for m in found.missing}
-    if found.surrogate is not None:
-        drawings["missing-unknown"] = partial(_unknown, found.surrogate)
-    drawings["residuals"] = partial(draw_residuals, found)
-    if found.ranking:
-        drawings["candidates"] = partial(_candidates, found)
-    drawings["gap"] = partial(_gap, found)
-    folder = Path(directory)
-    folder.mkdir(parents=True, exist_ok=True)
-    pictures = [folder / f"{name}.png" for name in drawings]
-    both([partial(_draw, *one) for one in zip(drawings.values(), pictures, strict=True)])
-    return [file for picture in pictures for file in (picture, picture.with_suffix(".svg"))]
+from greybox.discovery import (
+    Discovery,
+    EffectSignal,
+    ResidualLocalisation,
+    Surrogate,
+    estimate_residual_spectrum,
+)
+from greybox.discovery.dependence import Dependence
+from greybox.plots.figure import (
+    Area,
+    Axis,
+    Bars,
+    Curve,
+    Dash,
+    Figure,
+    Height,
+    Panel,
+    Points,
+    Reference,
+    Role,
+    Scale,
+    Series,
+    bar_axis,
+)
+from greybox.plots.limits import LIMITS
+from greybox.plots.records import FREQUENCY, TIME
+from greybox.plots.scaling import root_mean_square, scale_to_prefix, typeset_exponents
+from greybox.rendering.plots import FigureText, phrase
 
 
-def _draw(drawing: Callable[[], Figure], picture: Path) -> None:
-    save_figure(drawing(), picture)
+def plot_holdout_error(discovery: Discovery) -> Figure:
+    """Rms error on the validation records with the plain model, the extended one and the surrogate, beside the noise; by output."""
+    extended = " + ".join(effect.name for effect in discovery.best.model.effects)
+    surrogate = discovery.surrogate
+    panels, description = [], []
+    for output, error in discovery.gap.items():
+        steps = [("plain model", error.before, Role.BASELINE)]
+        steps.append((f"with {extended}" if extended else "the same model", error.after, Role.EXTENDED))
+        if surrogate is not None and output in surrogate.gap:
+            steps.append((f"with {surrogate.title}", surrogate.gap[output].after, Role.SURROGATE))
+        steps.append(("noise", error.floor, Role.MEASURED))
+        names, sizes, roles = zip(*steps, strict=True)
+        factor, unit = scale_to_prefix(error.unit, np.array(sizes))
+        lengths = factor * np.array(sizes)
+        texts = [typeset_exponents(f"{size / error.floor:.3g} × noise") for size in sizes]
+        bars = Bars(names, lengths, roles, horizontal=True, texts=texts)
+        x = bar_axis(f"rms error of {output}", unit, lengths)
+        y = Axis(scale=Scale.CATEGORY, reversed=True)
+        panels.append(Panel(output, (bars,), x, y, height=Height.PER_CATEGORY))
+        description.append(
+            phrase(
+                FigureText.ERROR_BEFORE_AFTER, output, before=error.before / error.floor, after=error.after / error.floor,
+                explained=min(error.explained_fraction, 1.0),
+            )
+        )  # fmt: skip
+    return Figure("gap", tuple(panels), phrase(FigureText.ERRORS_BEFORE_AFTER), tuple(description))
 
 
-def _file(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_.-]+", "_", name)
-
-
-def _missing(m: EffectSignal) -> Figure:
-    figure, axes = panels(10, 4.2, columns=2)
-    left, right = axes[0]
-    factor, unit = scale_to_prefix(m.unit, m.value)
-    across, variable_unit = scale_to_prefix(m.variable_unit, m.variable)
-    left.plot(across * m.variable, factor * m.value, ".", color=DATA, ms=3, label="from the data")
-    left.plot(across * m.variable, factor * m.modelled, ".", color=EFFECT, ms=2, label=m.effect)
-    _bins(left, across, factor, m.region.centres, m.region.mean, m.region.std)
-    left.set_xlabel(axis_label(m.variable_name, variable_unit), fontsize=NAMES)
-    left.set_ylabel(axis_label(f"missing at the {m.site}", unit), fontsize=NAMES)
-    few = slice(0, min(len(m.time), 150))
-    right.fill_between(
-        m.time[few], factor * (m.value - 2 * m.std)[few], factor * (m.value + 2 * m.std)[few], color=FLOOR, lw=0
+def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:
+    """The signal that a named effect stands for, from the records and from the model: against its variable, and over time."""
+    x, across = scale_to_prefix(signal.variable_unit, signal.variable)
+    y, unit = scale_to_prefix(signal.unit, signal.value)
+    axis = Axis(f"missing at the {signal.site}", unit)
+    against = Panel(
+        f"against {signal.variable_name}",
+        (
+            Points(x * signal.variable, y * signal.value, Role.MEASURED, "from the records", size=5, opacity=0.7),
+            Points(x * signal.variable, y * signal.modelled, Role.EXTENDED, signal.effect, size=4),
+            _bins(signal.region, x, y),
+        ),
+        Axis(signal.variable_name, across),
+        axis,
+        height=Height.TALL,
     )
-    right.plot(m.time[few], factor * m.value[few], color=DATA, lw=1.6, label="from the data, ± 2 std")
-    right.plot(m.time[few], factor * m.modelled[few], color=EFFECT, lw=0.9, label=m.effect)
-    right.set_xlabel("time [s]", fontsize=NAMES)
-    legends(left, right)
-    heading = f"{m.effect} explains {100 * m.explained:.1f} % of the missing signal in {m.record}"
-    settle(figure, axes, heading, widths=(1.1, 1), above=1)
-    return figure
-
-
-def _unknown(curve: Surrogate) -> Figure:
-    figure, axes = panels(7, 4.2)
-    axis = axes[0, 0]
-    factor, unit = scale_to_prefix(curve.unit, curve.signal.value)
-    across, variable_unit = scale_to_prefix(curve.variable_unit, curve.seen)
-    axis.plot(across * curve.seen, factor * curve.signal.value, ".", color=DATA, ms=3, label="unexplained by the model")
-    if curve.tone is None:
-        _bins(axis, across, factor, curve.region.centres, curve.region.mean, curve.region.std)
-    axis.plot(across * curve.values, factor * curve.curve, color=EFFECT, lw=1.6, label=f"{curve.title} (stand-in)")
-    axis.set_xlabel(axis_label(curve.variable, variable_unit), fontsize=NAMES)
-    axis.set_ylabel(axis_label(f"missing at the {curve.site}", unit), fontsize=NAMES)
-    legends(axis)
-    settle(figure, axes, f"unknown effect; {curve.title} {describe_explained_share(curve.explained_fraction)}", above=1)
-    return figure
-
-
-def _bins(axis: Axes, across: float, factor: float, centres: np.ndarray, mean: np.ndarray, std: np.ndarray) -> None:
-    axis.errorbar(
-        across * centres, factor * mean, 2 * factor * std, fmt="o", ms=4, color="black", lw=0.8, label="mean in bins, ± 2 std"
+    in_time = Panel(
+        "over time",
+        (
+            Area(
+                signal.time, y * (signal.value - 2 * signal.std), y * (signal.value + 2 * signal.std), label="± 2 std"
+            ),
+            Curve(signal.time, y * signal.value, Role.MEASURED, "from the records", 2.4),
+            Curve(signal.time, y * signal.modelled, Role.EXTENDED, signal.effect, 1.4),
+        ),
+        TIME,
+        axis,
+        height=Height.TALL,
+    )
+    description = phrase(
+        FigureText.EFFECT_SIGNAL_SIZE, signal.effect, site=signal.site, rms=y * root_mean_square(signal.value), unit=unit,
+        explained=signal.explained, dependence=str(signal.region),
     )  # fmt: skip
+    caption = phrase(FigureText.EFFECT_SIGNAL, signal.effect, site=signal.site)
+    return Figure(name, (against, in_time), caption, (description,))
 
 
-def _candidates(found: Discovery) -> Figure:
-    shown = list(found.ranking)[:CANDIDATES]
-    figure, axes = panels(8.5, 1.3 + 0.3 * len(shown))
-    axis = axes[0, 0]
-    chosen = tuple(found.best.model.effects[k].name for k in range(len(found.best.model.effects)))
-    rivals = [tuple(a) for a in found.alternatives]
-    for row, rank in enumerate(reversed(shown)):
-        colour = EFFECT if rank.effects == chosen else BEFORE if rank.effects in rivals else DATA
-        axis.barh(row, rank.misfit, color=colour, height=0.6)
-        behind = typeset_exponents(f" +{rank.behind:.3g}") if rank.behind else " best"
-        axis.annotate(behind, (rank.misfit, row), va="center", fontsize=NUMBERS)
-    axis.axvline(1.0, color="black", lw=0.8, ls=":")
-    axis.set_yticks(range(len(shown)), [" + ".join(r.effects) for r in reversed(shown)], fontsize=NUMBERS)
-    axis.set_xscale("log")
-    axis.set_xlim(min(0.8, axis.get_xlim()[0]), axis.get_xlim()[1] * 1.6)
-    axis.set_xlabel("misfit over noise on the estimation records (dotted: noise)", fontsize=NAMES)
-    named = "candidates; red: the answer" + ("; yellow: explains as well" if rivals else "")
-    settle(figure, axes, f"{found.verdict}: {named}; numbers: criterion behind the best", grid=False)
-    return figure
+def plot_surrogate(surrogate: Surrogate) -> Figure:
+    """The curve or tone that stands in for an unknown effect, over the signal that the records show."""
+    x, across = scale_to_prefix(surrogate.variable_unit, surrogate.values)
+    y, unit = scale_to_prefix(surrogate.unit, surrogate.curve, surrogate.signal.value)
+    series: list[Series] = [
+        Points(x * surrogate.seen, y * surrogate.signal.value, Role.MEASURED, "from the records", opacity=0.7)
+    ]
+    if surrogate.tone is None:
+        series.append(_bins(surrogate.region, x, y))
+    label = surrogate.title.removeprefix("a ")
+    series.append(Curve(x * surrogate.values, y * surrogate.curve, Role.SURROGATE, label, 2.4))
+    axes = Axis(surrogate.variable, across), Axis(f"missing at the {surrogate.site}", unit)
+    panel = Panel(surrogate.variable, tuple(series), *axes, height=Height.TALL)
+    caption = phrase(FigureText.SURROGATE, surrogate.site, tone=surrogate.tone is not None)
+    description = phrase(FigureText.SURROGATE_STATEMENT, statement=str(surrogate))
+    return Figure("surrogate", (panel,), caption, (description,))
 
 
-def _gap(found: Discovery) -> Figure:
-    figure, axes = panels(1.5 + 2.6 * len(found.gap), 3.6, columns=len(found.gap))
-    for axis, (output, gap) in zip(axes[0], found.gap.items(), strict=True):
-        bars = {"before": (gap.before, BEFORE), "after": (gap.after, AFTER)}
-        if found.surrogate is not None:
-            bars["stand-in"] = (found.surrogate.gap[output].after, EFFECT)
-        factor, unit = scale_to_prefix(gap.unit, np.array([v for v, _ in bars.values()]))
-        for place, (size, colour) in enumerate(bars.values()):
-            axis.bar(place, factor * size, color=colour, width=0.6)
-        axis.set_xticks(range(len(bars)), list(bars))
-        axis.axhline(factor * gap.floor, color="black", lw=1, ls=":")
-        axis.set_ylabel(axis_label(f"rms misfit of {output}", unit), fontsize=NAMES)
-        explained_fraction = (
-            f"{100 * gap.explained_fraction:.1f} % closed" if gap.before > 1.02 * gap.floor else "no gap"
+def plot_unexplained_signal(localisation: ResidualLocalisation) -> Figure | None:
+    """The unexplained signal at the likeliest site against each variable; None where there is none."""
+    signal = localisation.signal
+    if signal is None or not signal.variables:
+        return None
+    y, unit = scale_to_prefix(signal.unit, signal.value)
+    ranked = [d.variable for d in localisation.dependences if d.variable in signal.variables]
+    panels = []
+    for variable in dict.fromkeys([*ranked, *signal.variables]):
+        x, across = scale_to_prefix(signal.units[variable], signal.variables[variable])
+        points = Points(x * signal.variables[variable], y * signal.value, Role.RESIDUAL, opacity=0.5)
+        panels.append(Panel(variable, (points,), Axis(variable, across), Axis("unexplained signal", unit)))
+    statements = [str(d) for d in localisation.dependences[:3]]
+    caption = phrase(FigureText.UNEXPLAINED, signal.site)
+    return Figure("unexplained", tuple(panels), caption, (phrase(FigureText.DEPENDENCES, statements=statements),))
+
+
+def plot_misfit_windows(localisation: ResidualLocalisation) -> Figure | None:
+    """The misfit of each window of time, a panel for each record; None where nothing is missing."""
+    windows = localisation.windows
+    if not windows:
+        return None
+    panels = []
+    for record in dict.fromkeys(w.record for w in windows):
+        own = [w for w in windows if w.record == record]
+        bars = Bars(
+            np.array([(w.start + w.end) / 2 for w in own]),
+            np.array([w.misfit for w in own]),
+            [Role.BASELINE] * len(own),
+            width=np.array([0.95 * (w.end - w.start) for w in own]),
+            remarks=[f"{100 * w.share:.1f} % of all misfit" for w in own],
         )
-        axis.set_title(f"{output}: {explained_fraction}", fontsize=HEADING)
-    settle(figure, axes, "validation records, free run; dotted: noise", above=1, grid=False)
-    return figure
+        panels.append(Panel(record, (bars,), TIME, Axis("misfit / noise"), height=Height.LOW))
+    worst = max(windows, key=lambda w: w.share)
+    description = phrase(
+        FigureText.WORST_WINDOW, worst.record, share=worst.share, start=worst.start, end=worst.end
+    )  # fmt: skip
+    return Figure("when", tuple(panels), phrase(FigureText.MISFIT_WINDOWS), (description,))
+
+
+def plot_candidates(discovery: Discovery) -> Figure | None:
+    """Misfit over noise of the best candidates on the records that they were fitted to; None where there are none."""
+    shown = discovery.ranking[: LIMITS.candidates]
+    if not shown:
+        return None
+    chosen = {effect.name for effect in discovery.best.model.effects}
+    rivals = [set(names) for names in discovery.alternatives]
+    roles = [
+        Role.EXTENDED if set(c.effects) == chosen else Role.RIVAL if set(c.effects) in rivals else Role.OTHER
+        for c in shown
+    ]
+    names, misfits = [" + ".join(c.effects) for c in shown], np.array([c.misfit for c in shown])
+    bars = Bars(
+        names, misfits, roles, horizontal=True,
+        texts=[typeset_exponents(f"+{c.behind:.3g}") if c.behind else "best" for c in shown],
+    )  # fmt: skip
+    x = bar_axis("misfit / noise on the estimation records", "", misfits)
+    series = (Reference(1.0, upright=True, dash=Dash.DOTTED), bars)
+    panel = Panel("candidates", series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY)
+    description = phrase(FigureText.CANDIDATE_MISFITS, misfits=dict(zip(names, misfits.tolist(), strict=True)))
+    return Figure("candidates", (panel,), phrase(FigureText.CANDIDATES, rivals=bool(rivals)), (description,))
+
+
+def plot_average_spectra(discovery: Discovery) -> Figure:
+    """Averaged spectra of the error on the validation records, before and after, with the noise in its colour; by output."""
+    known = discovery.verdict != "unknown"
+    panels = []
+    for output, error in discovery.gap.items():
+        before, after = (
+            estimate_residual_spectrum(f, output, coloured=known) for f in (discovery.base, discovery.extended)
+        )
+        factor, unit = scale_to_prefix(error.unit, before.density)
+        series = (
+            Curve(before.frequency, factor * np.maximum(before.density, 1e-300), Role.BASELINE, "plain model", 1.3),
+            Curve(after.frequency, factor * np.maximum(after.density, 1e-300), Role.EXTENDED, "extended model", 1.3),
+            Curve(before.frequency, factor * before.floor, Role.REFERENCE, "noise", 1.3, Dash.DOTTED),
+        )
+        panels.append(Panel(output, series, FREQUENCY, Axis("amplitude per line", unit, Scale.LOG)))
+    return Figure("average-spectra", tuple(panels), phrase(FigureText.AVERAGE_SPECTRA))
+
+
+def _bins(dependence: Dependence, x: float, y: float) -> Points:
+    return Points(
+        x * dependence.centres, y * dependence.mean, Role.REFERENCE, "mean in bins, ± 2 std", size=6,
+        half_bars=2 * y * dependence.std,
+    )  # fmt: skip

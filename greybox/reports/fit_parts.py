@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from greybox.reports.constant_figures import relative_half_width
+from greybox.plots.parameters import relative_half_width
 from greybox.reports.page import Table, Text, Tone
-from greybox.reports.typography import as_sentence, count_noun, join_names, typeset_number, typeset_page_unit
+from greybox.reports.typography import as_sentence, count_noun, join_names, typeset_number, typeset_unit
 from greybox.result import Fit
 from greybox.result.summary import to_constant_rows
 
@@ -71,7 +71,7 @@ def _judged(fit: Fit) -> Iterator[str]:
 def constants_table(fit: Fit, note: str = "") -> Table:
     """The constants of a fit as a table."""
     rows = [
-        [name, typeset_number(value), typeset_number(limits), typeset_page_unit(unit) if unit else "", remark]
+        [name, typeset_number(value), typeset_number(limits), typeset_unit(unit) if unit else "", remark]
         for name, value, limits, unit, remark in to_constant_rows(fit)
     ]
     title = "Constants with their standard deviations and 95 % intervals"

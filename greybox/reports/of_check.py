@@ -9,14 +9,15 @@ from greybox.estimation.versions import read_versions
 from greybox.experiment import Experiment, collect_record_findings
 from greybox.experiment.findings import is_sensor_fault
 from greybox.identifiability import ExpectedPrecision
-from greybox.reports.axes import envelope_length
-from greybox.reports.constant_figures import spread_figure
+from greybox.plots.parameters import plot_intervals
+from greybox.plots.records import plot_inputs, plot_outputs
+from greybox.plots.style import PAGE
+from greybox.rendering.plots import FigureText, phrase
 from greybox.reports.equations import typeset_equations
-from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text
+from greybox.reports.page import Block, FigureBlock, Folded, Heading, Listing, Page, Section, Table, Text
 from greybox.reports.provenance import command_block, name_value_table
-from greybox.reports.record_figures import inputs_figure, outputs_figure
 from greybox.reports.records import format_sampling_time, signal_units
-from greybox.reports.typography import as_sentence, format_number, join_names, typeset_number, typeset_page_unit
+from greybox.reports.typography import as_sentence, format_number, join_names, typeset_number, typeset_unit
 
 MOST_DRAWN = 10
 
@@ -70,9 +71,9 @@ def _constants(check: ModelCheck) -> Iterator[Block]:
         ["constant", "start value", "expected std", "of the value", "unit", "remark"], rows,
     )  # fmt: skip
     percent = {n: 196 * c.std / abs(c.value) for n, c in check.constants.items() if c.std and c.value}
-    figure = spread_figure(percent, "How well each constant can be known: further to the left is better.")
+    figure = plot_intervals(percent, phrase(FigureText.EXPECTED_INTERVALS))
     if figure is not None:
-        yield figure
+        yield FigureBlock(figure)
     found = check.practical
     if not check.complete and found.combinations:
         rows = [[text, typeset_number(f"{100 * std:.2g} %")] for text, std in found.combinations.items()]
@@ -82,7 +83,7 @@ def _constants(check: ModelCheck) -> Iterator[Block]:
 
 
 def _expected(c: ExpectedPrecision) -> list[str]:
-    unit = typeset_page_unit(c.unit)
+    unit = typeset_unit(c.unit)
     if c.std is None:
         return [typeset_number(format_number(c.value)), "", "", unit, "not determined"]
     share = f"{100 * c.std / abs(c.value):.2g} %" if c.value else ""
@@ -137,10 +138,10 @@ def _data(check: ModelCheck) -> Iterator[Block]:
         yield Listing([as_sentence(line) for line in lines])
     units = signal_units(check.model)
     drawn = check.experiments[:MOST_DRAWN]
-    most = envelope_length(sum(len(e.inputs) + len(e.outputs) for e in drawn))
+    stretches = PAGE.stretches(sum(len(e.inputs) + len(e.outputs) for e in drawn))
     for k, e in enumerate(drawn):
-        figures = [outputs_figure(e, units, f"{k}", most), inputs_figure(e, units, f"{k}", most)]
-        shown = [f for f in figures if f is not None]
+        figures = plot_outputs(e, units, f"outputs-{k}"), plot_inputs(e, units, f"inputs-{k}")
+        shown = [FigureBlock(f, stretches, group=f"{k}") for f in figures if f is not None]
         yield from shown if k == 0 else [Folded(f"Record {e.name}", shown)]
 
 
@@ -151,7 +152,7 @@ def _record(e: Experiment) -> list[str]:
 def _noise(check: ModelCheck) -> str:
     units = {o.name: o.unit for o in check.model.outputs}
     sizes = [
-        typeset_number(f"{n} {format_number(std, 3)} {typeset_page_unit(units[n])}".rstrip())
+        typeset_number(f"{n} {format_number(std, 3)} {typeset_unit(units[n])}".rstrip())
         for n, std in check.noise.items()
     ]
     return f"Noise: {join_names(sizes)}; {check.noise_source}."

@@ -7,10 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from greybox.comparison import Comparison, ComparisonEntry, ComparisonScore
 from greybox.estimation.versions import read_versions
-from greybox.reports.comparison_figures import colours_of, errors_figure, runs_figures
+from greybox.plots.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
+from greybox.plots.style import PAGE
 from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import constants_table
-from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text
+from greybox.reports.page import Block, FigureBlock, Folded, Heading, Listing, Page, Section, Table, Text
 from greybox.reports.provenance import command_block, name_value_table
 from greybox.reports.typography import (
     as_sentence,
@@ -18,7 +19,7 @@ from greybox.reports.typography import (
     format_number,
     join_names,
     typeset_number,
-    typeset_page_unit,
+    typeset_unit,
 )
 from greybox.result import Fit
 
@@ -73,7 +74,7 @@ def _best(comparison: Comparison, output: str) -> ComparisonEntry | None:
 
 def errors(comparison: Comparison) -> Iterator[Block]:
     """Bars and tables of the errors on the judging records, and on the training records where there are others."""
-    yield errors_figure(comparison)
+    yield FigureBlock(plot_model_errors(comparison))
     groups = (("validation", comparison.validation, "On records that no model was fitted to"),
               ("training", comparison.training, "On the fitted records"))  # fmt: skip
     for group, records, title in groups:
@@ -89,7 +90,7 @@ def _table(comparison: Comparison, group: str, output: str, title: str) -> Table
         if output in scores:
             found[e.name] = scores[output]
     ranked = sorted(found.items(), key=lambda item: item[1].rmse if math.isfinite(item[1].rmse) else math.inf)
-    unit = typeset_page_unit(comparison.outputs[output])
+    unit = typeset_unit(comparison.outputs[output])
     further = sorted({k for s in found.values() for k in s.ahead_rmse})
     rows = [
         [
@@ -114,11 +115,16 @@ def _percent(value: float) -> str:
 
 def runs(comparison: Comparison) -> Iterator[Block]:
     """The curves of every model over each judging record."""
-    records = list(dict.fromkeys(comparison.validation or comparison.training))
-    colours = colours_of(comparison.entries)
+    records = judging_records(comparison)
+    drawn = records[:MOST_DRAWN]
+    curves = 2 * sum(len(comparison.judged(e)) for e in comparison.entries) + len(comparison.outputs)
+    stretches = PAGE.stretches(len(drawn) * curves)
     yield Text(["A click on a name in the legend hides that model; a double click shows it alone."])
-    for k, record in enumerate(records[:MOST_DRAWN]):
-        figures = runs_figures(comparison, record, colours, f"{k}", len(records[:MOST_DRAWN]))
+    for k, record in enumerate(drawn):
+        figures = [
+            FigureBlock(plot(comparison, record, f"{name}-{k}"), stretches, group=f"{k}", switch=f"{k}")
+            for name, plot in (("runs", plot_model_runs), ("errors-over-time", plot_model_residuals))
+        ]
         if k == 0:
             yield Heading(f"Record {record}")
         yield from figures if k == 0 else [Folded(f"Record {record}", figures)]

@@ -15,7 +15,7 @@ from greybox.reports.of_linearisation import linear_sections
 from greybox.reports.page import Block, Page, Section, Table, Text
 from greybox.reports.provenance import provenance_section
 from greybox.reports.records import records_section
-from greybox.reports.typography import as_sentence, format_number, join_names, typeset_number, typeset_page_unit
+from greybox.reports.typography import as_sentence, format_number, join_names, typeset_number, typeset_unit
 from greybox.result import Estimate
 from greybox.result.summary import MISFIT_HEADS, to_misfit_cells
 
@@ -74,7 +74,7 @@ def _constants(demo: Demo) -> Table:
         start = format_number(demo.start[name], 4) if name in demo.start else "–"
         off = f"{abs(demo.deviations[name]):.1f} std" if name in demo.deviations else ""
         cells = [format_number(truth), start, _value(before), _value(e), off]
-        rows.append([name, *map(typeset_number, cells), typeset_page_unit(e.unit) if e is not None else ""])
+        rows.append([name, *map(typeset_number, cells), typeset_unit(e.unit) if e is not None else ""])
     head = ["constant", "true", "start of the search", "plain model", extended_name(demo.discovery), "off by", "unit"]
     return Table("What the search began with, what it found, and what is true", head, rows)
 

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from greybox.discovery import Discovery, HoldoutError, Refinement
-from greybox.reports.axes import envelope_length
-from greybox.reports.discovery_figures import (
-    before_after_figures,
-    candidates_figure,
-    gap_figure,
-    missing_figure,
-    signal_figure,
-    stand_in_figure,
-    steps_of,
-    when_figure,
+from greybox.plots.discovery import (
+    plot_candidates,
+    plot_effect_signal,
+    plot_holdout_error,
+    plot_misfit_windows,
+    plot_surrogate,
+    plot_unexplained_signal,
 )
+from greybox.plots.records import plot_residuals_before_after, plot_spectra_before_after
+from greybox.plots.style import PAGE
 from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import constants_table
-from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text, Tone
+from greybox.reports.page import Block, FigureBlock, Folded, Heading, Listing, Page, Section, Table, Text, Tone
 from greybox.reports.provenance import provenance_section
 from greybox.reports.records import records_section, signal_units
 from greybox.reports.typography import (
@@ -27,7 +27,7 @@ from greybox.reports.typography import (
     format_number,
     join_names,
     typeset_number,
-    typeset_page_unit,
+    typeset_unit,
 )
 from greybox.result.summary import to_constant_cells
 
@@ -61,7 +61,7 @@ def verdict(found: Discovery) -> Text:
     for effect in found.effects if found.verdict != "complete" else []:
         values = [
             typeset_number(f"{name} = {format_number(c['value'])}" + (f" +- {c['std']:.2g}" if c["std"] else ""))
-            + f" {typeset_page_unit(c['unit'])}"
+            + f" {typeset_unit(c['unit'])}"
             for name, c in effect["parameters"].items()
         ]
         looks = "The look-alike " if found.verdict == "unknown" else ""
@@ -73,9 +73,9 @@ def verdict(found: Discovery) -> Text:
 def discovery_sections(found: Discovery) -> Iterator[Section]:
     """The story: the gap, the missing signal, where and when, the candidates."""
     yield Section("gap", "The gap", list(_gap(found)))
-    signal: list[Block] = [missing_figure(m, f"missing-{k}") for k, m in enumerate(found.missing)]
+    signal: list[Block] = [FigureBlock(plot_effect_signal(m, f"missing-{k}")) for k, m in enumerate(found.missing)]
     if found.surrogate is not None:
-        signal += [Text([as_sentence(str(found.surrogate))]), stand_in_figure(found.surrogate)]
+        signal += [Text([as_sentence(str(found.surrogate))]), FigureBlock(plot_surrogate(found.surrogate))]
     if signal:
         yield Section("signal", "The missing signal", signal)
     if found.refinement is not None:
@@ -87,30 +87,50 @@ def discovery_sections(found: Discovery) -> Iterator[Section]:
 
 
 def _gap(found: Discovery) -> Iterator[Block]:
-    yield gap_figure(found)
+    yield FigureBlock(plot_holdout_error(found))
     rows = [
         [
-            output, *(typeset_number(f"{v:.4g} {typeset_page_unit(g.unit)}".rstrip()) for v in (g.before, g.after, g.floor)),
+            output, *(typeset_number(f"{v:.4g} {typeset_unit(g.unit)}".rstrip()) for v in (g.before, g.after, g.floor)),
             _closed(g),
         ]
         for output, g in found.gap.items()
     ]  # fmt: skip
     head = ["output", "plain model", extended_name(found), "noise", "closed"]
     yield Table("Misfit of the free run on records that nothing was fitted to (rms)", head, rows)
-    way = steps_of(found)
+    way = selection_path(found)
     if len(way) > 2:
         steps = [[name, typeset_number(f"{misfit:.4g} × noise")] for name, misfit in way]
         yield Table("Step by step, on the records that were fitted", ["model", "misfit"], steps)
     units = signal_units(found.base.model)
     pairs = list(zip(found.base.validation.traces, found.best.validation.traces, strict=False))[:MOST_DRAWN]
-    most = envelope_length(sum(4 * len(b.measured) for b, _ in pairs))
+    stretches = PAGE.stretches(sum(4 * len(b.measured) for b, _ in pairs))
     for k, (before, after) in enumerate(pairs):
-        figures = before_after_figures(
-            before, after, units, found.best.noise.std, f"judged-{k}", most, extended_name(found)
-        )
+        shared = before, after, units, found.best.noise.std
+        residuals = plot_residuals_before_after(*shared, f"left-{k}", extended_name(found))
+        spectra = plot_spectra_before_after(*shared, f"spectra-{k}", extended_name(found), follows=residuals.name)
+        group = f"judged-{k}"
+        figures = [
+            FigureBlock(residuals, stretches, group=group, switch=group), FigureBlock(spectra, stretches, switch=group),
+        ]  # fmt: skip
         if k == 0:
             yield Heading(f"Record {before.name}")
         yield from figures if k == 0 else [Folded(f"Record {before.name}", figures)]
+
+
+def selection_path(found: Discovery) -> list[tuple[str, float]]:
+    """Names of the models on the way to the best one, one effect after the other, with their misfit over noise where they were fitted."""
+    wanted = {e.name for e in found.best.model.effects}
+    path = [("plain model", max((m.noise_ratio for m in found.base.misfit.values()), default=math.nan))]
+    held: set[str] = set()
+    while held != wanted:
+        nearer = [r for r in found.ranking if held < set(r.effects) <= wanted and len(r.effects) == len(held) + 1]
+        if not nearer:
+            break
+        step = min(nearer, key=lambda r: r.misfit)
+        new = set(step.effects) - held
+        held |= new
+        path.append((f"+ {', '.join(sorted(new))}", step.misfit))
+    return path
 
 
 def _closed(gap: HoldoutError) -> str:
@@ -145,31 +165,31 @@ def _percent(share: float) -> str:
 def _where(found: Discovery) -> Iterator[Block]:
     look = found.look
     yield Listing([as_sentence(line.strip()) for line in str(look).splitlines()])
-    picture = signal_figure(look)
+    picture = plot_unexplained_signal(look)
     if picture is not None:
-        yield picture
+        yield FigureBlock(picture)
     sets = {name: k + 1 for k, group in enumerate(look.sets) for name in group}
     rows = [
         [
             str(s),
             str(sets[str(s)]),
             typeset_number(f"{s.gain:.4g}"),
-            typeset_number(f"{s.size:.3g} {typeset_page_unit(s.unit)}".rstrip()),
+            typeset_number(f"{s.size:.3g} {typeset_unit(s.unit)}".rstrip()),
         ]
         for s in look.sites
     ]
     if rows:
         note = "Places of one set cannot be told apart with these sensors; gain is the logarithm of how much likelier the record is."
         yield Table("Places, likeliest first", ["place", "set", "gain", "size of the signal (rms)"], rows, note)
-    picture = when_figure(look)
+    picture = plot_misfit_windows(look)
     if picture is not None:
-        yield picture
+        yield FigureBlock(picture)
 
 
 def _candidates(found: Discovery) -> Iterator[Block]:
-    picture = candidates_figure(found.ranking, [e["name"] for e in found.effects])
+    picture = plot_candidates(found)
     if picture is not None:
-        yield picture
+        yield FigureBlock(picture)
     if found.alternatives:
         yield Listing([f"{' + '.join(a)} explains the records as well." for a in found.alternatives])
     rows = [
@@ -191,6 +211,6 @@ def constants_before_after(found: Discovery) -> Table:
         before = found.base.parameters.get(name)
         _, after, limits, _, remark = map(typeset_number, to_constant_cells(name, e))
         told = typeset_number(to_constant_cells(name, before)[1]) if before is not None else "–"
-        rows.append([name, told, after, limits, typeset_page_unit(e.unit), remark])
+        rows.append([name, told, after, limits, typeset_unit(e.unit), remark])
     head = ["constant", "plain model", extended_name(found), "95 % interval", "unit", "remark"]
     return Table("Constants: what a model lacks, its other constants have to make up for", head, rows)

@@ -6,16 +6,18 @@ from collections.abc import Iterator, Mapping
 
 from greybox.estimation.restore import has_free_run
 from greybox.identifiability import recommend_after_fit
-from greybox.plots import misfits_of
-from greybox.reports.axes import envelope_length
-from greybox.reports.constant_figures import correlation_figure, intervals_figure, strongly_correlated_pairs
+from greybox.plots.limits import LIMITS
+from greybox.plots.parameters import plot_correlation, plot_intervals, relative_half_widths, strongly_correlated_pairs
+from greybox.plots.records import plot_inputs, plot_residual, plot_run, plot_spectrum, record_misfits
+from greybox.plots.residual_tests import plot_residual_tests
+from greybox.plots.style import PAGE
+from greybox.rendering import sentences
+from greybox.rendering.plots import FigureText, phrase
 from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import LEADING, constants_table, verdict
-from greybox.reports.page import Block, Folded, Heading, Listing, Page, Section, Table, Text
+from greybox.reports.page import Block, FigureBlock, Folded, Heading, Listing, Page, Section, Table, Text
 from greybox.reports.provenance import provenance_section
-from greybox.reports.record_figures import WHOLE, inputs_figure, record_figures
 from greybox.reports.records import records_section, signal_units
-from greybox.reports.residual_figures import memory_figure
 from greybox.reports.typography import as_sentence, count_noun, join_names, typeset_number
 from greybox.residuals import ResidualTests, residual_tests
 from greybox.result import Fit, Misfit, Trace
@@ -23,8 +25,6 @@ from greybox.result.summary import MISFIT_HEADS, to_misfit_cells
 
 # Records whose curves stand open on the page, and those that are drawn at all; all are in the tables.
 OPEN, MOST_DRAWN = 2, 20
-# Rows of all records beyond which the spectra no longer follow the zoom: the page would grow too large.
-ALL_WHOLE = 100_000
 
 
 def report_of_fit(fit: Fit, *, command: str = "", tests: ResidualTests | None = None, skip: int = 0) -> Page:
@@ -61,15 +61,15 @@ def _constants(fit: Fit) -> Iterator[Block]:
     if missing:
         yield Heading("What would determine the rest")
         yield Listing([as_sentence(m) for m in missing])
-    known = intervals_figure(fit)
+    known = plot_intervals(relative_half_widths(fit), phrase(FigureText.INTERVALS))
     if known is not None:
-        yield known
-    together = correlation_figure(fit)
+        yield FigureBlock(known)
+    together = plot_correlation(fit)
     if together is not None:
         pairs = strongly_correlated_pairs(fit)
         if pairs:
-            yield Listing([as_sentence(p) for p in pairs])
-        yield Folded("Which constants the data move together", [together])
+            yield Listing([as_sentence(p) for p in sentences(pairs)])
+        yield Folded("Which constants the data move together", [FigureBlock(together)])
 
 
 def _interval_words(fit: Fit) -> str:
@@ -98,12 +98,24 @@ def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
         yield _by_record(fit, runs)
     units = signal_units(fit.model)
     drawn = runs[:MOST_DRAWN]
-    most = envelope_length(sum(3 * len(t.measured) + len(t.inputs) for _, t, _ in drawn))
-    whole = sum(len(t.measured) * min(len(t.time), WHOLE) for _, t, _ in drawn) <= ALL_WHOLE
+    stretches = PAGE.stretches(sum(3 * len(t.measured) + len(t.inputs) for _, t, _ in drawn))
+    whole = sum(len(t.measured) * min(len(t.time), LIMITS.signal_on_page) for _, t, _ in drawn)
+    follow = whole <= LIMITS.all_signals_on_page
     for k, (kind, trace, _) in enumerate(drawn):
-        blocks: list[Block] = [*record_figures(trace, units, fit.noise.std, f"{k}", most, whole=whole)]
-        drive = inputs_figure(trace, units, f"{k}", most)
-        blocks += [drive] if drive is not None else []
+        residual = f"residual-{k}"
+        figures = [
+            FigureBlock(plot_run(trace, units, f"run-{k}"), stretches, group=f"{k}", switch=f"{k}"),
+            FigureBlock(plot_residual(trace, units, fit.noise.std, residual), stretches, group=f"{k}", switch=f"{k}"),
+            FigureBlock(
+                plot_spectrum(trace, units, fit.noise.std, f"spectrum-{k}", follows=residual if follow else ""),
+                stretches, switch=f"{k}",
+            ),
+        ]  # fmt: skip
+        inputs = plot_inputs(trace, units, f"inputs-{k}")
+        blocks: list[Block] = [
+            *figures,
+            *([FigureBlock(inputs, stretches, group=f"{k}")] if inputs is not None else []),
+        ]
         opened = k == 0 or (kind == "validation record" and runs[k - 1][0] == "fitted record")
         if opened:
             yield Heading(f"{kind.capitalize()} {trace.name}")
@@ -116,7 +128,7 @@ def _by_record(fit: Fit, runs: list[tuple[str, Trace, int]]) -> Table:
     rows = [
         [trace.name, kind, output, *map(typeset_number, to_misfit_cells(m))]
         for kind, trace, left_out in runs
-        for output, m in misfits_of(fit, trace, left_out).items()
+        for output, m in record_misfits(fit, trace, left_out).items()
     ]
     return Table("Record by record", ["record", "use", "output", *MISFIT_HEADS], rows)
 
@@ -161,6 +173,5 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
         rows,
         "Each test alone speaks up (p below 0.01) in one good fit of a hundred.",
     )
-    for output in fit.misfit:
-        residuals = [t.residual(output) for t in fit.traces if output in t.measured]
-        yield memory_figure(f"memory-{output}", output, residuals)
+    for output in tests.residuals:
+        yield FigureBlock(plot_residual_tests(tests, output, f"tests-{output}"))

@@ -9,10 +9,10 @@ import numpy as np
 from greybox.estimation.versions import read_versions
 from greybox.export import Linearisation, ModelFamily
 from greybox.export.summary import format_channel, format_complex
-from greybox.reports.linear_figures import bode_figures, poles_figure
-from greybox.reports.page import Block, Code, Folded, Listing, Page, Section, Table, Text
+from greybox.plots.linear import plot_bode, plot_poles
+from greybox.reports.page import Block, Code, FigureBlock, Folded, Listing, Page, Section, Table, Text
 from greybox.reports.provenance import command_block, name_value_table
-from greybox.reports.typography import as_sentence, count_noun, join_names, typeset_number, typeset_page_unit
+from greybox.reports.typography import as_sentence, count_noun, join_names, typeset_number, typeset_unit
 
 GONE = 1e-12  # a pole of a sampled model at zero, as a delay has it
 
@@ -45,15 +45,18 @@ def _point(linear: Linearisation) -> str:
     names = (*linear.state_names, *linear.input_names)
     values, units = (*linear.x0, *linear.u0), (*linear.state_units, *linear.input_units)
     return join_names([
-        typeset_number(f"{n} = {v:.4g} {typeset_page_unit(u) if u else ''}".rstrip()) for n, v, u in zip(names, values, units, strict=True)
+        typeset_number(f"{n} = {v:.4g} {typeset_unit(u) if u else ''}".rstrip()) for n, v, u in zip(names, values, units, strict=True)
     ])  # fmt: skip
 
 
 def linear_sections(linear: Linearisation, family: ModelFamily | None) -> list[Section]:
     """Behaviour and matrices, with the family's spread where there is one."""
-    behaviour: list[Block] = [poles(linear), *bode_figures(linear, family)]
-    picture = poles_figure(linear, family)
-    behaviour += [picture] if picture is not None else []
+    behaviour: list[Block] = [
+        poles(linear),
+        *(FigureBlock(f, group="bode", switch="bode") for f in plot_bode(linear, family)),
+    ]
+    picture = plot_poles(linear, family)
+    behaviour += [FigureBlock(picture)] if picture is not None else []
     lines = [
         line.strip()
         for o in linear.output_names
@@ -128,7 +131,7 @@ def _basis(linear: Linearisation) -> Iterator[Block]:
         (*linear.state_units, *linear.input_units, *linear.output_units),
     )
     rows = [
-        [name, kind, typeset_number(f"{value:.6g}").replace("-", "−"), typeset_page_unit(unit) if unit else ""]
+        [name, kind, typeset_number(f"{value:.6g}").replace("-", "−"), typeset_unit(unit) if unit else ""]
         for name, kind, value, unit in zip(names, kinds, values, units, strict=True)
     ]
     yield Table("The operating point", ["signal", "what", "value", "unit"], rows)

@@ -7,14 +7,16 @@ import numpy as np
 from greybox.errors import ModelError
 from greybox.estimation.versions import read_versions
 from greybox.model import Model
-from greybox.plots.units import scale_to_prefix
-from greybox.reports.axes import envelope_length, format_range
+from greybox.plots.figure import Role
+from greybox.plots.records import plot_signals
+from greybox.plots.scaling import scale_to_prefix
+from greybox.plots.style import PAGE
+from greybox.rendering.plots import FigureText, phrase
 from greybox.reports.equations import typeset_equations
-from greybox.reports.page import Block, Page, Section, Table, Text
+from greybox.reports.page import Block, FigureBlock, Page, Section, Table, Text
 from greybox.reports.provenance import command_block, name_value_table
-from greybox.reports.record_figures import curves_figure
 from greybox.reports.records import format_sampling_time, signal_units
-from greybox.reports.typography import count_noun, format_number, join_names, typeset_number, typeset_page_unit
+from greybox.reports.typography import count_noun, format_number, format_range, join_names, typeset_number, typeset_unit
 from greybox.simulation import Simulation
 
 
@@ -23,15 +25,15 @@ def report_of_simulation(run: Simulation, *, model: Model | None = None, command
     if model is None:
         raise ModelError("report of a simulation: which model ran? give model=")
     units = signal_units(model) | {s.name: s.unit for s in model.all_states}
-    most = envelope_length(len(run.inputs) + len(run.outputs) + len(run.states))
+    stretches = PAGE.stretches(len(run.inputs) + len(run.outputs) + len(run.states))
     curves = (
-        ("outputs", run.outputs, "What the sensors would show, before noise.", "--residual"),
-        ("inputs", run.inputs, "What drives it.", "--fourth"),
-        ("states", run.states, "The states behind it.", "--third"),
+        ("outputs", run.outputs, FigureText.SIMULATED_OUTPUTS, Role.OUTPUT),
+        ("inputs", run.inputs, FigureText.SIMULATED_INPUTS, Role.INPUT),
+        ("states", run.states, FigureText.SIMULATED_STATES, Role.STATE),
     )
     shown: list[Block] = [
-        curves_figure(run.time, signals, units, name, caption, most, colour, "run")
-        for name, signals, caption, colour in curves
+        FigureBlock(plot_signals(name, run.time, signals, units, role, phrase(caption)), stretches, group="run")
+        for name, signals, caption, role in curves
         if signals
     ]
     sections = [
@@ -66,7 +68,5 @@ def _reach(run: Simulation, units: dict[str, str]) -> Table:
 
 
 def _constants(model: Model) -> Table:
-    rows = [
-        [q.name, typeset_number(format_number(q.value, 7)), typeset_page_unit(q.unit)] for q in model.all_parameters
-    ]
+    rows = [[q.name, typeset_number(format_number(q.value, 7)), typeset_unit(q.unit)] for q in model.all_parameters]
     return Table("Constants of this run", ["constant", "value", "unit"], rows)

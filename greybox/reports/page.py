@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+from greybox.plots.figure import Figure
+from greybox.plots.style import PAGE
 
 Tone = Literal["good", "caution", "bad", "plain"]
 
@@ -59,35 +62,24 @@ class Equations:
 
 
 @dataclass(frozen=True)
-class View:
-    """What a figure shows once its button is pressed: the numbers of its ``traces``, and what that changes in its ``layout``.
+class FigureBlock:
+    """A figure to look into closely, with a button for each of its panels.
 
-    ``signals`` are residuals sampled evenly from ``start`` in steps of ``step`` seconds (``values``; ``figure``: the one that shows the
-    spectrum, ``trace``: as which curve), whose spectra are taken anew over the stretch that is zoomed into.
+    Parameters
+    ----------
+    figure
+        What it shows.
+    stretches
+        By so many stretches a long curve is drawn.
+    group
+        Figures of one group zoom together along the horizontal axis.
+    switch
+        Figures with the same switch change their panels together.
     """
 
-    traces: Sequence[int]
-    layout: Mapping[str, Any] = field(default_factory=dict)
-    signals: Sequence[Mapping[str, Any]] = ()
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure to look into closely.
-
-    ``data`` and ``layout`` as Plotly takes them (plain lists and dictionaries, arrays); ``description`` says in words what is to be
-    seen, for those who do not see it; ``height`` in pixels. Figures of one ``group`` zoom together along the horizontal axis.
-    ``views`` are what buttons above it show, the first one at the beginning; figures with the same ``switch`` change theirs together.
-    """
-
-    name: str
-    caption: str
-    description: str
-    data: Sequence[Mapping[str, Any]]
-    layout: Mapping[str, Any]
-    height: int = 360
+    figure: Figure
+    stretches: int = PAGE.most_stretches
     group: str = ""
-    views: Mapping[str, View] = field(default_factory=dict)
     switch: str = ""
 
 
@@ -107,7 +99,7 @@ class Folded:
     blocks: Sequence[Block]
 
 
-Block: TypeAlias = "Text | Heading | Listing | Table | Equations | Figure | Code | Folded"
+Block: TypeAlias = "Text | Heading | Listing | Table | Equations | FigureBlock | Code | Folded"
 
 
 @dataclass(frozen=True)

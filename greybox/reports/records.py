@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.model import Model
-from greybox.plots.units import scale_to_prefix
-from greybox.reports.axes import format_range
+from greybox.plots.scaling import scale_to_prefix
 from greybox.reports.page import Section, Table
-from greybox.reports.typography import as_sentence, join_names
+from greybox.reports.typography import as_sentence, format_range, join_names
 from greybox.result import Fit, Trace
 
 HEAD = ["record", "use", "rows", "duration", "sampling time", "missing values", "fingerprint"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 from base64 import b64encode
+from collections.abc import Sequence
 from functools import cache
 from html import escape
 from importlib.resources import files
@@ -18,17 +19,23 @@ from latex2mathml.converter import convert
 from markupsafe import Markup
 
 from greybox.errors import DataError
-from greybox.reports.page import Block, Figure, Folded, Page, View
+from greybox.findings import Finding
+from greybox.plots.plotly_backend import css_variable, height_on_page, to_plotly
+from greybox.plots.style import PALETTE
+from greybox.rendering import sentences
+from greybox.reports.page import Block, FigureBlock, Folded, Page
+from greybox.reports.typography import as_sentence, typeset_number
 
 LARGEST = 6_000_000  # bytes of a page: what an e-mail still carries
 PACKING = 1  # of Plotly: higher levels save 200 kB and cost a quarter of a second on every page
+MARKUP = {"hovertemplate"}  # templates hold markup of ours, and what they hold of others is escaped already
 DIGITS = 6  # significant digits of a number in a figure
 
 
 def render(page: Page) -> str:
     """The page as HTML. Raises DataError where it would be larger than 6 MB."""
     html = _environment().get_template("page.html").render(
-        page=page, style=_inside("page.css"), script=_inside("page.js"), plotly=_plotly() if _drawn(page) else ""
+        page=page, style=_style(), script=_inside("page.js"), plotly=_plotly() if _drawn(page) else ""
     )  # fmt: skip
     if len(html.encode()) > LARGEST:
         raise DataError(f"the report {page.title!r} is larger than {LARGEST / 1e6:.0f} MB; give fewer records")
@@ -48,7 +55,7 @@ def _drawn(page: Page) -> bool:
 
 
 def _has_figure(block: Block) -> bool:
-    return isinstance(block, Figure) or (isinstance(block, Folded) and any(map(_has_figure, block.blocks)))
+    return isinstance(block, FigureBlock) or (isinstance(block, Folded) and any(map(_has_figure, block.blocks)))
 
 
 @cache
@@ -58,6 +65,7 @@ def _environment() -> Environment:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.filters |= {"mathml": mathml, "data": embedded, "kind": lambda block: type(block).__name__.lower()}
+    environment.filters |= {"height": height_on_page, "say": say}
     return environment
 
 
@@ -66,20 +74,31 @@ def mathml(latex: str) -> Markup:
     return Markup(convert(latex, display="block"))
 
 
-def embedded(figure: Figure) -> Markup:
+def embedded(block: FigureBlock) -> Markup:
     """What the page's script needs of a figure, as JSON that cannot end the script element it stands in."""
+    drawn = to_plotly(block.figure, block.stretches)
     content = {
-        "data": _plain(figure.data, shown=True), "layout": _plain(figure.layout, shown=True), "group": figure.group,
-        "switch": figure.switch, "views": [{"name": name, **_view(view)} for name, view in figure.views.items()],
-    }  # fmt: skip
+        "data": _plain(drawn.traces, shown=True),
+        "views": [{**_plain(view, shown=True), "name": view["name"]} for view in drawn.views],
+        "signals": _plain(drawn.signals),
+        "group": block.group,
+        "switch": block.switch,
+    }
     text = json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=True)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
-def _view(view: View) -> dict[str, Any]:
-    return {
-        "traces": list(view.traces), "layout": _plain(view.layout, shown=True), "signals": _plain(view.signals)
-    }  # fmt: skip
+def say(findings: Finding | Sequence[Finding]) -> str:
+    """Findings as sentences, with numbers as print has them."""
+    group = [findings] if isinstance(findings, Finding) else findings
+    return " ".join(as_sentence(typeset_number(text)) for text in sentences(group))
+
+
+def _style() -> Markup:
+    """The colours of figures by their roles, in front of the style of all else."""
+    light = "".join(f"{css_variable(role)}:{shade.light};" for role, shade in PALETTE.items())
+    dark = "".join(f"{css_variable(role)}:{shade.dark};" for role, shade in PALETTE.items())
+    return Markup(f':root{{{light}}}\n:root[data-theme="dark"]{{{dark}}}\n') + _inside("page.css")
 
 
 def _plain(value: Any, *, shown: bool = False) -> Any:
@@ -88,7 +107,7 @@ def _plain(value: Any, *, shown: bool = False) -> Any:
     ``shown``: texts are for Plotly, which takes some tags in them as markup; they are escaped, but for the templates of ours.
     """
     if isinstance(value, dict):
-        return {str(k): _plain(v, shown=shown and k != "hovertemplate") for k, v in value.items()}
+        return {str(k): _plain(v, shown=shown and k not in MARKUP) for k, v in value.items()}
     if isinstance(value, str):
         return escape(value, quote=False) if shown else value
     if isinstance(value, np.ndarray):

@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from greybox.plots.units import typeset_exponents, typeset_unit
+import numpy as np
+
+from greybox.plots.scaling import typeset_exponents, typeset_unit
 from greybox.result.summary import format_number
 
-__all__ = ["as_sentence", "count_noun", "format_number", "join_names", "typeset_number", "typeset_page_unit"]
+__all__ = ["as_sentence", "count_noun", "format_number", "format_range", "join_names", "typeset_number", "typeset_unit"]
 
 WORD = re.compile(r"[a-z]{3,}[ :,-]|(?:no|at|on|in|it|of|is|an?|as|by|if|to)[ :]")
 
@@ -18,9 +20,10 @@ def typeset_number(text: str) -> str:
     return typeset_exponents(text.replace("+-", "±").replace(" x noise", " × noise"))
 
 
-def typeset_page_unit(unit: str) -> str:
-    """A unit as print has it: N s/m, Ω."""
-    return typeset_unit(unit).replace("ohm", "Ω")
+def format_range(values: np.ndarray) -> str:
+    """``-3.1 to 2.7``, of the finite ``values`` (N,)."""
+    known = values[np.isfinite(values)]
+    return f"{known.min():.4g} to {known.max():.4g}".replace("-", "−") if len(known) else "nothing"
 
 
 def count_noun(number_of: int, what: str) -> str:

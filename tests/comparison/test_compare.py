@@ -13,7 +13,7 @@ import greybox as gb
 from greybox.cli.app import app
 from greybox.comparison import fit_black_boxes
 from greybox.comparison.verdict import judge_comparison
-from greybox.plots import comparison_figure
+from greybox.plots import draw_comparison
 from greybox.simulation import write_csv
 
 STEP, NOISE, M, D, K = 0.05, 2e-3, 1.0, 0.8, 9.0
@@ -198,7 +198,7 @@ def test_a_run_that_leaves_all_bounds_is_said_and_drawn(compared, tmp_path):
     assert "grows away" in str(found)
     saved = json.loads(found.save(tmp_path / "compare.json").read_text())
     assert saved["models"]["unstable"]["validation"]["y"]["rmse"] is None
-    (figure,) = comparison_figure(found, tmp_path)
+    (figure,) = draw_comparison(found, tmp_path)
     assert figure.stat().st_size > 20_000
 
 

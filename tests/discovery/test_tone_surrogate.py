@@ -12,7 +12,7 @@ from greybox.discovery.tone_surrogate import fit_tone_surrogate
 from greybox.errors import DataError
 from greybox.estimation import FitOptions, validate
 from greybox.export import to_python
-from greybox.plots import discovery_figures
+from greybox.plots import draw_discovery
 from greybox.project import find_model
 from greybox.reports import report
 from models.micro_actuator import micro_actuator
@@ -93,7 +93,7 @@ def test_the_tone_is_written_drawn_and_reported(found, tmp_path):
     saved = json.loads(found.save(tmp_path / "discovery.json").read_text())["stand_in"]
     assert saved["tone"]["frequency"] == found.surrogate.tone.frequency
     assert (saved["variable"], saved["variable_unit"]) == ("time", "s")
-    assert tmp_path / "missing-unknown.png" in discovery_figures(found, tmp_path)
+    assert tmp_path / "missing-unknown.png" in draw_discovery(found, tmp_path)
     assert "a tone of" in report(found, tmp_path / "report.html").read_text()
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from greybox import FitOptions, fit
 from greybox.check import check
-from greybox.plots import residual_figure
+from greybox.plots import draw_residual_tests
 from greybox.residuals import residual_tests, score
 from greybox.uncertainty import bootstrap, profile
 from tests.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, three, with_gaps
@@ -102,7 +102,7 @@ def test_the_residual_is_tested(path, tmp_path):
     assert all(whiteness) if path == "sandwich" else sum(whiteness) <= 1
     assert sum(t.alarm for t in found.tests if not t.test.startswith("whiteness")) <= 1
     if path == "known process noise":
-        files = residual_figure(found, tmp_path)
+        files = draw_residual_tests(found, tmp_path)
         assert [f.name for f in files] == ["residual-x.png", "residual-v.png"] and all(f.stat().st_size for f in files)
 
 

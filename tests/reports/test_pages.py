@@ -14,15 +14,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import periodogram
 from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.check import check
 from greybox.cli.app import app
+from greybox.plots.figure import Axis, Curve, Figure, Panel, Role
+from greybox.rendering.plots import FigureText, phrase
 from greybox.reports import page_of, write
-from greybox.reports.axes import amplitude_density, thin_spectrum
-from greybox.reports.page import Figure, Page, Section, Text, View
+from greybox.reports.page import FigureBlock, Page, Section, Text
 from greybox.reports.render import LARGEST, render
 from greybox.residuals import residual_tests
 from models.micro_actuator import micro_actuator
@@ -164,15 +164,16 @@ def test_text_from_files_stays_text(good: gb.Fit, tmp_path: Path) -> None:
 
 
 def test_text_in_figures_ends_no_script_and_is_no_markup() -> None:
-    figure = Figure(
-        "a", HOSTILE, HOSTILE, [{"name": HOSTILE, "y": [HOSTILE]}], {"title": HOSTILE}, views={HOSTILE: View([0])}
-    )
+    curve = Curve(np.arange(2.0), np.arange(2.0), Role.MEASURED, HOSTILE)
+    panel = Panel(HOSTILE, (curve,), Axis(HOSTILE, HOSTILE), Axis(HOSTILE))
+    figure = FigureBlock(Figure("a", (panel,), phrase(FigureText.RUN, HOSTILE), (phrase(FigureText.INPUTS, HOSTILE),)))
     html = render(Page(HOSTILE, HOSTILE, Text([HOSTILE]), [Section("s", HOSTILE, [figure])], HOSTILE))
     found = Outline(html)
     assert (found.tags["img"], found.tags["script"]) == (0, 3)
     data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', html)[1])
-    assert data["data"][0]["name"] == data["layout"]["title"] == escape(HOSTILE, quote=False)
-    assert data["views"][0]["name"] == HOSTILE
+    (view,) = data["views"]
+    assert data["data"][0]["name"] == view["layout"]["yaxis"]["title"]["text"] == escape(HOSTILE, quote=False)
+    assert view["name"] == HOSTILE
 
 
 def test_many_long_records_make_a_page_that_can_be_mailed(good: gb.Fit) -> None:
@@ -192,27 +193,10 @@ def test_many_long_records_make_a_page_that_can_be_mailed(good: gb.Fit) -> None:
     assert "4 more records are in the tables" in html
 
 
-def test_the_spectrum_is_that_of_scipy() -> None:
-    values = np.random.default_rng(1).normal(size=1000)
-    f, amplitude = amplitude_density(values, 1e-3)
-    reference, power = periodogram(values, 1e3, window="hann", detrend="constant")
-    np.testing.assert_allclose(f, reference[1:])
-    np.testing.assert_allclose(amplitude[:-1], np.sqrt(power[1:-1]), rtol=1e-6)
-    _, few = thin_spectrum(f, amplitude, 50)
-    assert len(few) <= 50
-    assert few.max() == amplitude.max()
-
-
-def test_a_gap_does_not_lower_the_spectrum() -> None:
-    values = 3.0 * np.random.default_rng(2).normal(size=4000)
-    values[1500:2500] = np.nan  # where the window weighs most
-    _, amplitude = amplitude_density(values, 1e-3)
-    assert np.sqrt(np.mean(amplitude**2)) == pytest.approx(3.0 * np.sqrt(2e-3), rel=0.05)
-
-
 def test_numbers_travel_in_six_digits_and_gaps_as_gaps() -> None:
     given = np.array([0.1234567891, -1.987654321e-9, 12345678.9, 0.0, np.nan, np.inf])
-    figure = Figure("a", "caption", "a description of the figure", [{"y": given}], {})
+    panel = Panel("x", (Curve(np.arange(6.0), given, Role.MEASURED),), Axis("time", "s"), Axis("x"))
+    figure = FigureBlock(Figure("a", (panel,), phrase(FigureText.PHASE)))
     html = render(Page("t", "q", Text(["v"]), [Section("s", "S", [figure])]))
     assert '"y":[0.123457,-1.98765e-09,12345700.0,0.0,null,null]' in html
 

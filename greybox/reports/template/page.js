@@ -28,22 +28,14 @@
     return value;
   };
 
-  const merged = (base, over) => {
-    const result = { ...base };
-    for (const [key, value] of Object.entries(over))
-      result[key] = value && typeof value === "object" && !Array.isArray(value) ? merged(base[key] ?? {}, value) : value;
-    return result;
-  };
-
   const narrow = () => window.innerWidth < 640;
   const styled = (figure, chosen = figure.shown) => {
-    const view = figure.views[chosen];
     const axis = { gridcolor: colour("--line"), zerolinecolor: colour("--line"), linecolor: colour("--line"), automargin: true };
-    const own = painted(view ? merged(figure.layout, view.layout) : figure.layout);
+    const own = painted(figure.views[chosen].layout);
     const axes = Object.fromEntries(
       Object.keys({ xaxis: 0, yaxis: 0, ...own }).filter((key) => /^[xy]axis/.test(key)).map((key) => {
         const title = { standoff: 12, ...own[key]?.title };
-        return [key, { ...axis, ...(own[key]?.type === "log" ? { exponentformat: key[0] === "x" ? "none" : "power" } : {}), ...own[key], title, uirevision: key[0] === "x" ? "kept" : String(chosen) }];
+        return [key, { ...axis, ...(own[key]?.type === "log" ? { exponentformat: key[0] === "x" ? "none" : "power" } : {}), ...own[key], title, uirevision: key[0] === "x" && figure.group ? "kept" : String(chosen) }];
       }));
     return {
       // Values beside bars need room.
@@ -61,8 +53,8 @@
   const PAPER = 690;
   let paper = false;
   const curves = (figure, chosen = figure.shown) => {
-    const shown = figure.views.length && new Set(figure.views[chosen].traces);
-    return figure.data.map((trace, k) => ({ ...painted(trace), ...(shown && { visible: shown.has(k) }) }));
+    const shown = new Set(figure.views[chosen].traces);
+    return figure.data.map((trace, k) => ({ ...painted(trace), visible: shown.has(k) }));
   };
   const draw = (figure) => {
     return Plotly.react(figure.plot, curves(figure), styled(figure), { responsive: !paper, displaylogo: false, displayModeBar: narrow() ? false : "hover" });
@@ -130,15 +122,14 @@
     }
   };
 
-  // The spectrum of the stretch that is looked at.
+  // The spectra that are shown of the stretch that is looked at.
   const respectrum = (figure) => {
-    const changed = new Set();
-    for (const signal of figure.views[figure.shown]?.signals ?? []) {
-      const target = figures.find((f) => f.element.id === signal.figure);
-      retake(figure, target, signal);
-      changed.add(target);
+    for (const target of figures) {
+      const shown = new Set(target.views[target.shown].traces);
+      const followed = target.signals.filter((signal) => signal.figure === figure.element.id && shown.has(signal.trace));
+      for (const signal of followed) retake(figure, target, signal);
+      if (followed.length) draw(target);
     }
-    changed.forEach(draw);
   };
 
   const retake = (figure, target, { start, step, values, trace }) => {
@@ -154,14 +145,15 @@
   };
 
   const choose = (figure, name) => {
-    for (const one of figures.filter((other) => other === figure || (figure.switch && other.switch === figure.switch))) {
+    const together = figures.filter((other) => other === figure || (figure.switch && other.switch === figure.switch));
+    for (const one of together) {
       const k = one.views.findIndex((view) => view.name === name);
       if (k < 0) continue;
       one.shown = k;
       for (const button of one.element.querySelectorAll(".choices button")) button.setAttribute("aria-pressed", String(button.textContent === name));
       draw(one);
-      if (one.range) respectrum(one);
     }
+    together.forEach(respectrum);
   };
 
   const dress = (dark) => {

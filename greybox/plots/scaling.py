@@ -1,4 +1,4 @@
-"""Axes for people: micrometres rather than 1e-6 m."""
+"""Numbers and units as people read them on an axis: micrometres rather than 1e-6 m."""
 
 from __future__ import annotations
 
@@ -27,15 +27,22 @@ def scale_to_prefix(unit: str, *signals: np.ndarray) -> tuple[float, str]:
 
 
 def typeset_unit(unit: str) -> str:
-    """A unit for an axis: ``N s/m²``."""
-    return format_unit(unit).replace("^2", "²").replace("^3", "³").replace("*", " ")
-
-
-def axis_label(name: str, unit: str) -> str:
-    """An axis label: ``x [µm]``; without brackets where there is no unit."""
-    return f"{name} [{unit}]" if unit else name
+    """A unit as print has it: ``N s/m²``, ``Ω``."""
+    return format_unit(unit).replace("^2", "²").replace("^3", "³").replace("*", " ").replace("ohm", "Ω")
 
 
 def typeset_exponents(text: str) -> str:
     """Numbers with their powers of ten as print has them: ``5e-04`` is 5·10⁻⁴."""
-    return EXPONENT.sub(lambda found: "·10" + (found[1].replace("+", "") + found[2]).translate(RAISED), text)
+    return EXPONENT.sub(lambda match: "·10" + (match[1].replace("+", "") + match[2]).translate(RAISED), text)
+
+
+def root_mean_square(values: np.ndarray) -> float:
+    """Root mean square of the finite ``values`` (N,); NaN where there are none."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
+
+
+def value_range(values: np.ndarray) -> tuple[float, float]:
+    """Smallest and largest of the finite ``values`` (N,); NaN where there are none."""
+    known = values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if len(known) else (math.nan, math.nan)
