@@ -307,7 +307,7 @@ def test_irregular_time_names_the_way_out():
     u, y = data(60)
     r = gb.Experiment("uneven", np.cumsum(np.where(np.arange(60) % 7, 0.1, 0.15)), {"u": u}, {"y": y})
     with pytest.raises(
-        gb.errors.DataError, match=r"'uneven': time is irregular .*greybox\.resample\(experiment, 0\.1\)"
+        gb.errors.DataError, match=r"'uneven': time is irregular .*greybox\.blackbox\.resample\(experiment, 0\.1\)"
     ):
         gb.blackbox.arx(r, na=1, nb=1)
     assert gb.blackbox.arx(gb.blackbox.resample(r, 0.1), na=2, nb=2).samples > 50

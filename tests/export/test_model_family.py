@@ -29,10 +29,10 @@ def fit():
 def test_draws_have_the_covariance_of_the_fit(fit):
     cloud, rng = make_parameter_distribution(to_plant(fit)), np.random.default_rng(0)
     draws = np.array([cloud.draw(rng)[cloud.which] for _ in range(4000)])
-    expected = np.sqrt(np.diag(fit.covariance))
+    expected = np.sqrt(np.diag(fit.uncertainty.covariance))
     np.testing.assert_allclose(draws.std(axis=0), expected, rtol=0.1)
     found = np.corrcoef(draws.T)
-    np.testing.assert_allclose(found, fit.covariance / np.outer(expected, expected), atol=0.08)
+    np.testing.assert_allclose(found, fit.uncertainty.covariance / np.outer(expected, expected), atol=0.08)
 
 
 def test_draws_respect_the_bounds(fit):
@@ -53,11 +53,11 @@ def test_pole_bounds_are_those_of_linear_propagation(fit):
     family = gb.export.sample_family(fit, number=200)
     slow = family.poles[:, 0]
     slope = []
-    for name in fit.free:
+    for name in fit.uncertainty.free:
         step = 1e-5 * fit.model.values[name]
         moved = [gb.linearise(fit.model.start(**{name: fit.model.values[name] + s * step})).poles[0] for s in (1, -1)]
         slope.append((moved[0] - moved[1]) / (2 * step))
-    expected = np.sqrt(np.real(slope) @ fit.covariance @ np.real(slope))
+    expected = np.sqrt(np.real(slope) @ fit.uncertainty.covariance @ np.real(slope))
     assert slow.real.std() == pytest.approx(expected, rel=0.15)
 
 
@@ -80,8 +80,8 @@ def test_a_fit_as_mat_gives_scipy_the_response_of_the_fit(fit, tmp_path):
     for j, values in enumerate(run.outputs.values()):
         np.testing.assert_allclose(y[:, j], values, rtol=0, atol=1e-11 * np.abs(values).max())
     names = [str(entry[0][0]) for entry in found["covariance_names"]]
-    np.testing.assert_array_equal(found["covariance_values"], fit.covariance)
-    assert names == list(fit.free)
+    np.testing.assert_array_equal(found["covariance_values"], fit.uncertainty.covariance)
+    assert names == list(fit.uncertainty.free)
 
 
 def test_frequency_bounds_contain_the_nominal_and_most_members(fit):
@@ -110,10 +110,10 @@ def test_the_worst_case_of_a_linear_criterion_is_the_edge_of_the_ellipsoid(fit):
 
 
 def test_a_constant_without_covariance_stays_where_it_is(fit):
-    covariance = fit.covariance.copy()
-    k = fit.free.index("La")
+    covariance = fit.uncertainty.covariance.copy()
+    k = fit.uncertainty.free.index("La")
     covariance[k], covariance[:, k] = np.nan, np.nan
-    family = gb.export.sample_family(replace(fit, covariance=covariance), number=5)
+    family = gb.export.sample_family(replace(fit, uncertainty=replace(fit.uncertainty, covariance=covariance)), number=5)
     column = list(fit.model.values).index("La")
     assert np.all(family.constants[:, column] == fit.model.values["La"])
     assert "La: no covariance (at a bound, or not determined by the records)" in family.notes[0]
@@ -140,9 +140,9 @@ def test_what_cannot_be_drawn_is_refused(fit):
     with pytest.raises(gb.errors.ModelError, match="a family of 1: give at least 2"):
         gb.export.sample_family(fit, number=1)
     with pytest.raises(gb.errors.ModelError, match="no fitted constant has a covariance"):
-        gb.export.sample_family(replace(fit, covariance=np.full_like(fit.covariance, np.nan)))
+        gb.export.sample_family(replace(fit, uncertainty=replace(fit.uncertainty, covariance=np.full_like(fit.uncertainty.covariance, np.nan))))
 
 
 def test_a_failed_fit_is_said(fit):
-    failed = replace(fit, success=False, status_message="stopped after 3 iterations")
+    failed = replace(fit, solver=replace(fit.solver, success=False, status_message="stopped after 3 iterations"))
     assert "the fit did not succeed (stopped after 3 iterations)" in gb.linearise(failed).notes[0]
