@@ -113,7 +113,9 @@ def test_a_constant_without_covariance_stays_where_it_is(fit):
     covariance = fit.uncertainty.covariance.copy()
     k = fit.uncertainty.free.index("La")
     covariance[k], covariance[:, k] = np.nan, np.nan
-    family = gb.export.sample_family(replace(fit, uncertainty=replace(fit.uncertainty, covariance=covariance)), number=5)
+    family = gb.export.sample_family(
+        replace(fit, uncertainty=replace(fit.uncertainty, covariance=covariance)), number=5
+    )
     column = list(fit.model.values).index("La")
     assert np.all(family.constants[:, column] == fit.model.values["La"])
     assert "La: no covariance (at a bound, or not determined by the records)" in family.notes[0]
@@ -140,7 +142,11 @@ def test_what_cannot_be_drawn_is_refused(fit):
     with pytest.raises(gb.errors.ModelError, match="a family of 1: give at least 2"):
         gb.export.sample_family(fit, number=1)
     with pytest.raises(gb.errors.ModelError, match="no fitted constant has a covariance"):
-        gb.export.sample_family(replace(fit, uncertainty=replace(fit.uncertainty, covariance=np.full_like(fit.uncertainty.covariance, np.nan))))
+        gb.export.sample_family(
+            replace(
+                fit, uncertainty=replace(fit.uncertainty, covariance=np.full_like(fit.uncertainty.covariance, np.nan))
+            )
+        )
 
 
 def test_a_failed_fit_is_said(fit):
