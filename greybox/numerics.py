@@ -5,6 +5,36 @@ These are properties of the arithmetic, not decisions about models or data; deci
 
 from __future__ import annotations
 
+SAME_SAMPLING_TIME = 2e-3
+"""Relative difference below which two sampling times are one: recorded time stamps are rounded."""
+
+STEP_ROUNDING = 1e-9
+"""Share of a sampling interval by which a row or a delay may miss a whole number of intervals."""
+
+COLLINEAR_COLUMNS = 1e-13
+"""Smallest singular value of columns of unit length, over the square root of their number of rows, below which they are dependent."""
+
+NEGLIGIBLE_SINGULAR_VALUE = 1e-13
+"""Singular values below this share of the largest are rounding errors."""
+
+FREE_RESPONSE_GROWTH = 1e8
+"""Rows in which a free response has grown beyond this say nothing about the initial state in double precision."""
+
+FADED_RESPONSE = 1e-17
+"""A decaying response is over once it is below this share of its beginning."""
+
+REFLECTED_ROOT_MARGIN = 1e-6
+"""A root that is mirrored into the unit circle stays this far inside, so that its filter forgets."""
+
+CONFINED_ROOT_MARGIN = 1e-9
+"""An integrator's pole is held this far inside the unit circle: it must not leak over a long record."""
+
+IMAGINARY_ROUNDING = 1e-6
+"""Largest imaginary part of a matrix logarithm, relative to its largest entry, that is rounding."""
+
+REAL_POLE = 1e-12
+"""A pole whose imaginary part is below this is real."""
+
 TINY = 1e-300
 """Smallest divisor: keeps a quotient finite where numerator and denominator vanish together."""
 
