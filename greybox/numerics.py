@@ -14,6 +14,9 @@ STEP_ROUNDING = 1e-9
 COLLINEAR_COLUMNS = 1e-13
 """Smallest singular value of columns of unit length, over the square root of their number of rows, below which they are dependent."""
 
+DEPENDENT_COLUMN_SHARE = 0.05
+"""Columns whose share in a linear dependence is above this part of the largest are named as dependent."""
+
 NEGLIGIBLE_SINGULAR_VALUE = 1e-13
 """Singular values below this share of the largest are rounding errors."""
 
@@ -28,6 +31,12 @@ REFLECTED_ROOT_MARGIN = 1e-6
 
 CONFINED_ROOT_MARGIN = 1e-9
 """An integrator's pole is held this far inside the unit circle: it must not leak over a long record."""
+
+ZERO_EIGENVALUE = 1e-9
+"""An eigenvalue is not in the right half plane if its real part is below this share of the fastest eigenvalue."""
+
+NEGLIGIBLE_JUMP = 1e-9
+"""A step response whose first value is below this share of its final value does not jump."""
 
 IMAGINARY_ROUNDING = 1e-6
 """Largest imaginary part of a matrix logarithm, relative to its largest entry, that is rounding."""

@@ -9,8 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.signal import lfilter
 
-from greybox.blackbox.excitation import find_weak_excitation
-from greybox.blackbox.linear_regression import (  # fmt: skip
+from greybox.blackbox.linear_regression import (
     Orders,
     RegressionHistory,
     build_regressors,
@@ -20,8 +19,9 @@ from greybox.blackbox.linear_regression import (  # fmt: skip
     solve_least_squares,
     to_orders,
 )
+from greybox.blackbox.model_checks import find_instability, find_weak_excitation
 from greybox.blackbox.polynomial import PolynomialModel
-from greybox.blackbox.rounding import find_instability, reflect_roots
+from greybox.blackbox.polynomial_roots import reflect_roots
 from greybox.blackbox.sampled_data import SampledData, to_sampled_data
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
@@ -43,69 +43,121 @@ def arx(
     offset: bool = False,
     units: Mapping[str, str] | None = None,
 ) -> PolynomialModel:
-    """Fit ``A(q) y(k) = sum_i B_i(q) u_i(k) + e(k)`` to one or more records of the same sampling time, by least squares.
+    """Fit ``A(q) y(k) = sum_i B_i(q) u_i(k) + e(k)`` by linear least squares.
 
-    ``na`` poles; ``nb`` coefficients of each ``B`` (one number for all inputs, or one for each), the first at a delay of ``nk``
-    samples (0: direct feed-through). ``output``: needed where the records have several; ``inputs``: None for all.
+    Parameters
+    ----------
+    experiments
+        One or more records of the same sampling time. A gap in the output leaves out every equation that it is part of.
+    na
+        Number of poles.
+    nb
+        Number of coefficients of each ``B``: one number for all inputs, or one for each.
+    nk
+        Delay in samples of the first of these coefficients (0: direct feed-through).
+    output
+        Name of the output; needed where the records have several.
+    inputs
+        Names of the inputs; None takes all.
+    history
+        ``"measured"`` uses the equations whose whole history was measured (the covariance method: row ``max(na, nb + nk - 1)``
+        on). ``"zero"`` uses the first rows as well, with zeros before the record (pre-windowing): right where the record begins at
+        rest, and the only way to tell the lags of a step apart.
+    focus
+        ``"prediction"`` minimises the mean square of the one-step error ``e``. ``"simulation"`` then filters the equations
+        ``passes`` times by ``1 / A`` of the previous estimate (Steiglitz and McBride 1965), which approximately minimises the error
+        of a free run.
+    passes
+        Number of these passes.
+    offset
+        Whether the equation has a constant, for signals that do not rest at zero.
+    units
+        Name of a signal -> unit.
 
-    ``history`` names the rows: ``"measured"`` takes the equations whose whole history was measured (the covariance method: row
-    ``max(na, nb + nk - 1)`` on); ``"zero"`` also the first ones, with zeros before the record (pre-windowing), which is right where
-    it begins at rest and tells the lags of a step apart. A gap in the output leaves out every equation that it is part of.
+    Returns
+    -------
+    PolynomialModel
+        The model with the covariance of its coefficients and its findings.
 
-    ``focus``: ``"prediction"`` minimises the mean square of ``e``, one step ahead; ``"simulation"`` then weighs it ``passes`` times
-    by ``1 / A`` of the fit before (Steiglitz and McBride 1965), so that the error of a free run is minimised, approximately.
-    ``offset`` adds a constant to the equation, for signals that do not rest at zero. ``units``: name -> unit.
+    Raises
+    ------
+    DataError
+        For irregular time, unknown names, too few rows, and columns that the record cannot tell apart.
 
-    Raises DataError for irregular time, unknown names, too few rows, and columns that the record cannot tell apart.
+    See Also
+    --------
+    armax, output_error : models with another place for the noise.
+
+    Examples
+    --------
+    >>> import greybox as gb
+    >>> import numpy as np
+    >>> u = np.random.default_rng(0).standard_normal(200)
+    >>> y = np.zeros(200)
+    >>> for k in range(1, 200):
+    ...     y[k] = 0.9 * y[k - 1] + 0.5 * u[k - 1]
+    >>> record = gb.Experiment("record", 0.1 * np.arange(200), {"u": u}, {"y": y})
+    >>> model = gb.blackbox.arx(record, na=1, nb=1)
+    >>> {name: round(value, 6) for name, value in model.coefficients.items()}
+    {'a1': -0.9, 'b1': 0.5}
     """
     if history not in get_args(RegressionHistory):
         raise DataError(f"unknown history {history!r}; {nearest(history, get_args(RegressionHistory))}")
     if focus not in get_args(FitFocus):
         raise DataError(f"unknown focus {focus!r}; {nearest(focus, get_args(FitFocus))}")
     data = to_sampled_data(experiments, output, inputs)
-    o = to_orders(data, nb, nk, na)
-    model = fit_arx(data, o, history=history, offset=offset, passes=passes if focus == "simulation" else 0)
-    notes = (*find_weak_excitation(data, sum(o.nb) + o.na, o.nb), *model.notes)
-    return replace(model, units=dict(units or {}), notes=notes)
+    orders = to_orders(data, nb, nk, na)
+    model = fit_arx(data, orders, history=history, offset=offset, passes=passes if focus == "simulation" else 0)
+    findings = (*find_weak_excitation(data, sum(orders.nb) + orders.na, orders.nb), *model.findings)
+    return replace(model, units=dict(units or {}), findings=findings)
 
 
 def fit_arx(
-    data: SampledData, o: Orders, *, history: RegressionHistory, offset: bool, passes: int = 0
+    data: SampledData, orders: Orders, *, history: RegressionHistory, offset: bool, passes: int = 0
 ) -> PolynomialModel:
     """`arx` of these orders, with ``passes`` of the filter ``1 / A``."""
-    model = _estimate(data, o, history, offset, None)
+    model = _estimate(data, orders, history, offset, None)
     for _ in range(passes):
-        model = _estimate(data, o, history, offset, reflect_roots(model.a))
-    return replace(model, focus="simulation" if passes else "prediction", notes=find_instability(model))
+        model = _estimate(data, orders, history, offset, reflect_roots(model.a))
+    return replace(model, focus="simulation" if passes else "prediction", findings=find_instability(model))
 
 
 def _estimate(
-    data: SampledData, o: Orders, history: RegressionHistory, offset: bool, prefilter: np.ndarray | None
+    data: SampledData, orders: Orders, history: RegressionHistory, offset: bool, prefilter: np.ndarray | None
 ) -> PolynomialModel:
-    """The least-squares estimate, its equations filtered by ``1 / prefilter`` from each record's or segment's first one on."""
-    blocks, targets, ends = [], [], []
-    for series in data.series:
-        rows = find_usable_rows(series, o, history)
+    """The least-squares estimate, its equations filtered by ``1 / prefilter`` from the first one of each record or segment on."""
+    blocks, targets = [], []
+    for record in data.records:
+        rows = find_usable_rows(record, orders, history)
         for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
             if len(run):
-                block, target = build_regressors(series, o, offset)[run], series.y[run]
+                block, target = build_regressors(record, orders, offset)[run], record.y[run]
                 if prefilter is not None:
                     block, target = (lfilter([1.0], prefilter, part, axis=0) for part in (block, target))
                 blocks.append(block)
                 targets.append(target)
-                ends.append(len(run))
-    names = name_regressors(data, o, offset)
-    label = f"arx({o.na}, {list(o.nb)}, {list(o.nk)})" if len(o.nb) > 1 else f"arx({o.na}, {o.nb[0]}, {o.nk[0]})"
-    refuse_few_rows(data, label, sum(ends), len(names), history)
+    names = name_regressors(data, orders, offset)
+    na, nb, nk = orders.na, orders.nb, orders.nk
+    label = f"arx({na}, {list(nb)}, {list(nk)})" if len(nb) > 1 else f"arx({na}, {nb[0]}, {nk[0]})"
+    refuse_few_rows(data, label, sum(map(len, targets)), len(names), history)
     phi, y = np.concatenate(blocks), np.concatenate(targets)
     theta, inverse, squares = solve_least_squares(phi, y, names, label)
     variance = squares / (len(y) - len(theta))
-    a, rest = theta[: o.na], theta[o.na :]
-    cut = np.cumsum(o.nb)
+    a, remainder = theta[:na], theta[na:]
+    ends = np.cumsum(nb)
+    numerators = np.split(remainder[: ends[-1]], ends[:-1])
     return PolynomialModel(
-        kind="arx", output=data.output, inputs=data.inputs, sampling_time=data.sampling_time, nk=o.nk,
+        kind="arx",
+        output=data.output,
+        inputs=data.inputs,
+        sampling_time=data.sampling_time,
+        nk=nk,
         a=np.append(1.0, a),
-        b=tuple(np.append(np.zeros(k), part) for k, part in zip(o.nk, np.split(rest[: cut[-1]], cut[:-1]), strict=True)),
-        constant=float(rest[-1]) if offset else None, noise_std=float(np.sqrt(variance)), covariance=variance * inverse,
-        samples=len(y), loss=squares / len(y), history=history,
-    )  # fmt: skip
+        b=tuple(np.append(np.zeros(k), numerator) for k, numerator in zip(nk, numerators, strict=True)),
+        constant=float(remainder[-1]) if offset else None,
+        noise_std=float(np.sqrt(variance)),
+        covariance=variance * inverse,
+        samples=len(y),
+        loss=squares / len(y),
+        history=history,
+    )

@@ -51,7 +51,9 @@ class StructureScanPolicy:
             starts=2, first_iterations=4, iterations=15, relative_decrease=1e-6
         )
     )
-    """Search while scanning; the chosen structure is searched again in full."""
+    """Search while scanning: enough to rank structures."""
+    final_search: PredictionErrorPolicy = field(default_factory=PredictionErrorPolicy)
+    """Search for the chosen structure."""
     initial_rows: int = 50
     """Rows of a validation record that determine the initial state, where no ``skip`` is given."""
     as_good: float = 0.005

@@ -14,12 +14,15 @@ from greybox.blackbox.responses import InitialChoice
 from greybox.blackbox.sampled_data import SampledRecord, to_sampled_record
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
+from greybox.findings import Finding
+from greybox.numerics import SAME_SAMPLING_TIME
+from greybox.values import Printable
 
 ONE = np.ones(1)
 
 
 @dataclass(frozen=True, eq=False)
-class PolynomialModel:
+class PolynomialModel(Printable):
     """A linear difference equation of one output.
 
     ``A(q) y(k) = sum_i B_i(q) / F_i(q) u_i(k) + constant + C(q) / D(q) e(k)`` with ``A = 1 + a1 q^-1 + ...`` and so on, and
@@ -31,7 +34,7 @@ class PolynomialModel:
     `transfer_function_coefficients`; None where they were not estimated. ``samples`` equations went into the estimate and ``loss``
     is the mean square
     of what it minimised (the one-step error; for ``simulation`` focus the prefiltered one). ``history`` and ``focus`` say how the
-    rows were made, ``units`` name -> unit, ``notes`` what one should know before trusting it.
+    rows were made, ``units`` name -> unit, ``findings`` what one should know before trusting it.
     """
 
     kind: str
@@ -52,7 +55,7 @@ class PolynomialModel:
     history: str = ""
     focus: str = "prediction"
     units: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         def frozen(values: Any) -> np.ndarray:
@@ -75,11 +78,11 @@ class PolynomialModel:
             "output error": (nb, nf, self.nk),
             "box-jenkins": (nb, nf, len(self.c) - 1, len(self.d) - 1, self.nk),
         }
-        said = orders.get(self.kind, (len(self.a) - 1, nb, len(self.c) - 1, len(self.d) - 1, nf, self.nk))
+        shown = orders.get(self.kind, (len(self.a) - 1, nb, len(self.c) - 1, len(self.d) - 1, nf, self.nk))
         further = ["offset"] * (self.constant is not None) + ["simulation focus"] * (
             self.kind == "arx" and self.focus == "simulation"
         )
-        return f"{self.kind}({', '.join([*map(_orders, said), *further])})"
+        return f"{self.kind}({', '.join([*map(_format_orders, shown), *further])})"
 
     @property
     def coefficients(self) -> dict[str, float]:
@@ -109,8 +112,8 @@ class PolynomialModel:
     @property
     def std(self) -> dict[str, float]:
         """Standard deviation of each coefficient; NaN where no covariance is known."""
-        spread = np.full(self.parameters, np.nan) if self.covariance is None else np.sqrt(np.diag(self.covariance))
-        return dict(zip(self.coefficients, map(float, spread), strict=True))
+        deviations = np.full(self.parameters, np.nan) if self.covariance is None else np.sqrt(np.diag(self.covariance))
+        return dict(zip(self.coefficients, map(float, deviations), strict=True))
 
     @property
     def poles(self) -> np.ndarray:
@@ -155,7 +158,7 @@ class PolynomialModel:
         Raises DataError for an experiment of another sampling time, without an input, or without the measurements that
         ``initial`` needs. The run of an unstable model grows, up to infinity.
         """
-        return {self.output: responses.simulate_free_run(self, self._series(experiment, initial), initial, rows)}
+        return {self.output: responses.simulate_free_run(self, self._to_record(experiment, initial), initial, rows)}
 
     def predict(
         self, experiment: Experiment, steps: int = 1, *, initial: InitialChoice = "estimated", rows: int | None = None
@@ -169,12 +172,12 @@ class PolynomialModel:
         if steps < 1:
             raise DataError(f"steps ahead: {steps}; give a whole number from 1")
         return {
-            self.output: responses.predict_ahead(self, self._series(experiment, "measured"), steps, initial, rows)[0]
+            self.output: responses.predict_ahead(self, self._to_record(experiment, "measured"), steps, initial, rows)[0]
         }
 
     def errors(self, experiment: Experiment, *, initial: InitialChoice = "estimated") -> np.ndarray:
         """One-step prediction errors ``e`` (N,), NaN in gaps and where ``initial="measured"`` has no history."""
-        return responses.predict_ahead(self, self._series(experiment, "measured"), 1, initial, None)[1]
+        return responses.predict_ahead(self, self._to_record(experiment, "measured"), 1, initial, None)[1]
 
     def to_control(self) -> Any:
         """A discrete `control.TransferFunction` from the inputs to the output, with signal names and the sampling time."""
@@ -191,30 +194,25 @@ class PolynomialModel:
             name=self.kind.replace(" ", "_"),
         )
 
-    def __str__(self) -> str:
-        from greybox.blackbox.text import describe_model
-
-        return describe_model(self)
-
-    def _series(self, experiment: Experiment, initial: InitialChoice) -> SampledRecord:
-        series = to_sampled_record(experiment, self.output, self.inputs, need_output=initial != "zero")
-        if not np.isclose(series.sampling_time, self.sampling_time, rtol=2e-3):
+    def _to_record(self, experiment: Experiment, initial: InitialChoice) -> SampledRecord:
+        record = to_sampled_record(experiment, self.output, self.inputs, need_output=initial != "zero")
+        if not np.isclose(record.sampling_time, self.sampling_time, rtol=SAME_SAMPLING_TIME):
             raise DataError(
-                f"experiment {experiment.name!r} is sampled every {series.sampling_time:.6g} s, but {self.label} of"
+                f"experiment {experiment.name!r} is sampled every {record.sampling_time:.6g} s, but {self.label} of"
                 f" {self.output!r} was identified at {self.sampling_time:.6g} s and holds for that alone; resample the record"
             )
-        return series
+        return record
 
     def _input(self, name: str | None) -> int:
         if name is None and len(self.inputs) == 1:
             return 0
         if name not in self.inputs:
-            said = "which input?" if name is None else f"no input {name!r};"
-            raise DataError(f"{self.label} of {self.output!r}: {said} {nearest(name or '', self.inputs)}")
+            problem = "which input?" if name is None else f"no input {name!r};"
+            raise DataError(f"{self.label} of {self.output!r}: {problem} {nearest(name or '', self.inputs)}")
         return self.inputs.index(name)
 
 
-def _orders(value: Any) -> str:
+def _format_orders(value: Any) -> str:
     if not isinstance(value, (list, tuple)):
         return str(value)
     return str(value[0]) if len(value) == 1 else f"[{' '.join(map(str, value))}]"
@@ -222,5 +220,5 @@ def _orders(value: Any) -> str:
 
 def _roots(polynomial: np.ndarray) -> np.ndarray:
     """Roots in z of a polynomial in ``q^-1``, largest first, those at the origin left out."""
-    found = np.roots(np.trim_zeros(polynomial, "b"))
-    return found[np.argsort(-np.abs(found), kind="stable")]
+    roots = np.roots(np.trim_zeros(polynomial, "b"))
+    return roots[np.argsort(-np.abs(roots), kind="stable")]

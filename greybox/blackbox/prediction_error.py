@@ -1,7 +1,7 @@
-"""Prediction-error minimisation: Levenberg and Marquardt's search with filtered gradients, initial states projected out.
+"""Prediction-error models: errors, gradients, the search with its starts, and the finished model with its covariance.
 
 Over ``theta`` the sum of squares of ``e = D / C (A y - sum B / F u - constant)`` is minimised. The unknown past of each record
-(of each stretch between gaps, where the predictor uses measured outputs) enters linearly; it is eliminated by projecting
+(of each part between gaps, where the predictor uses measured outputs) enters linearly; it is eliminated by projecting
 errors and gradients off its responses (variable projection, Golub and Pereyra 1973, with Kaufman's gradient). The gradients are
 filtered signals (Ljung, System identification, 2nd ed., section 10.3)::
 
@@ -11,40 +11,57 @@ filtered signals (Ljung, System identification, 2nd ed., section 10.3)::
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.signal import lfilter
 
-from greybox.blackbox.linear_regression import delay_rows
+from greybox.blackbox.linear_regression import refuse_few_rows
+from greybox.blackbox.model_checks import find_instability, find_unfinished_search
+from greybox.blackbox.policy import DEFAULT_SEARCH, PredictionErrorPolicy
 from greybox.blackbox.polynomial import PolynomialModel
-from greybox.blackbox.responses import NEGLIGIBLE, compute_initial_responses
-from greybox.blackbox.rounding import confine_roots, reflect_roots
-from greybox.blackbox.sampled_data import SampledData, SampledRecord
+from greybox.blackbox.polynomial_roots import confine_roots, reflect_roots
+from greybox.blackbox.responses import compute_initial_responses
+from greybox.blackbox.sampled_data import SampledData, SampledRecord, delay_rows
 from greybox.blackbox.structure import PolynomialStructure, to_monic
+from greybox.errors import DataError, nearest
+from greybox.numerics import (
+    COLLINEAR_COLUMNS,
+    DEPENDENT_COLUMN_SHARE,
+    FADED_RESPONSE,
+    NEGLIGIBLE_SINGULAR_VALUE,
+)
 
-ITERATIONS = 100
-# The search ends when a step promises, or has brought, less than this share of the sum of squares.
-ENOUGH = 1e-12
-DAMPING, HARDER, MOST_DAMPING = 1e-4, 2.0, 1e12  # of unit gradients; the factor after a step that failed
-FADED = 1e-17  # share of its beginning below which a response is over
+HistoryTreatment = Literal["estimated", "zero"]
+Starts = Callable[[PolynomialStructure, SampledData, bool, PredictionErrorPolicy], Sequence[np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
 class PredictionErrors:
-    """One-step errors (n,) of all stretches with the past projected out, their slopes (n, p), and the states projected out."""
+    """One-step errors of all parts of the records with the unknown past projected out.
+
+    Attributes
+    ----------
+    e
+        Errors (n,).
+    gradient
+        Their derivatives (n, p) with respect to the coefficients; no columns where they were not asked for.
+    states
+        Number of initial states that were projected out.
+    """
 
     e: np.ndarray
-    slopes: np.ndarray
+    gradient: np.ndarray
     states: int
 
     @property
     def squares(self) -> float:
         """Sum of squares; infinite where the errors leave all bounds."""
         with np.errstate(over="ignore", invalid="ignore"):
-            found = float(self.e @ self.e)
-        return found if np.isfinite(found) else np.inf
+            squares = float(self.e @ self.e)
+        return squares if np.isfinite(squares) else np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +74,65 @@ class PredictionErrorMinimum:
     converged: bool
 
 
+@dataclass(frozen=True, eq=False)
+class PredictionErrorProblem:
+    """A structure and the parts of the records that it is fitted to; ``rest``: all was zero before them."""
+
+    structure: PolynomialStructure
+    data: SampledData
+    parts: tuple[SampledRecord, ...]
+    rest: bool
+
+    def evaluate(self, theta: np.ndarray, with_gradient: bool) -> PredictionErrors:
+        """Errors at the coefficients ``theta`` (p,)."""
+        return compute_prediction_errors(
+            self.structure, theta, self.data, self.parts, rest=self.rest, with_gradient=with_gradient
+        )
+
+    def stabilise(self, theta: np.ndarray) -> np.ndarray:
+        """The coefficients with stable filters."""
+        return stabilise(self.structure, theta)
+
+
+def fit_prediction_error(
+    structure: PolynomialStructure,
+    data: SampledData,
+    estimate_starts: Starts,
+    history: HistoryTreatment,
+    units: Mapping[str, str] | None = None,
+    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+) -> PolynomialModel:
+    """The best minimum from the best of the starts that ``estimate_starts`` makes.
+
+    Raises DataError where there are too few rows or the columns are collinear.
+    """
+    problem = PredictionErrorProblem(structure, data, split_records(data, structure), history == "zero")
+    label = structure.model(np.zeros(structure.size), data).label
+    count = int(sum(np.isfinite(part.y).sum() for part in problem.parts))
+    refuse_few_rows(data, label, count, structure.size, history)
+    starts = [problem.stabilise(start) for start in estimate_starts(structure, data, problem.rest, policy)]
+    errors = [problem.evaluate(start, False) for start in starts] if problem.parts else []
+    states = max((e.states for e in errors), default=0)
+    refuse_few_rows(data, label, count - states, structure.size, history)
+    best = minimise_from_starts(problem, starts, [e.squares for e in errors], policy)
+    return _finish(structure, data, best, count, label, history, units or {})
+
+
+def check_history(history: str) -> None:
+    """Refuse, with DataError, a history that is neither estimated nor zero."""
+    if history not in get_args(HistoryTreatment):
+        raise DataError(f"unknown history {history!r}; {nearest(history, get_args(HistoryTreatment))}")
+
+
+# ---- Errors and gradients ----
+
+
 def split_records(data: SampledData, structure: PolynomialStructure) -> tuple[SampledRecord, ...]:
     """What has one initial state each: whole records for an output error, the parts between gaps where the past outputs count."""
     if not (structure.orders.na or structure.nc or structure.nd):
-        return data.series
+        return data.records
     least = 2 * max(structure.orders.reach, structure.nc, *structure.nf) + structure.nd + 2
-    return tuple(part for series in data.series for part in series.segments(least))
+    return tuple(part for record in data.records for part in record.segments(least))
 
 
 def compute_prediction_errors(
@@ -72,59 +142,195 @@ def compute_prediction_errors(
     parts: Sequence[SampledRecord],
     *,
     rest: bool,
-    slopes: bool,
+    with_gradient: bool,
 ) -> PredictionErrors:
-    """Errors at ``theta``, and their slopes if wanted; ``rest``: everything was zero before each record, nothing is projected out.
+    """Errors at ``theta``, and their gradient if wanted; ``rest``: everything was zero before each record, nothing is projected out.
 
-    Behind the slopes to ``theta`` stand those to the shares of each input's ``basis``, where the parts have them.
+    Behind the derivatives to ``theta`` stand those to the weights of each input's ``basis``, where the parts have them.
     """
     model = structure.model(theta, data)
-    found = [_of_stretch(structure, model, part, rest, slopes) for part in parts]
-    e, j, states = zip(*found, strict=True)
-    return PredictionErrors(np.concatenate(e), np.concatenate(j), sum(states))
+    results = [_errors_of_part(structure, model, part, rest, with_gradient) for part in parts]
+    e, gradient, states = zip(*results, strict=True)
+    return PredictionErrors(np.concatenate(e), np.concatenate(gradient), sum(states))
+
+
+def _errors_of_part(
+    structure: PolynomialStructure, model: PolynomialModel, part: SampledRecord, rest: bool, with_gradient: bool
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Errors, gradient and number of initial states of one part of a record."""
+    c, d, measured = model.c, model.d, np.isfinite(part.y)
+    through = [lfilter(b, f, u) for b, f, u in zip(model.b, model.f, part.u.T, strict=True)]
+    # Output error: the zeros in the gaps meet no filter, and their rows are left out below.
+    y = part.y if measured.all() else np.where(measured, part.y, 0.0)
+    equation_error = lfilter(model.a, [1.0], y) - sum(through) - (model.constant or 0.0)
+    e = lfilter(d, c, equation_error)
+    rows = _rows_of_memory(model, part.rows)
+    blocks = [] if rest else compute_initial_responses(model, rows, [len(model.a) + len(d) - 1, len(c)], c)
+    responses = np.hstack([np.empty((rows, 0)), *blocks])
+    projection = _project(responses[measured[:rows]])
+    projected = projection.remove(e[measured])
+    if not with_gradient:
+        return projected, np.empty((len(projected), 0)), projection.states
+    initial = projection.coefficients(e[measured])
+    # The drive of each input includes what its own unknown past adds.
+    if blocks:
+        initial_by_input = np.split(initial, np.cumsum([block.shape[1] for block in blocks])[:-1])
+    else:
+        initial_by_input = [np.empty(0)] * len(through)
+    driven = [
+        lfilter(d, [1.0], w) + lfilter(s, f, np.eye(1, part.rows)[0]) if len(s) else lfilter(d, [1.0], w)
+        for w, s, f in zip(through, initial_by_input, model.f, strict=True)
+    ]
+    e[:rows] -= responses @ initial
+    gradient = _gradient(structure, model, part, y, equation_error, driven, e)[measured]
+    return projected, projection.remove(gradient), projection.states
+
+
+@dataclass(frozen=True, eq=False)
+class _Projection:
+    """Orthonormal ``basis`` (k, r) of the free responses, which are over after k rows, and ``back`` (m, r) to their coefficients."""
+
+    basis: np.ndarray
+    back: np.ndarray
+
+    @property
+    def states(self) -> int:
+        return self.basis.shape[1]
+
+    def remove(self, values: np.ndarray) -> np.ndarray:
+        """``values`` (n, ...) without their part along the free responses."""
+        if not self.states:
+            return values
+        remainder, k = values.copy(), len(self.basis)
+        remainder[:k] -= self.basis @ (self.basis.T @ values[:k])
+        return remainder
+
+    def coefficients(self, e: np.ndarray) -> np.ndarray:
+        """Coefficients (m,) of the free responses that come nearest to ``e`` (n,)."""
+        return self.back @ (self.basis.T @ e[: len(self.basis)])
+
+
+def _project(responses: np.ndarray) -> _Projection:
+    """The span of the columns of ``responses`` (n, m)."""
+    if not responses.size:
+        return _Projection(np.empty((0, 0)), np.zeros((responses.shape[1], 0)))
+    q, triangle = np.linalg.qr(responses)
+    left, size, right = np.linalg.svd(triangle)
+    kept = size > NEGLIGIBLE_SINGULAR_VALUE * size[0]
+    return _Projection(q @ left[:, kept], right[kept].T / size[kept])
+
+
+def _rows_of_memory(model: PolynomialModel, rows: int) -> int:
+    """Rows after which what was before the record is forgotten, at most ``rows``: by then the slowest root has faded."""
+    slowest = max((float(np.abs(np.roots(p)).max(initial=0.0)) for p in (model.c, *model.f)), default=0.0)
+    longest = max(len(model.a) + len(model.d), len(model.c), *(len(b) + len(model.d) for b in model.b)) + len(model.d)
+    if slowest <= 0:
+        return min(rows, longest)
+    if slowest >= 1:
+        return rows
+    # Half as long again, for roots of several filters that meet.
+    return int(min(rows, longest + 10 + 1.5 * np.log(FADED_RESPONSE) / np.log(slowest)))
+
+
+def _gradient(
+    structure: PolynomialStructure,
+    model: PolynomialModel,
+    part: SampledRecord,
+    y: np.ndarray,
+    equation_error: np.ndarray,
+    driven: Sequence[np.ndarray],
+    e: np.ndarray,
+) -> np.ndarray:
+    """Derivatives (N, p) of the errors ``e`` (N,), in the order of the structure's vector."""
+    orders, c, d = structure.orders, model.c, model.d
+    filtered = lfilter(d, c, y)
+    columns = [delay_rows(filtered, j) for j in range(1, orders.na + 1)]
+    for f, nb, nk, u in zip(model.f, orders.nb, orders.nk, part.u.T, strict=True):
+        filtered = -lfilter(d, np.convolve(c, f), u)
+        columns += [delay_rows(filtered, nk + j) for j in range(nb)]
+    for f, nf, drive in zip(model.f, structure.nf, driven, strict=True):
+        filtered = lfilter([1.0], np.convolve(c, f), drive)
+        columns += [delay_rows(filtered, j) for j in range(1, nf + 1)]
+    filtered = -lfilter([1.0], c, e)
+    columns += [delay_rows(filtered, j) for j in range(1, structure.nc + 1)]
+    filtered = lfilter([1.0], c, equation_error)
+    columns += [delay_rows(filtered, j) for j in range(1, structure.nd + 1)]
+    if structure.offset:
+        columns.append(-lfilter(d, c, np.ones(len(y))))
+    for b, f, functions in zip(model.b, model.f, part.basis, strict=False):
+        columns.append(-lfilter(np.convolve(b, d), np.convolve(c, f), functions, axis=0))
+    return np.column_stack(columns)
+
+
+# ---- Search ----
+
+
+def minimise_from_starts(
+    problem: PredictionErrorProblem,
+    starts: Sequence[np.ndarray],
+    squares: Sequence[float],
+    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+) -> PredictionErrorMinimum:
+    """Short searches from the ``starts`` that differ, and a long one from where the best of them ended."""
+    distinct: list[int] = []
+    for k in sorted(range(len(starts)), key=lambda k: squares[k]):
+        if all(abs(squares[k] - squares[c]) > policy.duplicate * squares[c] for c in distinct):
+            distinct.append(k)
+    followed = distinct[: policy.starts]
+    first = policy.first_iterations if len(followed) > 1 else policy.iterations
+    minima = [
+        minimise(problem.evaluate, problem.stabilise, starts[k], policy=policy, iterations=first) for k in followed
+    ]
+    best = min(minima, key=lambda m: m.errors.squares)
+    if best.converged or first == policy.iterations:
+        return best
+    return minimise(problem.evaluate, problem.stabilise, best.theta, policy=policy)
 
 
 def minimise(
     evaluate: Callable[[np.ndarray, bool], PredictionErrors],
-    admissible: Callable[[np.ndarray], np.ndarray],
+    stabilise: Callable[[np.ndarray], np.ndarray],
     start: np.ndarray,
     *,
-    iterations: int = ITERATIONS,
-    enough: float = ENOUGH,
+    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+    iterations: int | None = None,
 ) -> PredictionErrorMinimum:
-    """Levenberg and Marquardt's search from ``start`` (p,), damped after Nielsen (1999) by what the last step kept of its promise.
+    """Levenberg and Marquardt's search from ``start`` (p,), damped after Nielsen (1999) by the actual over the predicted decrease.
 
-    ``evaluate`` gives the errors, with slopes if its second argument says so; ``admissible`` maps coefficients to allowed ones.
+    ``evaluate`` gives the errors, with their gradient if its second argument says so; ``stabilise`` maps coefficients to allowed
+    ones. ``iterations``: None takes those of the ``policy``.
     """
-    theta = admissible(start)
-    here = evaluate(theta, True)
-    damping, harder, taken = DAMPING, HARDER, 0
-    while taken < iterations and here.squares > 0:
-        step, promised = _step(here, damping)
-        if promised <= enough * here.squares or damping > MOST_DAMPING:
-            return PredictionErrorMinimum(theta, here, taken, True)
-        trial = admissible(theta + step)
-        there = evaluate(trial, False)
-        kept = (here.squares - there.squares) / promised
-        if not kept > 0:
-            damping, harder = damping * harder, 2 * harder
+    limit = policy.iterations if iterations is None else iterations
+    theta = stabilise(start)
+    current = evaluate(theta, True)
+    damping, growth, taken = policy.damping, policy.damping_growth, 0
+    while taken < limit and current.squares > 0:
+        step, predicted_decrease = _damped_step(current, damping)
+        negligible = policy.relative_decrease * current.squares
+        if predicted_decrease <= negligible or damping > policy.largest_damping:
+            return PredictionErrorMinimum(theta, current, taken, True)
+        trial_theta = stabilise(theta + step)
+        trial = evaluate(trial_theta, False)
+        gain_ratio = (current.squares - trial.squares) / predicted_decrease
+        if not gain_ratio > 0:
+            damping, growth = damping * growth, 2 * growth
             continue
-        damping, harder = damping * max(1 / 3, 1 - (2 * min(kept, 1.0) - 1) ** 3), HARDER
-        settled = here.squares - there.squares <= enough * here.squares
-        theta, taken = trial, taken + 1
-        here = evaluate(theta, True)
-        if settled:
-            return PredictionErrorMinimum(theta, here, taken, True)
-    return PredictionErrorMinimum(theta, here, taken, here.squares == 0)
+        damping, growth = damping * max(1 / 3, 1 - (2 * min(gain_ratio, 1.0) - 1) ** 3), policy.damping_growth
+        converged = current.squares - trial.squares <= negligible
+        theta, taken = trial_theta, taken + 1
+        current = evaluate(theta, True)
+        if converged:
+            return PredictionErrorMinimum(theta, current, taken, True)
+    return PredictionErrorMinimum(theta, current, taken, current.squares == 0)
 
 
-def _step(here: PredictionErrors, damping: float) -> tuple[np.ndarray, float]:
-    """The damped Gauss-Newton step (p,) and how much of the sum of squares it should take away."""
-    scale = np.linalg.norm(here.slopes, axis=0)
+def _damped_step(current: PredictionErrors, damping: float) -> tuple[np.ndarray, float]:
+    """The damped Gauss-Newton step (p,) and its predicted decrease of the sum of squares."""
+    scale = np.linalg.norm(current.gradient, axis=0)
     scale[scale == 0] = 1.0
-    triangle = np.asarray(np.linalg.qr(np.column_stack([here.slopes / scale, here.e]), mode="r"))
+    triangle = np.asarray(np.linalg.qr(np.column_stack([current.gradient / scale, current.e]), mode="r"))
     left, size, right = np.linalg.svd(triangle[: len(scale), : len(scale)])
-    size = np.where(size > NEGLIGIBLE * size[0], size, 0.0)
+    size = np.where(size > NEGLIGIBLE_SINGULAR_VALUE * size[0], size, 0.0)
     pull = left.T @ triangle[: len(scale), -1]
     weight = size / (size**2 + damping)
     return -right.T @ (pull * weight) / scale, float(np.sum(pull**2 * weight * (2 * size - size**2 * weight)))
@@ -141,104 +347,56 @@ def stabilise(structure: PolynomialStructure, theta: np.ndarray) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _of_stretch(
-    structure: PolynomialStructure, model: PolynomialModel, data: SampledRecord, rest: bool, slopes: bool
-) -> tuple[np.ndarray, np.ndarray, int]:
-    c, d, there = model.c, model.d, np.isfinite(data.y)
-    through = [lfilter(b, f, u) for b, f, u in zip(model.b, model.f, data.u.T, strict=True)]
-    # Output error: the zeros in the gaps meet no filter, and their rows are left out below.
-    y = data.y if there.all() else np.where(there, data.y, 0.0)
-    shortfall = lfilter(model.a, [1.0], y) - sum(through) - (model.constant or 0.0)
-    e = lfilter(d, c, shortfall)
-    alive = _alive(model, data.rows)
-    blocks = [] if rest else compute_initial_responses(model, alive, [len(model.a) + len(d) - 1, len(c)], c)
-    free = np.hstack([np.empty((alive, 0)), *blocks])
-    past = _past(free[there[:alive]])
-    projected = past.without(e[there])
-    if not slopes:
-        return projected, np.empty((len(projected), 0)), past.states
-    share = past.shares(e[there])
-    # Each input's drive with what its own past adds to it
-    own = (
-        np.split(share, np.cumsum([block.shape[1] for block in blocks])[:-1])
-        if blocks
-        else [np.empty(0)] * len(through)
+# ---- The finished model ----
+
+
+def estimate_coefficient_covariance(gradient: np.ndarray, squares: float, freedom: int) -> np.ndarray:
+    """Covariance (p, p) of coefficients with this ``gradient`` (n, p), for a white error."""
+    scale = np.linalg.norm(gradient, axis=0)
+    _, size, right = np.linalg.svd(gradient / scale, full_matrices=False)
+    inverse = right.T / size
+    return squares / freedom * (inverse @ inverse.T) / np.outer(scale, scale)
+
+
+def refuse_collinear(gradient: np.ndarray, names: Sequence[str], label: str) -> None:
+    """DataError that names the coefficients whose ``gradient`` (n, p) is zero or combinations of one another."""
+    scale = np.linalg.norm(gradient, axis=0)
+    without_effect = [n for n, s in zip(names, scale, strict=True) if s == 0]
+    if without_effect:
+        raise DataError(f"{label}: {', '.join(without_effect)} change nothing in these records; take a smaller structure")
+    _, size, right = np.linalg.svd(np.linalg.qr(gradient / scale, mode="r"))
+    if size[-1] <= COLLINEAR_COLUMNS * np.sqrt(len(gradient)):
+        participation = np.abs(right[-1]) / np.abs(right[-1]).max()
+        dependent = [n for n, s in zip(names, participation, strict=True) if s > DEPENDENT_COLUMN_SHARE]
+        raise DataError(
+            f"{label}: the coefficients {', '.join(dependent)} act alike in these records and cannot be told apart; a constant"
+            " input (a step after its edge) carries one, and each sine two: take a smaller structure, history='zero' where the"
+            " record begins at rest and with the step's edge, or a record with a livelier input"
+        )
+
+
+def _finish(
+    structure: PolynomialStructure,
+    data: SampledData,
+    best: PredictionErrorMinimum,
+    count: int,
+    label: str,
+    history: str,
+    units: Mapping[str, str],
+) -> PolynomialModel:
+    model = structure.model(best.theta, data)
+    errors = best.errors
+    refuse_collinear(errors.gradient, list(model.coefficients), label)
+    freedom = count - structure.size - errors.states
+    has_noise_model = bool(structure.orders.na or structure.nc or structure.nd)
+    return replace(
+        model,
+        noise_std=float(np.sqrt(errors.squares / freedom)),
+        covariance=estimate_coefficient_covariance(errors.gradient, errors.squares, freedom),
+        samples=count,
+        loss=errors.squares / count,
+        history=history,
+        units=dict(units),
+        focus="prediction" if has_noise_model else "simulation",
+        findings=(*find_unfinished_search(best.converged, best.iterations), *find_instability(model)),
     )
-    driven = [
-        lfilter(d, [1.0], w) + lfilter(s, f, np.eye(1, data.rows)[0]) if len(s) else lfilter(d, [1.0], w)
-        for w, s, f in zip(through, own, model.f, strict=True)
-    ]
-    e[:alive] -= free @ share
-    columns = _slopes(structure, model, data.u, y, shortfall, driven, e, data.basis)[there]
-    return projected, past.without(columns), past.states
-
-
-@dataclass(frozen=True, eq=False)
-class _Past:
-    """Orthonormal ``basis`` (k, r) of the free responses, which are over after k rows, and ``back`` (m, r) to their shares."""
-
-    basis: np.ndarray
-    back: np.ndarray
-
-    @property
-    def states(self) -> int:
-        return self.basis.shape[1]
-
-    def without(self, values: np.ndarray) -> np.ndarray:
-        """``values`` (n, ...) less their part along the free responses."""
-        if not self.states:
-            return values
-        rest, k = values.copy(), len(self.basis)
-        rest[:k] -= self.basis @ (self.basis.T @ values[:k])
-        return rest
-
-    def shares(self, e: np.ndarray) -> np.ndarray:
-        """Shares (m,) of the free responses that come nearest to ``e`` (n,)."""
-        return self.back @ (self.basis.T @ e[: len(self.basis)])
-
-
-def _past(free: np.ndarray) -> _Past:
-    """The span of the columns of ``free`` (n, m)."""
-    if not free.size:
-        return _Past(np.empty((0, 0)), np.zeros((free.shape[1], 0)))
-    q, triangle = np.linalg.qr(free)
-    left, size, right = np.linalg.svd(triangle)
-    kept = size > NEGLIGIBLE * size[0]
-    return _Past(q @ left[:, kept], right[kept].T / size[kept])
-
-
-def _alive(model: PolynomialModel, rows: int) -> int:
-    """Rows after which what was before the record is forgotten, at most ``rows``: by then the slowest root has faded."""
-    slowest = max((float(np.abs(np.roots(p)).max(initial=0.0)) for p in (model.c, *model.f)), default=0.0)
-    longest = max(len(model.a) + len(model.d), len(model.c), *(len(b) + len(model.d) for b in model.b)) + len(model.d)
-    if slowest <= 0:
-        return min(rows, longest)
-    if slowest >= 1:
-        return rows
-    # Half as long again, for roots of several filters that meet
-    return int(min(rows, longest + 10 + 1.5 * np.log(FADED) / np.log(slowest)))
-
-
-def _slopes(
-    structure: PolynomialStructure, model: PolynomialModel, u: np.ndarray, y: np.ndarray, shortfall: np.ndarray,
-    driven: Sequence[np.ndarray], e: np.ndarray, basis: Sequence[np.ndarray],
-) -> np.ndarray:  # fmt: skip
-    """Gradients (N, p) of the errors ``e`` (N,), in the order of the structure's vector."""
-    o, c, d = structure.orders, model.c, model.d
-    filtered = lfilter(d, c, y)
-    columns = [delay_rows(filtered, j) for j in range(1, o.na + 1)]
-    for f, nb, nk, signal in zip(model.f, o.nb, o.nk, u.T, strict=True):
-        filtered = -lfilter(d, np.convolve(c, f), signal)
-        columns += [delay_rows(filtered, nk + j) for j in range(nb)]
-    for f, nf, signal in zip(model.f, structure.nf, driven, strict=True):
-        filtered = lfilter([1.0], np.convolve(c, f), signal)
-        columns += [delay_rows(filtered, j) for j in range(1, nf + 1)]
-    filtered = -lfilter([1.0], c, e)
-    columns += [delay_rows(filtered, j) for j in range(1, structure.nc + 1)]
-    filtered = lfilter([1.0], c, shortfall)
-    columns += [delay_rows(filtered, j) for j in range(1, structure.nd + 1)]
-    if structure.offset:
-        columns.append(-lfilter(d, c, np.ones(len(y))))
-    for b, f, shapes in zip(model.b, model.f, basis, strict=False):
-        columns.append(-lfilter(np.convolve(b, d), np.convolve(c, f), shapes, axis=0))
-    return np.column_stack(columns)

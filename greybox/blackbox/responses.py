@@ -10,60 +10,55 @@ from scipy.signal import lfilter
 
 from greybox.blackbox.sampled_data import SampledRecord, delay_rows
 from greybox.errors import DataError, nearest
+from greybox.numerics import FREE_RESPONSE_GROWTH, NEGLIGIBLE_SINGULAR_VALUE
 
 if TYPE_CHECKING:
     from greybox.blackbox.polynomial import PolynomialModel
 
 InitialChoice = Literal["zero", "measured", "estimated"]
 
-# Beyond this growth of the free response rows say nothing about the initial state: the model is unstable.
-MOST_GROWTH = 1e8
-# The first rows may be extrapolated to the whole record this many times larger.
-MOST_AMPLIFIED = 10.0
-NEGLIGIBLE = 1e-13  # singular values below this share of the largest carry nothing
-
 
 def simulate_free_run(
-    model: PolynomialModel, data: SampledRecord, initial: InitialChoice, rows: int | None
+    model: PolynomialModel, record: SampledRecord, initial: InitialChoice, rows: int | None
 ) -> np.ndarray:
     """Output (N,) of ``A y = sum B / F u + constant`` from the ``initial`` state."""
-    _known(initial)
-    constant = np.full(data.rows, model.constant or 0.0)
+    _check_initial(initial)
+    constant = np.full(record.rows, model.constant or 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
         y = lfilter([1.0], model.a, constant)
-        for b, f, u in zip(model.b, model.f, data.u.T, strict=True):
+        for b, f, u in zip(model.b, model.f, record.u.T, strict=True):
             y = y + lfilter(b, np.convolve(model.a, f), u)
         if initial == "zero":
             return y
-        free = np.hstack(compute_initial_responses(model, data.rows, [len(model.a)], model.a))
-        return y + free @ estimate_initial_state(free, data.y - y, initial, rows)
+        free = np.hstack(compute_initial_responses(model, record.rows, [len(model.a)], model.a))
+        return y + free @ estimate_initial_state(free, record.y - y, initial, rows)
 
 
 def predict_ahead(
-    model: PolynomialModel, data: SampledRecord, steps: int, initial: InitialChoice, rows: int | None
+    model: PolynomialModel, record: SampledRecord, steps: int, initial: InitialChoice, rows: int | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """``yhat(k | k - steps)`` (N,), the measurement less the last ``steps`` innovations' share in it, and the innovations (N,).
 
     ``e = D / C (A y - sum B / F u - constant)``. Where nothing was measured the innovation is zero and the prediction takes the
     measurement's place. With ``initial="measured"`` the rows without a history are NaN.
     """
-    _known(initial)
+    _check_initial(initial)
     alpha = np.convolve(model.a, model.d)
-    driven = lfilter(model.d, [1.0], np.full(data.rows, model.constant or 0.0))
-    for b, f, u in zip(model.b, model.f, data.u.T, strict=True):
+    driven = lfilter(model.d, [1.0], np.full(record.rows, model.constant or 0.0))
+    for b, f, u in zip(model.b, model.f, record.u.T, strict=True):
         driven = driven + lfilter(np.convolve(b, model.d), f, u)
-    past = np.empty((data.rows, 0))
+    past = np.empty((record.rows, 0))
     if initial != "zero":
-        past = np.hstack(compute_initial_responses(model, data.rows, [len(alpha), len(model.c)]))
+        past = np.hstack(compute_initial_responses(model, record.rows, [len(alpha), len(model.c)]))
     with np.errstate(over="ignore", invalid="ignore"):
-        e, filled = _innovations(alpha, model.c, data.y, np.column_stack([driven, past]))
+        e, filled = _innovations(alpha, model.c, record.y, np.column_stack([driven, past]))
         state = estimate_initial_state(-e[:, 1:], e[:, 0], initial, rows)
         innovation, complete = (part[:, 0] + part[:, 1:] @ state for part in (e, filled))
         share = lfilter(model.c, alpha, np.eye(1, steps)[0])
-        ahead = complete - np.convolve(share, innovation)[: data.rows]
-    innovation = np.where(np.isfinite(data.y), innovation, np.nan)
+        ahead = complete - np.convolve(share, innovation)[: record.rows]
+    innovation = np.where(np.isfinite(record.y), innovation, np.nan)
     if initial == "measured":
-        without_history = np.flatnonzero(np.isfinite(data.y))[: past.shape[1]]
+        without_history = np.flatnonzero(np.isfinite(record.y))[: past.shape[1]]
         innovation[without_history] = np.nan
         ahead[: without_history.max(initial=-1) + 1] = np.nan
     return ahead, innovation
@@ -90,17 +85,21 @@ def compute_initial_responses(
 
 
 def estimate_initial_state(
-    free: np.ndarray, target: np.ndarray, initial: InitialChoice, rows: int | None
+    free: np.ndarray,
+    target: np.ndarray,
+    initial: InitialChoice,
+    rows: int | None,
+    largest_amplification: float = 10.0,
 ) -> np.ndarray:
     """Shares (m,) of the free responses (N, m) that meet ``target`` (N,), NaN in gaps, on the first rows.
 
     ``"measured"`` meets as many rows as there are responses exactly; ``"estimated"`` the first ``rows`` by least squares. What those
-    rows hardly show and the rest of the record would show more than `MOST_AMPLIFIED` times larger is left at zero.
+    rows hardly show and the rest of the record would show more than ``largest_amplification`` times larger is left at zero.
     """
     if not free.shape[1]:
         return np.zeros(0)
-    tame = np.all(np.abs(free) < MOST_GROWTH, axis=1)
-    usable = np.isfinite(target) & tame
+    bounded = np.all(np.abs(free) < FREE_RESPONSE_GROWTH, axis=1)
+    usable = np.isfinite(target) & bounded
     if initial == "measured":
         first = usable & (np.cumsum(usable) <= free.shape[1])
         return np.linalg.lstsq(free[first], target[first], rcond=None)[0]
@@ -109,11 +108,11 @@ def estimate_initial_state(
     if not usable.any():
         return np.zeros(free.shape[1])
     # Shares z = R x of responses that are orthogonal over the whole record and of unit size there
-    _, size, right = np.linalg.svd(np.linalg.qr(free[tame], mode="r") / np.sqrt(tame.sum()))
-    there = size > NEGLIGIBLE * size[0]
-    back = right[there].T / size[there]
+    _, size, right = np.linalg.svd(np.linalg.qr(free[bounded], mode="r") / np.sqrt(bounded.sum()))
+    significant = size > NEGLIGIBLE_SINGULAR_VALUE * size[0]
+    back = right[significant].T / size[significant]
     u, s, v = np.linalg.svd(free[usable] @ back / np.sqrt(usable.sum()), full_matrices=False)
-    shown = s * MOST_AMPLIFIED > 1
+    shown = s * largest_amplification > 1
     z = v[shown].T @ (u[:, shown].T @ target[usable] / s[shown]) / np.sqrt(usable.sum())
     return back @ z
 
@@ -131,9 +130,9 @@ def _innovations(alpha: np.ndarray, c: np.ndarray, y: np.ndarray, driven: np.nda
     before = max(len(alpha), len(c)) - 1
     e, filled = np.zeros((2, before + len(y), driven.shape[1]))
     for k in range(before, before + len(y)):
-        moving = sum(c[j] * e[k - j] for j in range(1, len(c)))
-        settled = sum(alpha[j] * filled[k - j] for j in range(1, len(alpha)))
-        expected = driven[k - before] + moving - settled
+        moving_average = sum(c[j] * e[k - j] for j in range(1, len(c)))
+        regression = sum(alpha[j] * filled[k - j] for j in range(1, len(alpha)))
+        expected = driven[k - before] + moving_average - regression
         if gaps[k - before]:
             filled[k] = expected
         else:
@@ -142,6 +141,6 @@ def _innovations(alpha: np.ndarray, c: np.ndarray, y: np.ndarray, driven: np.nda
     return e[before:], filled[before:]
 
 
-def _known(initial: str) -> None:
+def _check_initial(initial: str) -> None:
     if initial not in get_args(InitialChoice):
         raise DataError(f"unknown initial state {initial!r}; {nearest(initial, get_args(InitialChoice))}")

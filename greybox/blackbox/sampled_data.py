@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
+from greybox.numerics import SAME_SAMPLING_TIME
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +31,9 @@ class SampledRecord:
         return len(self.y)
 
     def segments(self, least: int) -> list[SampledRecord]:
-        """Stretches without gaps in ``y`` of at least ``least`` rows."""
-        there = np.flatnonzero(np.isfinite(self.y))
-        runs = np.split(there, np.flatnonzero(np.diff(there) > 1) + 1) if len(there) else []
+        """Parts without gaps in ``y`` of at least ``least`` rows."""
+        measured = np.flatnonzero(np.isfinite(self.y))
+        runs = np.split(measured, np.flatnonzero(np.diff(measured) > 1) + 1) if len(measured) else []
         return [
             replace(self, y=self.y[r], u=self.u[r], basis=tuple(b[r] for b in self.basis))
             for r in runs
@@ -47,13 +48,13 @@ class SampledData:
     output: str
     inputs: tuple[str, ...]
     sampling_time: float
-    series: tuple[SampledRecord, ...]
+    records: tuple[SampledRecord, ...]
     experiments: tuple[Experiment, ...]
 
     @property
     def measured(self) -> int:
         """Number of measured values of the output over all records."""
-        return int(sum(np.isfinite(s.y).sum() for s in self.series))
+        return int(sum(np.isfinite(s.y).sum() for s in self.records))
 
 
 def to_sampled_record(
@@ -108,14 +109,14 @@ def to_sampled_data(
     measured = [e for e in group if wanted in e.outputs and np.isfinite(e.outputs[wanted]).any()]
     if not measured:
         raise DataError(f"output {wanted!r} holds no value in any experiment")
-    found = [to_sampled_record(e, wanted, names) for e in measured]
-    steps = [s.sampling_time for s in found]
-    if not np.allclose(steps, steps[0], rtol=2e-3, atol=0):
-        said = ", ".join(f"{s.name!r} every {s.sampling_time:.6g} s" for s in found)
+    records = [to_sampled_record(e, wanted, names) for e in measured]
+    steps = [record.sampling_time for record in records]
+    if not np.allclose(steps, steps[0], rtol=SAME_SAMPLING_TIME, atol=0):
+        listing = ", ".join(f"{r.name!r} every {r.sampling_time:.6g} s" for r in records)
         raise DataError(
-            f"experiments of different sampling times: {said}; one difference equation holds for one, resample them"
+            f"experiments of different sampling times: {listing}; one difference equation holds for one, resample them"
         )
-    return SampledData(wanted, names, steps[0], tuple(found), tuple(measured))
+    return SampledData(wanted, names, steps[0], tuple(records), tuple(measured))
 
 
 def delay_rows(values: np.ndarray, by: int) -> np.ndarray:

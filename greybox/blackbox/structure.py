@@ -51,10 +51,10 @@ class PolynomialStructure:
 
     def vector(self, model: PolynomialModel) -> np.ndarray:
         """The coefficients (p,) of ``model``; polynomials that are shorter there are filled up with zeros."""
-        padded = [_fitted(model.a[1:], self.orders.na)]
-        padded += [_fitted(b[k:], n) for b, k, n in zip(model.b, self.orders.nk, self.orders.nb, strict=True)]
-        padded += [_fitted(f[1:], n) for f, n in zip(model.f, self.nf, strict=True)]
-        padded += [_fitted(model.c[1:], self.nc), _fitted(model.d[1:], self.nd)]
+        padded = [_padded(model.a[1:], self.orders.na)]
+        padded += [_padded(b[k:], n) for b, k, n in zip(model.b, self.orders.nk, self.orders.nb, strict=True)]
+        padded += [_padded(f[1:], n) for f, n in zip(model.f, self.nf, strict=True)]
+        padded += [_padded(model.c[1:], self.nc), _padded(model.d[1:], self.nd)]
         return np.concatenate([*padded, [model.constant or 0.0] if self.offset else []])
 
 
@@ -70,5 +70,5 @@ def to_order(letter: str, value: int, kind: str) -> int:
     return int(value)
 
 
-def _fitted(values: np.ndarray, size: int) -> np.ndarray:
+def _padded(values: np.ndarray, size: int) -> np.ndarray:
     return np.append(values[:size], np.zeros(max(size - len(values), 0)))

@@ -1,7 +1,21 @@
-"""Physical and black-box models on the same records: errors, number of constants, stability, and which is best where."""
+"""Physical and black-box models on the same records: errors, number of parameters, stability, and which is best where."""
 
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import compare
-from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
+from greybox.comparison.comparison_file import save_comparison
+from greybox.comparison.findings import ComparisonFinding
+from greybox.comparison.policy import ComparisonPolicy
+from greybox.comparison.result import BoxKind, Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
 
-__all__ = ["Comparison", "ComparisonEntry", "ComparisonRun", "ComparisonScore", "compare", "fit_black_boxes"]
+__all__ = [
+    "BoxKind",
+    "Comparison",
+    "ComparisonEntry",
+    "ComparisonFinding",
+    "ComparisonPolicy",
+    "ComparisonRun",
+    "ComparisonScore",
+    "compare",
+    "fit_black_boxes",
+    "save_comparison",
+]

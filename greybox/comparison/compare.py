@@ -3,46 +3,49 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.comparison.black_box_runs import run_black_box
-from greybox.comparison.grey_box_runs import (
-    choose_predictor,
-    compute_feedthrough,
-    is_stable,
-    resolve_options,
-    run_grey_box,
-)
+from greybox.comparison.findings import ComparisonFinding
+from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
 from greybox.comparison.result import (
     BlackBoxModel,
+    BoxKind,
     Comparison,
     ComparisonEntry,
     ComparisonRun,
     ComparisonScore,
     compute_score,
 )
+from greybox.comparison.runs import (
+    choose_predictor,
+    compute_feedthrough,
+    is_stable,
+    resolve_options,
+    run_black_box,
+    run_grey_box,
+)
+from greybox.comparison.verdict import judge_comparison
 from greybox.errors import DataError
 from greybox.estimation import FitOptions
 from greybox.experiment import Experiment
+from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.residuals.scores import check_steps_ahead
 from greybox.result import Fit
-
-FEWEST_JUDGED = 2  # rows of a validation record that must be left
 
 ComparedModel = Model | Fit | BlackBoxModel | Sequence[BlackBoxModel]
 
 
 @dataclass(frozen=True, eq=False)
 class NamedModel:
-    """A contestant with its name and the seconds it took to fit."""
+    """A model with its name, the seconds that its fit took, and what one should know of it."""
 
     name: str
     model: ComparedModel
     seconds: float = 0.0
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def compare(
@@ -54,132 +57,241 @@ def compare(
     steps: Sequence[int] = (),
     options: FitOptions | None = None,
     units: Mapping[str, str] | None = None,
+    policy: ComparisonPolicy = DEFAULT_COMPARISON,
 ) -> Comparison:
-    """Judge models by their free run and their prediction one sample ahead over the ``experiments``, without the first ``skip`` rows.
+    """Compare models by their free run and their prediction one sample ahead.
 
-    ``models``: physical models and fits, black-box models (`arx`, `armax`, `output_error`, `box_jenkins`, `hammerstein`,
-    `monte_carlo_smoothing`), and lists of black-box models that stand for one output each; as a list, or with names. ``training``:
-    the records they were fitted to, which are judged apart and tell BIC; without any those of the fits among ``models``.
+    Parameters
+    ----------
+    models
+        Physical models and fits, black-box models (`greybox.blackbox`), and lists of black-box models that stand for one output
+        each; as a list, or by name.
+    experiments
+        The validation records.
+    training
+        The estimation records: their errors are kept apart and give BIC. None: those of the fits among ``models``.
+    skip
+        Rows at the start of each validation record that do not count. The initial state of each is estimated from these (0: from
+        the first 50), for every model in the same way.
+    steps
+        Further samples ahead at which predictions are compared.
+    options
+        How physical models are simulated; None: the options of each fit. With ``at_rest`` the initial state is rest; a black box
+        is at rest where any fit is.
+    units
+        Output -> unit; those of the physical models are known.
+    policy
+        When two models are equally good, and which rows count.
 
-    The initial state of each record of ``experiments`` is estimated from its first ``skip`` (or 50) rows, for every model in the same
-    way, or is rest with ``options.at_rest`` (None: the options of each fit; a black box is at rest where any fit is). ``units``:
-    output -> unit; those of the physical models are known. ``steps``: further samples ahead, at which predictions are judged too.
+    Returns
+    -------
+    Comparison
+        Scores, stability and feed-through of each model, and the verdict.
 
-    Raises DataError where there is nothing to compare or to compare on, and for names given twice.
+    Raises
+    ------
+    DataError
+        Where there is nothing to compare or to compare on, and for names given twice.
+
+    Examples
+    --------
+    >>> comparison = gb.compare({"physics": fit, "arx": arx}, validation, training=record)  # doctest: +SKIP
+    >>> print(comparison)  # doctest: +SKIP
+    >>> comparison["physics"].validation["x"].rmse  # doctest: +SKIP
     """
-    entered = [
-        NamedModel(name, model)
-        for name, model in (models.items() if isinstance(models, Mapping) else ((_name(m), m) for m in models))
-    ]
+    named = models.items() if isinstance(models, Mapping) else ((_default_name(m), m) for m in models)
     return compare_named(
-        entered, _group(experiments), _group(training), skip=skip, steps=steps, options=options, units=units
+        [NamedModel(name, model) for name, model in named],
+        _as_tuple(experiments),
+        _as_tuple(training),
+        skip=skip,
+        steps=steps,
+        options=options,
+        units=units,
+        policy=policy,
     )
 
 
 def compare_named(
-    entered: Sequence[NamedModel],
-    judging: Sequence[Experiment],
+    models: Sequence[NamedModel],
+    validation: Sequence[Experiment],
     training: Sequence[Experiment],
     *,
     skip: int = 0,
     steps: Sequence[int] = (),
     options: FitOptions | None = None,
     units: Mapping[str, str] | None = None,
-    notes: tuple[str, ...] = (),
+    findings: tuple[Finding, ...] = (),
+    policy: ComparisonPolicy = DEFAULT_COMPARISON,
 ) -> Comparison:
-    """`compare` for contestants that have their names."""
-    if not entered:
+    """`compare` for models that have their names; ``findings``: what could not be compared."""
+    if not models:
         raise DataError("no model to compare; give at least one")
-    names = [named.name for named in entered]
-    twice = sorted({n for n in names if names.count(n) > 1})
-    if twice:
-        raise DataError(f"models of the same name: {', '.join(twice)}; give a dictionary of names and models")
-    fits = [named.model for named in entered if isinstance(named.model, Fit)]
+    names = [named.name for named in models]
+    duplicates = sorted({n for n in names if names.count(n) > 1})
+    if duplicates:
+        raise DataError(f"models of the same name: {', '.join(duplicates)}; give a dictionary of names and models")
+    fits = [named.model for named in models if isinstance(named.model, Fit)]
     training = training or (tuple(t.experiment for t in fits[0].traces) if fits else ())
-    if not judging and not training:
+    if not validation and not training:
         raise DataError("no record to compare on; give experiments, or the training records")
-    shortest = min((e.rows for e in judging), default=skip + FEWEST_JUDGED)
-    if skip < 0 or shortest - skip < FEWEST_JUDGED:
+    shortest = min((e.rows for e in validation), default=skip + policy.fewest_rows)
+    if skip < 0 or shortest - skip < policy.fewest_rows:
         raise DataError(f"skip: {skip} rows, but the shortest record has {shortest}; leave out fewer rows")
-    for group in (judging, training):
+    for group in (validation, training):
         check_steps_ahead(steps, group)
     at_rest = options.at_rest if options is not None else any(resolve_options(f, None).at_rest for f in fits)
-    known = _units(entered, units or {})
-    further = tuple(sorted({int(k) for k in steps} - {1}))
-    entries = tuple(_entry(named, judging, training, skip, further, options, at_rest, known) for named in entered)
-    outputs = dict.fromkeys(name for e in entries for name in (*e.training, *e.validation))
-    return Comparison(
-        entries, {name: known.get(name, "") for name in outputs}, tuple(e.name for e in training),
-        tuple(e.name for e in judging), skip, notes,
-    )  # fmt: skip
-
-
-def _entry(
-    named: NamedModel,
-    judging: Sequence[Experiment],
-    training: Sequence[Experiment],
-    skip: int,
-    steps: Sequence[int],
-    options: FitOptions | None,
-    at_rest: bool,
-    units: Mapping[str, str],
-) -> ComparisonEntry:
-    model = named.model
-    if isinstance(model, (Model, Fit)):
-        choice, ahead = (
-            resolve_options(model, options),
-            choose_predictor(model, sum(e.rows for e in (*training, *judging))),
-        )
-        fitted, judged = (
-            run_grey_box(model, group, training=own, skip=0 if own else skip, options=choice, ahead=ahead, steps=steps)
-            for group, own in ((training, True), (judging, False))
-        )
-        plant = model.model if isinstance(model, Fit) else model
-        corrected = (f"predictions corrected by: {ahead.correction.words}",) if ahead else ()
-        return _scored(
-            named, "grey", fitted, judged, units, parameters=len(plant.free_parameters),
-            structure={o.name: plant.title for o in plant.outputs}, stable=is_stable(plant, [*fitted, *judged]),
-            feedthrough=compute_feedthrough(plant), notes=(*named.notes, *_troubles(model), *corrected),
-        )  # fmt: skip
-    boxes = tuple(model) if isinstance(model, Sequence) else (model,)
-    fitted, judged = (
-        [r for box in boxes for r in run_black_box(box, group, training=own, skip=skip, at_rest=at_rest, steps=steps)]
-        for group, own in ((training, True), (judging, False))
+    known_units = _collect_units(models, units or {})
+    setup = _Setup(
+        tuple(validation),
+        tuple(training),
+        skip,
+        tuple(sorted({int(k) for k in steps} - {1})),
+        options,
+        at_rest,
+        known_units,
+        policy,
     )
-    direct = {f"{b.output}/{name}": share for b in boxes for name, share in b.feedthrough.items() if share}
-    return _scored(
-        named, "black", fitted, judged, units, parameters=sum(b.parameters for b in boxes),
-        structure={b.output: b.label for b in boxes}, stable=all(b.stable for b in boxes), feedthrough=direct,
-        notes=(*named.notes, *(note for b in boxes for note in b.notes)),
-    )  # fmt: skip
+    entries = tuple(
+        _black_box_entry(named, setup)
+        if not isinstance(named.model, (Model, Fit))
+        else _grey_box_entry(named, named.model, setup)
+        for named in models
+    )
+    outputs = dict.fromkeys(name for e in entries for name in (*e.training, *e.validation))
+    comparison = Comparison(
+        entries,
+        {name: known_units.get(name, "") for name in outputs},
+        tuple(e.name for e in training),
+        tuple(e.name for e in validation),
+        skip,
+        findings=findings,
+        policy=policy,
+    )
+    return replace(comparison, verdict=judge_comparison(comparison))
 
 
-def _scored(
-    named: NamedModel,
-    kind: str,
-    fitted: Sequence[ComparisonRun],
-    judged: Sequence[ComparisonRun],
-    units: Mapping[str, str],
-    *,
-    parameters: int,
-    **facts: object,
-) -> ComparisonEntry:
+@dataclass(frozen=True, eq=False)
+class _Setup:
+    """What every model is compared under."""
+
+    validation: tuple[Experiment, ...]
+    training: tuple[Experiment, ...]
+    skip: int
+    steps: tuple[int, ...]
+    options: FitOptions | None
+    at_rest: bool
+    units: Mapping[str, str]
+    policy: ComparisonPolicy
+
+
+def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> ComparisonEntry:
+    options = resolve_options(model, setup.options)
+    rows = sum(e.rows for e in (*setup.training, *setup.validation))
+    filter_predictor = choose_predictor(model, rows, setup.policy)
+    fitted, validated = (
+        run_grey_box(
+            model,
+            group,
+            training=training,
+            skip=0 if training else setup.skip,
+            options=options,
+            filter_predictor=filter_predictor,
+            steps=setup.steps,
+        )
+        for group, training in ((setup.training, True), (setup.validation, False))
+    )
+    plant = model.model if isinstance(model, Fit) else model
+    findings = list(named.findings)
+    if isinstance(model, Fit) and not model.success:
+        values = {"status": str(model.status), "status_message": model.solver.status_message}
+        findings.append(Finding(ComparisonFinding.FIT_FAILED, Severity.ERROR, named.name, values))
+    if filter_predictor:
+        values = {"filter": filter_predictor.correction.words}
+        findings.append(Finding(ComparisonFinding.PREDICTION_FILTER, subject=named.name, values=values))
+    parameters = len(plant.free_parameters)
+    return _assemble_entry(
+        ComparisonEntry(
+            named.name,
+            BoxKind.GREY,
+            structure={o.name: plant.title for o in plant.outputs},
+            parameters=parameters,
+            training={},
+            validation={},
+            records={},
+            bic=np.nan,
+            stable=is_stable(plant, [*fitted, *validated]),
+            feedthrough=compute_feedthrough(plant),
+            seconds=named.seconds,
+            findings=tuple(findings),
+            training_runs=tuple(fitted),
+            validation_runs=tuple(validated),
+        ),
+        setup.units,
+    )
+
+
+def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
+    model = named.model
+    boxes: tuple[BlackBoxModel, ...] = tuple(model) if isinstance(model, Sequence) else (model,)  # type: ignore[arg-type]
+    fitted, validated = (
+        [
+            run
+            for box in boxes
+            for run in run_black_box(
+                box,
+                group,
+                training=training,
+                skip=setup.skip,
+                at_rest=setup.at_rest,
+                steps=setup.steps,
+                policy=setup.policy,
+            )
+        ]
+        for group, training in ((setup.training, True), (setup.validation, False))
+    )
+    return _assemble_entry(
+        ComparisonEntry(
+            named.name,
+            BoxKind.BLACK,
+            structure={b.output: b.label for b in boxes},
+            parameters=sum(b.parameters for b in boxes),
+            training={},
+            validation={},
+            records={},
+            bic=np.nan,
+            stable=all(b.stable for b in boxes),
+            feedthrough={f"{b.output}/{name}": share for b in boxes for name, share in b.feedthrough.items() if share},
+            seconds=named.seconds,
+            findings=(*named.findings, *(finding for b in boxes for finding in b.findings)),
+            training_runs=tuple(fitted),
+            validation_runs=tuple(validated),
+        ),
+        setup.units,
+    )
+
+
+def _assemble_entry(entry: ComparisonEntry, units: Mapping[str, str]) -> ComparisonEntry:
+    """``entry`` with the scores of its runs."""
+
     def scores(runs: Sequence[ComparisonRun]) -> dict[str, ComparisonScore]:
         outputs = dict.fromkeys(run.output for run in runs)
         return {name: compute_score([r for r in runs if r.output == name], units.get(name, "")) for name in outputs}
 
-    by_record: dict[str, dict[str, ComparisonScore]] = {}
-    for run in (*fitted, *judged):
-        by_record.setdefault(run.record, {})[run.output] = compute_score([run], units.get(run.output, ""))
-    training = scores(fitted)
-    return ComparisonEntry(
-        named.name, kind, parameters=parameters, training=training, validation=scores(judged), records=by_record,  # type: ignore[arg-type]
-        bic=_bic(training, parameters), seconds=named.seconds, training_runs=tuple(fitted), validation_runs=tuple(judged),
-        **facts,  # type: ignore[arg-type]
-    )  # fmt: skip
+    records: dict[str, dict[str, ComparisonScore]] = {}
+    for run in (*entry.training_runs, *entry.validation_runs):
+        records.setdefault(run.record, {})[run.output] = compute_score([run], units.get(run.output, ""))
+    training = scores(entry.training_runs)
+    return replace(
+        entry,
+        training=training,
+        validation=scores(entry.validation_runs),
+        records=records,
+        bic=_compute_bic(training, entry.parameters),
+    )
 
 
-def _bic(training: Mapping[str, ComparisonScore], parameters: int) -> float:
+def _compute_bic(training: Mapping[str, ComparisonScore], parameters: int) -> float:
     """``sum N ln(mean square free-run error) + p ln(sum N)``; NaN without training records."""
     count = sum(s.samples for s in training.values())
     if not count:
@@ -189,24 +301,16 @@ def _bic(training: Mapping[str, ComparisonScore], parameters: int) -> float:
     return float(fit + parameters * np.log(count))
 
 
-def _troubles(model: Model | Fit) -> tuple[str, ...]:
-    return (
-        (f"the fit did not succeed: {model.solver.status_message}",)
-        if isinstance(model, Fit) and not model.success
-        else ()
-    )
-
-
-def _units(entered: Sequence[NamedModel], given: Mapping[str, str]) -> dict[str, str]:
-    known: dict[str, str] = {}
-    for named in entered:
+def _collect_units(models: Sequence[NamedModel], given: Mapping[str, str]) -> dict[str, str]:
+    units: dict[str, str] = {}
+    for named in models:
         plant = named.model.model if isinstance(named.model, Fit) else named.model
         if isinstance(plant, Model):
-            known |= {o.name: o.unit for o in plant.outputs}
-    return {**known, **given}
+            units |= {o.name: o.unit for o in plant.outputs}
+    return {**units, **given}
 
 
-def _name(model: ComparedModel) -> str:
+def _default_name(model: ComparedModel) -> str:
     if isinstance(model, Fit):
         return model.model.title
     if isinstance(model, Model):
@@ -214,5 +318,5 @@ def _name(model: ComparedModel) -> str:
     return (model[0] if isinstance(model, Sequence) else model).kind.replace(" ", "_").replace("-", "_")
 
 
-def _group(experiments: Experiment | Sequence[Experiment]) -> tuple[Experiment, ...]:
+def _as_tuple(experiments: Experiment | Sequence[Experiment]) -> tuple[Experiment, ...]:
     return (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)

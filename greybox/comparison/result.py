@@ -1,18 +1,25 @@
-"""Models side by side on the same records, as values."""
+"""Models side by side on the same records, as values, and their scores."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from pathlib import Path
-from typing import Any, Literal, Protocol
+from enum import StrEnum
+from typing import Any, Protocol
 
 import numpy as np
 
+from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
 from greybox.experiment import Experiment
+from greybox.findings import Finding
+from greybox.values import Printable
 
-BoxKind = Literal["grey", "black"]
+
+class BoxKind(StrEnum):
+    """Whether a model knows physics."""
+
+    GREY = "grey"
+    BLACK = "black"
 
 
 class BlackBoxModel(Protocol):
@@ -47,7 +54,7 @@ class BlackBoxModel(Protocol):
         """Direct share of each input in the output of the same row."""
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def findings(self) -> tuple[Finding, ...]:
         """What one should know before trusting it."""
 
     def simulate(self, experiment: Experiment, *, initial: Any = ..., rows: int | None = ...) -> dict[str, np.ndarray]:
@@ -96,12 +103,33 @@ class ComparisonScore:
 class ComparisonEntry:
     """One model of a comparison.
 
-    ``kind`` is ``grey`` or ``black``; ``structure`` says which one for each output; ``parameters`` is the number of fitted constants
-    or coefficients, without initial states. ``training`` and ``validation``: output -> `Score` over all records of that group,
-    ``records``: record -> output -> `Score`. ``bic = sum N ln(mean square free-run error) + p ln(sum N)`` on the training records,
-    summed over the outputs. ``stable``: every pole of a black box lies inside the unit circle; a linear grey box has no pole in the
-    right half plane, the runs of a nonlinear one stay bounded. ``feedthrough``: ``output/input`` -> direct share within the same
-    row, where there is one. ``seconds`` it took to fit (a black box: with its scan).
+    Attributes
+    ----------
+    name
+        What it is called.
+    kind
+        ``grey`` or ``black``.
+    structure
+        Output -> which model.
+    parameters
+        Number of fitted parameters or coefficients, without initial states.
+    training, validation
+        Output -> `ComparisonScore` over all records of that group.
+    records
+        Record -> output -> `ComparisonScore`.
+    bic
+        ``sum N ln(mean square free-run error) + p ln(sum N)`` on the estimation records, summed over the outputs; NaN without them.
+    stable
+        Whether every pole of a black box lies inside the unit circle; whether a linear grey box has no pole in the right half plane,
+        and the runs of a nonlinear one stay bounded.
+    feedthrough
+        ``output/input`` -> direct share within the same row, where there is one.
+    seconds
+        Time that the fit took (a black box: with its scan).
+    findings
+        What one should know before trusting its numbers.
+    training_runs, validation_runs
+        The runs behind the scores.
     """
 
     name: str
@@ -115,17 +143,31 @@ class ComparisonEntry:
     stable: bool
     feedthrough: Mapping[str, float]
     seconds: float = 0.0
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     training_runs: tuple[ComparisonRun, ...] = ()
     validation_runs: tuple[ComparisonRun, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
-    """Models judged on the same rows of the same records.
+class Comparison(Printable):
+    """Models on the same rows of the same records.
 
-    ``entries`` in the order they were given, ``outputs`` by name with their units, names of the ``training`` and ``validation``
-    records, ``skip`` rows left out at the start of the latter, ``notes`` what could not be compared.
+    Attributes
+    ----------
+    entries
+        The models, in the order they were given.
+    outputs
+        Name of each output -> unit.
+    training, validation
+        Names of the estimation and validation records.
+    skip
+        Rows at the start of each validation record that do not count.
+    verdict
+        Which model is best where and by how much, then what to keep in mind, as findings.
+    findings
+        What could not be compared.
+    policy
+        What it was steered by.
     """
 
     entries: tuple[ComparisonEntry, ...]
@@ -133,7 +175,9 @@ class Comparison:
     training: tuple[str, ...]
     validation: tuple[str, ...]
     skip: int = 0
-    notes: tuple[str, ...] = field(default=())
+    verdict: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    policy: ComparisonPolicy = DEFAULT_COMPARISON
 
     def __getitem__(self, name: str) -> ComparisonEntry:
         return next(e for e in self.entries if e.name == name)
@@ -143,27 +187,9 @@ class Comparison:
         """Names of the models."""
         return tuple(e.name for e in self.entries)
 
-    @cached_property
-    def verdict(self) -> tuple[str, ...]:
-        """Which is best where, and by how much, in plain sentences."""
-        from greybox.comparison.verdict import judge_comparison
-
-        return judge_comparison(self)
-
-    def judged(self, entry: ComparisonEntry) -> Mapping[str, ComparisonScore]:
-        """The scores that decide: on the validation records, or on the training records where there are no others."""
+    def deciding_scores(self, entry: ComparisonEntry) -> Mapping[str, ComparisonScore]:
+        """The scores that decide: on the validation records, or on the estimation records where there are no others."""
         return entry.validation if self.validation else entry.training
-
-    def __str__(self) -> str:
-        from greybox.comparison.text import format_comparison
-
-        return format_comparison(self)
-
-    def save(self, path: str | Path, further: Mapping[str, Any] | None = None) -> Path:
-        """Write the comparison as JSON, with ``further`` entries beside it; numbers that are not finite become null."""
-        from greybox.comparison.store import save
-
-        return save(self, path, further or {})
 
 
 def compute_score(runs: Sequence[ComparisonRun], unit: str) -> ComparisonScore:
@@ -172,33 +198,33 @@ def compute_score(runs: Sequence[ComparisonRun], unit: str) -> ComparisonScore:
     count = 0
     for run in runs:
         y, yhat = (values[run.skip :] for values in (run.measured, run.simulated))
-        there = np.isfinite(y)
-        if not there.any():
+        measured = np.isfinite(y)
+        if not measured.any():
             continue
-        squares += _square(y[there] - yhat[there])
-        movement += _square(y[there] - y[there].mean())
-        count += int(there.sum())
+        squares += _sum_of_squares(y[measured] - yhat[measured])
+        movement += _sum_of_squares(y[measured] - y[measured].mean())
+        count += int(measured.sum())
     if not count:
         return ComparisonScore(np.nan, np.nan, np.nan, 0, unit)
     fit = 100 * (1 - np.sqrt(squares / movement)) if movement > 0 else np.nan
-    one_step = _foreseen([(run, run.predicted) for run in runs])
-    further = dict.fromkeys(steps for run in runs for steps in run.ahead)
-    ahead = {k: _foreseen([(run, run.ahead[k]) for run in runs if k in run.ahead]) for k in further}
+    one_step = _prediction_rmse([(run, run.predicted) for run in runs])
+    steps_ahead = dict.fromkeys(steps for run in runs for steps in run.ahead)
+    ahead = {k: _prediction_rmse([(run, run.ahead[k]) for run in runs if k in run.ahead]) for k in steps_ahead}
     return ComparisonScore(float(np.sqrt(squares / count)), float(fit), one_step, count, unit, ahead)
 
 
-def _foreseen(predictions: Sequence[tuple[ComparisonRun, np.ndarray]]) -> float:
+def _prediction_rmse(predictions: Sequence[tuple[ComparisonRun, np.ndarray]]) -> float:
     """Root mean square error of predictions (N,), where there are any."""
     squares, count = 0.0, 0
     for run, ahead in predictions:
         y, yhat = run.measured[run.skip :], ahead[run.skip :]
         known = np.isfinite(y) & ~np.isnan(yhat)
-        squares += _square(y[known] - yhat[known])
+        squares += _sum_of_squares(y[known] - yhat[known])
         count += int(known.sum())
     return float(np.sqrt(squares / count)) if count else np.nan
 
 
-def _square(error: np.ndarray) -> float:
+def _sum_of_squares(error: np.ndarray) -> float:
     with np.errstate(over="ignore", invalid="ignore"):
-        found = float(error @ error)
-    return found if np.isfinite(found) else np.inf
+        squares = float(error @ error)
+    return squares if np.isfinite(squares) else np.inf

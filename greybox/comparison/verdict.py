@@ -1,81 +1,87 @@
-"""What a comparison comes to, in plain sentences."""
+"""What a comparison comes to: the best model of each output, and what to keep in mind of the others."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
-from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
-from greybox.result.summary import format_number
-from greybox.units import format_unit
+from greybox.comparison.findings import ComparisonFinding
+from greybox.comparison.result import BoxKind, Comparison, ComparisonEntry
+from greybox.findings import Finding, Severity, with_code
 
-EQUAL = 0.02  # relative difference of two errors that is none
-
-
-def judge_comparison(comparison: Comparison) -> tuple[str, ...]:
-    """Best model of each output in the free run and one sample ahead, by how much, and what to keep in mind of the winners."""
-    said: list[str] = []
-    where = "on the validation records" if comparison.validation else "on the fitted records, which judge too kindly"
-    for output, unit in comparison.outputs.items():
-        for what, error in (("free run", _rmse), ("one sample ahead", _one_step)):
-            said += _best(comparison, output, format_unit(unit), f"{what} {where}", error)
-    return (*said, *_remarks(comparison))
+MEASURES = {"free_run": "rmse", "one_step": "one_step_rmse"}  # what is compared -> the field of a score
 
 
-def _rmse(score: ComparisonScore) -> float:
-    return score.rmse
+def judge_comparison(comparison: Comparison) -> tuple[Finding, ...]:
+    """Best model of each output in the free run and one sample ahead, by how much, and what to keep in mind.
 
+    Parameters
+    ----------
+    comparison
+        Models with their scores.
 
-def _one_step(score: ComparisonScore) -> float:
-    return score.one_step_rmse
-
-
-def _best(
-    comparison: Comparison, output: str, unit: str, where: str, error: Callable[[ComparisonScore], float]
-) -> Iterator[str]:
-    ranked = [
-        (error(comparison.judged(e)[output]), e)
-        for e in comparison.entries
-        if output in comparison.judged(e) and np.isfinite(error(comparison.judged(e)[output]))
+    Returns
+    -------
+    tuple of Finding
+        One `ComparisonFinding.BEST_MODEL` for each output and measure, then the remarks.
+    """
+    best = [
+        finding
+        for output in comparison.outputs
+        for measure in MEASURES
+        if (finding := _find_best(comparison, output, measure)) is not None
     ]
-    ranked.sort(key=lambda pair: pair[0])
+    return (*best, *_remarks(comparison))
+
+
+def _find_best(comparison: Comparison, output: str, measure: str) -> Finding | None:
+    ranked = []
+    for entry in comparison.entries:
+        scores = comparison.deciding_scores(entry)
+        if output in scores and np.isfinite(error := getattr(scores[output], MEASURES[measure])):
+            ranked.append((error, entry))
     if not ranked:
-        return
-    least, first = ranked[0]
-    text = f"{output}, {where}: {_called(first)} is best, {format_number(least, 4)} {unit}".rstrip()
-    other = "black" if first.kind == "grey" else "grey"
-    rivals = [(value, entry) for value, entry in ranked if entry.kind == other]
-    if not rivals:
-        yield f"{text}; there is no {other} box beside it"
-        return
-    value, rival = rivals[0]
-    if value <= (1 + EQUAL) * least:
-        yield f"{text}; {_called(rival)} is as good within {100 * EQUAL:.0f} %"
-        return
-    times = f"{value / least:.3g} times as much" if least > 0 else f"{format_number(value, 4)} {unit}".rstrip()
-    yield f"{text}; {_called(rival)}, the best {other} box, makes {times}"
+        return None
+    ranked.sort(key=lambda pair: pair[0])
+    least, best = ranked[0]
+    other_kind = BoxKind.BLACK if best.kind == BoxKind.GREY else BoxKind.GREY
+    values = {
+        "measure": measure,
+        "records": "validation" if comparison.validation else "training",
+        "unit": comparison.outputs[output],
+        "model": _identify(best),
+        "error": least,
+        "other_kind": str(other_kind),
+    }
+    rivals = [(error, entry) for error, entry in ranked if entry.kind == other_kind]
+    if rivals:
+        error, rival = rivals[0]
+        equal = bool(error <= (1 + comparison.policy.equally_good) * least)
+        values |= {
+            "rival": _identify(rival),
+            "rival_error": error,
+            "equally_good": equal,
+            "tolerance": comparison.policy.equally_good,
+        }
+    return Finding(ComparisonFinding.BEST_MODEL, subject=output, values=values)
 
 
-def _called(entry: ComparisonEntry) -> str:
-    box = "grey box" if entry.kind == "grey" else "black box"
-    return f"{entry.name} ({box}, {entry.parameters} numbers)"
+def _identify(entry: ComparisonEntry) -> dict[str, str | int]:
+    return {"name": entry.name, "kind": str(entry.kind), "parameters": entry.parameters}
 
 
-def _remarks(comparison: Comparison) -> Iterator[str]:
-    unstable = [e.name for e in comparison.entries if not e.stable]
+def _remarks(comparison: Comparison) -> Iterator[Finding]:
+    entries = comparison.entries
+    unstable = [e.name for e in entries if not e.stable]
     if unstable:
-        yield f"unstable: {', '.join(unstable)}"
-    direct = [e.name for e in comparison.entries if e.feedthrough]
+        yield Finding(ComparisonFinding.UNSTABLE_MODELS, Severity.WARNING, values={"models": unstable})
+    direct = [e.name for e in entries if e.feedthrough]
     if direct:
-        yield (
-            f"feed-through within one sample: {', '.join(direct)}; nothing with a mass or a volume does that, it stands for a delay"
-            " or for what the input does between samples"
-        )
-    counted = {e.name: ", ".join(sorted(e.training)) for e in comparison.entries if np.isfinite(e.bic)}
-    if len(set(counted.values())) > 1:
-        told = "; ".join(f"{name} {outputs}" for name, outputs in counted.items())
-        yield f"BIC is a sum over different outputs ({told}): compare it only between models of the same ones"
-    failed = [e.name for e in comparison.entries if any(n.startswith("the fit did not succeed") for n in e.notes)]
+        yield Finding(ComparisonFinding.FEEDTHROUGH_MODELS, Severity.WARNING, values={"models": direct})
+    outputs = {e.name: sorted(e.training) for e in entries if np.isfinite(e.bic)}
+    if len(set(map(tuple, outputs.values()))) > 1:
+        yield Finding(ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS, Severity.WARNING, values={"outputs": outputs})
+    failed = [e.name for e in entries if with_code(e.findings, ComparisonFinding.FIT_FAILED)]
     if failed:
-        yield f"the fit did not succeed: {', '.join(failed)}; their errors say nothing about the model"
+        yield Finding(ComparisonFinding.FAILED_FITS, Severity.WARNING, values={"models": failed})

@@ -11,11 +11,9 @@ from greybox.blackbox.monte_carlo_smoothing.grid_search import DrawCounts, StepR
 from greybox.blackbox.monte_carlo_smoothing.intervals import AXES, DrawIntervals, estimate_intervals
 from greybox.blackbox.monte_carlo_smoothing.result import MonteCarloSmoothing, SmoothingRound
 from greybox.blackbox.sampled_data import to_sampled_data
+from greybox.blackbox.policy import DEFAULT_SMOOTHING, SmoothingPolicy
 from greybox.errors import DataError
 from greybox.experiment import Experiment
-
-LEAST_ROWS = 32
-SETTLED = 0.02  # share by which another adjustment of the intervals must lower the error
 
 
 @dataclass(frozen=True)
@@ -43,59 +41,96 @@ def monte_carlo_smoothing(
     spectrum_points: int = 1024,
     units: Mapping[str, str] | None = None,
     report: Callable[[SmoothingProgress], None] | None = None,
+    policy: SmoothingPolicy = DEFAULT_SMOOTHING,
 ) -> MonteCarloSmoothing:
-    """Fit ``yhat(t) = A {1 - r e^(-sigma t) sin(w t + theta)}`` (equation 17) to a step response by random jumping.
+    """Fit ``yhat(t) = A {1 - r e^(-sigma t) sin(w t + theta)}`` (equation 17) to a step response by random search.
 
-    The input steps once, from zero, at any row. Each evaluation draws values on every axis, uniformly in its interval, and tries
-    all their combinations (``draws``: 20 frequencies, 10 phases, 10 ratios, 50 amplitudes, 20 decays, two million in all); the
-    best of ``evaluations`` by the mean square error (equation 1) counts. Then the loop of figure 1: while that error exceeds the
-    ``specification`` (in the output's unit squared; None: while it still falls by 2 %), the intervals are put around the best
-    values, narrower where those lay well inside, and it is done again, ``adjustments`` times at most (0: never).
-
-    ``intervals``: all of them, or some by axis (``amplitude, ratio, phase, frequency, decay``); the others come from the data, the
-    frequency from the power spectral density of ``spectrum_points`` points. ``seed``: a number or a generator. ``report`` is called
-    after every evaluation.
+    Each evaluation draws values on every axis, uniformly in its interval, and tries all their combinations; the best of
+    ``evaluations`` by the mean square error (equation 1) counts. Then the loop of figure 1: while that error exceeds the
+    ``specification``, the intervals are put around the best values, narrower where those lay well inside, and it is done again.
 
     This is least squares by random search: maximum likelihood for white Gaussian noise, and blind to a delay, which it takes for
     a feed-through (`MonteCarloSmoothing.delay`). Prefer `output_error`, or a physical model with a delay; use it to repeat
     published results.
 
-    Raises DataError for an input that is no single step from zero, gaps, fewer than 32 rows after the step, and a response
-    without a resonance.
+    Parameters
+    ----------
+    experiment
+        A record whose input steps once, from zero, at any row.
+    seed
+        A number or a generator: the same seed draws the same.
+    output, input
+        Names of the signals; needed where the record has several.
+    intervals
+        All of them, or some by axis (``amplitude, ratio, phase, frequency, decay``); the others come from the data, the frequency
+        from the power spectral density of ``spectrum_points`` points.
+    draws
+        Number of values on each axis; None: 20 frequencies, 10 phases, 10 ratios, 50 amplitudes, 20 decays, two million
+        combinations in all.
+    evaluations
+        Number of evaluations between two adjustments of the intervals.
+    specification
+        Mean square error to reach, in the output's unit squared; None: adjust while it still falls by 2 %.
+    adjustments
+        How often the intervals are adjusted at most (0: never).
+    spectrum_points
+        Points of the power spectral density.
+    units
+        Name of a signal -> unit.
+    report
+        Called with a `SmoothingProgress` after every evaluation.
+    policy
+        How the intervals are estimated and adjusted.
+
+    Returns
+    -------
+    MonteCarloSmoothing
+        The five constants, and the difference equation behind them.
+
+    Raises
+    ------
+    DataError
+        For an input that is no single step from zero, gaps, fewer than 32 rows after the step, and a response without a resonance.
+
+    Examples
+    --------
+    >>> smoothing = gb.blackbox.monte_carlo_smoothing(record, seed=1)  # doctest: +SKIP
     """
     if evaluations < 1 or adjustments < 0:
         raise DataError(f"{evaluations} evaluations, {adjustments} adjustments; give at least 1 and 0")
-    generator, tried = np.random.default_rng(seed), draws or DrawCounts()
-    step = _step_of(experiment, output, input)
+    generator, counts = np.random.default_rng(seed), draws or DrawCounts()
+    step = _extract_step(experiment, output, input, policy)
     time, y = step.time, step.y
     chosen = intervals if isinstance(intervals, DrawIntervals) else None
     if chosen is None:
-        chosen = estimate_intervals(time, y, step.sampling_time, spectrum_points).with_some(intervals or {})  # type: ignore[arg-type]
+        chosen = estimate_intervals(time, y, step.sampling_time, spectrum_points, policy).with_some(intervals or {})  # type: ignore[arg-type]
     rounds: list[SmoothingRound] = []
     while True:
-        found: list[StepResponseConstants] = []
+        evaluated: list[StepResponseConstants] = []
         for k in range(evaluations):
-            found.append(draw_and_search(time, y, chosen, tried, generator))
+            evaluated.append(draw_and_search(time, y, chosen, counts, generator))
             if report is not None:
-                best = min(c.error for c in [*found, *(r.best for r in rounds)])
+                best = min(c.error for c in [*evaluated, *(r.best for r in rounds)])
                 report(SmoothingProgress(len(rounds) + 1, adjustments + 1, k + 1, evaluations, best))
-        rounds.append(SmoothingRound(chosen, tuple(found)))
-        if len(rounds) > adjustments or _good_enough(rounds, specification):
+        rounds.append(SmoothingRound(chosen, tuple(evaluated)))
+        if len(rounds) > adjustments or _is_good_enough(rounds, specification, policy):
             break
         best_yet = min((r.best for r in rounds), key=lambda c: c.error)
-        chosen = chosen.around({axis: getattr(best_yet, axis) for axis in AXES})
+        chosen = chosen.around({axis: getattr(best_yet, axis) for axis in AXES}, policy)
     best_of_all = min((r.best for r in rounds), key=lambda c: c.error)
     return MonteCarloSmoothing(
-        step.output, step.input, step.sampling_time, step.height, best_of_all, len(y), tuple(rounds), tried, specification,
+        step.output, step.input, step.sampling_time, step.height, best_of_all, len(y), tuple(rounds), counts, specification,
         dict(units or {}),
     )  # fmt: skip
 
 
-def _good_enough(rounds: Sequence[SmoothingRound], specification: float | None) -> bool:
+def _is_good_enough(
+    rounds: Sequence[SmoothingRound], specification: float | None, policy: SmoothingPolicy
+) -> bool:
     errors = [r.best.error for r in rounds]
     if specification is not None:
         return min(errors) <= specification
-    return len(errors) > 1 and errors[-1] > (1 - SETTLED) * min(errors[:-1])
+    return len(errors) > 1 and errors[-1] > (1 - policy.improvement) * min(errors[:-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,34 +145,36 @@ class _Step:
     y: np.ndarray
 
 
-def _step_of(experiment: Experiment, output: str | None, input: str | None) -> _Step:
+def _extract_step(
+    experiment: Experiment, output: str | None, input: str | None, policy: SmoothingPolicy
+) -> _Step:
     data = to_sampled_data(experiment, output, input)
-    (series,) = data.series
+    (record,) = data.records
     if len(data.inputs) > 1:
         raise DataError(
             f"experiment {experiment.name!r}: which input steps? Say input=...; known: {', '.join(data.inputs)}"
         )
-    u, name = series.u[:, 0], data.inputs[0]
+    u, name = record.u[:, 0], data.inputs[0]
     changes = np.flatnonzero(np.diff(u, prepend=0.0))
     if len(changes) != 1:
-        said = (
+        movement = (
             "never moves"
             if not len(changes)
             else f"changes at {len(changes)} rows ({', '.join(map(str, changes[:3]))} ...)"
         )
         raise DataError(
-            f"experiment {experiment.name!r}: input {name!r} {said}, but Monte-Carlo smoothing needs one step from zero;"
+            f"experiment {experiment.name!r}: input {name!r} {movement}, but Monte-Carlo smoothing needs one step from zero;"
             " cut the record there, or use output_error, which takes any input"
         )
     edge = int(changes[0])
-    y = series.y[edge:]
+    y = record.y[edge:]
     if np.isnan(y).any():
         raise DataError(
             f"experiment {experiment.name!r}: {int(np.isnan(y).sum())} of {len(y)} rows after the step lack {data.output!r};"
             " smoothing needs them all: cut the record, or use output_error"
         )
-    if len(y) < LEAST_ROWS:
+    if len(y) < policy.fewest_rows:
         raise DataError(
-            f"experiment {experiment.name!r}: {len(y)} rows after the step; smoothing needs {LEAST_ROWS} and a final value"
+            f"experiment {experiment.name!r}: {len(y)} rows after the step; smoothing needs {policy.fewest_rows} and a final value"
         )
-    return _Step(data.output, name, series.sampling_time, float(u[edge]), series.sampling_time * np.arange(len(y)), y)
+    return _Step(data.output, name, record.sampling_time, float(u[edge]), record.sampling_time * np.arange(len(y)), y)

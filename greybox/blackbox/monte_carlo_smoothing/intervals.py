@@ -12,15 +12,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.signal import welch
 
+from greybox.blackbox.policy import DEFAULT_SMOOTHING, SmoothingPolicy
 from greybox.errors import DataError, nearest
 
-TAIL = 4  # the last quarter of the record shows the final value
-ABOVE_FLOOR = 4.0  # an envelope counts from this many times what is left of it at the end
-STANDING = 0.5  # share of the largest deviation that an oscillation which does not fade must have
 NO_OSCILLATION = "the response does not oscillate, so equation 17 does not describe it: use output_error"
-SPREAD_DECAY, SPREAD_RATIO = 1.6, 1.25  # factors by which decay and ratio may be off either way
-INNER = 0.8  # share of an interval in which a value is well inside
-LEAST = 1e-9  # of an interval's upper end: frequency, decay and ratio stay above
 
 
 @dataclass(frozen=True)
@@ -55,14 +50,14 @@ class DrawIntervals:
                 raise DataError(f"no constant {axis!r} in equation 17; {nearest(axis, AXES)}")
         return replace(self, **given)
 
-    def around(self, best: Mapping[str, float]) -> DrawIntervals:
+    def around(self, best: Mapping[str, float], policy: SmoothingPolicy = DEFAULT_SMOOTHING) -> DrawIntervals:
         """The adjusted intervals of figure 1: centred on the ``best`` values, half as wide where they lay well inside."""
         adjusted = {}
         for axis in AXES:
             low, high = getattr(self, axis)
             half, middle = (high - low) / 2, (high + low) / 2
-            half *= 0.5 if abs(best[axis] - middle) < INNER * half else 1.0
-            floor = LEAST * high if axis in POSITIVE else -np.inf
+            half *= 0.5 if abs(best[axis] - middle) < policy.well_inside * half else 1.0
+            floor = policy.lower_end * high if axis in POSITIVE else -np.inf
             adjusted[axis] = (max(best[axis] - half, floor), best[axis] + half)
         return DrawIntervals(**adjusted)
 
@@ -95,14 +90,14 @@ def find_resonance(w: np.ndarray, density: np.ndarray) -> float:
     return float(w[start + int(np.argmax(density[start:]))])
 
 
-def estimate_intervals(time: np.ndarray, y: np.ndarray, sampling_time: float, points: int) -> DrawIntervals:
+def estimate_intervals(time: np.ndarray, y: np.ndarray, sampling_time: float, points: int, policy: SmoothingPolicy = DEFAULT_SMOOTHING) -> DrawIntervals:
     """The intervals that the step response ``y`` (N,) at ``time`` (N,) after the step itself suggests.
 
     Frequency: the spectrum's peak, one of its ``points`` bins to either side. Amplitude: extremes of the last quarter. Decay and
     ratio: a straight line through the logarithm of the envelope, by factors of 1.6 and 1.25. Phase: ``pi - w t`` of the first
     passage through that amplitude. Raises DataError for a response that does not oscillate about a final value.
     """
-    tail = y[-max(len(y) // TAIL, 2) :]
+    tail = y[-max(len(y) // policy.tail, 2) :]
     level, low, high = float(tail.mean()), float(tail.min()), float(tail.max())
     if low <= 0 <= high:
         raise DataError(
@@ -110,12 +105,12 @@ def estimate_intervals(time: np.ndarray, y: np.ndarray, sampling_time: float, po
             " equation 17 swings about one; take a longer record, or use output_error"
         )
     if not low < high:
-        low, high = level - 0.01 * abs(level), level + 0.01 * abs(level)
+        low, high = level - policy.level_spread * abs(level), level + policy.level_spread * abs(level)
     w = _frequency(y, level, sampling_time, points)
     bin_width = 2 * np.pi / (points * sampling_time)
-    decay, size = _envelope(time, y - level, w, sampling_time)
+    decay, size = _estimate_envelope(time, y - level, w, sampling_time, policy)
     ratio = size / abs(level)
-    first, last = (_passage(time, y, part * level) for part in _levels(level, low, high))
+    first, last = (_first_passage(time, y, part * level) for part in _levels(level, low, high))
     if w * first > 2 * np.pi:
         raise DataError(
             f"the final value is first passed {first:.4g} s after the step, {w * first / (2 * np.pi):.1f} periods of the spectrum's"
@@ -125,10 +120,10 @@ def estimate_intervals(time: np.ndarray, y: np.ndarray, sampling_time: float, po
     slack = w * sampling_time
     return DrawIntervals(
         amplitude=(low, high),
-        ratio=(ratio / SPREAD_RATIO, ratio * SPREAD_RATIO),
+        ratio=(ratio / policy.ratio_factor, ratio * policy.ratio_factor),
         phase=(np.pi - fastest * last - slack, np.pi - slowest * first + slack),
         frequency=(slowest, fastest),
-        decay=(decay / SPREAD_DECAY, decay * SPREAD_DECAY),
+        decay=(decay / policy.decay_factor, decay * policy.decay_factor),
     )
 
 
@@ -149,32 +144,34 @@ def _levels(level: float, low: float, high: float) -> tuple[float, float]:
     return tuple(sorted((low / level, high / level)))  # type: ignore[return-value]
 
 
-def _envelope(time: np.ndarray, swing: np.ndarray, w: float, sampling_time: float) -> tuple[float, float]:
+def _estimate_envelope(
+    time: np.ndarray, swing: np.ndarray, w: float, sampling_time: float, policy: SmoothingPolicy
+) -> tuple[float, float]:
     """Decay (1/s) and size at time zero of an oscillation of about ``w`` rad/s: its amplitude over each period, in a line."""
     period = max(round(2 * np.pi / (w * sampling_time)), 2)
     count = len(swing) // period
-    if count < 3:
+    if count < policy.fewest_periods:
         raise DataError(
-            f"the record holds {count} periods of {w:.4g} rad/s; at least 3 show how the oscillation decays:"
+            f"the record holds {count} periods of {w:.4g} rad/s; at least {policy.fewest_periods} show how the oscillation decays:"
             " take a longer record, or use output_error"
         )
     turned = swing[: count * period] * np.exp(-1j * w * time[: count * period])
     size = 2 * np.abs(turned.reshape(count, period).mean(axis=1))
     middle = time[: count * period].reshape(count, period).mean(axis=1)
-    floor = float(np.median(size[-max(count // TAIL, 1) :]))
-    fading = floor < size[0] / ABOVE_FLOOR
-    if not fading and size[0] <= STANDING * np.abs(swing).max():
+    floor = float(np.median(size[-max(count // policy.tail, 1) :]))
+    fading = floor < size[0] / policy.above_floor
+    if not fading and size[0] <= policy.persistent * np.abs(swing).max():
         raise DataError(f"what moves at {w:.4g} rad/s is no larger after the step than at the end; {NO_OSCILLATION}")
-    clear = int(np.argmax(np.append(size, 0.0) <= ABOVE_FLOOR * floor)) if fading else count
+    clear = int(np.argmax(np.append(size, 0.0) <= policy.above_floor * floor)) if fading else count
     used = slice(0, max(clear, 2))
-    size = np.maximum(size, LEAST * size[0])
+    size = np.maximum(size, policy.lower_end * size[0])
     slope, start = np.polyfit(middle[used], np.log(size[used]), 1, w=size[used])
     # an oscillation that does not fade within the record: a tenth of its length is the fastest that it could hide
-    least = 0.1 / float(time[-1])
+    least = policy.hidden_decay / float(time[-1])
     return max(-float(slope), least), float(np.exp(start))
 
 
-def _passage(time: np.ndarray, y: np.ndarray, level: float) -> float:
+def _first_passage(time: np.ndarray, y: np.ndarray, level: float) -> float:
     """When ``y`` first passes ``level``, linear between rows, in seconds after the step."""
     share = y / level
     k = int(np.argmax(share >= 1))

@@ -60,15 +60,15 @@ def compare_numerators(
 def _structure(
     measured: Experiment, smooth: Experiment, smoothing: MonteCarloSmoothing, order: int, first: int, last: int
 ) -> NumeratorComparison:
-    direct, direct_model, problem = _solved(measured, measured, smoothing, order, first, last)
-    smoothed, smoothed_model, other = _solved(smooth, measured, smoothing, order, first, last)
+    direct, direct_model, problem = _fit_arx(measured, measured, smoothing, order, first, last)
+    smoothed, smoothed_model, other = _fit_arx(smooth, measured, smoothing, order, first, last)
     remark = "; ".join(f"{name}: {text}" for name, text in (("D-E", problem), ("S-E", other)) if text)
     return NumeratorComparison(
         order, tuple(range(first, last + 1)), direct, smoothed, direct_model, smoothed_model, remark
     )  # fmt: skip
 
 
-def _solved(
+def _fit_arx(
     record: Experiment, measured: Experiment, smoothing: MonteCarloSmoothing, order: int, first: int, last: int
 ) -> tuple[float | None, PolynomialModel | None, str]:
     """Least squares on ``record``: the mean square error on ``measured``, the model, and what went wrong."""

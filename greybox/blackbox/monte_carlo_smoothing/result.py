@@ -12,12 +12,15 @@ import numpy as np
 from greybox.blackbox.continuous import ContinuousTransferFunction
 from greybox.blackbox.monte_carlo_smoothing.grid_search import DrawCounts, StepResponseConstants
 from greybox.blackbox.monte_carlo_smoothing.intervals import AXES, DrawIntervals
+from greybox.blackbox.findings import BlackBoxFinding
 from greybox.blackbox.polynomial import PolynomialModel
 from greybox.blackbox.responses import InitialChoice
 from greybox.experiment import Experiment
-from greybox.result.summary import format_table
+from greybox.findings import Finding, Severity
+from greybox.numerics import NEGLIGIBLE_JUMP
+from greybox.values import Printable
 
-LETTERS = {"amplitude": "A", "ratio": "r", "phase": "theta", "frequency": "w", "decay": "sigma"}
+SYMBOLS = {"amplitude": "A", "ratio": "r", "phase": "theta", "frequency": "w", "decay": "sigma"}
 KIND = "monte-carlo smoothing"
 
 
@@ -35,7 +38,7 @@ class SmoothingRound:
 
 
 @dataclass(frozen=True, eq=False)
-class MonteCarloSmoothing:
+class MonteCarloSmoothing(Printable):
     """A step response ``yhat(t) = A {1 - r e^(-sigma t) sin(w t + theta)}`` after a step of ``height``, and the model behind it.
 
     ``best`` holds the five constants and the mean square error (equation 1) over ``samples`` rows after the step. ``rounds`` are
@@ -57,7 +60,7 @@ class MonteCarloSmoothing:
     @property
     def coefficients(self) -> dict[str, float]:
         """The constants by their letters in equation 17: A, r, theta, w, sigma."""
-        return {LETTERS[axis]: getattr(self.best, axis) for axis in AXES}
+        return {SYMBOLS[axis]: getattr(self.best, axis) for axis in AXES}
 
     @property
     def error(self) -> float:
@@ -95,7 +98,7 @@ class MonteCarloSmoothing:
         return float((np.arccos(self.damping) - self.best.phase) / self.best.frequency)
 
     @property
-    def s_domain(self) -> ContinuousTransferFunction:
+    def transfer_function(self) -> ContinuousTransferFunction:
         """The transfer function of equation 17 over the step's height, with the feed-through that ``r`` and ``theta`` leave."""
         b = self.best
         sine, cosine = b.ratio * np.sin(b.phase), b.ratio * np.cos(b.phase)
@@ -114,31 +117,34 @@ class MonteCarloSmoothing:
         numbers[2] = b.amplitude / self.height * f.sum() - numbers[0] - numbers[1]
         return PolynomialModel(
             KIND, self.output, (self.input,), h, (0,), (numbers,), f=(f,), noise_std=float(np.sqrt(self.error)),
-            samples=self.samples, loss=self.error, history="zero", focus="simulation", units=self.units, notes=self.notes,
+            samples=self.samples, loss=self.error, history="zero", focus="simulation", units=self.units, findings=self.findings,
         )  # fmt: skip
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def findings(self) -> tuple[Finding, ...]:
         """What one should know before trusting it."""
-        said = []
-        if abs(self.jump) > 1e-9 * abs(self.best.amplitude):
-            unit = self.units.get(self.output, "")
-            said.append(
-                f"the response jumps by {self.jump:.4g} {unit}".rstrip()
-                + " at the step's edge, which nothing with a mass"
-                f" does: its phase is that of a delay of {self.delay:.4g} s ({self.delay / self.sampling_time:.2f} samples)"
-            )
-        at_edge = [
-            LETTERS[axis]
+        findings = []
+        if abs(self.jump) > NEGLIGIBLE_JUMP * abs(self.best.amplitude):
+            values = {
+                "jump": self.jump,
+                "unit": self.units.get(self.output, ""),
+                "delay": self.delay,
+                "samples": self.delay / self.sampling_time,
+            }
+            findings.append(Finding(BlackBoxFinding.SMOOTHING_FEEDTHROUGH, Severity.WARNING, self.output, values))
+        at_end = [
+            SYMBOLS[axis]
             for axis in AXES
             for last in self.rounds[-1:]
-            if _near_an_end(getattr(self.best, axis), getattr(last.intervals, axis), getattr(self.draws, axis))
+            if _is_near_end(getattr(self.best, axis), getattr(last.intervals, axis), getattr(self.draws, axis))
         ]
-        if at_edge:
-            said.append(f"{', '.join(at_edge)}: the best draw is the outermost of its interval; adjust the interval")
+        if at_end:
+            values = {"constants": at_end}
+            findings.append(Finding(BlackBoxFinding.SMOOTHING_AT_INTERVAL_END, Severity.WARNING, values=values))
         if self.met is False:
-            said.append(f"the error {self.error:.4g} misses the specification {self.specification:.4g}")
-        return tuple(said)
+            values = {"error": self.error, "specification": self.specification}
+            findings.append(Finding(BlackBoxFinding.SMOOTHING_ABOVE_SPECIFICATION, Severity.WARNING, values=values))
+        return tuple(findings)
 
     kind = KIND
 
@@ -192,30 +198,8 @@ class MonteCarloSmoothing:
         """A discrete `control.TransferFunction`."""
         return self.model.to_control()
 
-    def __str__(self) -> str:
-        unit = self.units.get(self.output, "")
-        shown = {"amplitude": unit, "ratio": "", "phase": "rad", "frequency": "rad/s", "decay": "1/s"}
-        drawn = {a: "[{:.5g}, {:.5g}]".format(*getattr(r.intervals, a)) for r in self.rounds[-1:] for a in AXES}
-        rows = [[LETTERS[a], f"{getattr(self.best, a):.6g}", shown[a], drawn.get(a, "")] for a in AXES]
-        tried = sum(len(r.candidates) for r in self.rounds)
-        search = [
-            f"{tried} evaluations of {self.draws.combinations:,} combinations, {len(self.rounds) - 1} adjustments"
-        ]
-        return "\n".join(
-            [
-                f"Monte-Carlo smoothing of {self.output} after a step of {self.height:g} of {self.input}, {self.samples} rows",
-                *(search if self.rounds else []),
-                "",
-                *format_table(["constant", "value", "unit", "drawn in"], rows),
-                "",
-                f"mean square error {self.error:.5g} {unit and unit + '^2'}".rstrip(),
-                f"transfer function {self.s_domain}",
-                *(f"note: {note}" for note in self.notes),
-            ]
-        )
 
-
-def _near_an_end(value: float, interval: tuple[float, float], count: int) -> bool:
+def _is_near_end(value: float, interval: tuple[float, float], count: int) -> bool:
     """Whether ``value`` lies within the mean distance of ``count`` draws from an end of its ``interval``."""
     low, high = interval
     gap = (high - low) / (count + 1)

@@ -1,0 +1,97 @@
+"""A comparison as JSON: ``compare.json``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
+from greybox.findings import Finding
+from greybox.result import to_json_data
+
+
+def save_comparison(comparison: Comparison, path: str | Path, extra: Mapping[str, Any] | None = None) -> Path:
+    """Write a comparison as JSON.
+
+    Parameters
+    ----------
+    comparison
+        What `greybox.compare` gave.
+    path
+        The file; missing folders are made.
+    extra
+        Further entries beside those of the comparison.
+
+    Returns
+    -------
+    Path
+        The file. Numbers that are not finite become null.
+
+    Examples
+    --------
+    >>> comparison = gb.compare([fit], record)  # doctest: +SKIP
+    >>> gb.comparison.save_comparison(comparison, "results/compare.json")  # doctest: +SKIP
+    """
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    data = to_json_data({**comparison_data(comparison), **(extra or {})})
+    target.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return target
+
+
+def comparison_data(comparison: Comparison) -> dict[str, Any]:
+    """The comparison as nested dictionaries: ``models`` -> name -> kind, parameters, validation ..., and the verdict."""
+    return {
+        "models": {entry.name: _entry_data(entry) for entry in comparison.entries},
+        "outputs": dict(comparison.outputs),
+        "training": list(comparison.training),
+        "validation": list(comparison.validation),
+        "skip": comparison.skip,
+        "verdict": list(map(str, comparison.verdict)),
+        "notes": list(map(str, comparison.findings)),
+        "findings": [_finding_data(finding) for finding in (*comparison.verdict, *comparison.findings)],
+        "policy": asdict(comparison.policy),
+    }
+
+
+def _entry_data(entry: ComparisonEntry) -> dict[str, Any]:
+    return {
+        "kind": str(entry.kind),
+        "parameters": entry.parameters,
+        "structure": dict(entry.structure),
+        "validation": _scores_data(entry.validation),
+        "training": _scores_data(entry.training),
+        "records": {record: _scores_data(scores) for record, scores in entry.records.items()},
+        "bic": entry.bic,
+        "stable": entry.stable,
+        "feedthrough": dict(entry.feedthrough),
+        "seconds": entry.seconds,
+        "notes": list(map(str, entry.findings)),
+        "findings": [_finding_data(finding) for finding in entry.findings],
+    }
+
+
+def _scores_data(scores: Mapping[str, ComparisonScore]) -> dict[str, Any]:
+    return {
+        output: {
+            "rmse": score.rmse,
+            "best_fit_percent": score.best_fit_percent,
+            "one_step_rmse": score.one_step_rmse,
+            "samples": score.samples,
+            "unit": score.unit,
+            **({"ahead_rmse": {str(k): v for k, v in score.ahead_rmse.items()}} if score.ahead_rmse else {}),
+        }
+        for output, score in scores.items()
+    }
+
+
+def _finding_data(finding: Finding) -> dict[str, Any]:
+    return {
+        "code": str(finding.code),
+        "severity": str(finding.severity),
+        "subject": finding.subject,
+        "values": dict(finding.values),
+    }
