@@ -75,8 +75,8 @@ def silverbox_rows(train: gb.Experiment, tests: Mapping[str, gb.Experiment]) -> 
     scanned, judge = train.window(0, SCANNED), train.window(SCANNED, 2 * SCANNED)
     rows = []
     for kind, orders in SCANS.items():
-        scan = gb.blackbox.scan_structures(scanned, kind, judge=judge, skip=SKIP, nk=(0, 1), offset=True, **orders)
-        rows.append(black(gb.blackbox.scan_structures(train, kind, **scan.chosen.choice).best, tests))
+        scan = gb.blackbox.scan_structures(scanned, kind, validation=judge, skip=SKIP, nk=(0, 1), offset=True, **orders)
+        rows.append(black(gb.blackbox.scan_structures(train, kind, **scan.chosen.orders).best, tests))
     linear = silverbox + gb.effect("input_offset")
     hardening = linear + gb.effect("cubic_stiffness") + gb.effect("quadratic_stiffness")
     return rows + [grey(gb.fit(model, train), tests) for model in (linear, hardening)]

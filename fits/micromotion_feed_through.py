@@ -68,7 +68,7 @@ def least_squares(record: gb.Experiment) -> MonteCarloSmoothing:
     g = to_continuous(model)
     decay = g.denominator[1] / 2
     w = float(np.sqrt(g.denominator[2] - decay**2))
-    sine = 1 - g.numerator[0] / g.gain  # r sin(theta) and r cos(theta), see `MonteCarloSmoothing.s_domain`
+    sine = 1 - g.numerator[0] / g.gain  # r sin(theta) and r cos(theta), see `MonteCarloSmoothing.transfer_function`
     cosine = (decay * (2 - sine) - g.numerator[1] / g.gain) / w
     constants = StepResponseConstants(
         g.gain, float(np.hypot(sine, cosine)), float(np.arctan2(sine, cosine)), w, decay, model.loss

@@ -99,8 +99,8 @@ def study() -> Study:
     runs = {"physical": judged[1].traces[0].simulated["p_a"]}
     for out in JUDGED:
         for kind, orders in SCANS.items():
-            model = scan_structures(train, kind, output=out, judge=same, skip=SKIP, **orders).best
-            anew = scan_structures(again, kind, output=out, judge=raised, skip=SKIP, **orders).best
+            model = scan_structures(train, kind, output=out, validation=same, skip=SKIP, **orders).best
+            anew = scan_structures(again, kind, output=out, validation=raised, skip=SKIP, **orders).best
             scores[out][kind] = Score(
                 model.label, _error(model, same, out), _error(model, raised, out), _error(anew, raised, out)
             )

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.blackbox import best_black_boxes
-from greybox.blackbox.structure_fit import BlackBoxKind
-from greybox.comparison import Comparison, compare
+from greybox.blackbox import BlackBoxKind, best_black_boxes
+from greybox.comparison import Comparison, compare, save_comparison
 from greybox.comparison.compare import ComparedModel
 from greybox.discovery import Discovery, discover
 from greybox.effects import effect
@@ -38,7 +37,7 @@ NOISE = {"x": 0.2e-6, "i": 5e-3}  # m, A
 KNOWN = ("M", "Ra")  # weighed, and measured with a multimeter
 START_ERROR = 0.4  # the search starts this share above or below the truth
 SEED = 20100
-BLACK: tuple[BlackBoxKind, ...] = ("arx", "output error")
+BLACK = (BlackBoxKind.ARX, BlackBoxKind.OUTPUT_ERROR)
 PLAIN, EXTENDED = "plain model", "with what was found"
 
 Say = Callable[[str], None]
@@ -82,7 +81,7 @@ class Demo:
                 self.discovery.story,
                 *self._gaps(),
                 "",
-                *self.comparison.verdict[:1],
+                *map(str, self.comparison.verdict[:1]),
                 "",
                 str(self.plant),
             ]
@@ -154,7 +153,7 @@ def run_demo(directory: str | Path, *, say: Say | None = None, report: Callable[
         plain.save(folder / "plain.json"): "the fit of the model as it was",
         found.best.save(folder / "fit.json"): "the fit with the effect, for greybox export",
         found.save(folder / "discovery.json"): "what is missing, and the evidence",
-        compared.save(folder / "compare.json"): "beside the black boxes",
+        save_comparison(compared, folder / "compare.json"): "beside the black boxes",
         write_control(plant, folder / "plant_ss.py"): "the state space for python-control",
     }
     files |= dict.fromkeys(_gap(plain, found.best, compared, folder), "the gap before and after")
@@ -166,7 +165,7 @@ def _compared(plain: Fit, best: Fit, train: Experiment, test: Experiment) -> Com
     """Both physical models and the best ARX and output-error model of the displacement, on the record that none of them saw."""
     boxes = best_black_boxes(train, output="x", kinds=BLACK, at_rest=True, units={"x": "m", "u": "V"})
     models: dict[str, ComparedModel] = {PLAIN: plain, EXTENDED: best}
-    models |= {kind: [scan.best] for kind, scan in boxes.items()}
+    models |= {str(kind): [scan.best] for kind, scan in boxes.items()}
     return compare(models, test, training=train)
 
 

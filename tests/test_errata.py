@@ -229,8 +229,8 @@ def test_1_17_three_numerator_coefficients_only_repeat_equation_17():
     smoothing = wang.smoothing(1080)
     (row,) = compare_numerators(step_record(rows=1080), smoothing, [(2, 0, 2)])
     found = to_continuous(row.smoothed_model)
-    assert found.numerator == pytest.approx(smoothing.s_domain.numerator, rel=1e-6)
-    assert found.denominator == pytest.approx(smoothing.s_domain.denominator, rel=1e-6)
+    assert found.numerator == pytest.approx(smoothing.transfer_function.numerator, rel=1e-6)
+    assert found.denominator == pytest.approx(smoothing.transfer_function.denominator, rel=1e-6)
     assert wang.TABLE_3_SMOOTHED[4] == wang.SMOOTHED.error
 
 

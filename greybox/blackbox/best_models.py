@@ -165,13 +165,13 @@ def _choices(
     nk, offsets = arx["nk"], sorted({True, arx["offset"]})
     poles = range(1, policy.largest_searched_poles + 1)
     if kind == BlackBoxKind.ARMAX:
-        for n, delay, offset in product(poles, sorted({nk, 1}), offsets):
+        for n, delay, constant in product(poles, sorted({nk, 1}), offsets):
             for nb, nc in product(sorted({1, n, n + 1}), sorted({1, n})):
-                yield {"na": n, "nb": nb, "nc": nc, "nk": delay, "offset": offset}
+                yield {"na": n, "nb": nb, "nc": nc, "nk": delay, "offset": constant}
     elif kind == BlackBoxKind.OUTPUT_ERROR:
-        for n, delay, offset in product(poles, sorted({nk, max(nk - 1, 0), 1}), offsets):
+        for n, delay, constant in product(poles, sorted({nk, max(nk - 1, 0), 1}), offsets):
             for nb in sorted({1, n, n + 1}):
-                yield {"nb": nb, "nf": n, "nk": delay, "offset": offset}
+                yield {"nb": nb, "nf": n, "nk": delay, "offset": constant}
     elif BlackBoxKind.OUTPUT_ERROR in scans:
         linear = scans[BlackBoxKind.OUTPUT_ERROR].chosen.orders
         if kind == BlackBoxKind.BOX_JENKINS:

@@ -108,7 +108,9 @@ class HammersteinModel(Printable):
             raise DataError(
                 f"experiment {experiment.name!r}: no input {absent[0]!r}; {nearest(absent[0], experiment.inputs)}"
             )
-        transformed = {name: curve(experiment.inputs[name]) for name, curve in zip(self.inputs, self.curves, strict=True)}
+        transformed = {
+            name: curve(experiment.inputs[name]) for name, curve in zip(self.inputs, self.curves, strict=True)
+        }
         return replace(experiment, inputs={**experiment.inputs, **transformed})
 
 
@@ -251,7 +253,9 @@ class _HammersteinProblem:
         """All weights of each curve."""
         counts = [len(c.weights) - 1 for c in self.curves]
         free = np.split(theta[self.structure.size :], np.cumsum(counts)[:-1])
-        return [np.insert(part, k, c.weights[k]) for part, k, c in zip(free, self.fixed_weights, self.curves, strict=True)]
+        return [
+            np.insert(part, k, c.weights[k]) for part, k, c in zip(free, self.fixed_weights, self.curves, strict=True)
+        ]
 
     def stabilise(self, theta: np.ndarray) -> np.ndarray:
         n = self.structure.size

@@ -10,9 +10,9 @@ from scipy.signal import lfilter
 
 from greybox.blackbox.linear_regression import Orders, build_regressors, find_usable_rows
 from greybox.blackbox.policy import DEFAULT_SEARCH, PredictionErrorPolicy
+from greybox.blackbox.polynomial_roots import confine_roots, reflect_roots
 from greybox.blackbox.prediction_error import compute_prediction_errors
 from greybox.blackbox.responses import predict_ahead
-from greybox.blackbox.polynomial_roots import confine_roots, reflect_roots
 from greybox.blackbox.sampled_data import SampledData, SampledRecord, delay_rows
 from greybox.blackbox.structure import PolynomialStructure, to_monic
 
@@ -61,7 +61,9 @@ def interpolate_gaps(data: SampledData) -> SampledData:
     return replace(data, records=tuple(map(interpolate, data.records)))
 
 
-def estimate_output_error_starts(structure: PolynomialStructure, data: SampledData, rest: bool, policy: PredictionErrorPolicy = DEFAULT_SEARCH) -> list[np.ndarray]:
+def estimate_output_error_starts(
+    structure: PolynomialStructure, data: SampledData, rest: bool, policy: PredictionErrorPolicy = DEFAULT_SEARCH
+) -> list[np.ndarray]:
     """Candidates for ``B / F``: ARX, Steiglitz and McBride's iteration (one ``F`` for all inputs), and realised impulse responses."""
     filled, orders = interpolate_gaps(data), structure.orders
     candidates: list[tuple[np.ndarray, ...]] = []
@@ -77,7 +79,9 @@ def estimate_output_error_starts(structure: PolynomialStructure, data: SampledDa
     return [_with_best_numerators(structure, f, data, rest) for f in candidates]
 
 
-def estimate_armax_starts(structure: PolynomialStructure, data: SampledData, rest: bool, policy: PredictionErrorPolicy = DEFAULT_SEARCH) -> list[np.ndarray]:
+def estimate_armax_starts(
+    structure: PolynomialStructure, data: SampledData, rest: bool, policy: PredictionErrorPolicy = DEFAULT_SEARCH
+) -> list[np.ndarray]:
     """Candidates for ``A, B, C``: ARX with ``C = 1``, pseudo-linear regression on a long ARX model's innovations (Hannan and
     Rissanen 1982), and Steiglitz and McBride's ``A`` with ``C = A``, which white noise on the output alone would have."""
     filled, orders = interpolate_gaps(data), structure.orders
@@ -94,11 +98,15 @@ def estimate_armax_starts(structure: PolynomialStructure, data: SampledData, res
     return starts + list(_pseudo_linear_starts(structure, filled, rest, policy))
 
 
-def estimate_box_jenkins_starts(structure: PolynomialStructure, data: SampledData, rest: bool, policy: PredictionErrorPolicy = DEFAULT_SEARCH) -> list[np.ndarray]:
+def estimate_box_jenkins_starts(
+    structure: PolynomialStructure, data: SampledData, rest: bool, policy: PredictionErrorPolicy = DEFAULT_SEARCH
+) -> list[np.ndarray]:
     """Candidates for ``B / F`` as of an output error, the best of them with ``C / D`` from its residual."""
     plain = replace(structure, kind="output error", nc=0, nd=0)
     starts = estimate_output_error_starts(plain, data, rest, policy)
-    squares = [compute_prediction_errors(plain, s, data, data.records, rest=rest, with_gradient=False).squares for s in starts]
+    squares = [
+        compute_prediction_errors(plain, s, data, data.records, rest=rest, with_gradient=False).squares for s in starts
+    ]
     noise = PolynomialStructure("arma", Orders(structure.nd, (), ()), (), nc=structure.nc)
     candidates = []
     for start in (starts[k] for k in np.argsort(squares)[:2]):

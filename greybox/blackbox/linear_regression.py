@@ -15,7 +15,6 @@ from greybox.numerics import COLLINEAR_COLUMNS, DEPENDENT_COLUMN_SHARE
 RegressionHistory = Literal["measured", "zero"]
 
 
-
 @dataclass(frozen=True)
 class Orders:
     """Orders of a difference equation: ``na``, and ``nb``, ``nk`` for each input."""
@@ -62,7 +61,9 @@ def build_regressors(record: SampledRecord, orders: Orders, offset: bool) -> np.
     """Columns ``-y(k-1) ... -y(k-na)``, ``u(k-nk) ...`` of each input and, with ``offset``, ones (N, p); zero before the record."""
     columns = [-delay_rows(record.y, i) for i in range(1, orders.na + 1)]
     columns += [
-        delay_rows(record.u[:, i], nk + j) for i, (nb, nk) in enumerate(zip(orders.nb, orders.nk, strict=True)) for j in range(nb)
+        delay_rows(record.u[:, i], nk + j)
+        for i, (nb, nk) in enumerate(zip(orders.nb, orders.nk, strict=True))
+        for j in range(nb)
     ]
     columns += [np.ones(record.rows)] if offset else []
     return np.column_stack(columns)
@@ -75,7 +76,9 @@ def name_regressors(data: SampledData, orders: Orders, offset: bool) -> list[str
         return f"{name}(k-{by})" if by else f"{name}(k)"
 
     names = [lag(data.output, i) for i in range(1, orders.na + 1)]
-    names += [lag(name, nk + j) for name, nb, nk in zip(data.inputs, orders.nb, orders.nk, strict=True) for j in range(nb)]
+    names += [
+        lag(name, nk + j) for name, nb, nk in zip(data.inputs, orders.nb, orders.nk, strict=True) for j in range(nb)
+    ]
     return names + (["1"] if offset else [])
 
 

@@ -173,10 +173,8 @@ def _errors_of_part(
         return projected, np.empty((len(projected), 0)), projection.states
     initial = projection.coefficients(e[measured])
     # The drive of each input includes what its own unknown past adds.
-    if blocks:
-        initial_by_input = np.split(initial, np.cumsum([block.shape[1] for block in blocks])[:-1])
-    else:
-        initial_by_input = [np.empty(0)] * len(through)
+    ends = np.cumsum([block.shape[1] for block in blocks])
+    initial_by_input = np.split(initial, ends[:-1]) if blocks else [np.empty(0)] * len(through)
     driven = [
         lfilter(d, [1.0], w) + lfilter(s, f, np.eye(1, part.rows)[0]) if len(s) else lfilter(d, [1.0], w)
         for w, s, f in zip(through, initial_by_input, model.f, strict=True)
@@ -363,7 +361,9 @@ def refuse_collinear(gradient: np.ndarray, names: Sequence[str], label: str) -> 
     scale = np.linalg.norm(gradient, axis=0)
     without_effect = [n for n, s in zip(names, scale, strict=True) if s == 0]
     if without_effect:
-        raise DataError(f"{label}: {', '.join(without_effect)} change nothing in these records; take a smaller structure")
+        raise DataError(
+            f"{label}: {', '.join(without_effect)} change nothing in these records; take a smaller structure"
+        )
     _, size, right = np.linalg.svd(np.linalg.qr(gradient / scale, mode="r"))
     if size[-1] <= COLLINEAR_COLUMNS * np.sqrt(len(gradient)):
         participation = np.abs(right[-1]) / np.abs(right[-1]).max()

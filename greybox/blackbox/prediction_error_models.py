@@ -231,9 +231,7 @@ def make_armax_structure(
 ) -> PolynomialStructure:
     """Structure of an ARMAX model, its orders spread over the inputs. Raises DataError for impossible orders."""
     orders = to_orders(data, nb, nk, na, "armax")
-    return PolynomialStructure(
-        "armax", orders, (0,) * len(orders.nb), nc=to_order("nc", nc, "armax"), offset=offset
-    )
+    return PolynomialStructure("armax", orders, (0,) * len(orders.nb), nc=to_order("nc", nc, "armax"), offset=offset)
 
 
 def make_output_structure(

@@ -253,7 +253,9 @@ def scan_choices(
             report(done, len(listed), structure)
     if all(s.model is None for s in structures):
         raise DataError(
-            structures[0].failure if structures else f"{kind}: no structure to fit; give at least one order of each kind"
+            structures[0].failure
+            if structures
+            else f"{kind}: no structure to fit; give at least one order of each kind"
         )
     structures = _add_criteria(structures)
     chosen = _choose([s for s in structures if s.model is not None], criterion, policy)
@@ -297,9 +299,7 @@ def fit_structure(
     )
     if kind == BlackBoxKind.HAMMERSTEIN:
         return fit_hammerstein(structure, data, orders["shape"], orders["basis_size"], history, policy=policy)
-    estimate_starts = (
-        estimate_output_error_starts if kind == BlackBoxKind.OUTPUT_ERROR else estimate_box_jenkins_starts
-    )
+    estimate_starts = estimate_output_error_starts if kind == BlackBoxKind.OUTPUT_ERROR else estimate_box_jenkins_starts
     return fit_prediction_error(structure, data, estimate_starts, history, policy=policy)
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from greybox.comparison.compare import NamedModel
     from greybox.estimation.options import FitProgress
     from greybox.experiment import Experiment
+    from greybox.findings import Finding
     from greybox.model import Model
     from greybox.result import Fit
 
@@ -137,11 +138,17 @@ def compare(
         for names, plant in zip(rivals, plants[1:], strict=True):
             grown = _grown(fitted[0][0], names, plants[0], show) if starts == 1 else None
             fitted.append(grown or _fitted(plant, records, show, starts, seed, given))
-        black, notes = _boxes(plain, records, at_rest, show)
+        black, findings = _boxes(plain, records, at_rest, show)
         show("judging")
         grey = [NamedModel(fit.model.title, fit, seconds) for fit, seconds in fitted]
         result = compare_named(
-            [*grey, *black], judges, records, skip=skip, steps=[k for k in predict if k], options=options, notes=notes
+            [*grey, *black],
+            judges,
+            records,
+            skip=skip,
+            steps=[k for k in predict if k],
+            options=options,
+            findings=findings,
         )
     fits = None if no_report else {fit.model.title: fit for fit, _ in fitted}
     _tell(result, folder, records, judges, fits, quiet=silent, json=json)
@@ -215,7 +222,7 @@ def _fitted(
 
 def _boxes(
     plain: Model, records: Sequence[Experiment], at_rest: bool, show: ShowProgress
-) -> tuple[tuple[NamedModel, ...], tuple[str, ...]]:
+) -> tuple[tuple[NamedModel, ...], tuple[Finding, ...]]:
     """The black boxes of every output of ``plain`` that the records measure, and what is to be said about them."""
     from greybox.comparison.black_box_candidates import fit_black_boxes
 
@@ -238,6 +245,7 @@ def _tell(
     quiet: bool,
     json: bool,
 ) -> None:
+    from greybox.comparison import save_comparison
     from greybox.estimation.fit import read_versions
     from greybox.experiment import collect_record_findings
     from greybox.plots import draw_comparison
@@ -245,7 +253,9 @@ def _tell(
 
     known = sentences(collect_record_findings([*records, *judges]))
     prints = {e.name: e.fingerprint for e in (*records, *judges)}
-    saved = result.save(folder / "compare.json", {"data": prints, "remarks": known, "versions": read_versions()})
+    saved = save_comparison(
+        result, folder / "compare.json", {"data": prints, "remarks": known, "versions": read_versions()}
+    )
     if json:
         typer.echo(saved.read_text(encoding="utf-8"), nl=False)
     elif not quiet:

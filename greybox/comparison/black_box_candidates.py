@@ -79,9 +79,7 @@ def fit_black_boxes(
                 records, output=output, inputs=inputs, at_rest=rest, units=units, report=report_kind, policy=policy.scan
             )
         except DataError as error:
-            findings.append(
-                Finding(ComparisonFinding.NO_BLACK_BOX, Severity.WARNING, output, {"reason": str(error)})
-            )
+            findings.append(Finding(ComparisonFinding.NO_BLACK_BOX, Severity.WARNING, output, {"reason": str(error)}))
             continue
         for kind, scan in scans.items():
             name = kind.replace(" ", "_").replace("-", "_")
@@ -155,10 +153,14 @@ def _begins_at_rest(records: Sequence[Experiment], output: str, policy: Comparis
 
 
 def _smooth_step(
-    records: Sequence[Experiment], output: str, inputs: Sequence[str], units: Mapping[str, str], policy: ComparisonPolicy
+    records: Sequence[Experiment],
+    output: str,
+    inputs: Sequence[str],
+    units: Mapping[str, str],
+    policy: ComparisonPolicy,
 ) -> tuple[BlackBoxModel | None, list[Finding]]:
     """Monte-Carlo smoothing of the first record that is a single step from zero; None where none is, or it has no resonance."""
-    findings = []
+    findings: list[Finding] = []
     for record in records:
         steps = [name for name in inputs if _is_step(record.inputs[name])]
         if len(steps) != 1 or len(inputs) != 1 or output not in record.outputs:

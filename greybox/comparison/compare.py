@@ -233,7 +233,7 @@ def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> Com
 
 def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
     model = named.model
-    boxes: tuple[BlackBoxModel, ...] = tuple(model) if isinstance(model, Sequence) else (model,)  # type: ignore[arg-type]
+    boxes: tuple[BlackBoxModel, ...] = tuple(model) if isinstance(model, Sequence) else (model,)  # type: ignore[assignment]
     fitted, validated = (
         [
             run

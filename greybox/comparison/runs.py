@@ -47,9 +47,7 @@ def run_black_box(
         rows = None if training else max(1, round(ratio * (skip or policy.initial_rows)))
         initial = "zero" if at_rest else "estimated"
         free_run = model.simulate(record, initial=initial, rows=rows)[model.output]
-        one_step, *ahead = (
-            model.predict(record, k, initial=initial, rows=rows)[model.output] for k in (1, *steps)
-        )
+        one_step, *ahead = (model.predict(record, k, initial=initial, rows=rows)[model.output] for k in (1, *steps))
         first_time = experiment.time[min(skip, experiment.rows - 1)]
         runs.append(
             ComparisonRun(
@@ -107,9 +105,7 @@ def run_grey_box(
     plant = model.model if isinstance(model, Fit) else model
     noise = model.noise.std if isinstance(model, Fit) else None
     others = [e for e in experiments if not (training and e.fingerprint in fitted_traces)]
-    validated = (
-        iter(validate(plant, others, noise=noise, skip=skip, options=options).traces) if others else iter(())
-    )
+    validated = iter(validate(plant, others, noise=noise, skip=skip, options=options).traces) if others else iter(())
     traces = [
         fitted_traces[e.fingerprint] if training and e.fingerprint in fitted_traces else next(validated)
         for e in experiments
@@ -122,9 +118,7 @@ def run_grey_box(
     ]
 
 
-def choose_predictor(
-    model: Model | Fit, rows: int, policy: ComparisonPolicy = DEFAULT_COMPARISON
-) -> Predictor | None:
+def choose_predictor(model: Model | Fit, rows: int, policy: ComparisonPolicy = DEFAULT_COMPARISON) -> Predictor | None:
     """The filter that predicts best from sample to sample with the parameters of a fit, learnt from its own records; None for what
     is no successful fit, has parameters of single records, or where its own and the other ``rows`` are too many."""
     if not (isinstance(model, Fit) and model.success and not model.constraints.per_experiment):
@@ -155,9 +149,7 @@ def _runs_of_record(
     """The runs of one record, output by output."""
     predictions = {}
     if filter_predictor:
-        predictions = {
-            k: filter_predictor.predict(experiment, k, initial=trace.initial_state) for k in (1, *steps)
-        }
+        predictions = {k: filter_predictor.predict(experiment, k, initial=trace.initial_state) for k in (1, *steps)}
     for output in trace.measured:
         simulated = trace.simulated[output]
         if filter_predictor is None:
@@ -202,7 +194,5 @@ def resolve_options(model: Model | Fit, options: FitOptions | None) -> FitOption
         return options
     if not isinstance(model, Fit):
         return FitOptions()
-    known = {
-        name: value for name, value in model.provenance.options.items() if name in FitOptions.__dataclass_fields__
-    }
+    known = {name: value for name, value in model.provenance.options.items() if name in FitOptions.__dataclass_fields__}
     return replace(FitOptions(**known), per_experiment=())

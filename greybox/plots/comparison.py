@@ -110,7 +110,7 @@ def judging_records(comparison: Comparison) -> list[str]:
 
 def _score(comparison: Comparison, entry: ComparisonEntry, output: str, record: str | None) -> ComparisonScore | None:
     scores: Mapping[str, ComparisonScore] = (
-        comparison.judged(entry) if record is None else entry.records.get(record, {})
+        comparison.deciding_scores(entry) if record is None else entry.records.get(record, {})
     )
     return scores.get(output)
 

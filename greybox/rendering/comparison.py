@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
 
 MEASURE = {"free_run": "free run", "one_step": "one sample ahead"}
-RECORDS = {"validation": "on the validation records", "training": "on the estimation records, which flatter every model"}
+RECORDS = {
+    "validation": "on the validation records",
+    "training": "on the estimation records, which flatter every model",
+}
 
 
 def _best_model(finding: Finding) -> str:
@@ -50,7 +53,9 @@ def _listed(template: str) -> Any:
 
 def _bic_of_different_outputs(finding: Finding) -> str:
     listing = "; ".join(f"{name}: {', '.join(outputs)}" for name, outputs in finding.values["outputs"].items())
-    return f"BIC is summed over the outputs of each model ({listing}). Compare it only between models of the same outputs."
+    return (
+        f"BIC is summed over the outputs of each model ({listing}). Compare it only between models of the same outputs."
+    )
 
 
 register(

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from greybox.comparison import Comparison, ComparisonEntry, ComparisonScore
+from greybox.comparison import Comparison, ComparisonEntry, ComparisonFinding, ComparisonScore
 from greybox.estimation.versions import read_versions
+from greybox.findings import with_code
 from greybox.plots.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.plots.style import PAGE
+from greybox.rendering import sentences
 from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import constants_table
 from greybox.reports.page import Block, FigureBlock, Folded, Heading, Listing, Page, Section, Table, Text
@@ -55,18 +57,19 @@ def report_of_comparison(
 def verdict(comparison: Comparison) -> Text:
     """What the comparison says of itself: good where a grey box is best, or as good, in the free run of every output."""
     best = [_best(comparison, output) for output in comparison.outputs]
-    failed = any(n.startswith("the fit did not succeed") for e in comparison.entries for n in e.notes)
+    failed = with_code(comparison.verdict, ComparisonFinding.FAILED_FITS)
     won = all(e is not None and e.kind == "grey" for e in best) and bool(best)
     return Text(
-        [as_sentence(typeset_number(s)) for s in comparison.verdict], "good" if won and not failed else "caution"
+        [as_sentence(typeset_number(s)) for s in sentences(comparison.verdict)],
+        "good" if won and not failed else "caution",
     )
 
 
 def _best(comparison: Comparison, output: str) -> ComparisonEntry | None:
     judged = [
-        (comparison.judged(e)[output].rmse, k)
+        (comparison.deciding_scores(e)[output].rmse, k)
         for k, e in enumerate(comparison.entries)
-        if output in comparison.judged(e)
+        if output in comparison.deciding_scores(e)
     ]
     finite = [pair for pair in judged if math.isfinite(pair[0])]
     return comparison.entries[min(finite)[1]] if finite else None
@@ -117,7 +120,7 @@ def runs(comparison: Comparison) -> Iterator[Block]:
     """The curves of every model over each judging record."""
     records = judging_records(comparison)
     drawn = records[:MOST_DRAWN]
-    curves = 2 * sum(len(comparison.judged(e)) for e in comparison.entries) + len(comparison.outputs)
+    curves = 2 * sum(len(comparison.deciding_scores(e)) for e in comparison.entries) + len(comparison.outputs)
     stretches = PAGE.stretches(len(drawn) * curves)
     yield Text(["A click on a name in the legend hides that model; a double click shows it alone."])
     for k, record in enumerate(drawn):
@@ -149,7 +152,10 @@ def models(comparison: Comparison) -> Table:
 
 
 def _notes(comparison: Comparison) -> Iterator[Block]:
-    said = [*comparison.notes, *(f"{e.name}: {n}" for e in comparison.entries for n in e.notes)]
+    said = [
+        *sentences(comparison.findings),
+        *(f"{e.name}: {n}" for e in comparison.entries for n in sentences(e.findings)),
+    ]
     if said:
         yield Listing([as_sentence(s) for s in said])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from greybox.rendering import sentences
 from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import verdict as fit_verdict
 from greybox.reports.of_comparison import errors, models
@@ -51,7 +52,7 @@ def _verdict(demo: Demo) -> Text:
     names = [n for n in demo.truth if n in demo.deviations]
     off = max((abs(demo.deviations[n]) for n in names), default=0.0)
     true = f"Every constant of the rig is met within {off:.1f} standard deviations: {join_names(names)}."
-    beside = [as_sentence(typeset_number(s)) for s in demo.comparison.verdict[:1]]
+    beside = [as_sentence(typeset_number(s)) for s in sentences(demo.comparison.verdict[:1])]
     return Text([first, *found.paragraphs, true, *beside], found.tone)
 
 

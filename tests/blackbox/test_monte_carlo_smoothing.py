@@ -10,6 +10,7 @@ import greybox as gb
 from fits import micromotion_printed as wang
 from fits.micromotion_twin import ROWS, in_micrometres, step_record
 from greybox.blackbox.continuous import to_continuous
+from greybox.blackbox.findings import BlackBoxFinding
 from greybox.blackbox.monte_carlo_smoothing.estimate import SmoothingProgress
 from greybox.blackbox.monte_carlo_smoothing.grid_search import DrawCounts, search_grid
 from greybox.blackbox.monte_carlo_smoothing.intervals import (
@@ -19,6 +20,7 @@ from greybox.blackbox.monte_carlo_smoothing.intervals import (
     find_resonance,
 )
 from greybox.blackbox.monte_carlo_smoothing.numerators import NUMERATOR_STRUCTURES, compare_numerators
+from greybox.findings import with_code
 
 TS = wang.SAMPLING_TIME
 FEW = DrawCounts(amplitude=6, ratio=3, phase=3, frequency=4, decay=3)
@@ -84,7 +86,7 @@ def test_the_loop_of_figure_1_ends_at_the_specification(twin):
     hard = gb.blackbox.monte_carlo_smoothing(twin, specification=1e-9, adjustments=3, **options)
     assert not hard.met and len(hard.rounds) == 4
     assert hard.error <= easy.error
-    assert any("misses the specification" in note for note in hard.notes)
+    assert with_code(hard.findings, BlackBoxFinding.SMOOTHING_ABOVE_SPECIFICATION)
     same = gb.blackbox.monte_carlo_smoothing(twin, specification=1e3, **options)
     assert same.coefficients == easy.coefficients  # the seed says it all
 
@@ -121,22 +123,22 @@ def test_a_step_that_comes_late_and_is_not_one_gives_the_same_constants():
         for edge, h in ((0, 1.0), (37, 2.0))
     )
     assert moved.coefficients == pytest.approx(plain.coefficients, rel=1e-9)
-    assert moved.s_domain.gain == pytest.approx(plain.s_domain.gain / 2)
+    assert moved.transfer_function.gain == pytest.approx(plain.transfer_function.gain / 2)
     run = moved.simulate(step(y, edge=37, height=2.0), initial="zero")["x"]
     assert run[37:] == pytest.approx(moved.response(t), abs=1e-9) and not run[:37].any()
 
 
 def test_equation_17_is_its_transfer_function_and_its_difference_equation():
     found = wang.smoothing(ROWS)
-    system = control.tf(found.s_domain.numerator, found.s_domain.denominator)
+    system = control.tf(found.transfer_function.numerator, found.transfer_function.denominator)
     t = TS * np.arange(400)
     assert control.step_response(system, t).outputs == pytest.approx(found.response(t), abs=1e-8)
-    assert found.s_domain.numerator == pytest.approx(wang.S_NUMERATOR, rel=3e-3)  # its constants are rounded
-    assert found.s_domain.denominator == pytest.approx(wang.S_DENOMINATOR, rel=1e-4)
+    assert found.transfer_function.numerator == pytest.approx(wang.S_NUMERATOR, rel=3e-3)  # its constants are rounded
+    assert found.transfer_function.denominator == pytest.approx(wang.S_DENOMINATOR, rel=1e-4)
     held = control.sample_system(system, TS, "zoh")
     assert found.model.b[0] == pytest.approx(held.num[0][0], rel=1e-6)
     assert found.model.f[0] == pytest.approx(held.den[0][0], rel=1e-9)
-    assert found.jump == pytest.approx(found.s_domain.feedthrough) == pytest.approx(found.feedthrough["u"])
+    assert found.jump == pytest.approx(found.transfer_function.feedthrough) == pytest.approx(found.feedthrough["u"])
 
 
 @pytest.mark.parametrize(

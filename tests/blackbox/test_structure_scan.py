@@ -28,7 +28,7 @@ def scan():
     told = []
     judge = record(300, 2)
     found = gb.blackbox.scan_structures(
-        record(400, 1), "output error", nb=(1, 2, 400), nf=(1, 2), nk=(1, 2), judge=judge, skip=40, units={"y": "mm"},
+        record(400, 1), "output error", nb=(1, 2, 400), nf=(1, 2), nk=(1, 2), validation=judge, skip=40, units={"y": "mm"},
         report=lambda done, of, candidate: told.append((done, of, candidate.label)),
     )  # fmt: skip
     return found, judge, told
@@ -37,29 +37,30 @@ def scan():
 def test_a_scan_is_one_call_with_table_progress_and_selection(scan):
     found, judge, told = scan
     assert [t[:2] for t in told] == [(k, 12) for k in range(1, 13)]
-    assert [c.label for c in found.candidates] == [t[2] for t in told]
-    fitted = [c for c in found.candidates if c.model is not None]
+    assert [c.label for c in found.structures] == [t[2] for t in told]
+    fitted = [c for c in found.structures if c.model is not None]
     for c in fitted:
         assert c.free_run == pytest.approx(free_run_error(c.model, judge, 40), rel=1e-12)
     assert found.chosen.label == found.best.label == "output error(2, 2, 2)"
     # of several within half a percent of the smallest error the one of fewest coefficients
     near = [c.model.parameters for c in fitted if c.free_run <= 1.005 * min(x.free_run for x in fitted)]
     assert found.best.parameters == min(near)
-    text = str(found)
-    assert "12 structures, chosen by free run; free run over record 2" in text
-    assert "<- chosen" in text and "mm" in text
-    assert "4 could not be fitted, the first: output error(400, 1, 1): 400 rows, leave" in text
+    assert found.validation == ("record 2",) and found.criterion == "free run" and found.unit == "mm"
+    assert (
+        next(c.label for c in found.structures if c.model is None) == "output error(nb 400, nf 1, nk 1, offset False)"
+    )
+    assert sum(bool(c.failure) for c in found.structures) == 4
 
 
 @pytest.mark.parametrize(("by", "price"), [("aic", 2.0), ("bic", np.log(397))])
 def test_criteria_are_those_of_the_definition(by, price):
     r = record(400, 1)
-    found = gb.blackbox.scan_structures(r, "arx", na=(1, 2, 3), nb=(1, 2), nk=2, by=by)
-    for c in found.candidates:
+    found = gb.blackbox.scan_structures(r, "arx", na=(1, 2, 3), nb=(1, 2), nk=2, criterion=by)
+    for c in found.structures:
         # with the same number of rows for every structure: those that the longest history, of three, leaves
         expected = 397 * np.log(c.model.loss) + price * c.model.parameters
         assert (c.aic if by == "aic" else c.bic) == pytest.approx(expected, rel=1e-12)
-    best = min(found.candidates, key=lambda c: getattr(c, by))
+    best = min(found.structures, key=lambda c: getattr(c, by))
     assert found.chosen is best and found.best.coefficients == best.model.coefficients
 
 
@@ -81,17 +82,16 @@ def test_the_best_black_boxes_reach_the_noise():
     judge = record(400, 9)
     for kind, scan in scans.items():
         assert free_run_error(scan.best, judge, 50) < (1.2 if kind in ("arx", "armax") else 1.05) * 0.05, kind
-    assert "record 3" in scans["arx"].judged  # of several records the last third judges
+    assert scans["arx"].validation == ("record 3",)  # of several records the last third validates
 
 
-def test_a_settled_step_is_judged_by_the_run_over_itself(monkeypatch):
-    monkeypatch.setattr("greybox.blackbox.best_models.MOST_POLES", 2)
-    monkeypatch.setattr("greybox.blackbox.best_models.MOST_SEARCHED_POLES", 2)
+def test_a_settled_step_is_validated_by_the_run_over_itself():
+    policy = gb.blackbox.StructureScanPolicy(largest_poles=2, largest_searched_poles=2)
     y = lfilter(B, A, np.ones(40)) + 0.01 * np.random.default_rng(0).standard_normal(40)
     step = gb.Experiment("step", 0.1 * np.arange(40), {"u": np.ones(40)}, {"y": y})
-    scans = gb.blackbox.best_black_boxes(step, kinds=("arx", "hammerstein"), at_rest=True)
+    scans = gb.blackbox.best_black_boxes(step, kinds=("arx", "hammerstein"), at_rest=True, policy=policy)
     assert set(scans) == {"arx"}  # an input of two levels has no curve
-    assert scans["arx"].judged == "the fitted records"
+    assert scans["arx"].validation == () and scans["arx"].policy is policy
     with pytest.raises(gb.errors.DataError, match=r"no black-box model of these records: .* equations for"):
         gb.blackbox.best_black_boxes(step.window(0, 3), kinds=("arx",))
 
@@ -102,8 +102,8 @@ def test_a_settled_step_is_judged_by_the_run_over_itself(monkeypatch):
 @pytest.mark.parametrize(
     ("bend", "options"),
     [
-        (lambda u: u + 0.4 * u**2 - 0.1 * u**3, {"shape": "polynomial", "freedom": 3}),
-        (lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.5, 0), {"shape": "piecewise", "freedom": 16}),
+        (lambda u: u + 0.4 * u**2 - 0.1 * u**3, {"shape": "polynomial", "basis_size": 3}),
+        (lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.5, 0), {"shape": "piecewise", "basis_size": 16}),
     ],
 )
 def test_a_curve_in_front_comes_back(bend, options):
@@ -115,12 +115,15 @@ def test_a_curve_in_front_comes_back(bend, options):
     assert curve(np.zeros(1)) == pytest.approx(0)
     assert model.linear.poles == pytest.approx(np.roots(A), abs=0.01)
     assert free_run_error(model, record(300, 5, bend=bend), 0) < 1.3 * 0.05
-    assert model.parameters == 4 + options["freedom"] - 1
+    assert model.parameters == 4 + options["basis_size"] - 1
 
 
 def test_a_straight_curve_is_the_output_error_model():
     r = record(300, 6)
-    bent, plain = gb.blackbox.hammerstein(r, nb=2, nf=2, nk=2, freedom=1), gb.blackbox.output_error(r, nb=2, nf=2, nk=2)
+    bent, plain = (
+        gb.blackbox.hammerstein(r, nb=2, nf=2, nk=2, basis_size=1),
+        gb.blackbox.output_error(r, nb=2, nf=2, nk=2),
+    )
     assert bent.simulate(r)["y"] == pytest.approx(plain.simulate(r)["y"], abs=1e-7)
     assert bent.linear.f[0] == pytest.approx(plain.f[0], abs=1e-7) and bent.parameters == plain.parameters
 

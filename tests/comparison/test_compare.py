@@ -11,12 +11,18 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.cli.app import app
-from greybox.comparison import fit_black_boxes
-from greybox.comparison.verdict import judge_comparison
+from greybox.comparison import ComparisonFinding, ComparisonPolicy, fit_black_boxes, save_comparison
+from greybox.findings import with_code
 from greybox.plots import draw_comparison
 from greybox.simulation import write_csv
 
 STEP, NOISE, M, D, K = 0.05, 2e-3, 1.0, 0.8, 9.0
+# Scans over a few structures only.
+SMALL = ComparisonPolicy(
+    scan=gb.blackbox.StructureScanPolicy(
+        largest_poles=1, largest_searched_poles=1, first_delays=(1,), nonlinearities={"polynomial": (2,)}
+    )
+)
 KINDS = {"arx", "armax", "output_error", "box_jenkins", "hammerstein"}
 PLANT = """
 from greybox import Balance, Input, Model, Output, Parameter, State
@@ -159,11 +165,13 @@ def test_criteria_stability_and_feed_through(records, compared):
     assert [found[n].stable for n in found.names] == [True, True, True, False]
     assert found["unstable"].feedthrough == {"y/F": 0.1} and not found["physics"].feedthrough
     assert found.training == (train.name,) and found.validation == ("first", "second")
-    text = str(found)
-    assert "physics (grey box, 2 numbers) is best" in text
-    assert "unstable: unstable" in text and "feed-through within one sample: unstable" in text
-    for head in ("validation: y [m]", "training: y [m]", "best fit [%], y", "3 ahead", "BIC"):
-        assert head in text
+    best = with_code(found.verdict, ComparisonFinding.BEST_MODEL)
+    assert [(f.subject, f.values["measure"]) for f in best] == [("y", "free_run"), ("y", "one_step")]
+    assert best[0].values["model"] == {"name": "physics", "kind": "grey", "parameters": 2}
+    assert best[0].values["error"] == found["physics"].validation["y"].rmse
+    for code in (ComparisonFinding.UNSTABLE_MODELS, ComparisonFinding.FEEDTHROUGH_MODELS):
+        (remark,) = with_code(found.verdict, code)
+        assert remark.values["models"] == ["unstable"]
 
 
 def test_criteria_over_different_outputs_are_not_compared():
@@ -173,14 +181,15 @@ def test_criteria_over_different_outputs_are_not_compared():
         "twin", time, {"u": u}, {n: lfilter([0.3], [1, -0.6], u) + 0.01 * rng.normal(size=80) for n in "yz"}
     )
     first, second = (gb.blackbox.arx(twin, na=1, nb=1, output=n) for n in "yz")
-    (said,) = [v for v in judge_comparison(gb.compare({"a": first, "b": second}, twin, training=twin)) if "BIC" in v]
-    assert said == "BIC is a sum over different outputs (a y; b z): compare it only between models of the same ones"
-    assert not any("BIC" in v for v in judge_comparison(gb.compare({"a": first, "c": first}, twin, training=twin)))
+    code = ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS
+    (remark,) = with_code(gb.compare({"a": first, "b": second}, twin, training=twin).verdict, code)
+    assert remark.values["outputs"] == {"a": ["y"], "b": ["z"]}
+    assert not with_code(gb.compare({"a": first, "c": first}, twin, training=twin).verdict, code)
 
 
 def test_the_file_has_the_promised_form(compared, tmp_path):
     _, found = compared
-    saved = json.loads(found.save(tmp_path / "compare.json").read_text())
+    saved = json.loads(save_comparison(found, tmp_path / "compare.json").read_text())
     for name, entry in saved["models"].items():
         assert entry["kind"] in ("grey", "black") and isinstance(entry["parameters"], int)
         score = entry["validation"]["y"]
@@ -195,8 +204,7 @@ def test_a_run_that_leaves_all_bounds_is_said_and_drawn(compared, tmp_path):
     long = record(8, 2500, "long")
     found = gb.compare({"physics": models["physics"], "unstable": models["unstable"]}, long, skip=20)
     assert np.isinf(found["unstable"].validation["y"].rmse)
-    assert "grows away" in str(found)
-    saved = json.loads(found.save(tmp_path / "compare.json").read_text())
+    saved = json.loads(save_comparison(found, tmp_path / "compare.json").read_text())
     assert saved["models"]["unstable"]["validation"]["y"]["rmse"] is None
     (figure,) = draw_comparison(found, tmp_path)
     assert figure.stat().st_size > 20_000
@@ -222,35 +230,27 @@ def test_what_cannot_be_compared_is_refused(records, compared, call, message):
 
 
 def test_uneven_records_are_brought_to_equal_steps(monkeypatch):
-    small(monkeypatch)
     few = partial(gb.blackbox.best_black_boxes, kinds=("arx",))
     monkeypatch.setattr("greybox.comparison.black_box_candidates.best_black_boxes", few)
     one = record(4, 80, "uneven")
     time = one.time.copy()
     time[40:] += 0.02
     uneven = gb.Experiment("uneven", time, one.inputs, one.outputs)
-    found, notes = fit_black_boxes([uneven, record(5, 80, "even")], ["y"], ["F"])
+    found, findings = fit_black_boxes([uneven, record(5, 80, "even")], ["y"], ["F"], policy=SMALL)
     assert [named.name for named in found] == ["arx"]
-    assert any("uneven: resampled to every 0.05 s" in note for note in notes)
+    (resampled,) = with_code(findings, ComparisonFinding.RECORD_RESAMPLED)
+    assert resampled.subject == "uneven" and resampled.values["sampling_time"] == pytest.approx(STEP)
 
 
 # ---- The command ----
 
 
-def small(monkeypatch):
-    """Scans over a few structures only."""
-    for name, value in {
-        "MOST_POLES": 1,
-        "MOST_SEARCHED_POLES": 1,
-        "FIRST_DELAYS": (1,),
-        "BENDS": {"polynomial": (2,)},
-    }.items():
-        monkeypatch.setattr(f"greybox.blackbox.best_models.{name}", value)
-
-
 @pytest.fixture
 def run(tmp_path, monkeypatch, records, model, plant):
-    small(monkeypatch)
+    few = partial(gb.blackbox.best_black_boxes, policy=SMALL.scan)
+    monkeypatch.setattr(
+        "greybox.comparison.black_box_candidates.best_black_boxes", lambda *a, policy, **k: few(*a, **k)
+    )
     monkeypatch.chdir(tmp_path)
     for r in records:
         write_csv(r, model, tmp_path / f"{r.name}.csv")
@@ -272,8 +272,9 @@ def test_the_command_compares_writes_and_draws(run, tmp_path):
     figures = [f"comparison-{record}.{kind}" for record in ("first", "second") for kind in ("png", "svg")]
     assert names == ["compare.json", *figures]
     assert all((tmp_path / "out" / n).read_bytes().startswith(b"\x89PNG") for n in figures[::2])
-    assert "y, free run on the validation records: mass (grey box, 2 numbers)" in done.stdout
-    assert "5 ahead" in done.stdout and "written: " in done.stdout
+    (best, *_) = saved["findings"]
+    assert (best["code"], best["subject"], best["values"]["model"]["name"]) == ("best_model", "y", "mass")
+    assert saved["verdict"][0] in " ".join(done.stdout.split())
 
 
 def test_a_step_has_smoothing_among_its_models(run, tmp_path, model):
@@ -333,7 +334,10 @@ def test_many_starts_and_process_noise_reach_the_fit(run, tmp_path):
     saved = json.loads((tmp_path / "pushed" / "compare.json").read_text())
     grey = [name for name, entry in saved["models"].items() if entry["kind"] == "grey"]
     assert len(grey) == 2
-    assert all(any("predictions corrected by" in note for note in saved["models"][name]["notes"]) for name in grey)
+    assert all(
+        any(f["code"] == ComparisonFinding.PREDICTION_FILTER for f in saved["models"][name]["findings"])
+        for name in grey
+    )
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ BLACK = {
     "armax": lambda data: armax(data, na=2, nb=2, nc=2, output="x"),
     "output error": lambda data: output_error(data, nb=2, nf=2, output="x"),
     "box-jenkins": lambda data: box_jenkins(data, nb=2, nf=2, nc=1, nd=1, output="x"),
-    "hammerstein": lambda data: hammerstein(data, nb=2, nf=2, freedom=2, output="x"),
+    "hammerstein": lambda data: hammerstein(data, nb=2, nf=2, basis_size=2, output="x"),
 }
 
 

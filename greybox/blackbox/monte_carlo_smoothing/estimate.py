@@ -10,8 +10,8 @@ import numpy as np
 from greybox.blackbox.monte_carlo_smoothing.grid_search import DrawCounts, StepResponseConstants, draw_and_search
 from greybox.blackbox.monte_carlo_smoothing.intervals import AXES, DrawIntervals, estimate_intervals
 from greybox.blackbox.monte_carlo_smoothing.result import MonteCarloSmoothing, SmoothingRound
-from greybox.blackbox.sampled_data import to_sampled_data
 from greybox.blackbox.policy import DEFAULT_SMOOTHING, SmoothingPolicy
+from greybox.blackbox.sampled_data import to_sampled_data
 from greybox.errors import DataError
 from greybox.experiment import Experiment
 
@@ -124,9 +124,7 @@ def monte_carlo_smoothing(
     )  # fmt: skip
 
 
-def _is_good_enough(
-    rounds: Sequence[SmoothingRound], specification: float | None, policy: SmoothingPolicy
-) -> bool:
+def _is_good_enough(rounds: Sequence[SmoothingRound], specification: float | None, policy: SmoothingPolicy) -> bool:
     errors = [r.best.error for r in rounds]
     if specification is not None:
         return min(errors) <= specification
@@ -145,9 +143,7 @@ class _Step:
     y: np.ndarray
 
 
-def _extract_step(
-    experiment: Experiment, output: str | None, input: str | None, policy: SmoothingPolicy
-) -> _Step:
+def _extract_step(experiment: Experiment, output: str | None, input: str | None, policy: SmoothingPolicy) -> _Step:
     data = to_sampled_data(experiment, output, input)
     (record,) = data.records
     if len(data.inputs) > 1:

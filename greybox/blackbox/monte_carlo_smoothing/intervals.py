@@ -90,7 +90,9 @@ def find_resonance(w: np.ndarray, density: np.ndarray) -> float:
     return float(w[start + int(np.argmax(density[start:]))])
 
 
-def estimate_intervals(time: np.ndarray, y: np.ndarray, sampling_time: float, points: int, policy: SmoothingPolicy = DEFAULT_SMOOTHING) -> DrawIntervals:
+def estimate_intervals(
+    time: np.ndarray, y: np.ndarray, sampling_time: float, points: int, policy: SmoothingPolicy = DEFAULT_SMOOTHING
+) -> DrawIntervals:
     """The intervals that the step response ``y`` (N,) at ``time`` (N,) after the step itself suggests.
 
     Frequency: the spectrum's peak, one of its ``points`` bins to either side. Amplitude: extremes of the last quarter. Decay and

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from greybox.blackbox.continuous import ContinuousTransferFunction
+from greybox.blackbox.findings import BlackBoxFinding
 from greybox.blackbox.monte_carlo_smoothing.grid_search import DrawCounts, StepResponseConstants
 from greybox.blackbox.monte_carlo_smoothing.intervals import AXES, DrawIntervals
-from greybox.blackbox.findings import BlackBoxFinding
 from greybox.blackbox.polynomial import PolynomialModel
 from greybox.blackbox.responses import InitialChoice
 from greybox.experiment import Experiment
