@@ -81,3 +81,6 @@ PHI_SERIES_BELOW = 0.5
 PHI_SERIES_TERMS = 14
 """Below this argument the exponential's remainders ``phi_k`` cancel in their closed form; so many terms of their series then reach
 full precision (``0.5^14 / 14!`` is below 1e-15)."""
+
+INTEGRATOR_POLE = 1e-9
+"""A mode slower than this share of the fastest one counts as an integrator: it has no time constant."""

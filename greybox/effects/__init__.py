@@ -22,8 +22,17 @@ from greybox.errors import ModelError, UnitError, nearest
 from greybox.model import Effect, Model
 
 CATALOGUE: tuple[Effect, ...] = (
-    *FRICTION, *DAMPING, *ELASTICITY, *ELECTRICAL, *FLOW, *LEVEL, *LOAD, *SIGNAL_PATH, *BETWEEN_SAMPLES,
-)  # fmt: skip
+    *FRICTION,
+    *DAMPING,
+    *ELASTICITY,
+    *ELECTRICAL,
+    *FLOW,
+    *LEVEL,
+    *LOAD,
+    *SIGNAL_PATH,
+    *BETWEEN_SAMPLES,
+)
+"""Every effect that comes with the library, one value each, grouped by domain. Look one up with `effect`."""
 
 __all__ = [
     "BETWEEN_SAMPLES",
@@ -45,9 +54,27 @@ __all__ = [
 
 
 def effect(name: str) -> Effect:
-    """The effect of the catalogue with this name, as in ``model + effect("coulomb_friction")``.
+    """An effect of the catalogue.
 
-    Raises ModelError for an unknown name, listing the nearest ones.
+    Parameters
+    ----------
+    name
+        Its name, as ``docs/catalogue.md`` lists it.
+
+    Returns
+    -------
+    Effect
+        The effect, absent until its amplitude is fitted or set.
+
+    Raises
+    ------
+    ModelError
+        For an unknown name; the message lists the nearest ones.
+
+    Examples
+    --------
+    >>> effect("coulomb_friction").equation
+    '-Fc sign(v)'
     """
     for entry in CATALOGUE:
         if entry.name == name:
@@ -56,14 +83,29 @@ def effect(name: str) -> Effect:
 
 
 def applicable_effects(model: Model, scales: Scales | None = None) -> list[Effect]:
-    """The effects of the catalogue that ``model`` may hide, in catalogue order: its ``candidates``, or all that fit.
+    """The effects of the catalogue that a model may hide.
 
-    An effect fits if the model has its site, every role that its equation and units speak of and every term that it
-    replaces, and does not contain it already. A model without a balance ``force`` takes no friction, one without a
-    ``displacement`` no spring. With ``scales`` each is `tailor_to_record` to the record.
+    An effect fits if the model has its site, every role that its equation and units speak of and every term that it replaces, and
+    does not contain it already. A model without a balance ``force`` takes no friction, one without a ``displacement`` no spring.
 
-    Raises ModelError for an unknown name among the candidates, UnitError if an effect fits but its term has not the unit
-    of its balance: a mistake in the catalogue.
+    Parameters
+    ----------
+    model
+        A model; its ``candidates`` name the effects to consider, none named means all.
+    scales
+        Those of a record: each effect is then made ready for it with `tailor_to_record`.
+
+    Returns
+    -------
+    list of Effect
+        In the order of the catalogue.
+
+    Raises
+    ------
+    ModelError
+        For an unknown name among the candidates.
+    UnitError
+        If an effect fits but its term has not the unit of its balance: a mistake in the catalogue.
     """
     wanted = [effect(name).name for name in model.candidates] or [entry.name for entry in CATALOGUE]
     fitting = [entry for entry in CATALOGUE if entry.name in wanted and _fits(model, entry)]
@@ -72,8 +114,7 @@ def applicable_effects(model: Model, scales: Scales | None = None) -> list[Effec
 
 def _fits(model: Model, entry: Effect) -> bool:
     try:
-        # Writing the equations out asks for every site, role, term and unit, so the model itself answers.
-        (model + entry).system  # noqa: B018
+        model + entry  # writing the equations out asks for every site, role, term and unit
     except UnitError:
         raise
     except ModelError:

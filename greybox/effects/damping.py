@@ -30,7 +30,7 @@ def _directional(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
 
 
 def _displacement_probe(s: Scales) -> dict[str, float]:
-    return {"D2": s.share / (s.displacement**2 * s.velocity)}
+    return {"D2": s.visible_force / (s.displacement**2 * s.velocity)}
 
 
 displacement_damping = Effect(
@@ -60,7 +60,7 @@ cubic_damping = Effect(
     tells_apart=FAMILY,
     source="first odd term of the series of a symmetric damper (Rayleigh, The Theory of Sound)",
     amplitudes=("B3",),
-    probe=lambda s: {"B3": s.share / s.velocity**3},
+    probe=lambda s: {"B3": s.visible_force / s.velocity**3},
 )
 
 directional_damping = Effect(
@@ -83,7 +83,7 @@ directional_damping = Effect(
         " control of machines with friction"
     ),
     amplitudes=("Ba",),
-    probe=lambda s: {"Ba": s.share / s.velocity},
+    probe=lambda s: {"Ba": s.visible_force / s.velocity},
 )
 
 DAMPING: tuple[Effect, ...] = (displacement_damping, cubic_damping, directional_damping)

@@ -8,17 +8,10 @@ from collections.abc import Mapping
 import casadi as ca
 
 from greybox.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
+from greybox.effects.policy import NEUTRAL, START
 from greybox.effects.scales import Scales
 from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, State
-
-# Of the moving mass: a second mass this heavy is visible but small.
-SECOND_MASS = 0.04
-# Of critical, to start from: structures of metal have 0.002 to 0.03.
-SECOND_DAMPING = 0.02
-# Stiffness and damping between two bodies that do not feel each other; positive, so that a refit sees a change of mass, stiffness and
-# damping by the same factor as a straight line.
-NO_COUPLING, COUPLED = 1e-9, 1e-12
 
 
 def _cubic(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
@@ -76,14 +69,14 @@ def _second_mass(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance
 
 def _second_grid(s: Scales) -> Mapping[str, list[float]]:
     """Resonances from below the fastest mode of the plant up to a quarter of the sampling rate."""
-    m2 = SECOND_MASS * s.storage
+    m2 = START.second_mass * s.storage
     low, high = 0.3 / s.slowest, 1.5 / s.period
     middle = (low * high) ** 0.5
     return {
         "m2": [m2],
         # Neighbours a quarter apart: a refit finds a sharp resonance only from nearby.
         "k2": [m2 * w**2 for w in geometric_grid(low, high, 16)],
-        "c2": [2 * SECOND_DAMPING * m2 * middle],
+        "c2": [2 * START.second_damping * m2 * middle],
     }
 
 
@@ -93,8 +86,8 @@ def _second_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     fastest = math.pi / s.period
     return {
         "m2": (0.003 * s.storage, s.storage),
-        "k2": (COUPLED, s.storage * fastest**2),
-        "c2": (COUPLED, s.storage * fastest),
+        "k2": (NEUTRAL.least_coupling, s.storage * fastest**2),
+        "c2": (NEUTRAL.least_coupling, s.storage * fastest),
     }
 
 
@@ -113,7 +106,7 @@ cubic_stiffness = Effect(
     ),
     source="Duffing oscillator: first odd term of the series of a symmetric spring",
     amplitudes=("K3",),
-    probe=lambda s: {"K3": s.share / s.displacement**3},
+    probe=lambda s: {"K3": s.visible_force / s.displacement**3},
 )
 
 quadratic_stiffness = Effect(
@@ -133,7 +126,7 @@ quadratic_stiffness = Effect(
     ),
     source="first even term of the series of an asymmetric spring",
     amplitudes=("K2",),
-    probe=lambda s: {"K2": s.share / s.displacement**2},
+    probe=lambda s: {"K2": s.visible_force / s.displacement**2},
 )
 
 viscoelastic_creep = Effect(
@@ -154,7 +147,7 @@ viscoelastic_creep = Effect(
     ),
     source="standard linear solid (Zener): one Maxwell branch beside the spring",
     amplitudes=("K1",),
-    probe=lambda s: {"K1": s.share / s.displacement},
+    probe=lambda s: {"K1": s.visible_force / s.displacement},
     grid=_creep_grid,
 )
 
@@ -183,7 +176,7 @@ bouc_wen_hysteresis = Effect(
     ),
     source="R. Bouc 1967; Y. K. Wen 1976, Method for random vibration of hysteretic systems (exponent 1)",
     amplitudes=("alpha",),
-    probe=lambda s: {"alpha": s.share / s.displacement},
+    probe=lambda s: {"alpha": s.visible_force / s.displacement},
     grid=lambda s: {"beta": geometric_grid(0.3 / s.displacement, 30 / s.displacement, 5), "gamma": [0.0]},
 )
 
@@ -197,13 +190,18 @@ second_mode = Effect(
         shape_parameter(
             "k2",
             "{force}/{displacement}",
-            NO_COUPLING,
+            NEUTRAL.coupling,
             (1e-12, 1e15),
             "stiffness between the two",
             "small, until fitted",
         ),
         shape_parameter(
-            "c2", "{force}/{velocity}", NO_COUPLING, (COUPLED, 1e12), "damping between the two", "small, until fitted"
+            "c2",
+            "{force}/{velocity}",
+            NEUTRAL.coupling,
+            (NEUTRAL.least_coupling, 1e12),
+            "damping between the two",
+            "small, until fitted",
         ),
     ],
     states=[
@@ -220,7 +218,7 @@ second_mode = Effect(
     ),
     source="two masses and a spring (Rayleigh, The Theory of Sound)",
     amplitudes=("k2", "c2"),
-    neutral={"k2": NO_COUPLING, "c2": NO_COUPLING},
+    neutral={"k2": NEUTRAL.coupling, "c2": NEUTRAL.coupling},
     grid=_second_grid,
     limits=_second_limits,
 )
@@ -240,7 +238,7 @@ return_spring = Effect(
     ),
     source="Hooke's law, for a cylinder that is pushed back by a spring",
     amplitudes=("Ks",),
-    probe=lambda s: {"Ks": s.share / s.displacement},
+    probe=lambda s: {"Ks": s.visible_force / s.displacement},
 )
 
 ELASTICITY: tuple[Effect, ...] = (

@@ -7,13 +7,10 @@ from collections.abc import Mapping
 import casadi as ca
 
 from greybox.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
+from greybox.effects.policy import FLOW_LIMITS
 from greybox.effects.scales import Scales
 from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, State
-
-LAMINAR = 0.01  # phi^2 below which the flow is laminar: the root has no slope where both pressures are equal
-LEAST_VOLUME = 0.01  # of a chamber, where a trial step leaves the stroke
-LEAST_PRESSURE = 0.01  # of ambient, where a trial step would empty a chamber
 
 
 def _leakage(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
@@ -27,7 +24,7 @@ def _orifice(upstream: Expression, downstream: Expression, b: Expression) -> Exp
     # 1 - (r - b)/(1 - b) between -1 and 1, with the sign of the flow: phi^2 is this times (2 - its size)
     fall = ca.fmin(ca.fmax((upstream - downstream) / ((1 - b) * high), -1), 1)
     square = fall * (2 - ca.fabs(fall))
-    return high * square / ca.sqrt(ca.fmax(ca.fabs(square), LAMINAR))
+    return high * square / ca.sqrt(ca.fmax(ca.fabs(square), FLOW_LIMITS.laminar))
 
 
 def _flow(u: Expression, p: NamedValues) -> Expression:
@@ -45,7 +42,7 @@ def _filling(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Map
 
 def _venting(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     def vented(opening: Expression, pressure: Expression) -> Expression:
-        inside = ca.fmax(pressure, LEAST_PRESSURE * p.ambient_pressure)
+        inside = ca.fmax(pressure, FLOW_LIMITS.least_pressure * p.ambient_pressure)
         return -p.ce * _flow(opening, p) * _orifice(inside, p.ambient_pressure, p.b) / p.supply_pressure
 
     return {"pressure_a": vented(-u.valve, x.chamber_a), "pressure_b": vented(u.valve, x.chamber_b)}
@@ -65,7 +62,10 @@ def _droop_grid(s: Scales) -> Mapping[str, list[float]]:
 
 def _volumes(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     change = p.scale * p.piston_area * x.displacement / (p.total_volume / 2)
-    return {"pressure_a": ca.fmax(1 + change, LEAST_VOLUME), "pressure_b": ca.fmax(1 - change, LEAST_VOLUME)}
+    return {
+        "pressure_a": ca.fmax(1 + change, FLOW_LIMITS.least_volume),
+        "pressure_b": ca.fmax(1 - change, FLOW_LIMITS.least_volume),
+    }
 
 
 chamber_leakage = Effect(

@@ -8,6 +8,7 @@ from itertools import product
 import casadi as ca
 
 from greybox.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
+from greybox.effects.policy import START
 from greybox.effects.scales import Scales
 from greybox.model import Balance, DryFriction, Effect
 from greybox.model.signals import Expression, NamedValues, State
@@ -18,8 +19,6 @@ FRICTION_LEVELS = (
     amplitude_parameter("Fs", "{force}", "friction at standstill", low=0.0),
     shape_parameter("vs", "{velocity}", 0.01, (1e-9, 1e6), "velocity over which the friction falls from Fs to Fc"),
 )
-# Friction at standstill over that of sliding, to start from: metals dry 1.2, seals and grease up to 2.5.
-RATIOS = (1.2, 1.6, 2.4)
 
 
 def _coulomb(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
@@ -41,11 +40,10 @@ def _speeds(s: Scales) -> list[float]:
 
 
 def _stribeck_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
-    # Between Fc and Fs is what a fitted Coulomb friction shows: both are lowered a little.
-    return [
-        {"Fc": values["Fc"] * share, "Fs": values["Fc"] * share * ratio, "vs": vs}
-        for (share, ratio), vs in product(((1.0, RATIOS[0]), (1.0, RATIOS[1]), (0.8, RATIOS[2])), _speeds(s))
-    ]
+    # Between Fc and Fs is what a fitted Coulomb friction shows: both are lowered a little for the highest ratio.
+    low, middle, high = START.friction_ratios
+    levels = [(values["Fc"] * share, ratio) for share, ratio in ((1.0, low), (1.0, middle), (0.8, high))]
+    return [{"Fc": level, "Fs": level * ratio, "vs": vs} for (level, ratio), vs in product(levels, _speeds(s))]
 
 
 def _bristle_rate(x: NamedValues, p: NamedValues) -> Expression:
@@ -74,12 +72,12 @@ def _lugre_from_parent(values: Mapping[str, float], s: Scales) -> list[Mapping[s
         parents: list[Mapping[str, float]] = [{name: values[name] for name in ("Fc", "Fs", "vs")}]
     else:
         slow, fast = 0.03 * s.velocity, 0.2 * s.velocity
-        parents = [{"Fc": values["Fc"], "Fs": RATIOS[1] * values["Fc"], "vs": vs} for vs in (slow, fast)]
+        parents = [{"Fc": values["Fc"], "Fs": START.friction_ratios[1] * values["Fc"], "vs": vs} for vs in (slow, fast)]
     return [{**parent, **bristles} for parent in parents for bristles in _bristle_grid(parent["Fc"], s)]
 
 
 def _lugre_grid(s: Scales) -> Mapping[str, list[float]]:
-    bristles = _bristle_grid(s.share, s)
+    bristles = _bristle_grid(s.visible_force, s)
     stiffest, softest = bristles[0], bristles[-1]
     return {
         "vs": geometric_grid(0.03 * s.velocity, 0.3 * s.velocity, 2),
@@ -112,7 +110,7 @@ coulomb_friction = Effect(
     ),
     source=f"Coulomb 1785; {FULL}",
     amplitudes=("Fc",),
-    probe=lambda s: {"Fc": s.share},
+    probe=lambda s: {"Fc": s.visible_force},
 )
 
 stribeck_friction = Effect(
@@ -128,7 +126,7 @@ stribeck_friction = Effect(
     ),
     source=f"R. Stribeck 1902; {FULL}",
     amplitudes=("Fc", "Fs"),
-    probe=lambda s: {"Fc": s.share, "Fs": RATIOS[1] * s.share},
+    probe=lambda s: {"Fc": s.visible_force, "Fs": START.friction_ratios[1] * s.visible_force},
     grid=lambda s: {"vs": _speeds(s)},
     from_parent=_stribeck_from_coulomb,
 )
@@ -153,7 +151,7 @@ lugre_friction = Effect(
     ),
     source="Canudas de Wit, Olsson, Astrom, Lischinsky 1995, A new model for control of systems with friction",
     amplitudes=("Fc", "Fs"),
-    probe=lambda s: {"Fc": s.share, "Fs": RATIOS[1] * s.share},
+    probe=lambda s: {"Fc": s.visible_force, "Fs": START.friction_ratios[1] * s.visible_force},
     grid=_lugre_grid,
     limits=_lugre_limits,
     from_parent=_lugre_from_parent,
@@ -172,7 +170,7 @@ quadratic_damping = Effect(
     ),
     source="turbulent drag, force over the square of speed (Newton)",
     amplitudes=("B2",),
-    probe=lambda s: {"B2": s.share / s.velocity**2},
+    probe=lambda s: {"B2": s.visible_force / s.velocity**2},
 )
 
 FRICTION: tuple[Effect, ...] = (coulomb_friction, stribeck_friction, lugre_friction, quadratic_damping)

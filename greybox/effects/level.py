@@ -8,14 +8,10 @@ from dataclasses import replace
 import casadi as ca
 
 from greybox.effects.parameters import amplitude_parameter, shape_parameter
+from greybox.effects.policy import NEUTRAL, START
 from greybox.effects.scales import Scales
 from greybox.model import Effect
 from greybox.model.signals import Expression, NamedValues
-
-# Edges tried, as shares of the highest level; rates of overflow per sampling period, to start from and at most.
-EDGES, RATE, FASTEST = (0.95, 0.8, 0.65, 0.5, 0.35, 0.25), 0.1, 4.0
-# Large enough to be out of reach of any reading.
-NO_END = 1e6
 
 
 def _over(level: Expression, edge: Expression, rate: Expression) -> Expression:
@@ -34,20 +30,20 @@ def _lower(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
 
 
 def _upper_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"edge": [share * s.peaks["upper_head"] for share in EDGES], "share": [0.2, 0.6]}
+    return {"edge": [share * s.peaks["upper_head"] for share in START.overflow_edges], "share": [0.2, 0.6]}
 
 
 def _lower_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"edge": [share * s.peaks["lower_head"] for share in EDGES]}
+    return {"edge": [share * s.peaks["lower_head"] for share in START.overflow_edges]}
 
 
 def _rate(s: Scales) -> Mapping[str, float]:
-    return {"ko": RATE / s.period}
+    return {"ko": START.overflow_rate / s.period}
 
 
 def _limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     # Faster than the samples follow, an edge is an edge: the rate shows no more, and explicit steps would have to shrink.
-    return {"ko": (0.0, FASTEST / s.period)}
+    return {"ko": (0.0, START.fastest_overflow / s.period)}
 
 
 def _curved(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
@@ -112,7 +108,9 @@ reading_curve = Effect(
         ),
         # Both figures describe the way from nothing to this reading; any other would do as well.
         replace(
-            shape_parameter("full", "{sensor}", 10.0, (1e-9, NO_END), "reading at which level and reading agree"),
+            shape_parameter(
+                "full", "{sensor}", 10.0, (1e-9, NEUTRAL.out_of_reach), "reading at which level and reading agree"
+            ),
             fixed=True,
         ),
     ],
@@ -130,7 +128,14 @@ sensor_saturation = Effect(
     "sensor_saturation",
     site="sensor",
     parameters=[
-        shape_parameter("y_max", "{sensor}", NO_END, (1e-9, NO_END), "largest reading", "large: absent until fitted")
+        shape_parameter(
+            "y_max",
+            "{sensor}",
+            NEUTRAL.out_of_reach,
+            (1e-9, NEUTRAL.out_of_reach),
+            "largest reading",
+            "large: absent until fitted",
+        )
     ],
     on_output=_ended,
     equation="min(y, y_max)",
@@ -140,7 +145,7 @@ sensor_saturation = Effect(
     ),
     source="end of the range of a converter",
     amplitudes=("y_max",),
-    neutral={"y_max": NO_END},
+    neutral={"y_max": NEUTRAL.out_of_reach},
     grid=lambda s: {"y_max": [share * s.reading for share in (1.0, 0.95, 0.85)]},
 )
 

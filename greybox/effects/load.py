@@ -24,7 +24,7 @@ constant_load = Effect(
     ),
     source="Linear ARX modelling of pneumatic actuator system (chapter 10), section 10.2.3: F_External of eq. 10.6",
     amplitudes=("F0",),
-    probe=lambda s: {"F0": s.share},
+    probe=lambda s: {"F0": s.visible_force},
 )
 
 LOAD: tuple[Effect, ...] = (constant_load,)

@@ -15,14 +15,14 @@ ROUGH = "rough, until the data say better"
 def amplitude_parameter(
     name: str, unit: str, description: str, low: float = -math.inf, high: float = math.inf
 ) -> Parameter:
-    """A parameter at zero, of either sign unless ``low`` says otherwise."""
+    """A parameter that is zero where the effect is absent, of either sign unless ``low`` says otherwise."""
     return Parameter(name, unit, 0.0, (low, high), source=ABSENT, description=description)
 
 
 def shape_parameter(
     name: str, unit: str, value: float, bounds: tuple[float, float], description: str, source: str = ROUGH
 ) -> Parameter:
-    """A constant that says how an effect looks once it is there, or an amplitude whose neutral value is not zero."""
+    """A parameter that gives an effect its shape, or an amplitude whose neutral value is not zero."""
     return Parameter(name, unit, value, bounds, source=source, description=description)
 
 

@@ -8,26 +8,38 @@ from dataclasses import dataclass, field, replace
 import casadi as ca
 import numpy as np
 
+from greybox.effects.policy import START
 from greybox.errors import DataError
 from greybox.model import Effect, Model
-
-MOST_ROWS = 5000  # of a record that are looked at
-# A mode slower than this share of the fastest one is an integrator.
-STILL = 1e-9
-# How far bounds of shape parameters reach beyond their grid.
-BEYOND = 1000.0
+from greybox.numerics import INTEGRATOR_POLE
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Peak absolute values in a record or a simulation of it, in the units of the model.
+    """How large and how fast things are in a record, in the units of the model: what start values of effects are measured by.
 
-    ``displacement``, ``velocity``, ``current`` (of the states with these roles), ``input`` (the first), ``sensor`` (how far the
-    main output moves from its first value), ``balances``: the largest term of each balance, ``force`` that of the balance
-    `force`, ``storage`` what that balance stores (the mass); 0 where the model has no such thing, 1 where it has and nothing
-    moves. In seconds: ``period`` between samples, ``duration``, and the time constants ``1 / |lambda|``
-    of the model, ``fastest`` and ``slowest`` (integrators left out, at most the duration). ``reading``: the main output itself;
-    ``peaks``: every state that has a role, by role.
+    A peak is 0 where the model has no such signal, and 1 where it has one and nothing moves.
+
+    Attributes
+    ----------
+    displacement, velocity, current
+        Peak absolute values of the states with these roles.
+    input
+        Peak of the first input.
+    sensor
+        How far the main output moves from its first value.
+    force, storage
+        Largest term of the balance ``force``, and what it stores (the mass).
+    balances
+        Largest term of each balance, by its name.
+    period, duration
+        Time between samples and length of the record, in s.
+    fastest, slowest
+        Time constants ``1 / |lambda|`` of the model along the record in s, integrators left out, at most the duration.
+    reading
+        Peak of the main output itself.
+    peaks
+        Peak of every state that has a role, by role.
     """
 
     displacement: float
@@ -46,22 +58,39 @@ class Scales:
     peaks: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def share(self) -> float:
-        """Two hundredths of the largest force: an effect of this size is visible but small."""
-        return 0.02 * self.force
+    def visible_force(self) -> float:
+        """A small share of the largest force: an effect of this size is visible but small (`StartingValues.visible_share`)."""
+        return START.visible_share * self.force
 
 
 def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) -> Scales:
-    """The scales of ``model`` along its states ``x`` (N, nx) and inputs ``u`` (N, nu), sampled every ``period`` seconds.
+    """The scales of a model along a record or a simulation of it.
 
-    Rows that are not finite are left out. Raises DataError if there is no other.
+    Parameters
+    ----------
+    model
+        The model; its parameters have the values of the simulation.
+    x, u
+        Its states (N, nx) and inputs (N, nu). Rows that are not finite are left out.
+    period
+        Time between rows in s.
+
+    Returns
+    -------
+    Scales
+        Peaks, largest terms and time constants.
+
+    Raises
+    ------
+    DataError
+        If no row is finite.
     """
     system, p = model.system, np.array(list(model.values.values()))
     duration = period * max(len(x) - 1, 1)
-    every = max(1, len(x) // MOST_ROWS)
+    every = max(1, len(x) // START.rows)
     x, u = np.asarray(x, float)[::every], np.asarray(u, float).reshape(len(u), -1)[::every]
-    good = np.isfinite(x).all(axis=1) & np.isfinite(u).all(axis=1)
-    x, u = x[good], u[good]
+    is_finite = np.isfinite(x).all(axis=1) & np.isfinite(u).all(axis=1)
+    x, u = x[is_finite], u[is_finite]
     if not len(x):
         raise DataError(
             f"model {model.title!r}: no row of the simulated states is finite; start from other values of its constants"
@@ -87,9 +116,22 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
 
 
 def tailor_to_record(entry: Effect, scales: Scales) -> Effect:
-    """``entry`` for a record of these scales: shape parameters start inside the grid, and their bounds reach a thousand times further.
+    """An effect of the catalogue made ready for a record.
 
-    A delay gets its longest value from here: the catalogue cannot know how the record is sampled.
+    Shape parameters start inside their grid, and their bounds reach `StartingValues.bounds_reach` times further; a delay gets its longest
+    value: the catalogue cannot know how the record is sampled.
+
+    Parameters
+    ----------
+    entry
+        An effect.
+    scales
+        Those of the record, from `measure_scales`.
+
+    Returns
+    -------
+    Effect
+        The same effect with other start values and bounds.
     """
     grid = entry.grid(scales) if entry.grid else {}
     limits = dict(entry.limits(scales)) if entry.limits else {}
@@ -103,7 +145,7 @@ def tailor_to_record(entry: Effect, scales: Scales) -> Effect:
             values = sorted(grid[q.name])
             value = values[len(values) // 2]
             if q.positive and low < values[0] and values[-1] < high:
-                low, high = max(low, values[0] / BEYOND), min(high, values[-1] * BEYOND)
+                low, high = max(low, values[0] / START.bounds_reach), min(high, values[-1] * START.bounds_reach)
         parameters.append(replace(q, bounds=(low, high), value=min(max(value, low), high)))
     return replace(entry, parameters=tuple(parameters))
 
@@ -118,8 +160,8 @@ def _time_constants(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray, d
         jacobian = model.system.jacobian(x[k], u[k], p).full()
         if np.isfinite(jacobian).all():
             rates.append(np.abs(np.linalg.eigvals(jacobian)))
-    found = np.concatenate([*rates, np.empty(0)])
-    moving = found[found > STILL * found.max(initial=0.0)]
+    magnitudes = np.concatenate([*rates, np.empty(0)])
+    moving = magnitudes[magnitudes > INTEGRATOR_POLE * magnitudes.max(initial=0.0)]
     if not len(moving):
         return duration, duration
     return min(1 / float(moving.max()), duration), min(1 / float(moving.min()), duration)

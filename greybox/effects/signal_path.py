@@ -8,12 +8,10 @@ from dataclasses import replace
 import casadi as ca
 
 from greybox.effects.parameters import amplitude_parameter, shape_parameter
+from greybox.effects.policy import NEUTRAL, START
 from greybox.effects.scales import Scales
 from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, State
-
-LONGEST_DELAY = 16  # sampling periods
-SMALLEST_LAG = 1e-8  # s
 
 
 def _offset(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
@@ -82,7 +80,12 @@ input_saturation = Effect(
     site="input",
     parameters=[
         shape_parameter(
-            "u_max", "{input}", 1e6, (1e-9, 1e9), "largest input that gets through", "large: absent until fitted"
+            "u_max",
+            "{input}",
+            NEUTRAL.out_of_reach,
+            (1e-9, 1e9),
+            "largest input that gets through",
+            "large: absent until fitted",
         )
     ],
     on_input=_clipped,
@@ -94,14 +97,14 @@ input_saturation = Effect(
     ),
     source="supply voltage of an amplifier, end stop of a spool",
     amplitudes=("u_max",),
-    neutral={"u_max": 1e6},
+    neutral={"u_max": NEUTRAL.out_of_reach},
     grid=_levels,
 )
 
 soft_saturation = Effect(
     "soft_saturation",
     site="input",
-    parameters=[shape_parameter("u_max", "{input}", 1e6, (1e-9, 1e9), "input that is never exceeded")],
+    parameters=[shape_parameter("u_max", "{input}", NEUTRAL.out_of_reach, (1e-9, 1e9), "input that is never exceeded")],
     on_input=_softly_clipped,
     equation="u_max tanh(u / u_max)",
     parents=("input_saturation",),
@@ -112,7 +115,7 @@ soft_saturation = Effect(
     ),
     source="amplifier or valve driver that limits gradually",
     amplitudes=("u_max",),
-    neutral={"u_max": 1e6},
+    neutral={"u_max": NEUTRAL.out_of_reach},
     grid=lambda s: {"u_max": [share * s.input for share in (3.0, 1.5, 0.7)]},
     from_parent=_softer,
 )
@@ -150,7 +153,7 @@ valve_lag = Effect(
     site="valve",
     parameters=[
         shape_parameter(
-            "tau_v", "s", SMALLEST_LAG, (SMALLEST_LAG, 100.0), "lag of the spool", "small: absent until fitted"
+            "tau_v", "s", NEUTRAL.lag, (NEUTRAL.lag, 100.0), "lag of the spool", "small: absent until fitted"
         )
     ],
     states=[State("w", "{valve}", relaxing=True, description="spool position, as the voltage that would hold it")],
@@ -164,9 +167,9 @@ valve_lag = Effect(
     ),
     source="first order of a spool with its spring and solenoid",
     amplitudes=("tau_v",),
-    neutral={"tau_v": SMALLEST_LAG},
+    neutral={"tau_v": NEUTRAL.lag},
     grid=lambda s: {"tau_v": [0.5 * s.period, 3 * s.period, 15 * s.period]},
-    limits=lambda s: {"tau_v": (min(SMALLEST_LAG, 1e-4 * s.period), s.duration)},
+    limits=lambda s: {"tau_v": (min(NEUTRAL.lag, 1e-4 * s.period), s.duration)},
 )
 
 transport_delay = Effect(
@@ -183,7 +186,7 @@ transport_delay = Effect(
     source="transport time in a hose (about 3 ms a metre), a converter or a bus",
     amplitudes=("delay",),
     probe=lambda s: {"delay": 0.4 * s.period},
-    limits=lambda s: {"delay": (0.0, LONGEST_DELAY * s.period)},
+    limits=lambda s: {"delay": (0.0, START.longest_delay * s.period)},
 )
 
 input_offset = Effect(
@@ -225,7 +228,7 @@ sensor_lag = Effect(
     site="sensor",
     parameters=[
         shape_parameter(
-            "tau_s", "s", SMALLEST_LAG, (SMALLEST_LAG, 100.0), "lag of the sensor", "small: absent until fitted"
+            "tau_s", "s", NEUTRAL.lag, (NEUTRAL.lag, 100.0), "lag of the sensor", "small: absent until fitted"
         )
     ],
     states=[State("y", "{sensor}", lambda p: p.sensor, relaxing=True, description="what the sensor shows")],
@@ -239,9 +242,9 @@ sensor_lag = Effect(
     ),
     source="filter of a sensor or its amplifier",
     amplitudes=("tau_s",),
-    neutral={"tau_s": SMALLEST_LAG},
+    neutral={"tau_s": NEUTRAL.lag},
     grid=lambda s: {"tau_s": [0.5 * s.period, 3 * s.period, 15 * s.period]},
-    limits=lambda s: {"tau_s": (min(SMALLEST_LAG, 1e-4 * s.period), s.duration)},
+    limits=lambda s: {"tau_s": (min(NEUTRAL.lag, 1e-4 * s.period), s.duration)},
 )
 
 backlash = Effect(

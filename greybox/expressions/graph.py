@@ -38,10 +38,10 @@ def walk(
 
     Examples
     --------
-    How often symbols occur in an expression:
+    How many symbols an expression contains:
 
-    >>> x = ca.SX.sym("x")
-    >>> walk(x * x + 1, lambda name: 1, lambda number: 0, lambda node, counts: sum(counts))
+    >>> x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    >>> walk(x * y + 1, lambda name: 1, lambda number: 0, lambda node, counts: sum(counts))
     2
     """
     root = as_scalar(expression)

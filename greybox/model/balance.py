@@ -11,11 +11,31 @@ from greybox.model.signals import Expression
 
 @dataclass(frozen=True, init=False)
 class Balance:
-    """``storage * d(state)/dt = term + term + ...``, every term in ``unit``.
+    """What is stored equals the sum of named terms: ``storage * d(state)/dt = term + term + ...``.
 
-    ``Balance("force", "N", p.M, "v", coil=p.Kf * x.i, damping=-p.B * x.v)`` reads
-    ``M dv/dt = coil + damping``. ``storage`` is the mass, inductance or 1; ``state`` is the name of the state whose
-    rate the balance gives.
+    Parameters
+    ----------
+    name
+        The name of the balance (``force``, ``voltage``); effects add to balances by name.
+    unit
+        The unit of every term.
+    storage
+        What multiplies the rate: a mass, an inductance, 1.
+    state
+        Name of the state whose rate the balance gives.
+    **terms
+        The terms by name: expressions of states, inputs and parameters, or numbers.
+
+    Raises
+    ------
+    ModelError
+        Without any term.
+
+    Examples
+    --------
+    ``M dv/dt = Kf i - B v`` inside ``balances(x, u, p)`` of a model::
+
+        Balance("force", "N", p.M, "v", coil=p.Kf * x.i, damping=-p.B * x.v)
     """
 
     name: str

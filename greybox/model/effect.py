@@ -16,9 +16,18 @@ Transform = Callable[[Expression, NamedValues, NamedValues, NamedValues], Expres
 
 @dataclass(frozen=True)
 class DryFriction:
-    """Friction that sticks: magnitudes (not negative) while sliding and the most it holds at standstill.
+    """Friction that sticks. The integrators treat it exactly, without smoothing (`greybox.integrators.dry`).
 
-    The integrator treats it exactly (no smoothing): see `greybox.integrators.dry_friction`.
+    Parameters
+    ----------
+    sliding
+        Magnitude of the friction while the body slides, in the unit of the balance; not negative.
+    static
+        The most that it holds at standstill.
+
+    Examples
+    --------
+    ``dry=lambda x, u, p: DryFriction(sliding=p.Fc, static=p.Fs)`` of an `Effect`.
     """
 
     sliding: Expression
@@ -27,45 +36,82 @@ class DryFriction:
 
 @dataclass(frozen=True)
 class Effect:
-    """A physical effect that a model may lack. With its amplitude parameters at zero it changes nothing.
+    """A physical effect that a model may lack: ``model + effect`` is a new model. With its amplitude parameters at zero it changes nothing.
 
-    Every function is called as ``f(x, u, p)`` with names and roles of the model, its own parameters and states included:
+    An effect states what it changes in functions, each called as ``f(x, u, p)`` with names and roles of the model, its own parameters and
+    states included. It sees what it changes as it comes to it: in ``balances`` and ``update`` the input and the state are those before its
+    own ``on_input`` and ``on_state``, and ``x.sensor`` is the output at its site (for any other site the main one) before its own
+    ``on_output``. The start of one of its states may be a function of ``p.sensor``, the main output at rest.
 
-    ``terms``       adds to balances: one expression for the balance ``site``, or ``{balance: expression}``
-    ``dry``         dry friction on the balance ``site``, as `DryFriction`
-    ``balances``    balances of the effect's own ``states``; one that may be fast is declared ``State(..., relaxing=True)``
-    ``update``      ``{state: expression}`` for own states without a balance, set after each substep (play): the expression
-                    sees the other states and the input at the end of the substep, and its own state as it was before
-    ``delay``       seconds by which the input at the site arrives late, from parameters alone; whatever else acts on the
-                    input acts on the delayed one, and before the first row of a record the input is zero
-    ``on_input``    ``f(value, x, u, p)``: the input on its way in
-    ``on_output``   ``f(value, x, u, p)``: the output on its way out
-    ``on_parameter``  ``{parameter: expression}`` used in its place
-    ``on_state``    ``{state: expression}`` used in its place by the model and by the other effects
-    ``on_term``     ``{balance: {term: expression}}`` in the place of terms of that name
-    ``on_storage``  ``{balance: factor}`` on what the balance stores
-    ``hold``        what the inputs do between samples, in the place of what the experiment says: ``zero``, ``first`` or
-                    ``band-limited`` (see `greybox.Experiment`)
+    Parameters
+    ----------
+    name
+        What results, files and the command line call it.
+    site
+        Where it acts: the name of a balance, the role of an input (``drive``, ``valve``), ``input`` (the first input) or ``sensor`` (the
+        main output).
+    parameters, states
+        Its own. Units may refer to the model: ``"{force}/{displacement}**3"`` is N/m^3 on a rig in newton and metre. A state that may be
+        fast is declared ``State(..., relaxing=True)``.
+    terms
+        Adds to balances: one expression for the balance ``site``, or ``{balance: expression}``.
+    dry
+        Dry friction on the balance ``site``, as `DryFriction`.
+    balances
+        Balances of the effect's own states, a list.
+    update
+        ``{state: expression}`` for own states without a balance, set after each substep (play): the expression sees the other states
+        and the input at the end of the substep, and its own state as it was before.
+    delay
+        Seconds by which the input at the site arrives late, from parameters alone. Whatever else acts on the input acts on the delayed
+        one; before the first row of a record the input is zero.
+    on_input, on_output
+        ``f(value, x, u, p)``: the input on its way in, the output on its way out.
+    on_parameter, on_state
+        ``{name: expression}`` used in the place of parameters or states, by the model and by the other effects.
+    on_term
+        ``{balance: {term: expression}}`` in the place of terms of that name.
+    on_storage
+        ``{balance: factor}`` on what the balance stores.
+    hold
+        What the inputs do between samples, in the place of what the experiment says: ``zero``, ``first`` or ``band-limited`` (see
+        `greybox.Experiment`).
+    equation
+        The equation in one line, for tables.
+    parents
+        Names of effects that this one contains as a special case.
+    parity
+        Its symmetry in the variable it depends on: even, odd, linear, slow.
+    tells_apart
+        Which experiment separates it from its look-alikes.
+    source
+        Where the equation is from.
+    amplitudes
+        Names of the parameters that at zero, or at their ``neutral`` value, leave the effect absent; none for one that replaces a law.
+    neutral
+        Amplitude -> the value at which it is absent, where that is not zero.
+    probe
+        ``f(scales)``: the amplitudes that vanish at zero, where the effect is visible but small. `greybox.effects.Scales` are those of a
+        record.
+    grid
+        ``f(scales)``: start values of the shape parameters, and of amplitudes with a neutral value, the faintest first.
+    limits
+        ``f(scales)``: bounds that only the record can give.
+    from_parent
+        ``f(values, scales)``: start values from those of a fitted parent, by the parent's own names.
 
-    An effect sees what it changes as it comes to it: in ``balances`` and ``update`` the input and the state are those
-    before its own ``on_input`` and ``on_state``, and ``x.sensor`` is the output at its site (for any other site the main
-    one) before its own ``on_output``. The start of one of its states may be a function of ``p.sensor``, the main output at rest.
+    Examples
+    --------
+    A spring that hardens, on every model that has a ``force`` balance and a displacement:
 
-    ``site`` is the name of a balance, the role of an input (``drive``, ``valve``), or ``input`` (the first input) or
-    ``sensor`` (the main output). Units may refer to the model: ``"{force}/{displacement}**3"`` is N/m^3 on a rig in newton
-    and metre.
-
-    ``parents`` are effects that this one contains as a special case; ``parity`` is its symmetry in the variable it
-    depends on (even, odd, linear, slow); ``tells_apart`` says which experiment separates it from its look-alikes.
-
-    For a search over effects, with the `greybox.effects.Scales` of a record:
-
-    ``amplitudes``  parameters that at zero, or at their ``neutral`` value where that is not zero, leave the effect absent;
-                    none for one that replaces a law
-    ``probe``       ``f(scales)``: the amplitudes that vanish at zero, where the effect is visible but small
-    ``grid``        ``f(scales)``: start values of the shape parameters, and of amplitudes with a neutral value, faintest first
-    ``limits``      ``f(scales)``: bounds that only the record can give
-    ``from_parent`` ``f(values, scales)``: start values from those of a fitted parent, by the parent's own names
+    >>> hardening = Effect(
+    ...     "hardening",
+    ...     "force",
+    ...     [Parameter("K3", "{force}/{displacement}**3", 0.0)],
+    ...     terms=lambda x, u, p: -p.K3 * x.displacement**3,
+    ...     equation="-K3 x^3",
+    ...     amplitudes=("K3",),
+    ... )
     """
 
     name: str

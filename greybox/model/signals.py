@@ -21,20 +21,35 @@ Expression = Any  # a CasADi SX expression, or a plain number
 class State:
     """A state variable.
 
-    ``start`` is the value at rest: where a record begins with ``at_rest=True``, and the first guess otherwise; a number, or a
-    function of the parameters (``lambda p: p.P_S / 2``). ``bounds`` are physical: the equations never see the state beyond them
-    (a tank level below zero).
+    Parameters
+    ----------
+    name, unit
+        ``x.<name>`` in the equations; the unit as text (``m/s``, ``N*s/m``).
+    start
+        The value at rest: where a record begins with ``at_rest=True``, and the first guess otherwise. A number, or a function of the
+        parameters (``lambda p: p.P_S / 2``).
+    bounds
+        Physical limits (low, high): the equations never see the state beyond them (a tank level below zero).
+    role
+        What the state is physically (``displacement``, ``velocity``, ``current``); effects ask for roles.
+    description
+        One line for tables.
+    relaxing
+        Whether its own rate is linear in itself, ``dz/dt = alpha - beta z`` (``|z|`` may stand for ``z``), with a ``beta`` that may be
+        large: a bristle, a spool, a winding that warms. The integrators step it by ``exp(-beta h)``, stable for every step.
+    noise
+        Process noise, ``dx = rate dt + noise dw`` with a Wiener process ``w``: something random pushes the state. Its intensity in the
+        state's unit over sqrt(s): a number, the name of a parameter (bounded from 0 up; where it is free it is estimated), or a function
+        of the parameters (``lambda p: p.sigma / p.M`` for a random force). A model with some of it is fitted by its prediction errors; a
+        free run leaves it out.
+    free_start
+        Whether the initial value is estimated for every record, also with ``at_rest=True``: a disturbance from outside does not begin
+        when the record does.
 
-    ``relaxing``: its own rate is linear in itself, ``dz/dt = alpha - beta z`` (``|z|`` may stand for ``z``), and ``beta`` may be
-    large: a bristle, a spool, a winding that warms. The integrators step it by ``exp(-beta h)``, stable for every step.
-
-    ``noise``: process noise, ``dx = rate dt + noise dw`` with a Wiener process ``w``: something random pushes the state. Its intensity
-    in the state's unit over sqrt(s): a number, the name of a parameter (bounded from 0 up; where it is free it is estimated), or a
-    function of the parameters (``lambda p: p.sigma / p.M`` for a random force). A model with some of it is fitted by the error of
-    its predictions from sample to sample; a free run leaves it out.
-
-    ``free_start``: the initial value is estimated for every record, also with ``at_rest=True``: a disturbance from outside does not
-    begin when the record does.
+    Examples
+    --------
+    >>> State("x", "m", role="displacement").start
+    0.0
     """
 
     name: str
@@ -50,7 +65,22 @@ class State:
 
 @dataclass(frozen=True)
 class Input:
-    """A measured or commanded input."""
+    """A measured or commanded input.
+
+    Parameters
+    ----------
+    name, unit
+        ``u.<name>`` in the equations, and the header of its column in records; the unit as text.
+    role
+        What the input is physically (``drive``, ``valve``).
+    description
+        One line for tables.
+
+    Examples
+    --------
+    >>> Input("u", "V", role="drive", description="amplifier voltage").name
+    'u'
+    """
 
     name: str
     unit: str
@@ -60,7 +90,23 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """A measured output. ``equation(x, u, p)`` gives its value; ``None`` means the state of the same name."""
+    """A measured output.
+
+    Parameters
+    ----------
+    name, unit
+        The header of its column in records; the unit as text.
+    equation
+        ``equation(x, u, p)`` gives its value. None: it is the state of the same name.
+    role
+        What the output is physically.
+    description
+        One line for tables.
+
+    Examples
+    --------
+    >>> force = Output("F", "N", lambda x, u, p: p.K * x.x)
+    """
 
     name: str
     unit: str
@@ -71,10 +117,37 @@ class Output:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A physical constant: value and bounds in ``unit``, where the number comes from (``source``), fixed or to be fitted.
+    """A physical constant of a model.
 
-    A lower bound above zero makes it a positive constant, which is fitted on a logarithmic scale. ``prior``: what is known of it
-    without the records, as mean and standard deviation of a normal distribution (``(0.0100, 0.0001)`` for a weighed mass).
+    Parameters
+    ----------
+    name, unit
+        ``p.<name>`` in the equations; the unit as text.
+    value
+        Where a fit starts, and what a simulation uses.
+    bounds
+        Physical limits (low, high). A lower bound above zero makes it a positive constant, which is fitted on a logarithmic scale.
+    fixed
+        Whether it is known and stays as it is.
+    source
+        Where the number is from: a data sheet, a measurement, a paper.
+    role
+        What the parameter is physically (``mass``, ``resistance``); effects ask for roles.
+    description
+        One line for tables.
+    prior
+        What is known of it without the records, as mean and standard deviation of a normal distribution: ``(0.0100, 0.0001)`` for a
+        weighed mass.
+
+    Raises
+    ------
+    ModelError
+        For empty bounds, a value that is not finite or lies outside them, and a prior that is none.
+
+    Examples
+    --------
+    >>> Parameter("M", "kg", 0.010, bounds=(1e-4, 1.0), source="weighed").positive
+    True
     """
 
     name: str
@@ -103,7 +176,6 @@ class Parameter:
                 f"parameter {self.name!r}: {self.value:g}{unit} lies outside its bounds [{low:g}, {high:g}]{unit};"
                 f" give a value inside, or widen them with model.bound({self.name}=(low, high))"
             )
-
         if self.prior is not None:
             _check_prior(self.name, self.unit, self.prior, self.bounds)
 
