@@ -33,8 +33,10 @@ def main() -> None:
         "problems": problems,
         "first_result_seconds": ours.first_results(),
         "memory_above_data_mb": ours.memory(),
+        "compile_seconds": _compile_seconds(),
         "versions": {
-            name: _version(name) for name in ("casadi", "numpy", "scipy", "numba", "lmfit", "jax", "jax-sysid")
+            name: _version(name)
+            for name in ("casadi", "numpy", "scipy", "numba", "lmfit", "jax", "jax-sysid", "diffrax", "optimistix")
         },
     }
     (ROOT / "bench.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
@@ -99,6 +101,14 @@ def long_record() -> dict:
     }
 
 
+def _compile_seconds() -> dict[str, dict[str, float]]:
+    """Peer -> problem -> seconds of its first call."""
+    seconds: dict[str, dict[str, float]] = {}
+    for (peer, problem), value in peers.COMPILE_SECONDS.items():
+        seconds.setdefault(peer, {})[problem] = value
+    return seconds
+
+
 def _median(run, unit, rounds: int = ROUNDS) -> float:
     """Simulation equivalents of a call."""
     run()
@@ -111,10 +121,10 @@ def _median(run, unit, rounds: int = ROUNDS) -> float:
 
 
 def _result(run, spent: list[float]) -> np.ndarray:
-    found: list[np.ndarray] = []
-    spent.append(ours.cpu(lambda: found.append(run())))
+    ends: list[np.ndarray] = []
+    spent.append(ours.cpu(lambda: ends.append(run())))
     _seconds[id(spent)] = spent[-1]
-    return found[0]
+    return ends[0]
 
 
 _seconds: dict[int, float] = {}

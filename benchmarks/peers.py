@@ -16,6 +16,9 @@ from benchmarks.rates import Mathematics, make_rate, make_rk4
 
 Solve = Callable[[], np.ndarray]
 
+COMPILE_SECONDS: dict[tuple[str, str], float] = {}
+"""Wall time of the first call, compilation and one fit, of the peers that compile a whole fit: (peer, problem) -> s."""
+
 
 class Arrays:
     """A case as arrays: parameters at the start, which are free and their bounds (over the start), input, output, first state."""
@@ -108,8 +111,8 @@ def lmfit_numba(case: Case) -> Solve:
         start.add(name, value=1.0, min=low, max=high)
 
     def solve() -> np.ndarray:
-        found = lmfit.minimize(lambda q: residual(np.array([q[n].value for n in case.free])), start, method="leastsq")
-        return np.array([found.params[n].value for n in case.free]) * a.start
+        result = lmfit.minimize(lambda q: residual(np.array([q[n].value for n in case.free])), start, method="leastsq")
+        return np.array([result.params[n].value for n in case.free]) * a.start
 
     return solve
 
@@ -154,6 +157,54 @@ def jax_sysid(case: Case) -> Solve:
     return solve
 
 
+def diffrax_optimistix(case: Case) -> Solve:
+    """``diffrax`` steps (Tsitouras 5(4), the same substeps) in a scan, ``optimistix``'s Levenberg-Marquardt, all compiled once.
+
+    Positive constants are fitted on a logarithmic scale, which keeps them within sense without bounds. Double precision.
+    """
+    import diffrax
+    import jax
+    import jax.numpy as jnp
+    import optimistix
+
+    jax.config.update("jax_enable_x64", True)
+    a = Arrays(case)
+    rate = make_rate(case.name, Mathematics(jnp.tanh, jnp.sqrt, jnp.maximum, jnp.where))
+    size = np.where(a.x0 == 0, 1.0, np.abs(a.x0))
+    which, start, fixed, u, y = (jnp.asarray(v) for v in (a.which, a.start, a.p, a.u, a.y))
+    solver = diffrax.Tsit5(scan_kind="lax")  # Levenberg-Marquardt differentiates forward
+
+    def field(_, x, known):
+        return jnp.stack(rate(tuple(x[k] * size[k] for k in range(len(size))), known[0], known[1])) / size
+
+    term = diffrax.ODETerm(field)
+
+    def residual(z, _):
+        p = fixed.at[which].set(jnp.exp(z) * start)
+
+        def sample(x, held):
+            following, known = x, (held, p)
+            state = solver.init(term, 0.0, a.h, x, known)  # the input jumps at every sample
+            for _ in range(a.substeps):
+                following, _, _, state, _ = solver.step(term, 0.0, a.h, following, known, state, made_jump=False)
+            return following, x[0]
+
+        _, output = jax.lax.scan(sample, jnp.asarray(a.x0 / size), u)
+        return (output * size[0] - y) / a.noise
+
+    method = optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8)
+
+    @jax.jit
+    def search(z):
+        return optimistix.least_squares(residual, method, z, max_steps=200, throw=False).value
+
+    nothing = jnp.zeros(len(a.which))
+    began = time.perf_counter()
+    search(nothing).block_until_ready()
+    COMPILE_SECONDS["diffrax_optimistix", case.name] = time.perf_counter() - began
+    return lambda: np.exp(np.asarray(search(nothing).block_until_ready())) * a.start
+
+
 def solve_ivp_seconds(case: Case, samples: int = 200) -> float:
     """CPU seconds of one simulation by ``solve_ivp`` (RK45, rtol 1e-6) over the record, from its first ``samples``."""
     from scipy.integrate import solve_ivp
@@ -175,4 +226,5 @@ PEERS: dict[str, Callable[[Case], Solve]] = {
     "scipy_numba": scipy_numba,
     "lmfit_numba": lmfit_numba,
     "jax_sysid": jax_sysid,
+    "diffrax_optimistix": diffrax_optimistix,
 }

@@ -13,8 +13,9 @@ NAMES = {
     "scipy_numba": "scipy least_squares + numba RK4",
     "lmfit_numba": "lmfit + numba RK4",
     "jax_sysid": "jax-sysid",
+    "diffrax_optimistix": "diffrax + optimistix",
 }
-GOALS = {"casadi_single_shooting": 50, "scipy_numba": 3, "lmfit_numba": 3, "jax_sysid": 30}
+GOALS = {"casadi_single_shooting": 50, "scipy_numba": 3, "lmfit_numba": 3, "jax_sysid": 30, "diffrax_optimistix": ""}
 
 
 def page(result: dict) -> str:
@@ -25,7 +26,8 @@ def page(result: dict) -> str:
         "",
         "Written by `make bench`. The unit is the simulation equivalent: CPU time of the whole fit over that of one compiled RK4",
         "pass over the same data, measured in the same process just before and after. Imports, compilation and building are not",
-        "counted (jax-sysid compiles in every fit). Start values are about 40 % off. `benchmarks/problems.py` states the",
+        "counted (jax-sysid compiles in every fit; diffrax + optimistix once a problem, see below). Start values are about 40 % off.",
+        "`benchmarks/problems.py` states the",
         "problems, `benchmarks/peers.py` how the others are used.",
         "",
         "| | goal | " + " | ".join(problems) + " |",
@@ -53,6 +55,7 @@ def page(result: dict) -> str:
         "In brackets: rounds, and by how much the cost that a peer reached lies above the best RK4 optimum (relative). A fit with",
         "`least_squares` + `solve_ivp` was not run: multiply one simulation by the 30 to 100 that finite differences need.",
         "",
+        *_compilation(result["compile_seconds"]),
         f"First result after the imports (pneumatic): {first['cold']:.2f} s with an empty cache (goal 3), {first['warm']:.2f} s"
         " after that (goal 0.5).",
         f"Memory of the linear fit of 400,000 samples above imports and data: {result['memory_above_data_mb']:.0f} MB (goal 20).",
@@ -62,6 +65,16 @@ def page(result: dict) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def _compilation(seconds: dict[str, dict[str, float]]) -> list[str]:
+    """How long the peers that compile a whole fit take for their first call."""
+    return [
+        f"{NAMES[peer]} compiles for each new problem, apart from these figures: "
+        + ", ".join(f"{value:.1f} s ({problem})" for problem, value in each.items())
+        + ".\n"
+        for peer, each in seconds.items()
+    ]
 
 
 def _against(problem: dict, peer: str) -> str:
@@ -79,5 +92,5 @@ def _processor() -> str:
 
 
 def _compiler() -> str:
-    found = subprocess.run(["cc", "--version"], capture_output=True, text=True, check=False).stdout
-    return found.splitlines()[0] if found else "no C compiler"
+    answer = subprocess.run(["cc", "--version"], capture_output=True, text=True, check=False).stdout
+    return answer.splitlines()[0] if answer else "no C compiler"
