@@ -47,6 +47,12 @@ REAL_POLE = 1e-12
 TINY = 1e-300
 """Smallest divisor: keeps a quotient finite where numerator and denominator vanish together."""
 
+RANK_CUTOFF = 1e-12
+"""Eigenvalues of an information matrix with columns of length one, below this share of the largest, are rounding."""
+
+REDUNDANT_VARIANCE = 1e-8
+"""Directions of lagged signals with less than this share of the largest variance are copies of one another."""
+
 MAD_TO_STD = 1.482602218505602
 """Standard deviation of normal values over the median of their sizes."""
 

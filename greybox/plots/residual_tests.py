@@ -28,7 +28,8 @@ from greybox.plots.figure import (
 from greybox.plots.limits import LIMITS
 from greybox.plots.thinning import choose_evenly
 from greybox.rendering.plots import FigureText, phrase
-from greybox.residuals import ResidualSeries, ResidualTest, ResidualTests
+from greybox.rendering.residuals import name_test
+from greybox.residuals import ResidualSeries, ResidualTest, ResidualTestKind, ResidualTests
 
 CONFIDENCE = 0.95
 
@@ -43,10 +44,10 @@ def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> Figure:
     series, own = tests.residuals[output], [t for t in tests.tests if t.output == output]
     moving = [u for u, records in series.inputs.items() if any(np.ptp(record) > 0 for record in records)]
     panels = (
-        _autocorrelation(series, _of_kind(own, "whiteness")),
-        *(_input_correlation(series, u, _of_kind(own, f"independence of {u}")) for u in moving),
-        _normal_plot(series, _of_kind(own, "normality")),
-        _along_records(series, _of_kind(own, "equal")),
+        _autocorrelation(series, _of_kind(own, ResidualTestKind.WHITENESS)),
+        *(_input_correlation(series, u, [t for t in _of_kind(own, ResidualTestKind.INPUT_INDEPENDENCE) if t.input == u]) for u in moving),
+        _normal_plot(series, _of_kind(own, ResidualTestKind.NORMALITY)),
+        _along_records(series, _of_kind(own, ResidualTestKind.EQUAL_VARIANCE, ResidualTestKind.EQUAL_MEAN)),
     )
     return Figure(
         name,
@@ -81,8 +82,8 @@ def cross_correlation(first: Sequence[np.ndarray], second: Sequence[np.ndarray],
     return correlation, int(sum(np.isfinite(b).sum() for _, b in pairs))
 
 
-def _of_kind(tests: Sequence[ResidualTest], beginning: str) -> list[ResidualTest]:
-    return [t for t in tests if t.test.startswith(beginning)]
+def _of_kind(tests: Sequence[ResidualTest], *kinds: ResidualTestKind) -> list[ResidualTest]:
+    return [t for t in tests if t.kind in kinds]
 
 
 def _autocorrelation(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
@@ -158,13 +159,13 @@ def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Pan
 def _titles(tests: Sequence[ResidualTest]) -> tuple[Finding, ...]:
     """What the tests say: of those that raise an alarm the clearest of each kind, else the least comfortable one."""
     ordered = sorted(tests, key=lambda t: t.p_value)
-    alarms = list({t.test.partition(",")[0]: t for t in reversed(ordered) if t.alarm}.values())
+    alarms = list({(t.kind, t.input): t for t in reversed(ordered) if t.alarm}.values())
     return tuple(
         Finding(
             FigureText.RESIDUAL_TEST,
             Severity.WARNING if t.alarm else Severity.NOTE,
             t.output,
-            {"test": t.test, "p_value": t.p_value, "statement": t.sentence},
+            {"test": name_test(t), "p_value": t.p_value, "statement": str(t)},
         )
         for t in alarms or ordered[:1]
     )

@@ -19,6 +19,7 @@ from greybox.reports.page import Block, FigureBlock, Folded, Heading, Listing, P
 from greybox.reports.provenance import provenance_section
 from greybox.reports.records import records_section, signal_units
 from greybox.reports.typography import as_sentence, count_noun, join_names, typeset_number
+from greybox.rendering.residuals import name_test
 from greybox.residuals import ResidualTests, residual_tests
 from greybox.result import Fit, Misfit, Trace
 from greybox.result.summary import MISFIT_HEADS, to_misfit_cells
@@ -155,23 +156,23 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
     loud, count = len(tests.alarms), len(tests.tests)
     if loud:
         yield Text(
-            [f"{loud} of {count} tests {'speaks' if loud == 1 else 'speak'} up: what is left is not only noise."],
+            [f"{loud} of {count} tests {'raises' if loud == 1 else 'raise'} an alarm: the residual is not only noise."],
             "caution",
         )
     else:
-        yield Text([f"None of {count} tests speaks up: what is left looks like noise."], "good")
+        yield Text([f"None of {count} tests raises an alarm: the residual looks like noise."], "good")
     rows = [
         [
-            f"{t.output}: {t.test}", f"{'speaks up: ' if t.alarm else ''}{t.sentence}", typeset_number(f"{t.p_value:.2g}"),
+            f"{t.output}: {name_test(t)}", f"{'alarm: ' if t.alarm else ''}{t}", typeset_number(f"{t.p_value:.2g}"),
             typeset_number(f"{t.statistic:.4g}"),
         ]
         for t in tests.tests
     ]  # fmt: skip
     yield Table(
         "Tests of the residual",
-        ["test", "what it says", "p", "figure"],
+        ["test", "what it says", "p", "statistic"],
         rows,
-        "Each test alone speaks up (p below 0.01) in one good fit of a hundred.",
+        "Each test alone raises a false alarm (p below 0.01) in one good fit of a hundred.",
     )
     for output in tests.residuals:
         yield FigureBlock(plot_residual_tests(tests, output, f"tests-{output}"))

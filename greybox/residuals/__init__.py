@@ -1,6 +1,13 @@
 """After a fit: what its residual says, and how well it predicts."""
 
-from greybox.residuals.hypothesis_tests import ResidualSeries, ResidualTest, ResidualTests, residual_tests
+from greybox.residuals.hypothesis_tests import (
+    ResidualSeries,
+    ResidualTest,
+    ResidualTestKind,
+    ResidualTests,
+    residual_tests,
+)
+from greybox.residuals.policy import ResidualTestPolicy
 from greybox.residuals.scores import OutputScore, PredictionScores, score
 
 __all__ = [
@@ -8,6 +15,8 @@ __all__ = [
     "PredictionScores",
     "ResidualSeries",
     "ResidualTest",
+    "ResidualTestKind",
+    "ResidualTestPolicy",
     "ResidualTests",
     "residual_tests",
     "score",

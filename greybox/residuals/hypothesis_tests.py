@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from greybox.estimation.restore import restore_problem
 from greybox.estimation.restore_likelihood import compute_innovation_rows
 from greybox.estimation.sandwich import ColumnLayout
 from greybox.noise import AutoRegression, fit_autoregression, join_series
+from greybox.numerics import RANK_CUTOFF
+from greybox.residuals.policy import RESIDUAL_TEST_POLICY, ResidualTestPolicy
 from greybox.residuals.statistics import (
     equal_mean_test,
     equal_variance_test,
@@ -22,35 +25,69 @@ from greybox.residuals.statistics import (
 )
 from greybox.result import Fit
 from greybox.transcription.robust_shooting import RobustShooting
+from greybox.values import Printable
 
 Rows = Sequence[tuple[np.ndarray, np.ndarray]]
 
-# A test speaks up below this p-value.
-ALARM = 0.01
-WHITENESS_LAGS = (5, 10, 20)
-INPUT_LAGS = 20
-# Blocks of the stationarity tests, and the least values of one.
-BLOCKS, LEAST_OF_BLOCK = 8, 10
+
+class ResidualTestKind(StrEnum):
+    """What a residual is tested for."""
+
+    WHITENESS = "whiteness"
+    INPUT_INDEPENDENCE = "input_independence"
+    NORMALITY = "normality"
+    EQUAL_VARIANCE = "equal_variance"
+    EQUAL_MEAN = "equal_mean"
 
 
 @dataclass(frozen=True)
-class ResidualTest:
-    """One test of one output: its figure, its p-value, whether that raises an alarm (below 1 %), and a sentence."""
+class ResidualTest(Printable):
+    """One test of one output.
+
+    Parameters
+    ----------
+    output
+        The output whose residual was tested.
+    kind
+        What it was tested for.
+    statistic, p_value
+        The figure of the test, and how often chance alone makes it as large.
+    alarm
+        Whether the p-value is below the level of the policy.
+    lags
+        Samples over which correlations were summed; 0 for tests without lags.
+    input
+        The input, for a test of independence.
+    colour
+        The autoregression of the residual.
+    """
 
     output: str
-    test: str
+    kind: ResidualTestKind
     statistic: float
     p_value: float
     alarm: bool
-    sentence: str
+    lags: int = 0
+    input: str = ""
+    colour: AutoRegression = field(default_factory=AutoRegression, repr=False, compare=False)
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualSeries:
-    """The residual of one output that the tests looked at, over its noise: for each record ``series`` (N,), NaN in gaps.
+    """The residual of one output that the tests looked at, over its noise.
 
-    ``raw`` (N,) has the outliers that a robust fit keeps out of ``series``; ``inputs`` by name, for each record (N,); ``time`` (N,) of each
-    record in seconds; ``colour`` the autoregression of ``series``.
+    Parameters
+    ----------
+    series
+        For each record an array (N,), NaN in gaps.
+    raw
+        The same with the outliers that a robust fit keeps out of ``series``.
+    inputs
+        By name, for each record an array (N,).
+    time
+        For each record an array (N,) in seconds.
+    colour
+        The autoregression of ``series``.
     """
 
     series: tuple[np.ndarray, ...]
@@ -61,43 +98,46 @@ class ResidualSeries:
 
 
 @dataclass(frozen=True)
-class ResidualTests:
-    """All tests of a fit; ``whitened``: outputs whose residual was whitened with their known noise colour first.
+class ResidualTests(Printable):
+    """All tests of a fit.
 
-    ``residuals``: what was tested, by output.
+    Parameters
+    ----------
+    tests
+        Output by output.
+    whitened
+        Outputs whose residual was whitened with their known noise colour first.
+    residuals
+        What was tested, by output.
+    policy
+        The numbers that the tests were made under.
     """
 
     tests: tuple[ResidualTest, ...]
     whitened: tuple[str, ...] = ()
     residuals: Mapping[str, ResidualSeries] = field(default_factory=dict, repr=False, compare=False)
+    policy: ResidualTestPolicy = RESIDUAL_TEST_POLICY
 
     @property
     def alarms(self) -> tuple[ResidualTest, ...]:
-        """The tests that speak up."""
+        """The tests that raise an alarm."""
         return tuple(t for t in self.tests if t.alarm)
 
-    def of(self, output: str, test: str) -> ResidualTest:
-        """One test by output and name."""
-        return next(t for t in self.tests if (t.output, t.test) == (output, test))
+    def of(
+        self, output: str, kind: ResidualTestKind | str, *, lags: int | None = None, input: str = ""
+    ) -> ResidualTest:
+        """The first test of an output of this kind; ``lags`` and ``input`` choose among several.
 
-    def __str__(self) -> str:
-        rows = [
-            ("output", "test", "figure", "p", ""),
-            *((t.output, t.test, f"{t.statistic:.4g}", f"{t.p_value:.2g}", t.sentence) for t in self.tests),
-        ]
-        widths = [max(len(row[k]) for row in rows) for k in range(4)]
-        lines = [
-            "  ".join([*(cell.ljust(w) for cell, w in zip(row, widths, strict=False)), row[4]]).rstrip() for row in rows
-        ]
-        if self.whitened:
-            lines.append(
-                f"residual of {', '.join(self.whitened)} whitened with the colour of its noise before the tests"
-            )
-        return "\n".join(lines)
+        Raises KeyError where there is none.
+        """
+        for test in self.tests:
+            if (test.output, test.kind) == (output, kind) and lags in (None, test.lags) and input in ("", test.input):
+                return test
+        raise KeyError(f"no test {str(kind)!r} of output {output!r}")
 
 
-def residual_tests(fit: Fit) -> ResidualTests:
-    """Tests of each output's free-run residual over all records of ``fit``; of its innovations, where the model has process noise.
+def residual_tests(fit: Fit, *, policy: ResidualTestPolicy = RESIDUAL_TEST_POLICY) -> ResidualTests:
+    """Test the free-run residual of each output over all records of a fit, or its innovations where the model has process noise.
 
     Whiteness over 5, 10 and 20 lags (Ljung and Box); independence of each input over 20 lags, with the covariance that the
     residual's colour gives and the fitted constants allowed for; normality (Jarque and Bera); equal variance and equal mean over
@@ -105,32 +145,105 @@ def residual_tests(fit: Fit) -> ResidualTests:
     After a robust fit all tests but normality look at the residual as its loss sees it, without the pull of outliers. Each test
     alone raises a false alarm in one fit of a hundred.
 
-    Raises FitError for a fit that did not succeed, and for one whose run is not a free one (arcs, or the segments of an unstable
-    plant): states that are set anew along the record take up what the model lacks, and the tests would not see it.
+    Parameters
+    ----------
+    fit
+        A fit that succeeded.
+    policy
+        Alarm level, lags and blocks.
+
+    Returns
+    -------
+    ResidualTests
+        One `ResidualTest` for each output and question; ``alarms`` holds those that failed.
+
+    Raises
+    ------
+    FitError
+        For a fit that did not succeed, and for one whose run is not a free one (arcs, or the segments of an unstable plant): states
+        that are set anew along the record take up what the model lacks, and the tests would not see it.
+
+    Examples
+    --------
+    >>> tests = residual_tests(fit)  # doctest: +SKIP
+    >>> [(t.output, t.kind) for t in tests.alarms]  # doctest: +SKIP
+    [('x', 'whiteness')]
     """
-    rows, raw, variables = _innovations(fit) if fit.prediction.process_noise else _free_run(fit)
-    inputs = [[trace.inputs[i.name] for trace in fit.traces] for i in fit.model.inputs]
+    rows, raw, layout = _innovations(fit) if fit.prediction.process_noise else _free_run(fit)
+    inputs = {i.name: [trace.inputs[i.name] for trace in fit.traces] for i in fit.model.inputs}
     tests: list[ResidualTest] = []
-    looked_at: dict[str, ResidualSeries] = {}
+    tested: dict[str, ResidualSeries] = {}
     for j, output in enumerate(fit.model.outputs):
-        if output.name in fit.misfit:
-            residuals = [r[:, j] for r, _ in rows]
-            slopes = _separate(
-                [jacobian[:, j] for _, jacobian in rows],
-                [variables.columns(e) for e in range(len(rows))],
-                variables.size,
-            )
-            tests += run_residual_tests(
-                output.name, residuals, dict(zip((i.name for i in fit.model.inputs), inputs, strict=True)), slopes,
-                [r[:, j] for r, _ in raw],
-            )  # fmt: skip
-            looked_at[output.name] = ResidualSeries(
-                tuple(residuals), tuple(r[:, j] for r, _ in raw),
-                {i.name: tuple(given) for i, given in zip(fit.model.inputs, inputs, strict=True)},
-                tuple(trace.time for trace in fit.traces), fit_autoregression(join_series(residuals)),
-            )  # fmt: skip
-    whitened = tuple(n for n, k in fit.noise.colour.items() if len(k))
-    return ResidualTests(tuple(tests), whitened, looked_at)
+        if output.name not in fit.misfit:
+            continue
+        residuals, unbounded = [r[:, j] for r, _ in rows], [r[:, j] for r, _ in raw]
+        columns = [layout.columns(e) for e in range(len(rows))]
+        slopes = _spread_columns([jacobian[:, j] for _, jacobian in rows], columns, layout.size)
+        tests += run_residual_tests(output.name, residuals, inputs, slopes, unbounded, policy)
+        tested[output.name] = ResidualSeries(
+            tuple(residuals),
+            tuple(unbounded),
+            {name: tuple(each) for name, each in inputs.items()},
+            tuple(trace.time for trace in fit.traces),
+            fit_autoregression(join_series(residuals)),
+        )
+    whitened = tuple(name for name, reflection in fit.noise.colour.items() if len(reflection))
+    return ResidualTests(tuple(tests), whitened, tested, policy)
+
+
+def run_residual_tests(
+    output: str,
+    residuals: Sequence[np.ndarray],
+    inputs: Mapping[str, list[np.ndarray]],
+    slopes: Sequence[np.ndarray] | None = None,
+    raw: Sequence[np.ndarray] | None = None,
+    policy: ResidualTestPolicy = RESIDUAL_TEST_POLICY,
+) -> list[ResidualTest]:
+    """The tests of one output.
+
+    Parameters
+    ----------
+    output
+        Its name.
+    residuals
+        For each record an array (N,), NaN in gaps.
+    inputs
+        By name, for each record an array (N,).
+    slopes
+        For each record an array (N, m): sensitivities to what was fitted, which the residual cannot contain any more.
+    raw
+        The residuals with their outliers, if ``residuals`` are without.
+    policy
+        Alarm level, lags and blocks.
+    """
+    series = join_series(residuals)
+    colour = fit_autoregression(series)
+    rms = float(np.sqrt(np.nanmean(series**2))) or 1.0
+    white = [colour.whiten(r / rms) for r in residuals]
+    count = int(np.isfinite(series).sum())
+
+    def make_test(kind: ResidualTestKind, result: tuple[float, float], lags: int = 0, name: str = "") -> ResidualTest:
+        statistic, p_value = result
+        return ResidualTest(output, kind, statistic, p_value, bool(p_value < policy.alarm_level), lags, name, colour)
+
+    tests = [
+        make_test(ResidualTestKind.WHITENESS, ljung_box_test(series, lags), lags)
+        for lags in policy.whiteness_lags
+        if count > policy.samples_per_whiteness_lag * lags
+    ]
+    for name, records in inputs.items():
+        if any(np.ptp(u) > 0 for u in records) and count > policy.samples_per_input_lag * policy.input_lags:
+            regressors = [lagged_matrix(u, policy.input_lags) for u in records]
+            result = input_independence_test(residuals, _remove_fitted(slopes, regressors, residuals), colour)
+            tests.append(make_test(ResidualTestKind.INPUT_INDEPENDENCE, result, policy.input_lags, name))
+    whitened = np.concatenate(white if raw is None else [colour.whiten(r / rms) for r in raw])
+    blocks = split_into_blocks(white, policy.blocks, policy.min_block_values)
+    return [
+        *tests,
+        make_test(ResidualTestKind.NORMALITY, normality_test(whitened)),
+        make_test(ResidualTestKind.EQUAL_VARIANCE, equal_variance_test(blocks)),
+        make_test(ResidualTestKind.EQUAL_MEAN, equal_mean_test(blocks)),
+    ]
 
 
 def _free_run(fit: Fit) -> tuple[Rows, Rows, ColumnLayout]:
@@ -147,62 +260,7 @@ def _innovations(fit: Fit) -> tuple[Rows, Rows, ColumnLayout]:
     return rows, rows, cost.unknowns
 
 
-def run_residual_tests(
-    output: str,
-    residuals: Sequence[np.ndarray],
-    inputs: dict[str, list[np.ndarray]],
-    slopes: Sequence[np.ndarray] | None = None,
-    raw: Sequence[np.ndarray] | None = None,
-) -> list[ResidualTest]:
-    """The tests of one output: its residuals (N,) and the ``inputs`` (N,) of each record, NaN in gaps.
-
-    ``slopes`` (N, m) of each record: sensitivities to what was fitted, which the residual cannot contain any more. ``raw``: the
-    residuals with their outliers, if ``residuals`` are without.
-    """
-    series = join_series(residuals)
-    colour = fit_autoregression(series)
-    rms = float(np.sqrt(np.nanmean(series**2))) or 1.0
-    white = [colour.whiten(r / rms) for r in residuals]
-    count = int(np.isfinite(series).sum())
-    tests = []
-    for lags in WHITENESS_LAGS:
-        if count > 5 * lags:
-            figure, p = ljung_box_test(series, lags)
-            says = f"correlated over {lags} samples ({colour})" if p < ALARM else f"no correlation over {lags} samples"
-            tests.append(_test(output, f"whiteness, {lags} lags", figure, p, says))
-    for name, records in inputs.items():
-        if any(np.ptp(u) > 0 for u in records) and count > 10 * INPUT_LAGS:
-            figure, p = input_independence_test(
-                residuals, _free_of(slopes, [lagged_matrix(u, INPUT_LAGS) for u in records], residuals), colour
-            )
-            says = (
-                f"follows the input {name}: the model misses part of its effect"
-                if p < ALARM
-                else f"no trace of the input {name}"
-            )
-            tests.append(_test(output, f"independence of {name}", figure, p, says))
-    figure, p = normality_test(np.concatenate(white if raw is None else [colour.whiten(r / rms) for r in raw]))
-    says = (
-        "not normal: look for outliers, quantisation or two regimes"
-        if p < ALARM
-        else "consistent with a normal distribution"
-    )
-    tests.append(_test(output, "normality", figure, p, says))
-    blocks = split_into_blocks(white, BLOCKS, LEAST_OF_BLOCK)
-    figure, p = equal_variance_test(blocks)
-    says = "larger in some parts of the record than in others" if p < ALARM else "equally large throughout"
-    tests.append(_test(output, "equal variance", figure, p, says))
-    figure, p = equal_mean_test(blocks)
-    says = "its mean wanders: drift, or an offset that changes" if p < ALARM else "no drift"
-    tests.append(_test(output, "equal mean", figure, p, says))
-    return tests
-
-
-def _test(output: str, test: str, figure: float, p: float, sentence: str) -> ResidualTest:
-    return ResidualTest(output, test, figure, p, bool(p < ALARM), sentence)
-
-
-def _separate(slopes: Sequence[np.ndarray], columns: Sequence[np.ndarray], size: int) -> list[np.ndarray]:
+def _spread_columns(slopes: Sequence[np.ndarray], columns: Sequence[np.ndarray], size: int) -> list[np.ndarray]:
     """Sensitivities of each record (N, L) laid out over all unknowns (N, size)."""
     result = []
     for slope, where in zip(slopes, columns, strict=True):
@@ -212,15 +270,15 @@ def _separate(slopes: Sequence[np.ndarray], columns: Sequence[np.ndarray], size:
     return result
 
 
-def _free_of(
+def _remove_fitted(
     slopes: Sequence[np.ndarray] | None, regressors: list[np.ndarray], residuals: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
     """The regressors less what the fitted constants could make of them."""
-    there = np.concatenate([np.isfinite(r) for r in residuals])
-    u = np.where(there[:, None], np.concatenate(regressors), 0.0)
+    measured = np.concatenate([np.isfinite(r) for r in residuals])
+    u = np.where(measured[:, None], np.concatenate(regressors), 0.0)
     if slopes is not None and slopes[0].shape[1]:
-        j = np.where(there[:, None], np.concatenate(slopes), 0.0)
+        j = np.where(measured[:, None], np.concatenate(slopes), 0.0)
         norm = np.linalg.norm(j, axis=0)
         j = j[:, norm > 0] / norm[norm > 0]
-        u = u - j @ (np.linalg.pinv(j.T @ j, rcond=1e-12, hermitian=True) @ (j.T @ u))
+        u = u - j @ (np.linalg.pinv(j.T @ j, rcond=RANK_CUTOFF, hermitian=True) @ (j.T @ u))
     return np.split(u, np.cumsum([len(r) for r in residuals])[:-1])

@@ -12,6 +12,7 @@ from greybox.estimation import FitOptions, Predictor, predictor
 from greybox.experiment import Experiment
 from greybox.model import Model
 from greybox.result import Fit, Trace
+from greybox.values import Printable
 
 
 @dataclass(frozen=True)
@@ -29,23 +30,10 @@ class OutputScore:
 
 
 @dataclass(frozen=True)
-class PredictionScores:
+class PredictionScores(Printable):
     """Scores by output."""
 
     outputs: Mapping[str, OutputScore]
-
-    def __str__(self) -> str:
-        ahead = sorted({k for s in self.outputs.values() for k in s.prediction})
-        head = ["rmse", "free run", *(f"{k} step{'s' if k > 1 else ''} ahead" for k in ahead), "movement", "unit"]
-        rows = [
-            [name, *(f"{v:.4g}" for v in (s.free_run, *(s.prediction[k] for k in ahead), s.movement)), s.unit]
-            for name, s in self.outputs.items()
-        ]
-        widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
-        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]]
-        return "\n".join(
-            [*lines, *(f"corrected by: {text}" for text in dict.fromkeys(s.predictor for s in self.outputs.values()))]
-        )
 
 
 def score(
@@ -56,15 +44,40 @@ def score(
     skip: int = 0,
     options: FitOptions | None = None,
 ) -> PredictionScores:
-    """Free-run and ``steps``-ahead errors of ``model`` on ``experiments``; of a fit on its own records where none are given.
+    """Root mean square errors of the free run and of predictions some samples ahead.
 
-    ``model``: a fit, a model, a `Predictor`, or anything with ``simulate(experiment)`` and ``predict(experiment, steps)``, such as a
-    black-box model. What corrects a fit from sample to sample comes from its own records and never from those being judged; of a
-    model that was not fitted it comes from ``experiments`` (`greybox.estimation.predictor`). The first states of other records than the
-    fit's own are estimated from their first rows. Left out of the errors are the first ``skip`` rows, and of a prediction ``k`` samples
-    ahead the first ``k``, which have no measurement to go by.
+    What corrects a fit from sample to sample comes from its own records and never from those being judged; of a model that was not
+    fitted it comes from ``experiments`` (`greybox.estimation.predictor`). The first states of other records than the fit's own are
+    estimated from their first rows.
 
-    Raises DataError for steps below one or beyond every record, and where there is no record.
+    Parameters
+    ----------
+    model
+        A fit, a model, a `Predictor`, or anything with ``simulate(experiment)`` and ``predict(experiment, steps)``, such as a
+        black-box model.
+    experiments
+        The records to judge by; of a fit its own where none are given.
+    steps
+        Numbers of samples ahead.
+    skip
+        First rows of each record that are left out of the errors. Of a prediction ``k`` samples ahead the first ``k`` are left out,
+        too: they have no measurement to go by.
+    options
+        Options of the predictor of a model that was not fitted.
+
+    Returns
+    -------
+    PredictionScores
+        One `OutputScore` for each measured output, in its unit.
+
+    Raises
+    ------
+    DataError
+        For steps below one or beyond every record, and where there is no record.
+
+    Examples
+    --------
+    >>> score(fit, validation, steps=(1, 10)).outputs["x"].free_run  # doctest: +SKIP
     """
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
     judged = [t.experiment for t in model.traces] if isinstance(model, Fit) and not group else list(group)
@@ -77,22 +90,24 @@ def score(
         else model
     )
     traces = model.traces if isinstance(model, Fit) and not group else [None] * len(judged)
-    runs = [_runs(ready, e, steps, trace) for e, trace in zip(judged, traces, strict=True)]
-    words = ready.correction.words if isinstance(ready, Predictor) else "its own noise model"
+    runs = [_run_record(ready, e, steps, trace) for e, trace in zip(judged, traces, strict=True)]
+    correction = ready.correction.words if isinstance(ready, Predictor) else "its own noise model"
     units = {o.name: o.unit for o in model.model.outputs} if isinstance(model, Fit) else _units(ready)
-    result = {}
+    outputs = {}
     for name in dict.fromkeys(n for free, _ in runs for n in free):
-        seen = [
+        pairs = [
             (e.outputs[name], *run) for e, run in zip(judged, runs, strict=True) if name in e.outputs and name in run[0]
         ]
-        measured = np.concatenate([y[skip:] for y, _, _ in seen] or [np.zeros(0)])
+        measured = np.concatenate([y[skip:] for y, _, _ in pairs] or [np.zeros(0)])
         if np.isfinite(measured).any():
-            result[name] = OutputScore(
-                units.get(name, ""), _rms([(y - free[name])[skip:] for y, free, _ in seen]),
-                {k: _rms([(y - ahead[k][name])[max(skip, k) :] for y, _, ahead in seen]) for k in steps},
-                float(np.nanstd(measured)), words,
-            )  # fmt: skip
-    return PredictionScores(result)
+            outputs[name] = OutputScore(
+                units.get(name, ""),
+                _rms([(y - free[name])[skip:] for y, free, _ in pairs]),
+                {k: _rms([(y - ahead[k][name])[max(skip, k) :] for y, _, ahead in pairs]) for k in steps},
+                float(np.nanstd(measured)),
+                correction,
+            )
+    return PredictionScores(outputs)
 
 
 def check_steps_ahead(steps: Iterable[int], records: Sequence[Experiment]) -> None:
@@ -107,7 +122,7 @@ def check_steps_ahead(steps: Iterable[int], records: Sequence[Experiment]) -> No
         )
 
 
-def _runs(
+def _run_record(
     model: Predictor, experiment: Experiment, steps: Sequence[int], trace: Trace | None
 ) -> tuple[Mapping[str, np.ndarray], dict[int, Mapping[str, np.ndarray]]]:
     """Free run and predictions of one record by output; ``trace``: the free run of a record of the fit, whose first states are known."""

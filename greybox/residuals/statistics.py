@@ -1,4 +1,4 @@
-"""The statistics behind the residual tests: each returns a figure and a p-value. Series may hold NaN in gaps."""
+"""The statistics behind the residual tests: each returns a statistic and a p-value. Series may hold NaN in gaps."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from scipy.special import chdtrc
 
 from greybox.estimation.sandwich import compute_toeplitz_form
 from greybox.noise import AutoRegression
-
-# Directions of the lagged inputs with less than this share of the largest variance are one another's copies.
-REDUNDANT = 1e-8
+from greybox.numerics import REDUNDANT_VARIANCE, TINY
 
 
 def ljung_box_test(series: np.ndarray, lags: int) -> tuple[float, float]:
@@ -20,17 +18,17 @@ def ljung_box_test(series: np.ndarray, lags: int) -> tuple[float, float]:
     Over a gap a lag has fewer pairs; each correlation is weighted by its own number of pairs.
     """
     r = series - np.nanmean(series)
-    there = np.isfinite(r)
-    r = np.where(there, r, 0.0)
-    n, square = int(there.sum()), float(r @ r)
+    measured = np.isfinite(r)
+    r = np.where(measured, r, 0.0)
+    n, square = int(measured.sum()), float(r @ r)
     if square == 0:
         return 0.0, 1.0
-    figure = 0.0
+    statistic = 0.0
     for k in range(1, lags + 1):
-        pairs = int((there[k:] & there[:-k]).sum())
+        pairs = int((measured[k:] & measured[:-k]).sum())
         if pairs:
-            figure += n * (n + 2) * (float(r[k:] @ r[:-k]) / square) ** 2 / pairs
-    return figure, float(chdtrc(lags, figure))
+            statistic += n * (n + 2) * (float(r[k:] @ r[:-k]) / square) ** 2 / pairs
+    return statistic, float(chdtrc(lags, statistic))
 
 
 def lagged_matrix(signal: np.ndarray, lags: int) -> np.ndarray:
@@ -54,18 +52,18 @@ def input_independence_test(
     if variance == 0 or not np.isfinite(variance):
         return 0.0, 1.0
     for r, u in zip(residuals, regressors, strict=True):
-        there = np.isfinite(r)
-        u = np.where(there[:, None], u, 0.0)
-        c += u.T @ np.where(there, r, 0.0)
+        measured = np.isfinite(r)
+        u = np.where(measured[:, None], u, 0.0)
+        c += u.T @ np.where(measured, r, 0.0)
         p += variance * compute_toeplitz_form(u, colour.autocorrelation(len(r)))
     scale = np.sqrt(np.diag(p))
     scale[scale == 0] = 1.0
     values, vectors = np.linalg.eigh(p / np.outer(scale, scale))
-    kept = values > REDUNDANT * max(values.max(initial=0.0), 1e-300)
+    kept = values > REDUNDANT_VARIANCE * max(values.max(initial=0.0), TINY)
     if not kept.any():
         return 0.0, 1.0
-    figure = float(np.sum((vectors[:, kept].T @ (c / scale)) ** 2 / values[kept]))
-    return figure, float(chdtrc(int(kept.sum()), figure))
+    statistic = float(np.sum((vectors[:, kept].T @ (c / scale)) ** 2 / values[kept]))
+    return statistic, float(chdtrc(int(kept.sum()), statistic))
 
 
 def normality_test(series: np.ndarray) -> tuple[float, float]:
@@ -75,8 +73,8 @@ def normality_test(series: np.ndarray) -> tuple[float, float]:
         return 0.0, 1.0
     from scipy.stats import jarque_bera  # half a second to import
 
-    found = jarque_bera(usable)
-    return float(found.statistic), float(found.pvalue)
+    result = jarque_bera(usable)
+    return float(result.statistic), float(result.pvalue)
 
 
 def equal_variance_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
@@ -85,8 +83,8 @@ def equal_variance_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
         return 0.0, 1.0
     from scipy.stats import levene  # half a second to import
 
-    found = levene(*blocks, center="median")
-    return float(found.statistic), float(found.pvalue)
+    result = levene(*blocks, center="median")
+    return float(result.statistic), float(result.pvalue)
 
 
 def equal_mean_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
@@ -95,8 +93,8 @@ def equal_mean_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
         return 0.0, 1.0
     from scipy.stats import f_oneway  # half a second to import
 
-    found = f_oneway(*blocks)
-    return float(found.statistic), float(found.pvalue)
+    result = f_oneway(*blocks)
+    return float(result.statistic), float(result.pvalue)
 
 
 def split_into_blocks(residuals: Sequence[np.ndarray], count: int, least: int) -> list[np.ndarray]:

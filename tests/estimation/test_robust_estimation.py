@@ -188,9 +188,9 @@ def test_a_coloured_residual_widens_the_interval_of_a_robust_fit_too():
 
 def test_the_tests_of_the_residual_see_past_the_outliers_but_name_them():
     tests = residual_tests(fit(TRUTH, spoiled(record(4)), noise=LEVEL, options=FitOptions(loss="huber")))
-    assert {t.test for t in tests.alarms} == {"normality"}
+    assert {t.kind for t in tests.alarms} == {"normality"}
     wrong = residual_tests(fit(TRUTH.fix(Ra=8.5), spoiled(record(4)), noise=LEVEL, options=FitOptions(loss="huber")))
-    assert wrong.of("i", "independence of u").alarm
+    assert wrong.of("i", "input_independence").alarm
 
 
 def test_a_model_that_lacks_something_has_no_outliers_but_a_misfit():

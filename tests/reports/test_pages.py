@@ -89,7 +89,7 @@ def test_a_fit_that_failed_says_so_and_tests_nothing() -> None:
     assert page.verdict.paragraphs[0].startswith("This fit did not succeed")
     html = render(page)
     assert "tests of its residual would say nothing" in html
-    assert "speaks up" not in html
+    assert "an alarm" not in html
     many = replace(failed, notes=tuple(f"remark number {k} of five" for k in range(5)))
     assert [render(page_of(many)).count(f"emark number {k} of five") for k in range(5)] == [1] * 5
 
