@@ -45,7 +45,12 @@ def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> Figure:
     moving = [u for u, records in series.inputs.items() if any(np.ptp(record) > 0 for record in records)]
     panels = (
         _autocorrelation(series, _of_kind(own, ResidualTestKind.WHITENESS)),
-        *(_input_correlation(series, u, [t for t in _of_kind(own, ResidualTestKind.INPUT_INDEPENDENCE) if t.input == u]) for u in moving),
+        *(
+            _input_correlation(
+                series, u, [t for t in _of_kind(own, ResidualTestKind.INPUT_INDEPENDENCE) if t.input == u]
+            )
+            for u in moving
+        ),
         _normal_plot(series, _of_kind(own, ResidualTestKind.NORMALITY)),
         _along_records(series, _of_kind(own, ResidualTestKind.EQUAL_VARIANCE, ResidualTestKind.EQUAL_MEAN)),
     )
