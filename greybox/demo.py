@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -21,35 +21,57 @@ from greybox.export.linear_files import write_control
 from greybox.model import Model
 from greybox.plots import draw_fit, draw_gap
 from greybox.project import find_shipped_model
-from greybox.result import Estimate, Fit
-from greybox.result.summary import format_table, format_with_std
+from greybox.result import Fit
 from greybox.signals import chirp, multisine
 from greybox.simulation import write_csv
 from greybox.twin import simulate_twin
-from greybox.units import format_unit
+from greybox.values import Printable
 
-MODEL, HIDDEN = "micro_actuator", "cubic_stiffness"
-STRENGTH = {"K3": 5e9}  # N/m^3: at full stroke the hinges push back by an eighth more than a straight spring would
-SAMPLING_TIME, ROWS, CHECK_ROWS = 2.5e-4, 1200, 600  # 4 kHz: 0.3 s to learn from, 0.15 s to judge
-BAND = (5.0, 400.0)  # Hz: from below the mechanism's resonance at 122 Hz to where the inductance shows
-VOLTAGE = 2.0  # V, rms of the multisine and amplitude of the sweep
-NOISE = {"x": 0.2e-6, "i": 5e-3}  # m, A
-KNOWN = ("M", "Ra")  # weighed, and measured with a multimeter
-START_ERROR = 0.4  # the search starts this share above or below the truth
-SEED = 20100
-BLACK = (BlackBoxKind.ARX, BlackBoxKind.OUTPUT_ERROR)
 PLAIN, EXTENDED = "plain model", "with what was found"
+"""The names of the two physical models in the comparison."""
 
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Demo:
+class DemoSetup:
+    """The rig of the demonstration and how it is measured."""
+
+    model: str = "micro_actuator"
+    """The shipped model that is fitted."""
+    hidden: str = "cubic_stiffness"
+    """The effect that the rig has and the model lacks."""
+    strength: Mapping[str, float] = field(default_factory=lambda: {"K3": 5e9})
+    """Its parameters: at full stroke the hinges push back by an eighth more than a straight spring would (N/m^3)."""
+    sampling_time: float = 2.5e-4
+    """Seconds: 4 kHz resolves the electrical time constant of 60 us by the held input alone, and is a usual rate."""
+    rows: int = 1200
+    """Rows of the estimation record: 0.3 s."""
+    validation_rows: int = 600
+    """Rows of the validation record: 0.15 s."""
+    band: tuple[float, float] = (5.0, 400.0)
+    """Hz: from below the mechanism's resonance at 122 Hz to where the inductance shows."""
+    voltage: float = 2.0
+    """Volt: rms of the multisine and amplitude of the sweep."""
+    noise: Mapping[str, float] = field(default_factory=lambda: {"x": 0.2e-6, "i": 5e-3})
+    """Standard deviation of the noise of each output, in m and A."""
+    known: tuple[str, ...] = ("M", "Ra")
+    """Constants that are fixed: weighed, and measured with a multimeter."""
+    start_error: float = 0.4
+    """The start values are off by this share of the truth, upwards and downwards in turn."""
+    seed: int = 20100
+    """Seed of the multisine's phases and of the noise."""
+    black_boxes: tuple[BlackBoxKind, ...] = (BlackBoxKind.ARX, BlackBoxKind.OUTPUT_ERROR)
+    """The black boxes beside the physical models."""
+
+
+@dataclass(frozen=True)
+class Demo(Printable):
     """What was done, step by step.
 
     ``truth`` of the rig's constants, the hidden effect's included; ``start`` of the search. ``plain``: the model's own fit;
     ``discovery``: what it lacks; ``comparison`` with black boxes on the other record; ``plant``: matrices of the extended model.
-    ``records`` as files; ``files`` that were written beside them -> what they are; ``seconds`` in all.
+    ``records`` as files; ``files`` that were written beside them -> what they are; ``seconds`` in all; ``setup`` of the rig.
     """
 
     truth: Mapping[str, float]
@@ -61,6 +83,7 @@ class Demo:
     records: tuple[Path, ...]
     files: Mapping[Path, str]
     seconds: float
+    setup: DemoSetup
 
     @property
     def fit(self) -> Fit:
@@ -73,124 +96,114 @@ class Demo:
         found = {name: self.fit.parameters[name] for name in self.truth if name in self.fit.parameters}
         return {name: (e.value - self.truth[name]) / (e.std or np.nan) for name, e in found.items()}
 
-    def __str__(self) -> str:
-        return "\n".join(
-            [
-                self.constants,
-                "",
-                self.discovery.story,
-                *self._gaps(),
-                "",
-                *map(str, self.comparison.verdict[:1]),
-                "",
-                str(self.plant),
-            ]
-        )
 
-    def _gaps(self) -> list[str]:
-        return [
-            f"  {o}: misfit on the other record {g.before:.3g} -> {g.after:.3g} {format_unit(g.unit)} (noise {g.floor:.3g})"
-            for o, g in self.discovery.gap.items()
-        ]
-
-    @property
-    def constants(self) -> str:
-        """Each constant beside the truth: with the model as it was, and with the effect that was found."""
-        rows = []
-        for name, truth in self.truth.items():
-            e = self.fit.parameters.get(name)
-            before = self.plain.parameters.get(name)
-            rows.append([
-                name, f"{truth:.5g}", f"{self.start[name]:.4g}" if name in self.start else "", format_estimate(before), format_estimate(e),
-                f"{abs(self.deviations[name]):.1f} std" if e else "", format_unit(e.unit) if e else "",
-            ])  # fmt: skip
-        head = ["constant", "true", "start", PLAIN, EXTENDED, "off by", "unit"]
-        return "\n".join(format_table(head, rows))
-
-
-def format_estimate(e: Estimate | None) -> str:
-    """``value +- std``; empty where a model lacks the constant."""
-    return "" if e is None else format_with_std(e.value, e.std or 0.0)
-
-
-def run_demo(directory: str | Path, *, say: Say | None = None, report: Callable[[int], None] | None = None) -> Demo:
+def run_demo(
+    directory: str | Path,
+    *,
+    setup: DemoSetup | None = None,
+    say: Say | None = None,
+    report: Callable[[int], None] | None = None,
+) -> Demo:
     """Measure a simulated micro-motion actuator whose spring hardens, and let the program find that out.
 
     The records come from `greybox.twin`, an integrator that the fits do not use, with white noise; they are written to
-    ``directory`` as CSV and read back, as a user's would be. The model that is fitted knows nothing of the hardening and
-    starts 40 % off. ``say`` is told, a line at a time, what happens next; ``report`` how many refits of the
-    discovery are done.
+    ``directory`` as CSV and read back, as a user's would be. The model that is fitted knows nothing of the hardening, and its
+    start values are 40 % off.
+
+    Parameters
+    ----------
+    directory
+        Folder for the records, results and figures.
+    setup
+        The rig and how it is measured; the default is the one of the tutorial.
+    say
+        Called with a line of text before each step.
+    report
+        Called with the number of refits of the discovery that are done.
     """
     began, folder = time.perf_counter(), Path(directory)
+    setup = setup or DemoSetup()
     tell = say or (lambda _: None)
-    model = find_shipped_model(MODEL)
-    rig = (model + effect(HIDDEN)).start(**STRENGTH)
-    tell(f"measuring the rig (a simulation by CVODES, with sensor noise); it hides {HIDDEN}, which the model lacks")
-    records = _measure(rig, folder)
-    known = model.fix(*KNOWN)
-    truth = {q.name: q.value for q in rig.fix(*KNOWN).free_parameters}
-    start = {q.name: q.value * (1 + START_ERROR * (-1) ** k) for k, q in enumerate(known.free_parameters)}
+    model = find_shipped_model(setup.model)
+    rig = (model + effect(setup.hidden)).start(**setup.strength)
+    tell(
+        f"measuring the rig (a simulation by CVODES, with sensor noise); it hides {setup.hidden}, which the model lacks"
+    )
+    records = _measure(rig, folder, setup)
+    known = model.fix(*setup.known)
+    truth = {q.name: q.value for q in rig.fix(*setup.known).free_parameters}
+    start = {q.name: q.value * (1 + setup.start_error * (-1) ** k) for k, q in enumerate(known.free_parameters)}
     train, test = (read_csv(path, known) for path in records)
     options = FitOptions(at_rest=True)
-    tell(f"1. fit: {', '.join(start)} from {train.rows} rows; {' and '.join(KNOWN)} are known")
-    plain = fit(known.start(**start), train, noise=NOISE, validation=test, options=options)
-    tell(f"   in x it is off by {plain.misfit['x'].noise_ratio:.0f} times the noise: the model lacks something")
-    tell("2. discover: which effect of the catalogue would close that gap?")
+    tell(f"1. fit: {', '.join(start)} from {train.rows} rows; {' and '.join(setup.known)} are known")
+    plain = fit(known.start(**start), train, noise=setup.noise, validation=test, options=options)
+    tell(f"   the residual in x is {plain.misfit['x'].noise_ratio:.0f} times the noise: the model lacks something")
+    tell("2. discover: which effect of the catalogue explains the residual?")
     found = discover(
         known.start(**start),
         train,
         validation=test,
-        noise=NOISE,
+        noise=setup.noise,
         options=options,
         say=lambda s: tell(f"   {s}"),
         report=report,
     )
     tell("3. compare with black boxes, which need no physics")
-    compared = _compared(plain, found.best, train, test)
+    comparison = _compare(plain, found.best, train, test, setup)
     tell("4. export the state space, draw")
     plant = linearise(found.best)
     files = {
         plain.save(folder / "plain.json"): "the fit of the model as it was",
         found.best.save(folder / "fit.json"): "the fit with the effect, for greybox export",
         found.save(folder / "discovery.json"): "what is missing, and the evidence",
-        save_comparison(compared, folder / "compare.json"): "beside the black boxes",
+        save_comparison(comparison, folder / "compare.json"): "beside the black boxes",
         write_control(plant, folder / "plant_ss.py"): "the state space for python-control",
     }
-    files |= dict.fromkeys(_gap(plain, found.best, compared, folder), "the gap before and after")
+    files |= dict.fromkeys(_draw_gap(plain, found.best, comparison, folder, setup), "the gap before and after")
     files |= dict.fromkeys(draw_fit(found.best, folder), "measured and simulated")
-    return Demo(truth, start, plain, found, compared, plant, records, files, time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    return Demo(truth, start, plain, found, comparison, plant, records, files, seconds, setup)
 
 
-def _compared(plain: Fit, best: Fit, train: Experiment, test: Experiment) -> Comparison:
-    """Both physical models and the best ARX and output-error model of the displacement, on the record that none of them saw."""
-    boxes = best_black_boxes(train, output="x", kinds=BLACK, at_rest=True, units={"x": "m", "u": "V"})
+def _compare(plain: Fit, best: Fit, train: Experiment, test: Experiment, setup: DemoSetup) -> Comparison:
+    """Both physical models and the best black boxes of the displacement, on the record that none of them saw."""
+    scans = best_black_boxes(train, output="x", kinds=setup.black_boxes, at_rest=True, units={"x": "m", "u": "V"})
     models: dict[str, ComparedModel] = {PLAIN: plain, EXTENDED: best}
-    models |= {str(kind): [scan.best] for kind, scan in boxes.items()}
+    models |= {str(kind): [scan.best] for kind, scan in scans.items()}
     return compare(models, test, training=train)
 
 
-def _gap(plain: Fit, best: Fit, compared: Comparison, folder: Path) -> list[Path]:
-    """The picture of the gap, on the record that was not used."""
-    noise = NOISE["x"]
-    black = [e.name for e in compared.entries if e.kind == "black"]
+def _draw_gap(plain: Fit, best: Fit, comparison: Comparison, folder: Path, setup: DemoSetup) -> list[Path]:
+    """The picture of the gap, on the validation record."""
+    noise = setup.noise["x"]
+    black = [e.name for e in comparison.entries if e.kind == "black"]
     order = [PLAIN, *black, EXTENDED]
     added = "".join(f" + {e.name}" for e in best.model.effects)
     names = {PLAIN: PLAIN, EXTENDED: PLAIN + added if added else EXTENDED, **{n: f"{n} (black box)" for n in black}}
-    ratios = {names[n]: compared[n].validation["x"].rmse / noise for n in order}
+    ratios = {names[n]: comparison[n].validation["x"].rmse / noise for n in order}
     return draw_gap(
-        plain.validation.traces[0], best.validation.traces[0], output="x", unit="m", noise=noise, ratios=ratios,
-        names=(names[PLAIN], names[EXTENDED]), path=folder / "gap",
-    )  # fmt: skip
+        plain.validation.traces[0],
+        best.validation.traces[0],
+        output="x",
+        unit="m",
+        noise=noise,
+        ratios=ratios,
+        names=(names[PLAIN], names[EXTENDED]),
+        path=folder / "gap",
+    )
 
 
-def _measure(rig: Model, folder: Path) -> tuple[Path, Path]:
-    """Two records of the rig: one to learn from, one to judge by."""
-    generator = np.random.default_rng(SEED)
+def _measure(rig: Model, folder: Path, setup: DemoSetup) -> tuple[Path, Path]:
+    """Two records of the rig: one to estimate from, one to judge by."""
+    generator = np.random.default_rng(setup.seed)
     (drive,) = (i.name for i in rig.inputs)
-    t = SAMPLING_TIME * np.arange(ROWS)
-    inputs = {"multisine": multisine(t, *BAND, VOLTAGE, generator), "sweep": chirp(t[:CHECK_ROWS], *BAND, VOLTAGE)}
+    t = setup.sampling_time * np.arange(setup.rows)
+    inputs = {
+        "multisine": multisine(t, *setup.band, setup.voltage, generator),
+        "sweep": chirp(t[: setup.validation_rows], *setup.band, setup.voltage),
+    }
     paths = []
     for k, (name, u) in enumerate(inputs.items()):
-        record = simulate_twin(rig, {drive: u}, SAMPLING_TIME, NOISE, SEED + k, name=name)
+        record = simulate_twin(rig, {drive: u}, setup.sampling_time, setup.noise, setup.seed + k, name=name)
         paths.append(write_csv(record, rig, folder / f"{name}.csv"))
     return paths[0], paths[1]

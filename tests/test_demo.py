@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from greybox import read_csv, report
-from greybox.demo import EXTENDED, HIDDEN, KNOWN, NOISE, PLAIN, STRENGTH, Demo, run_demo
+from greybox.demo import EXTENDED, PLAIN, Demo, DemoSetup, run_demo
 from models.micro_actuator import micro_actuator
+
+SETUP = DemoSetup()
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +27,7 @@ def found(tmp_path_factory: pytest.TempPathFactory, told: list[str]) -> Demo:
 
 
 def test_the_model_alone_misses_the_record_by_far(found: Demo) -> None:
-    assert HIDDEN not in {e.name for e in found.plain.model.effects}
+    assert SETUP.hidden not in {e.name for e in found.plain.model.effects}
     assert found.plain.misfit["x"].noise_ratio > 50
     assert any("lacks something" in note for note in found.plain.notes)
 
@@ -33,14 +35,14 @@ def test_the_model_alone_misses_the_record_by_far(found: Demo) -> None:
 def test_the_hidden_effect_is_named_and_closes_the_gap(found: Demo) -> None:
     assert found.discovery.verdict == "named"
     (effect,) = found.discovery.effects
-    assert (effect["name"], effect["site"]) == (HIDDEN, "force")
-    assert effect["parameters"]["K3"]["value"] == pytest.approx(STRENGTH["K3"], rel=0.01)
-    assert found.discovery.gap["x"].before > 50 * NOISE["x"]
-    assert found.discovery.gap["x"].after == pytest.approx(NOISE["x"], rel=0.08)
+    assert (effect["name"], effect["site"]) == (SETUP.hidden, "force")
+    assert effect["parameters"]["K3"]["value"] == pytest.approx(SETUP.strength["K3"], rel=0.01)
+    assert found.discovery.gap["x"].before > 50 * SETUP.noise["x"]
+    assert found.discovery.gap["x"].after == pytest.approx(SETUP.noise["x"], rel=0.08)
 
 
 def test_the_constants_come_back_from_a_start_forty_percent_off(found: Demo) -> None:
-    truth = {n: v for n, v in micro_actuator.values.items() if n not in KNOWN} | STRENGTH
+    truth = {n: v for n, v in micro_actuator.values.items() if n not in SETUP.known} | SETUP.strength
     assert found.truth == truth
     for name, value in truth.items():
         if name in found.start:

@@ -6,15 +6,26 @@ import functools
 import signal
 import threading
 import warnings
-from collections.abc import Callable
-from typing import Any, NoReturn
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
 from greybox.cli import INTERRUPTED
 from greybox.errors import GreyboxError
 
-__all__ = ["BAD_INPUT", "INTERRUPTED", "UNSUCCESSFUL", "exit_on_error", "exit_with_error", "print_note"]
+if TYPE_CHECKING:
+    from greybox.findings import Finding
+
+__all__ = [
+    "BAD_INPUT",
+    "INTERRUPTED",
+    "UNSUCCESSFUL",
+    "exit_on_error",
+    "exit_with_error",
+    "print_findings",
+    "print_note",
+]
 
 UNSUCCESSFUL, BAD_INPUT = 1, 2
 
@@ -51,6 +62,14 @@ def exit_with_error(message: str, code: int) -> NoReturn:
 def print_note(message: str) -> None:
     """A line on stderr, so that stdout stays what was asked for."""
     typer.echo(message, err=True)
+
+
+def print_findings(findings: Iterable[Finding]) -> None:
+    """A line on stderr for each finding, with its severity in front."""
+    from greybox.rendering import sentence
+
+    for finding in findings:
+        print_note(f"{finding.severity}: {sentence(finding)}")
 
 
 def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json as json_format
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -9,11 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli import options as o
+from greybox.cli.answers import CodeAnswer, LinearAnswer
 from greybox.cli.exits import print_note
-from greybox.cli.fit_files import load_fit_with_model
-from greybox.cli.reporting import NoReport, report_line, write_report
-from greybox.errors import GreyboxError
+from greybox.cli.options import NoReport, Texts, check_writable
+from greybox.cli.reporting import write_report
+from greybox.cli.study import FIT, SPECS
+from greybox.cli.study_values import parse_numbers
+from greybox.errors import DataError, GreyboxError, ModelError
 
 if TYPE_CHECKING:
     from greybox.export import Linearisation, ModelFamily
@@ -65,7 +68,7 @@ def export(
         ),
     ],
     at: Annotated[
-        o.Names,
+        Texts,
         typer.Option(
             "--at",
             metavar="NAME=VALUE",
@@ -96,7 +99,7 @@ def export(
         int, typer.Option("--samples", metavar="N", min=0, help="Add N models drawn from the constants' covariance.")
     ] = 0,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of these draws.")] = 0,
-    substeps: o.Substeps = 0,
+    substeps: Annotated[int, typer.Option("--substeps", metavar="N", min=0, help=SPECS["substeps"].help_for(FIT))] = 0,
     model: Annotated[
         str | None,
         typer.Option("--model", metavar="MODEL", help="The fit's model or its file, where its name does not find it."),
@@ -117,28 +120,30 @@ def export(
     Exit code 0: written. 2: bad input, nothing was written.
     """
     from greybox.export.identifiers import to_identifier
+    from greybox.rendering.cli import report_line
 
-    point = o.parse_numbers("--at", at)
+    point = parse_numbers("--at", at)
     given = {
         "--at": point, "--method": method, "--delay": delay, "--minimal": minimal, "--samples": samples, "--seed": seed,
     }  # fmt: skip
     _refuse_idle(to, dt, method, given, substeps)
-    found = load_fit_with_model(fit, model)
-    name = to_identifier(found.model.name)
+    result = load_fit_with_model(fit, model)
+    name = to_identifier(result.model.name)
     suffix = "_ss.py" if to is Target.control else SUFFIX[to]
     target = _target(output or Path("results") / f"{name}-export" / f"{name}{suffix}", to, fit)
+    answer: LinearAnswer | CodeAnswer
     if to in LINEAR:
-        lines, made = _linear(found, to, target, point, dt, method or Sampling.zoh, delay, minimal, samples, seed)
+        answer, made = _linear(result, to, target, point, dt, method or Sampling.zoh, delay, minimal, samples, seed)
     else:
-        lines, made = _code(found, to, target, dt, substeps)
+        answer, made = _code(result, to, target, dt, substeps)
     report = None if no_report else write_report(made, target.with_name(f"{target.name}.html"))
     if json:
-        typer.echo(_in_json(made, to, report))
+        typer.echo(_as_json(made, to, report))
     else:
-        typer.echo("\n".join([*lines, *([report_line(report)] if report else [])]))
+        typer.echo("\n".join([str(answer), *([report_line(report)] if report else [])]))
 
 
-def _in_json(made: Export, to: Target, report: Path | None) -> str:
+def _as_json(made: Export, to: Target, report: Path | None) -> str:
     from greybox.export.linear_files import to_data
     from greybox.export.plant import to_plant
     from greybox.result import format_json
@@ -151,9 +156,17 @@ def _in_json(made: Export, to: Target, report: Path | None) -> str:
 
 
 def _linear(
-    fit: Fit, to: Target, target: Path, at: Mapping[str, float], dt: float | None, method: Sampling, delay: float, minimal: bool,
-    samples: int, seed: int,
-) -> tuple[list[str], Export]:  # fmt: skip
+    fit: Fit,
+    to: Target,
+    target: Path,
+    at: Mapping[str, float],
+    dt: float | None,
+    method: Sampling,
+    delay: float,
+    minimal: bool,
+    samples: int,
+    seed: int,
+) -> tuple[LinearAnswer, Export]:
     from dataclasses import replace
 
     from greybox.export import linearise, sample_family
@@ -176,12 +189,13 @@ def _linear(
     else:
         writer = {Target.mat: write_mat, Target.json: write_json, Target.numpy: write_npz}[to]
         written = writer(linear, target, plant=plant, family=drawn)
-    asked = linear.notes[len(whole.notes) :]
-    shown = [str(replace(linear, notes=asked)), *(["", str(replace(drawn, notes=()))] if drawn else [])]
-    return [*shown, "", f"written: {written}"], Export(fit, KIND[to], (written,), linear, drawn)
+    # Notes of the whole model went to stderr above; those of the reduction belong to what is shown.
+    shown = replace(linear, notes=linear.notes[len(whole.notes) :])
+    family = None if drawn is None else replace(drawn, notes=())
+    return LinearAnswer(shown, family, (written,)), Export(fit, KIND[to], (written,), linear, drawn)
 
 
-def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -> tuple[list[str], Export]:
+def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -> tuple[CodeAnswer, Export]:
     from greybox.export import to_c, to_fmu, to_modelica, to_python
     from greybox.export.plant import to_plant
     from greybox.reports.of_export import Export
@@ -189,21 +203,16 @@ def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -
     for text in to_plant(fit).notes:
         print_note(f"warning: {text}")
     files: tuple[Path, ...]
+    step = (dt if dt is not None else to_plant(fit).sampling_time) if to in STEPPED else None
     if to is Target.c:
         source, header = to_c(fit, target, dt=dt, substeps=substeps)
-        said, files = f", one step of {_step(fit, dt)}", (header, source)
+        files = (header, source)
     elif to is Target.fmu:
-        said, files = f", step {_step(fit, dt)}", (to_fmu(fit, target, dt=dt, substeps=substeps),)
+        files = (to_fmu(fit, target, dt=dt, substeps=substeps),)
     else:
-        said, files = "", ((to_modelica if to is Target.modelica else to_python)(fit, target),)
-    lines = [f"{fit.model.title} as {KIND[to]}{said}", f"written: {', '.join(map(str, files))}"]
-    return lines, Export(fit, KIND[to], files)
-
-
-def _step(fit: Fit, dt: float | None) -> str:
-    from greybox.export.plant import to_plant
-
-    return f"{dt if dt is not None else to_plant(fit).sampling_time:g} s"
+        files = ((to_modelica if to is Target.modelica else to_python)(fit, target),)
+    step_name = "one step of" if to is Target.c else "step"
+    return CodeAnswer(fit.model.title, KIND[to], step, step_name, files), Export(fit, KIND[to], files)
 
 
 def _refuse_idle(
@@ -234,5 +243,32 @@ def _target(path: Path, to: Target, fit: Path) -> Path:
     target = path.with_suffix(SUFFIX[to])
     if target.exists() and target.samefile(fit):
         raise GreyboxError(f"--output {path}: it is the fit that is read, which would be lost; give another file")
-    o.check_writable(target.parent)
+    check_writable(target.parent)
     return target
+
+
+def load_fit_with_model(path: Path, model: str | None = None) -> Fit:
+    """The fit in ``path``. ``model`` names its model or model file (None: the name that the file holds).
+
+    Effects of the catalogue that the fit has and the model lacks are added. Raises DataError for a file that is no fit, ModelError
+    where its model cannot be found.
+    """
+    from greybox.effects import effect
+    from greybox.project import find_model
+    from greybox.result import load_fit
+
+    try:
+        data = json_format.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json_format.JSONDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "not JSON"
+        raise DataError(f"{path}: not a readable fit ({why}); give the fit.json that greybox fit has written") from None
+    if not (isinstance(data, dict) and isinstance(data.get("model"), str) and isinstance(data.get("effects"), list)):
+        raise DataError(f"{path}: not a fit of this program; give the fit.json that greybox fit has written")
+    try:
+        plant = find_model(model or data["model"])
+        present = [e.name for e in plant.effects]
+        for name in data["effects"]:
+            plant = plant if name in present else plant + effect(name)
+    except ModelError as error:
+        raise ModelError(f"{path}: its model cannot be found: {error}; name its file with --model my/rig.py") from None
+    return load_fit(path, plant)

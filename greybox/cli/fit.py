@@ -2,178 +2,202 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from greybox.cli import constraints as c
-from greybox.cli import intervals as i
-from greybox.cli import options as o
-from greybox.cli import predicted as p
-from greybox.cli import searching as s
+from greybox.cli.answers import FitAnswer, RecordMisfit
 from greybox.cli.exits import INTERRUPTED, UNSUCCESSFUL, exit_with_error
+from greybox.cli.inputs import (
+    build_model,
+    check_intervals,
+    check_prediction_steps,
+    check_skip,
+    check_substeps,
+    constrain,
+    fit_options,
+    print_record_notes,
+    read_quiet_records,
+    read_records,
+    seed_of,
+)
 from greybox.cli.interrupts import hold_interrupts
-from greybox.cli.progress import show_fit_progress
-from greybox.cli.records import SplitHoles, misfit_by_record, print_record_notes
-from greybox.cli.reporting import NoReport, report_line, write_report
+from greybox.cli.options import Json, NoReport, Silent, check_writable, takes_study
+from greybox.cli.policy import COMMANDS
+from greybox.cli.progress import show_fit_progress, show_progress
+from greybox.cli.reporting import write_report
+from greybox.cli.study import FIT, Study
+from greybox.errors import FitError
 
 if TYPE_CHECKING:
+    from greybox.experiment import Experiment
     from greybox.residuals import ResidualTests
-    from greybox.result import Fit
+    from greybox.result import Fit, Trace
 
 
+@takes_study(FIT)
 def fit(
-    model: o.ModelName,
-    data: Annotated[
-        list[Path],
-        typer.Argument(metavar="DATA", help="Records to fit: CSV, TSV, MAT, NPZ or Parquet, headers 'name [unit]'."),
-    ],
-    *,
-    fix: o.Fix,
-    start: o.Start,
-    free: o.Free,
-    effect: o.Effects,
-    prior: c.Prior,
-    tie: c.Tie,
-    per_experiment: c.Own,
-    schedule: c.Schedule,
-    condition: c.Condition,
-    process_noise: p.ProcessNoise,
-    noise: o.Noise,
-    quiet: o.Quiet,
-    validate: Annotated[
-        list[Path],
-        typer.Option(
-            "--validate", metavar="FILE", default_factory=list, help="A record to judge the fit by; may be repeated."
-        ),
-    ],
-    skip: Annotated[
-        int,
-        typer.Option("--skip", metavar="N", min=0, help="Rows at the start of --validate records that do not count."),
-    ] = 0,
-    hold: o.Hold = o.HoldName.zero,
-    at_rest: o.AtRest = False,
-    free_decay: o.FreeDecay = False,
-    split_holes: SplitHoles = False,
-    column: o.Columns,
-    method: o.Method = o.MethodName.automatic,
-    substeps: o.Substeps = 0,
-    loss: c.Loss = "squares",
-    transcription: s.Transcription = s.TranscriptionName.automatic,
-    arc_length: s.ArcLength = 0.0,
-    starts: s.Starts = 1,
-    seed: s.Seed = None,
-    predict: p.Predict,
-    profile: i.Profile,
-    bootstrap: i.Bootstrap = 0,
+    study: Study,
     output: Annotated[
         Path | None,
         typer.Option("--output", metavar="DIR", help="Folder for fit.json and figures. [default: results/MODEL-fit]"),
     ] = None,
-    silent: Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the fit as JSON instead of text.")] = False,
+    silent: Silent = False,
+    json: Json = False,
     no_report: NoReport = False,
 ) -> None:
     """Fit the constants of MODEL to records, and judge the fit.
 
-    Prints the equations, the constants with 95 % intervals, the misfit on the fitted and on the validation records, and
-    what to know before trusting them. Writes DIR/fit.json, a figure for each record (PNG and SVG), and DIR/report.html: a
-    page with everything, to look at in a browser.
+    Prints the equations, the constants with 95 % intervals, the misfit on the estimation and the validation records, and
+    what to know before trusting them. Writes DIR/fit.json, a figure for each record (PNG and SVG), and DIR/report.html, a
+    page that shows everything in a browser.
+
+    greybox fit study.toml runs a study file; --write-study makes one from these options.
 
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.
     """
-    from greybox.estimation import FitOptions
     from greybox.estimation import fit as fit_model
-    from greybox.experiment import read_experiments
-    from greybox.project import find_model
+    from greybox.estimation import multistart
 
-    plant = p.apply_process_noise(
-        o.change_model(c.apply_schedule(find_model(model), schedule), effects=effect), process_noise
-    )
-    plant = o.change_model(plant, fix=fix, start=start, free=free)
-    plant = c.apply_priors_and_ties(plant, prior, tie)
-    o.check_substeps(plant, method, substeps)
-    folder = o.check_writable(output or Path("results") / f"{plant.name}-fit")
-    said, columns = o.parse_numbers("--noise", noise), o.parse_pairs("--column", column) or None
-    records, judges = c.read_records(
-        condition, plant, data, validate, split=split_holes, at_rest=at_rest, columns=columns, hold=hold.value,
-        allow_constant_input=free_decay,
-    )  # fmt: skip
-    hushed = read_experiments(quiet, plant, columns=columns, allow_constant_input=True) if quiet else ()
-    o.check_skip(skip, judges)
-    p.check_prediction_steps(predict, records, judges)
-    if not silent:  # those of the fitted records stand in the result, but for JSON
-        print_record_notes(*((records, judges) if json else (judges,)))
-    choice = FitOptions(
-        at_rest=at_rest, method=method.value, substeps=substeps, loss=loss, per_experiment=c.parse_names(per_experiment),
-        transcription=transcription.value, arc_length=arc_length,
-    )  # fmt: skip
-    seed, profiled = s.check_seed(starts, seed), i.check_intervals(plant, profile, bootstrap)
-    given: dict[str, Any] = {"noise": said, "quiet": hushed, "validation": judges, "skip": skip, "options": choice}
-    if starts > 1:
-        many = s.fit_from_many_starts(plant, records, starts, seed, **given)
+    model = constrain(build_model(study), study)
+    check_substeps(study, model)
+    folder = check_writable(output or Path("results") / f"{model.name}-fit")
+    records, validation = read_records(study, model)
+    quiet = read_quiet_records(study, model)
+    check_skip(study, validation)
+    check_prediction_steps(study, records, validation)
+    if not silent:  # notes on the fitted records stand in the result, but for JSON
+        print_record_notes(*((records, validation) if json else (validation,)))
+    seed, profiled = seed_of(study), check_intervals(study, model)
+    given: dict[str, Any] = {
+        "noise": dict(study.noise),
+        "quiet": quiet,
+        "validation": validation,
+        "skip": study.skip,
+        "options": fit_options(study),
+    }
+    if study.starts > 1:
+        with show_progress() as show:
+            many = multistart(
+                model,
+                records,
+                starts=study.starts,
+                seed=seed,
+                report=lambda done, jobs: show(f"{model.title}: {done} of {jobs} starts done", done / jobs),
+                **given,
+            )
         result, interrupted = many.best, many.interrupted
     else:
-        with hold_interrupts() as interrupt, show_fit_progress(plant.title, interrupt) as report:
-            result = fit_model(plant, records, report=report, **given)
+        with hold_interrupts() as interrupt, show_fit_progress(model.title, interrupt) as report:
+            result = fit_model(model, records, report=report, **given)
         interrupted = interrupt.asked
     with hold_interrupts():
         saved = result.save(folder / "fit.json")
-    tests = None if interrupted else _tested(result)
-    more = (
-        []
-        if interrupted or silent or json
-        else [*i.describe_remedies(result), *i.further_intervals(result, profiled, bootstrap)]
-    )
-    ahead = [] if interrupted or silent or json else p.prediction_table(result, judges, predict, skip)
-    _tell(result, tests, [*more, *ahead], saved, skip, quiet=silent, json=json)
+    tests = None if interrupted else _residual_tests(result)
+    if json:
+        typer.echo(saved.read_text(encoding="utf-8"), nl=False)
+    elif not silent:
+        typer.echo(str(_answer(result, tests, study, validation, profiled, short=interrupted)))
     if interrupted or result.status == "interrupted":
         older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
         exit_with_error(f"interrupted; the best point so far is in {saved} (no figures, no report{older})", INTERRUPTED)
-    _draw(result, tests, saved, skip, quiet=silent or json, page=not no_report)
+    _draw(result, tests, saved, study.skip, quiet=silent or json, page=not no_report)
     if not result.success:
         exit_with_error(f"no success: {result.solver.status_message}", UNSUCCESSFUL)
 
 
-def _tell(
-    result: Fit, tests: ResidualTests | None, ahead: list[str], saved: Path, skip: int, *, quiet: bool, json: bool
-) -> None:
-    if json:
-        typer.echo(saved.read_text(encoding="utf-8"), nl=False)
-    elif not quiet:
-        said = [
-            "",
-            "residual tests (each alone raises a false alarm, p below 0.01, in one fit of a hundred)",
-            str(tests),
-        ]
-        typer.echo(
-            "\n".join(
-                [
-                    result.provenance.equations,
-                    "",
-                    str(result),
-                    *ahead,
-                    *(said if tests else []),
-                    *misfit_by_record(result, skip),
-                ]
-            )
-        )
+def _answer(
+    result: Fit,
+    tests: ResidualTests | None,
+    study: Study,
+    validation: Sequence[Experiment],
+    profiled: Sequence[str],
+    *,
+    short: bool,
+) -> FitAnswer:
+    """The fit with everything that was asked for; ``short`` without what takes further computation."""
+    from greybox.identifiability import recommend_after_fit
+
+    tables: dict[str, Any] = {
+        "tests": tests,
+        "misfits": _misfits(result, result.traces, 0),
+        "validation_misfits": _misfits(result, result.validation.traces, study.skip),
+    }
+    if short:
+        return FitAnswer(result, **tables)
+    further = _intervals(result, profiled, study.bootstrap) if result.success else {}
+    return FitAnswer(
+        result, remedies=tuple(recommend_after_fit(result)), **further, **_scores(result, study, validation), **tables
+    )
 
 
-def _tested(result: Fit) -> ResidualTests | None:
+def _residual_tests(result: Fit) -> ResidualTests | None:
     """The tests of the residual; none of a fit that did not succeed, or whose run is not a free one."""
     from greybox.estimation.restore import has_free_run
     from greybox.residuals import residual_tests
 
-    return (
-        residual_tests(result) if result.success and (has_free_run(result) or result.prediction.process_noise) else None
-    )
+    testable = result.success and (has_free_run(result) or result.prediction.process_noise)
+    return residual_tests(result) if testable else None
+
+
+def _misfits(result: Fit, traces: Sequence[Trace], skip: int) -> list[RecordMisfit]:
+    """The misfit of each record without its first ``skip`` rows, where there are several records."""
+    from greybox.plots import record_misfits
+
+    if len(traces) < 2:
+        return []
+    return [(t.name, output, misfit) for t in traces for output, misfit in record_misfits(result, t, skip).items()]
+
+
+def _intervals(result: Fit, profiled: Iterable[str], replicates: int) -> dict[str, Any]:
+    """The profiles and the bootstrap that were asked for; why there are none, where the fit has none to give."""
+    import numpy as np
+
+    from greybox.uncertainty import bootstrap, profile
+
+    found: dict[str, Any] = {}
+    try:
+        labels = list(_labels(result, profiled))
+        zero = [n for n in labels if n in result.model.noise_parameters and result.model.values[n] == 0]
+        found["zero_noise"] = tuple(zero)
+        found["profiles"] = tuple(profile(result, name) for name in labels if name not in zero)
+        if replicates:
+            draws = np.random.default_rng(COMMANDS.bootstrap_seed)
+            found["bootstrap"] = bootstrap(result, draws, replicates=replicates)
+    except FitError as error:
+        found["refusal"] = str(error)
+    return found
+
+
+def _labels(result: Fit, names: Iterable[str]) -> Iterator[str]:
+    """A constant that each record has for itself is one constant for each of them."""
+    own = result.constraints.per_experiment
+    for name in names:
+        yield from [f"{name} ({title})" for title in own[name]] if name in own else [name]
+
+
+def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict[str, Any]:
+    """Free run and predictions so many samples ahead; without being asked one sample, where the records are not too long."""
+    from greybox.residuals import score
+
+    rows = sum(len(t.time) for t in result.traces) + sum(e.rows for e in validation)
+    unasked = [1] if rows <= COMMANDS.unasked_prediction_rows else []
+    steps = sorted({k for k in study.predict if k}) if study.predict else unasked
+    if not steps or not result.success:
+        return {}
+    found = {"scores": score(result, steps=steps)}
+    if validation:
+        found["validation_scores"] = score(result, validation, steps=steps, skip=study.skip)
+    return found
 
 
 def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool, page: bool) -> None:
+    """The figures and the report, with the lines that say so."""
     from greybox.plots import draw_fit, draw_residual_tests
+    from greybox.rendering.cli import report_line, written
 
     try:
         figures = draw_fit(result, saved.parent, skip=skip)
@@ -182,6 +206,6 @@ def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, q
     except KeyboardInterrupt:
         exit_with_error(f"interrupted while drawing; the fit is in {saved}", INTERRUPTED)
     if not quiet:
-        typer.echo(f"\nwritten: {saved}, {', '.join(map(str, figures))}")
+        typer.echo(f"\n{written([saved, *figures])}")
         if report:
             typer.echo(report_line(report))

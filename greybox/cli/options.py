@@ -1,220 +1,155 @@
-"""What several commands share: how options are written, and what they do to a model."""
+"""From the fields of a study to the options of the commands, and the few options that are no part of a study."""
 
 from __future__ import annotations
 
-import math
+import functools
+import inspect
 import tempfile
-from collections.abc import Iterable, Sequence
-from enum import StrEnum
+import typing
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
 from greybox.cli import completion
-from greybox.cli.exits import print_note
-from greybox.errors import GreyboxError, ModelError
+from greybox.cli.exits import BAD_INPUT, exit_with_error
+from greybox.cli.study import STUDY_COMMANDS, Spec, Study, fields_of
+from greybox.cli.study_file import is_study_file, read_study, with_overrides, write_study
+from greybox.cli.study_values import Count, parse_numbers
+from greybox.cli.usage_errors import describe_missing_argument
+from greybox.errors import GreyboxError
 
-if TYPE_CHECKING:
-    from greybox.experiment import Experiment
-    from greybox.model import Model
+Texts = list[str]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.html.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of text.")]
+Silent = Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")]
 
-Names = list[str]
-FEWEST_JUDGED = 10  # rows of a validation record that must be left
-
-
-class HoldName(StrEnum):
-    """How the input moves between samples."""
-
-    zero = "zero"
-    first = "first"
-    band_limited = "band-limited"
-
-
-class MethodName(StrEnum):
-    """How the equations are integrated."""
-
-    automatic = "automatic"
-    exact = "exact"
-    rk4 = "rk4"
-    mixed = "mixed"
-    midpoint = "midpoint"
-    radau = "radau"
+MODEL_HELP = "Name of a model (see greybox models), or a model file: my/rig.py, my/rig.py:name."
+STUDY_HELP = " A study file, study.toml, takes the place of MODEL, records and options."
+RECORDS = {
+    "fit": ("DATA", "Records to fit: CSV, TSV, MAT, NPZ or Parquet, headers 'name [unit]'."),
+    "compare": ("TRAIN", "Records to fit: CSV, TSV, MAT, NPZ or Parquet, headers 'name [unit]'."),
+    "discover": ("ESTIMATION", "Records to learn from, headers 'name [unit]'."),
+    "check": ("DATA", "Records; without them the model is simulated."),
+}
+"""What the records to fit are called in the help of each command."""
+WITHOUT_RECORDS = ("check", "simulate")
+"""Commands that need no records."""
 
 
-ModelName = Annotated[
-    str,
-    typer.Argument(
-        metavar="MODEL",
-        show_default=False,
-        autocompletion=completion.models,
-        help="Name of a model (see greybox models), or a model file: my/rig.py, my/rig.py:name.",
-    ),
-]
-Fix = Annotated[
-    Names,
-    typer.Option(
-        "--fix",
-        metavar="NAME=VALUE",
-        default_factory=list,
-        autocompletion=completion.constants,
-        help="A constant that is known, in its unit; NAME alone fixes it where it is.",
-    ),
-]
-Start = Annotated[
-    Names,
-    typer.Option(
-        "--start",
-        metavar="NAME=VALUE",
-        default_factory=list,
-        autocompletion=completion.constants,
-        help="A value to start from, in its unit.",
-    ),
-]
-Free = Annotated[
-    Names,
-    typer.Option(
-        "--free",
-        metavar="NAME",
-        default_factory=list,
-        autocompletion=completion.constant_names,
-        help="A constant to fit that the model holds fixed.",
-    ),
-]
-Effects = Annotated[
-    Names,
-    typer.Option(
-        "--effect",
-        metavar="NAME",
-        default_factory=list,
-        autocompletion=completion.effects,
-        help="Add an effect of the catalogue, such as coulomb_friction.",
-    ),
-]
-Noise = Annotated[
-    Names,
-    typer.Option(
-        "--noise",
-        metavar="OUTPUT=STD",
-        default_factory=list,
-        autocompletion=completion.outputs,
-        help="Standard deviation of an output's noise, in the model's unit; estimated if left out.",
-    ),
-]
-Quiet = Annotated[
-    list[Path],
-    typer.Option(
-        "--quiet",
-        metavar="FILE",
-        default_factory=list,
-        show_default=False,
-        help="A record with the input at rest, same columns: it tells the noise. May be repeated.",
-    ),
-]
-Hold = Annotated[
-    HoldName,
-    typer.Option("--hold", help="The input between samples: zero (held), first (straight lines) or band-limited."),
-]
-Columns = Annotated[
-    Names,
-    typer.Option(
-        "--column",
-        metavar="NAME=HEADER",
-        default_factory=list,
-        autocompletion=completion.signals,
-        help="The file's header for a signal, or for time, where it has another name.",
-    ),
-]
-AtRest = Annotated[
-    bool,
-    typer.Option("--at-rest", help="Records begin at the states that the model declares, instead of estimated ones."),
-]
-FreeDecay = Annotated[
-    bool,
-    typer.Option(
-        "--free-decay", help="Accept records whose input is zero throughout: the plant was let go and left alone."
-    ),
-]
-Method = Annotated[
-    MethodName,
-    typer.Option(
-        "--method",
-        help="How to integrate: automatic, exact (linear models), rk4, mixed, or midpoint and radau (stiff models).",
-    ),
-]
-Substeps = Annotated[
-    int, typer.Option("--substeps", metavar="N", min=0, help="Steps in each sampling interval; 0 chooses.")
-]
+def takes_study(command: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator: the function ``command(study, ...)`` gets an argument or option for each field of a study that it uses.
 
+    In a command that reads study files, MODEL may be one; options beside it take the place of what it says. ``--write-study``
+    writes the study and runs nothing.
+    """
 
-# What is written after an option that takes a name and something else, and an example.
-SHAPES = {
-    "--tie": ("NAME=FORMULA", "Kv=Kf"), "--schedule": ("NAME=CONDITION@VALUE", "K=u@2"), "--column": ("NAME=HEADER", "x=Laser"),
-    "--prior": ("NAME=MEAN+-STD", "M=0.0100+-0.0001"), "--noise": ("OUTPUT=STD", "x=2e-7"), "--initial": ("STATE=VALUE", "x=0.001"),
-}  # fmt: skip
-
-
-def parse_pairs(option: str, texts: Iterable[str]) -> dict[str, str]:
-    """``["M=1", "K=2"]`` as a dictionary; refuses text without ``=`` and names given twice."""
-    shape, example = SHAPES.get(option, ("NAME=VALUE", "M=0.01"))
-    found: dict[str, str] = {}
-    for text in texts:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        if not (name and equals and value):
-            lacks = "it has no '='" if not equals else f"nothing stands {'after' if name else 'before'} the '='"
-            raise GreyboxError(
-                f"{option} {text}: {lacks}; write {option} {shape} without blanks, as in {option} {example}"
+    def decorate(function: Callable[..., None]) -> Callable[..., None]:
+        specs = fields_of(command)
+        hints = typing.get_type_hints(function, include_extras=True)
+        own = [p for p in inspect.signature(function).parameters.values() if p.name != "study"]
+        parameters = [inspect.Parameter("ctx", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)]
+        parameters += [_parameter(name, spec, command) for name, spec in specs.items()]
+        parameters += [p.replace(annotation=hints[p.name], kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
+        if command in STUDY_COMMANDS:
+            parameters.append(
+                inspect.Parameter("write_study", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_WRITE_STUDY)
             )
-        if name in found:
-            raise GreyboxError(f"{option} {name}: given twice, as {found[name]} and {value}; keep one")
-        found[name] = value
-    return found
+
+        @functools.wraps(function)
+        def run(*, ctx: typer.Context, write_study: Path | None = None, **given: Any) -> None:
+            raw = {name: given.pop(name) for name in specs}
+            study = _study(command, ctx, raw)
+            if write_study is not None:
+                typer.echo(written_study(study, write_study, command))
+                return
+            function(study, **given)
+
+        vars(run)["__signature__"] = inspect.Signature(parameters)
+        run.__annotations__ = {p.name: p.annotation for p in parameters}
+        return run
+
+    return decorate
 
 
-def parse_numbers(option: str, texts: Iterable[str]) -> dict[str, float]:
-    """`parse_pairs` with finite numbers as values."""
-    return {
-        name: parse_number(f"{option} {name}={value}", value, f"{option} {name}=0.01")
-        for name, value in parse_pairs(option, texts).items()
-    }
+_WRITE_STUDY = Annotated[
+    Path | None,
+    typer.Option(
+        "--write-study",
+        metavar="FILE.toml",
+        help="Write model, records and options as a study file to run later, and stop.",
+        show_default=False,
+    ),
+]
 
 
-def parse_number(said: str, value: str, example: str) -> float:
-    """``value``, which is part of what was ``said``, as a finite number. Raises GreyboxError."""
-    try:
-        number = float(value)
-    except ValueError:
-        raise GreyboxError(f"{said}: {value!r} is not a number; write it without a unit, as in {example}") from None
-    if not math.isfinite(number):
-        raise GreyboxError(f"{said}: the value must be finite")
-    return number
+def written_study(study: Study, path: Path, command: str) -> str:
+    """Write the study file; the line that says so."""
+    return f"written: {write_study(study, path, command)}; run it with: greybox {command} {path}"
 
 
-def change_model(
-    model: Model,
-    *,
-    effects: Iterable[str] = (),
-    fix: Iterable[str] = (),
-    start: Iterable[str] = (),
-    free: Iterable[str] = (),
-) -> Model:
-    """``model`` with effects of the catalogue added, then with constants freed, set and fixed. Raises GreyboxError."""
-    fix, free = list(fix), list(free)
-    known, bare = parse_numbers("--fix", (t for t in fix if "=" in t)), [t for t in fix if "=" not in t]
-    values = parse_numbers("--start", start)
-    for other, names in (("--start", known.keys() & values.keys()), ("--free", {*known, *bare} & set(free))):
-        if names:
-            raise ModelError(f"{', '.join(sorted(names))}: --fix and {other} contradict each other; keep one")
-    if effects:
-        from greybox.effects import effect
+def _study(command: str, ctx: typer.Context, raw: dict[str, Any]) -> Study:
+    """The study that the command line states: from a file, from options, or from both."""
+    specs = fields_of(command)
+    name = raw["model"]
+    in_file = command in STUDY_COMMANDS and is_study_file(name)
+    study = read_study(Path(name), command) if in_file else Study(model=name)
+    given: dict[str, Any] = {}
+    for field, spec in specs.items():
+        source = ctx.get_parameter_source(field)
+        if field != "model" and source is not None and source.name != "DEFAULT":
+            given[field] = spec.kind.from_option(spec.flag, raw[field])
+    study = with_overrides(study, given)
+    if not study.model:
+        raise GreyboxError(f'{study.file}: model is missing; name one, as in model = "micro_actuator"')
+    if "estimation" in specs and not study.estimation and command not in WITHOUT_RECORDS:
+        if study.file is not None:
+            raise GreyboxError(
+                f'{study.file}: [records] estimation is missing; name records, as in estimation = ["train.csv"]'
+            )
+        order = ["MODEL", RECORDS[command][0]]
+        exit_with_error(describe_missing_argument(ctx.command_path, order, order[1], [name]), BAD_INPUT)
+    return study
 
-        for name in effects:
-            model = model + effect(name)
-    return model.free(*free).start(**values).fix(*bare, **known)
+
+def _parameter(name: str, spec: Spec, command: str) -> inspect.Parameter:
+    """One field of a study as a parameter from which the option is made."""
+    kind, default = spec.kind, spec.kind.default
+    annotation = kind.annotation
+    if name == "model":
+        more = STUDY_HELP if command in STUDY_COMMANDS else ""
+        info = typer.Argument(
+            metavar="MODEL", show_default=False, autocompletion=completion.models, help=MODEL_HELP + more
+        )
+        return _made(name, Annotated[str, info], inspect.Parameter.empty)
+    if name == "estimation":
+        metavar, text = RECORDS[command]
+        return _made(name, Annotated[list[Path] | None, typer.Argument(metavar=metavar, help=text)], None)
+    settings: dict[str, Any] = {"help": spec.help_for(command), "show_default": spec.show_default}
+    if spec.metavar:
+        settings["metavar"] = spec.metavar
+    if spec.complete is not None:
+        settings["autocompletion"] = spec.complete
+    least = getattr(kind, "least", None)
+    if least is not None:
+        settings["min"] = least
+    if default == ():
+        settings["default_factory"] = list
+        default = inspect.Parameter.empty
+    if isinstance(kind, Count) and default is None:
+        annotation = int | None
+    if annotation not in (bool, int, float, str) and isinstance(default, str):
+        default = annotation(default)
+    return _made(name, Annotated[annotation, typer.Option(spec.flag, **settings)], default)
+
+
+def _made(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
 def check_writable(path: Path) -> Path:
-    """``path``, if results can be written there; tried before the work is done and not after it, and left as it was."""
+    """``path``, if results can be written there; tried before the work is done, and left as it was. Raises GreyboxError."""
     if path.exists() and not path.is_dir():
         raise GreyboxError(f"--output {path}: it is a file; give a folder")
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]
@@ -231,27 +166,6 @@ def check_writable(path: Path) -> Path:
     return path
 
 
-def check_skip(skip: int, records: Sequence[Experiment]) -> None:
-    """Refuse, before the fit, to leave out rows of nothing, or so many that a validation record has nothing left to judge by."""
-    if skip and not records:
-        raise GreyboxError(
-            f"--skip {skip} has no effect: it leaves out rows of validation records; give --validate FILE too"
-        )
-    shortest = min((r.rows for r in records), default=skip + FEWEST_JUDGED)
-    if skip and shortest - skip < FEWEST_JUDGED:
-        raise GreyboxError(
-            f"--skip {skip}: the shortest validation record has {shortest} rows, and at least {FEWEST_JUDGED} must be left;"
-            " leave out fewer"
-        )
-
-
-def check_substeps(model: Model, method: MethodName, substeps: int) -> None:
-    """Refuse a number of substeps with a method that has none; say so where the automatic choice may be such a one."""
-    if substeps and method is MethodName.exact:
-        raise GreyboxError(
-            f"--substeps {substeps} has no effect: --method exact has no substeps; leave out one of the two"
-        )
-    if substeps and method is MethodName.automatic and model.system.linear:
-        print_note(
-            f"note: --substeps {substeps} has no effect where a linear model is integrated exactly; --method rk4 has substeps"
-        )
+def point_of(texts: Sequence[str]) -> dict[str, float]:
+    """The operating point of ``--at``."""
+    return parse_numbers("--at", texts)

@@ -9,16 +9,12 @@ from typing import TYPE_CHECKING, Protocol
 
 from greybox.cli.exits import print_note
 from greybox.cli.interrupts import Interrupt
+from greybox.cli.policy import PROGRESS
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
     from greybox.estimation.options import FitProgress, FitProgressCallback
-
-PATIENCE = 1.0  # seconds before the line appears
-# Iterations of a stage of a fit, and refits of a discovery, as a rule; beyond them a search goes on for a third of what it has
-# taken so far.
-USUAL_ITERATIONS, USUAL_REFITS, LINGERS = 15, 40, 3
 
 
 class ShowProgress(Protocol):
@@ -41,7 +37,7 @@ class ProgressLine:
     def __call__(self, text: str, share: float | None = None) -> None:
         """Show ``text``; with the ``share`` of the work that is done also the bar and the time left."""
         elapsed = time.monotonic() - self.began
-        if not self.console.is_terminal or elapsed < PATIENCE:
+        if not self.console.is_terminal or elapsed < PROGRESS.patience:
             return
         if self.bar is None:
             self.bar = _bar(self.console)
@@ -103,13 +99,13 @@ def describe_progress(progress: FitProgress) -> str:
 
 def share_done(progress: FitProgress) -> float:
     """Share of a fit that is done, from what a stage takes as a rule: nobody knows how many iterations a search still needs."""
-    within = expected_share(max(progress.iteration, 0), USUAL_ITERATIONS)
+    within = expected_share(max(progress.iteration, 0), PROGRESS.usual_iterations)
     return (progress.stage - 1 + within) / max(progress.stages, progress.stage)
 
 
 def expected_share(done: int, usual: int) -> float:
     """Share that is done of what takes ``usual`` steps as a rule, and may take more."""
-    return done / (done + max(usual - done, done / LINGERS))
+    return done / (done + max(usual - done, done / PROGRESS.overtime))
 
 
 @contextmanager
@@ -125,14 +121,14 @@ def show_search_progress() -> Iterator[tuple[Callable[[str], None], Callable[[in
             show(last)
 
         def report(done: int) -> None:
-            show(f"{last}; refit {done}", expected_share(done, USUAL_REFITS))
+            show(f"{last}; refit {done}", expected_share(done, PROGRESS.usual_refits))
 
         yield say, report
 
 
 def time_left(elapsed: float, share: float | None) -> float | None:
     """Seconds to go, if the rest goes on as the share that took ``elapsed`` seconds; None where too little is done to say."""
-    if share is None or not 0.02 <= share <= 1:
+    if share is None or not PROGRESS.minimum_share <= share <= 1:
         return None
     return elapsed * (1 - share) / share
 

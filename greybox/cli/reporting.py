@@ -5,24 +5,14 @@ from __future__ import annotations
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
-
-NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.html.")]
+from typing import Any
 
 
 def write_report(value: Any, target: Path, **more: Any) -> Path:
-    """The report of what a command found, as ``target``; ``more`` goes to its builder. Says that it is there with
-    `describe_process_noise`."""
+    """Write the report of a result as ``target``; ``more`` goes to the builder of the page."""
     from greybox.reports import report
 
     return report(value, target, command=typed_command(), **more)
-
-
-def report_line(path: Path) -> str:
-    """The last line of a command that has left a report."""
-    return f"report: {path} (open it in a browser; it needs no network)"
 
 
 def typed_command() -> str:

@@ -10,20 +10,25 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greybox.cli import completion
-from greybox.cli import options as o
-from greybox.cli.exits import UNSUCCESSFUL, exit_with_error, print_note
-from greybox.cli.reporting import NoReport, report_line, write_report
+from greybox.cli.answers import SimulationAnswer
+from greybox.cli.exits import UNSUCCESSFUL, exit_with_error, print_findings, print_note
+from greybox.cli.findings import CommandCode
+from greybox.cli.inputs import add_effects, check_substeps
+from greybox.cli.options import NoReport, Texts, check_writable, takes_study
+from greybox.cli.policy import COMMANDS
+from greybox.cli.reporting import write_report
+from greybox.cli.study import SIMULATE, Study
+from greybox.cli.study_values import Numbers
 from greybox.errors import GreyboxError
+from greybox.findings import Finding
 
 if TYPE_CHECKING:
     from greybox.experiment import Experiment
     from greybox.model import Model
     from greybox.simulation import Simulation
 
-MOST_ROWS = 10_000_000
-
 Values = Annotated[
-    o.Names,
+    Texts,
     typer.Option(
         "--set",
         "--fix",
@@ -35,7 +40,7 @@ Values = Annotated[
     ),
 ]
 Initial = Annotated[
-    o.Names,
+    Texts,
     typer.Option(
         "--initial",
         metavar="STATE=VALUE",
@@ -45,7 +50,7 @@ Initial = Annotated[
     ),
 ]
 Noise = Annotated[
-    o.Names,
+    Texts,
     typer.Option(
         "--noise",
         metavar="OUTPUT=STD",
@@ -56,8 +61,9 @@ Noise = Annotated[
 ]
 
 
+@takes_study(SIMULATE)
 def simulate(
-    model: o.ModelName,
+    study: Study,
     inputs: Annotated[
         Path | None,
         typer.Argument(metavar="INPUT", help="File with time and the model's inputs; or choose a signal below."),
@@ -86,15 +92,10 @@ def simulate(
     ] = None,
     set_: Values,
     initial: Initial,
-    effect: o.Effects,
     noise: Noise,
     seed: Annotated[
         int, typer.Option("--seed", metavar="N", min=0, help="Of the noise and of a multisine's phases.")
     ] = 0,
-    hold: o.Hold = o.HoldName.zero,
-    column: o.Columns,
-    method: o.Method = o.MethodName.automatic,
-    substeps: o.Substeps = 0,
     output: Annotated[
         Path | None,
         typer.Option("--output", metavar="FILE", help="CSV file to write. [default: results/MODEL-simulated.csv]"),
@@ -114,57 +115,60 @@ def simulate(
     from greybox.experiment.findings import RecordCode
     from greybox.experiment.sampling import find_longest_time_gap
     from greybox.project import find_model
+    from greybox.rendering.cli import report_line
     from greybox.simulation import read_inputs, write_csv
-    from greybox.simulation import simulate as run_model
+    from greybox.simulation import simulate as simulate_model
     from greybox.units import format_unit
 
-    plant = o.change_model(find_model(model), effects=effect, start=set_)
+    plant = add_effects(find_model(study.model), study.effects).start(**Numbers().from_option("--start", set_))
     target = _target(output or Path("results") / f"{plant.name}-simulated.csv", inputs)
-    o.check_substeps(plant, method, substeps)
-    said = o.parse_numbers("--noise", noise)
+    check_substeps(study, plant)
+    noise_std = Numbers(shape="OUTPUT=STD", example="x=2e-7").from_option("--noise", noise)
     generator = np.random.default_rng(seed)
     shapes = {"--step": step, "--multisine": multisine, "--chirp": chirp}
     shaping = {"--band": band, "--offset": offset, "--duration": duration, "--sampling-time": sampling_time}
-    chosen = _one_drive(plant, inputs, shapes, shaping, column)
+    chosen = _one_drive(plant, inputs, shapes, shaping, study.columns)
     if inputs is not None:
-        experiment = read_inputs(inputs, plant, columns=o.parse_pairs("--column", column), hold=hold.value)
+        experiment = read_inputs(inputs, plant, columns=dict(study.columns), hold=study.hold)  # type: ignore[arg-type]
         gap = find_longest_time_gap(experiment.time, code=RecordCode.INPUT_HELD_THROUGH_GAP)
         if gap is not None:
             print_note(f"note: {experiment.source}: {gap}")
     else:
-        experiment = _signal(plant, chosen, band, offset, duration, sampling_time, hold.value, generator)
-    run = run_model(
-        plant, experiment, initial=o.parse_numbers("--initial", initial), method=method.value, substeps=substeps
-    )
+        experiment = _signal(plant, chosen, band, offset, duration, sampling_time, study.hold, generator)
+    start = Numbers(shape="STATE=VALUE", example="x=0.001").from_option("--initial", initial)
+    run = simulate_model(plant, experiment, initial=start, method=study.method, substeps=study.substeps)
     if run.overflow is not None:
         exit_with_error(
             f"{plant.title}: the simulation overflows {run.overflow:.4g} s after its start; nothing was written",
             UNSUCCESSFUL,
         )
     replaced = target.exists()
-    write_csv(run.record(said, generator), plant, target)
+    write_csv(run.record(noise_std, generator), plant, target)
     if replaced:
-        print_note(f"note: {target} was there already; it has been overwritten")
+        print_findings([Finding(CommandCode.FILE_OVERWRITTEN, subject=str(target))])
     report = None
     if output is not None and not no_report:
         units = {q.name: format_unit(q.unit) for q in plant.outputs}
-        added = ", ".join(f"{name} {std:g} {units[name]}".rstrip() for name, std in said.items())
+        added = ", ".join(f"{name} {std:g} {units[name]}".rstrip() for name, std in noise_std.items())
         report = write_report(run, target.with_suffix(".html"), model=plant, noise=added)
-    typer.echo(_in_json(run, target, report) if json else _in_words(run, target, report))
+    if json:
+        typer.echo(_as_json(run, target, report))
+    else:
+        typer.echo("\n".join([str(SimulationAnswer(run, target)), *([report_line(report)] if report else [])]))
 
 
-def _in_words(run: Simulation, target: Path, report: Path | None) -> str:
-    names = ", ".join([*run.inputs, *run.outputs])
-    line = f"{target}: {len(run.time)} rows, {names}; integrated by {run.discretisation}"
-    return f"{line}\n{report_line(report)}" if report else line
-
-
-def _in_json(run: Simulation, target: Path, report: Path | None) -> str:
-    found = {
-        "file": str(target), "rows": len(run.time), "inputs": list(run.inputs), "outputs": list(run.outputs),
-        "discretisation": run.discretisation, "report": str(report) if report else None,
-    }  # fmt: skip
-    return json_format.dumps(found, indent=2)
+def _as_json(run: Simulation, target: Path, report: Path | None) -> str:
+    return json_format.dumps(
+        {
+            "file": str(target),
+            "rows": len(run.time),
+            "inputs": list(run.inputs),
+            "outputs": list(run.outputs),
+            "discretisation": run.discretisation,
+            "report": str(report) if report else None,
+        },
+        indent=2,
+    )
 
 
 def _target(path: Path, inputs: Path | None) -> Path:
@@ -173,7 +177,7 @@ def _target(path: Path, inputs: Path | None) -> Path:
         raise GreyboxError(f"--output {path}: it is a folder; give a file that ends in .csv")
     if inputs is not None and path.exists() and inputs.exists() and path.samefile(inputs):
         raise GreyboxError(f"--output {path}: it is the file of inputs, which would be lost; give another file")
-    o.check_writable(path.parent)
+    check_writable(path.parent)
     return path
 
 
@@ -210,9 +214,9 @@ def _signal(
     if not duration or not sampling_time or duration <= 0 or sampling_time <= 0:
         raise GreyboxError("a test signal needs --duration and --sampling-time, both above 0 seconds")
     rows = round(duration / sampling_time)
-    if not 2 <= rows <= MOST_ROWS:
+    if not 2 <= rows <= COMMANDS.maximum_simulated_rows:
         raise GreyboxError(
-            f"--duration {duration:g} over --sampling-time {sampling_time:g} gives {rows} rows; give 2 to {MOST_ROWS}"
+            f"--duration {duration:g} over --sampling-time {sampling_time:g} gives {rows} rows; give 2 to {COMMANDS.maximum_simulated_rows}"
         )
     time = sampling_time * np.arange(rows)
     u = np.full(rows, offset)

@@ -89,16 +89,19 @@ def _nearest_option(option: str, ctx: Any) -> str:
 
 
 def _missing(parameter: TyperArgument, ctx: Any, typed: Sequence[str]) -> str:
-    """Which argument is missing, and in which order they come; a record in the place of the model is told as such."""
+    order = [_place(p) for p in ctx.command.params if isinstance(p, TyperArgument)]
+    return describe_missing_argument(ctx.command_path, order, _place(parameter), typed)
+
+
+def describe_missing_argument(command: str, order: Sequence[str], missing: str, typed: Sequence[str]) -> str:
+    """Which argument is missing, and in which order they come; a record in the place of the model is named as such."""
     from greybox.experiment.read import READERS
 
-    command = ctx.command_path
-    order = [_place(p) for p in ctx.command.params if isinstance(p, TyperArgument)]
     usage = f"write {command} {' '.join(order)}; see {command} --help"
     first = next((word for word in typed if not word.startswith("-")), "")
     if order[0] == "MODEL" and Path(first).suffix.lower() in READERS:
         return f"{first}: a record, not a model; MODEL comes first: {usage}"
-    return f"{command}: {_place(parameter)} is missing; {usage}"
+    return f"{command}: {missing} is missing; {usage}"
 
 
 def _place(argument: TyperArgument) -> str:

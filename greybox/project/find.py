@@ -11,6 +11,7 @@ from greybox.experiment.read import READERS
 from greybox.model import Model
 from greybox.project.folders import model_files, project_root, template_root
 from greybox.project.load import display_path, import_from_project, import_standalone, load_model_file, models_in
+from greybox.values import Printable
 
 
 @dataclass(frozen=True)
@@ -23,14 +24,14 @@ class ModelEntry:
 
 
 @dataclass(frozen=True)
-class ModelListing:
+class ModelListing(Printable):
     """Every model that a name finds here, and files that could not be read, with the reason."""
 
     models: tuple[ModelEntry, ...]
     problems: tuple[str, ...]
 
 
-def find_model(name: str) -> Model:
+def find_model(name: str, folder: Path | None = None) -> Model:
     """The model called ``name``: of the project around the working folder, or shipped; or in a file.
 
     A name is that of a file in ``models/`` or of a model in one of them. A path (``my/rig.py``) gives the model named
@@ -47,11 +48,11 @@ def find_model(name: str) -> Model:
         return _in_file(Path(f"{path}.py"), wanted)
     if name.endswith(".py") or "/" in name or "\\" in name:
         return _in_file(Path(name), "")
-    for source in _sources():
+    for source in _sources(folder):
         model = source.find(name)
         if model is not None:
             return model
-    known = list_models()
+    known = list_models(folder)
     close = nearest(name, [f.name for f in known.models])
     here = f"; or give the path {name}.py" if Path(f"{name}.py").is_file() else ""
     broken = "".join(f"\n  not looked into: {problem}" for problem in known.problems)
@@ -67,11 +68,11 @@ def find_shipped_model(name: str) -> Model:
     return model
 
 
-def list_models() -> ModelListing:
+def list_models(folder: Path | None = None) -> ModelListing:
     """The models of the project around the working folder, then those shipped that it does not have."""
     found: dict[str, ModelEntry] = {}
     problems: list[str] = []
-    for source in _sources():
+    for source in _sources(folder):
         for file, held in source.contents():
             if isinstance(held, ModelError):
                 problems.append(str(held))
@@ -123,8 +124,8 @@ class _Source:
         return None
 
 
-def _sources() -> Iterator[_Source]:
-    root, shipped = project_root(), template_root().resolve()
+def _sources(folder: Path | None = None) -> Iterator[_Source]:
+    root, shipped = project_root(folder), template_root().resolve()
     if root is not None:
         yield _Source(root, named=True, shipped=False)
     if root != shipped and (shipped / "models").is_dir():

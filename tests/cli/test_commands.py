@@ -392,7 +392,7 @@ def test_simulate_never_overwrites_its_own_input(run: Run, tmp_path: Path) -> No
     assert run("simulate", "micro_actuator", "u.csv", "--output", "y.csv").stderr == ""
     again = run("simulate", "micro_actuator", "u.csv", "--output", "y.csv")
     assert again.exit_code == 0
-    assert again.stderr == "note: y.csv was there already; it has been overwritten\n"
+    assert again.stderr == "note: y.csv existed and has been overwritten\n"
 
 
 def test_a_constant_in_no_equation_is_noted(run: Run, tmp_path: Path) -> None:

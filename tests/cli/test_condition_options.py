@@ -11,7 +11,9 @@ import pytest
 from typer.testing import Result
 
 from greybox import read_csv
-from greybox.cli.constraints import read_records
+from greybox.cli.inputs import read_records
+from greybox.cli.study import Study
+from greybox.cli.study_values import Conditions
 from greybox.errors import DataError, GreyboxError
 from greybox.experiment.findings import RecordCode
 from greybox.simulation import write_csv
@@ -59,16 +61,18 @@ def test_records_at_two_supply_pressures_are_fitted_with_the_conditions_that_the
 
 def test_values_on_the_command_line_go_to_the_records_in_their_order(folder):
     low, high = folder / "low.csv", folder / "high.csv"
-    records, judges = read_records(["P_S=7e5,8e5,9e5", "M_piston=1.4,1.5"], pneumatic_cylinder, [low, high], [low])
+    given = Conditions().from_option("--condition", ["P_S=7e5,8e5,9e5", "M_piston=1.4,1.5"])
+    study = Study(conditions=given, estimation=(low, high), validation=(low,))
+    records, judges = read_records(study, pneumatic_cylinder)
     assert [dict(r.conditions) for r in records] == [{"P_S": 7e5, "M_piston": 1.4}, {"P_S": 8e5, "M_piston": 1.5}]
     assert [dict(r.conditions) for r in judges] == [{"P_S": 9e5}]
     with pytest.raises(GreyboxError, match="--condition P_S: given with values and from the files; keep one"):
-        read_records(["P_S=7e5", "P_S"], pneumatic_cylinder, [low])
+        Conditions().from_option("--condition", ["P_S=7e5", "P_S"])
 
 
 def test_a_record_that_judges_its_own_fit_is_named(folder):
     low, high = folder / "low.csv", folder / "high.csv"
-    _, (other, same) = read_records([], pneumatic_cylinder, [low], [high, low])
+    _, (other, same) = read_records(Study(estimation=(low,), validation=(high, low)), pneumatic_cylinder)
     assert RecordCode.ALSO_FITTED not in [finding.code for finding in other.findings]
     assert same.findings[-1].code == RecordCode.ALSO_FITTED and same.findings[-1].values["record"] == "low.csv"
 

@@ -1,0 +1,71 @@
+"""What a command shows, as values; `greybox.rendering.cli` writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from greybox.values import Printable
+
+if TYPE_CHECKING:
+    from greybox.export import Linearisation, ModelFamily
+    from greybox.residuals import ResidualTests
+    from greybox.result import Fit, Misfit
+    from greybox.simulation import Simulation
+    from greybox.uncertainty import Bootstrap, Profile
+
+RecordMisfit = tuple[str, str, "Misfit"]
+"""Name of a record, name of an output, and the misfit there."""
+
+
+@dataclass(frozen=True)
+class FitAnswer(Printable):
+    """A fit, with what was asked for beside it.
+
+    ``remedies``: what would determine the constants that the records left open. ``profiles`` and ``bootstrap``: the intervals
+    asked for; ``zero_noise``: constants of process noise that are zero and have a limit only; ``refusal``: why there are no
+    intervals. ``scores``: free run and predictions on the fitted and the validation records. ``misfits`` of each record, where
+    there are several.
+    """
+
+    fit: Fit
+    remedies: tuple[Any, ...] = ()
+    profiles: tuple[Profile, ...] = ()
+    zero_noise: tuple[str, ...] = ()
+    bootstrap: Bootstrap | None = None
+    refusal: str = ""
+    scores: Any = None
+    validation_scores: Any = None
+    tests: ResidualTests | None = None
+    misfits: Sequence[RecordMisfit] = ()
+    validation_misfits: Sequence[RecordMisfit] = ()
+
+
+@dataclass(frozen=True)
+class SimulationAnswer(Printable):
+    """A run and the record that was written from it."""
+
+    run: Simulation
+    file: Path
+
+
+@dataclass(frozen=True)
+class LinearAnswer(Printable):
+    """A linear model that was written, with a family drawn from the covariance where one was asked for."""
+
+    linear: Linearisation
+    family: ModelFamily | None
+    files: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class CodeAnswer(Printable):
+    """A nonlinear model that was written as ``kind``, with its ``step`` in seconds where the format has one."""
+
+    title: str
+    kind: str
+    step: float | None
+    step_name: str
+    files: tuple[Path, ...]

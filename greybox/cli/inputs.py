@@ -1,0 +1,266 @@
+"""From a study to what the library takes: the model, the records, the options. Every check runs before the computation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from greybox.cli.exits import print_findings, print_note
+from greybox.cli.findings import CommandCode
+from greybox.cli.policy import COMMANDS, CommandPolicy
+from greybox.cli.study import MethodName, Study
+from greybox.errors import GreyboxError, ModelError, nearest
+from greybox.findings import Finding, Severity
+
+if TYPE_CHECKING:
+    from greybox.estimation import FitOptions
+    from greybox.experiment import Experiment
+    from greybox.model import Model
+
+
+def build_model(study: Study) -> Model:
+    """The model of a study: with its schedules, effects and process noise, constants freed, started and fixed; without
+    priors and ties. Raises GreyboxError.
+    """
+    from greybox.project import find_model
+
+    model = _apply_schedules(find_model(study.model, folder=study.folder), study)
+    model = _apply_process_noise(add_effects(model, study.effects), study.process_noise)
+    return change_constants(model, study)
+
+
+def add_effects(model: Model, names: Iterable[str]) -> Model:
+    """``model`` with these effects of the catalogue. Raises GreyboxError."""
+    from greybox.effects import effect
+
+    for name in names:
+        model = model + effect(name)
+    return model
+
+
+def change_constants(model: Model, study: Study) -> Model:
+    """``model`` with constants freed, started and fixed as the study has it. Raises ModelError."""
+    known = {name: value for name, value in study.fixed.items() if value is not None}
+    as_declared = [name for name, value in study.fixed.items() if value is None]
+    for other, names in (("start", known.keys() & study.start.keys()), ("free", study.fixed.keys() & set(study.free))):
+        if names:
+            raise ModelError(
+                f"{', '.join(sorted(names))}: {study.label('fixed')} and {study.label(other)} contradict each other; keep one"
+            )
+    return model.free(*study.free).start(**study.start).fix(*as_declared, **known)
+
+
+def _apply_process_noise(model: Model, process_noise: Mapping[str, float | None]) -> Model:
+    known = {state: value for state, value in process_noise.items() if value is not None}
+    estimated = [state for state, value in process_noise.items() if value is None]
+    return model.with_process_noise(*estimated, **known) if process_noise else model
+
+
+def _apply_schedules(model: Model, study: Study) -> Model:
+    for name, (by, at) in study.schedules.items():
+        if at is None and by in [i.name for i in model.inputs]:
+            label = study.label("schedules")
+            raise GreyboxError(
+                f"{label} {name}={by}: {by} is an input; say at which value of it {name} holds, as in {label} {name}={by}@2"
+            )
+        model = model.schedule(name, by=by, about=at)
+    return model
+
+
+def constrain(model: Model, study: Study) -> Model:
+    """``model`` with the priors and ties of a study. Raises GreyboxError."""
+    both = sorted(q.name for q in model.all_parameters if q.fixed and q.name in study.priors)
+    if both:
+        raise ModelError(
+            f"{study.label('priors')} {', '.join(both)}: fixed in the model or by {study.label('fixed')}, so a prior has no"
+            " effect; free it, or leave out one of the two"
+        )
+    return model.prior(**study.priors).with_ties(dict(study.ties))
+
+
+def fit_options(study: Study) -> FitOptions:
+    """The options of the estimation."""
+    from greybox.estimation import FitOptions
+
+    return FitOptions(
+        at_rest=study.at_rest,
+        method=study.method,
+        substeps=study.substeps,
+        loss=study.loss,
+        per_experiment=study.per_experiment,
+        transcription=study.transcription,
+        arc_length=study.arc_length,
+    )
+
+
+def read_records(study: Study, model: Model) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
+    """The estimation and the validation records, each with its conditions, from its file or from the study.
+
+    Records are split where their time starts anew and at its gaps if the study says so; otherwise a long gap in which the
+    input is unknown is refused. Raises GreyboxError.
+    """
+    from greybox.experiment import read_experiments
+    from greybox.experiment.time_gaps import refuse_unknown_input
+
+    from_files = {name: None for name, values in study.conditions.items() if values is None}
+    given = {name: values for name, values in study.conditions.items() if values is not None}
+    estimation, validation = (
+        read_experiments(
+            files,
+            model,
+            conditions=from_files,
+            split=study.split_holes,
+            columns=dict(study.columns) or None,
+            hold=study.hold,  # type: ignore[arg-type]
+            allow_constant_input=study.free_decay,
+        )
+        if files
+        else ()
+        for files in (study.estimation, study.validation)
+    )
+    validation = tuple(_marked_if_fitted(record, estimation) for record in validation)
+    estimation, validation = _with_conditions(given, study, estimation, validation)
+    if not study.split_holes:
+        refuse_unknown_input([*estimation, *validation])
+        return estimation, validation
+    read = len(estimation) + len(validation)
+    pieces, findings = split_records(
+        (estimation, validation), at_rest=study.at_rest, runs=read - len(study.estimation) - len(study.validation)
+    )
+    print_findings(findings)
+    return pieces[0], pieces[1]
+
+
+def read_quiet_records(study: Study, model: Model, hold: str | None = None) -> tuple[Experiment, ...]:
+    """The records with the input at rest, from which the noise is estimated. Raises GreyboxError."""
+    from greybox.experiment import read_experiments
+
+    if not study.quiet:
+        return ()
+    more: dict[str, Any] = {} if hold is None else {"hold": hold}
+    return read_experiments(study.quiet, model, columns=dict(study.columns) or None, allow_constant_input=True, **more)
+
+
+def _marked_if_fitted(record: Experiment, estimation: Sequence[Experiment]) -> Experiment:
+    """A validation record, with a finding where it is one of the estimation records."""
+    from greybox.experiment.findings import RecordCode
+
+    same = next((r for r in estimation if r.fingerprint == record.fingerprint), None)
+    if same is None:
+        return record
+    name = same.source or same.name
+    finding = Finding(RecordCode.ALSO_FITTED, Severity.WARNING, values={"record": name})
+    return replace(record, findings=(*record.findings, finding))
+
+
+def _with_conditions(
+    given: Mapping[str, tuple[float, ...]],
+    study: Study,
+    estimation: Sequence[Experiment],
+    validation: Sequence[Experiment],
+) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
+    """The records, each with its value of the conditions that the study gives."""
+    records = [*estimation, *validation]
+    for name, values in given.items():
+        if len(values) not in (len(estimation), len(records)):
+            raise GreyboxError(
+                f"{study.label('conditions')} {name}: {len(values)} values for {len(estimation)}"
+                f" record{'s' * (len(estimation) != 1)}"
+                + (f" and {len(validation)} for validation" if validation else "")
+                + "; give one for each, in their order, separated by commas"
+            )
+        for k, value in enumerate(values):
+            records[k] = replace(records[k], conditions={**records[k].conditions, name: value})
+    return tuple(records[: len(estimation)]), tuple(records[len(estimation) :])
+
+
+def split_records(
+    groups: Sequence[Sequence[Experiment]], *, at_rest: bool, runs: int = 0
+) -> tuple[list[tuple[Experiment, ...]], list[Finding]]:
+    """Each group with its records split at the gaps in their time, and what is to be said about it.
+
+    ``runs``: splits that were made while the files were read.
+    """
+    split = [[(record, record.split_at_time_gaps()) for record in group] for group in groups]
+    findings = [
+        Finding(CommandCode.RECORD_SPLIT, subject=record.source or record.name, values={"pieces": len(pieces)})
+        for group in split
+        for record, pieces in group
+        if pieces != (record,)
+    ]
+    if findings and at_rest:
+        findings.append(Finding(CommandCode.PIECES_AT_REST))
+    if not findings and not runs:
+        findings.append(Finding(CommandCode.SPLIT_WITHOUT_EFFECT))
+    return [tuple(piece for _, pieces in group for piece in pieces) for group in split], findings
+
+
+def print_record_notes(*groups: Iterable[Experiment]) -> None:
+    """The findings of records as lines on stderr; records that share a finding share its line."""
+    from greybox.experiment import collect_record_findings
+
+    for finding in collect_record_findings(record for group in groups for record in group):
+        print_note(f"note: {finding}")
+
+
+def check_skip(study: Study, validation: Sequence[Experiment], policy: CommandPolicy = COMMANDS) -> None:
+    """Refuse to leave out rows where there are none, or so many that a validation record has too few left."""
+    skip, label = study.skip, study.label("skip")
+    if skip and not validation:
+        raise GreyboxError(
+            f"{label} {skip} has no effect: it leaves out rows of validation records; give --validate FILE too"
+        )
+    least = policy.minimum_validation_rows
+    shortest = min((r.rows for r in validation), default=skip + least)
+    if skip and shortest - skip < least:
+        raise GreyboxError(
+            f"{label} {skip}: the shortest validation record has {shortest} rows, and at least {least} must be left;"
+            " leave out fewer"
+        )
+
+
+def check_substeps(study: Study, model: Model) -> None:
+    """Refuse substeps with a method that has none; say so where the automatic choice may be such a method."""
+    label = study.label("substeps")
+    if study.substeps and study.method == MethodName.exact:
+        raise GreyboxError(
+            f"{label} {study.substeps} has no effect: --method exact has no substeps; leave out one of the two"
+        )
+    if study.substeps and study.method == MethodName.automatic and model.system.linear:
+        print_findings([Finding(CommandCode.SUBSTEPS_WITHOUT_EFFECT, values={"substeps": study.substeps})])
+
+
+def check_prediction_steps(study: Study, *groups: Sequence[Experiment]) -> None:
+    """Refuse predictions so far ahead that the records hold nothing to compare with."""
+    longest = min((max(e.rows for e in group) for group in groups if group), default=0)
+    for k in study.predict:
+        if k >= longest > 0:
+            raise GreyboxError(
+                f"{study.label('predict')} {k}: the longest record has {longest} rows, and the first {k} of each have no"
+                " measurement to predict from; look fewer samples ahead"
+            )
+
+
+def seed_of(study: Study) -> int:
+    """The seed of the random starts. Raises GreyboxError where there are none."""
+    if study.seed is not None and study.starts == 1:
+        raise GreyboxError(
+            f"{study.label('seed')} {study.seed} has no effect: there are no random starts; give --starts N too"
+        )
+    return study.seed or 0
+
+
+def check_intervals(study: Study, model: Model, policy: CommandPolicy = COMMANDS) -> tuple[str, ...]:
+    """The constants to be profiled. Raises GreyboxError for a constant that is not fitted and for too few replicates."""
+    free = [q.name for q in model.free_parameters]
+    names = tuple(dict.fromkeys(study.profiles))
+    for name in names:
+        if name not in free:
+            raise GreyboxError(f"{study.label('profiles')} {name}: no constant that is fitted; {nearest(name, free)}")
+    if 0 < study.bootstrap < policy.minimum_replicates:
+        raise GreyboxError(
+            f"{study.label('bootstrap')} {study.bootstrap}: too few replicates for a 95 % interval;"
+            f" give {policy.minimum_replicates} or more"
+        )
+    return names

@@ -1,0 +1,426 @@
+"""A study: everything that decides what `fit`, `discover`, `compare` and `check` compute. The one place that knows every field.
+
+Each field of `Study` says how it is spelled as an option of the command line, under which key it stands in a study file, which
+commands use it, and its help. `greybox.cli.options` makes the options of the commands from it, `greybox.cli.study_file` reads
+and writes the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from enum import StrEnum
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from greybox.cli import completion
+from greybox.cli.study_values import (
+    Choice,
+    CommaNames,
+    Conditions,
+    Count,
+    Counts,
+    Files,
+    Kind,
+    Names,
+    Numbers,
+    Priors,
+    Quantity,
+    Schedules,
+    Switch,
+    Table,
+    Word,
+)
+
+FIT, COMPARE, DISCOVER, CHECK, SIMULATE = "fit", "compare", "discover", "check", "simulate"
+STUDY_COMMANDS = (FIT, COMPARE, DISCOVER, CHECK)
+"""The commands that read a study file."""
+
+
+class HoldName(StrEnum):
+    """How the input moves between samples."""
+
+    zero = "zero"
+    first = "first"
+    band_limited = "band-limited"
+
+
+class MethodName(StrEnum):
+    """How the equations are integrated."""
+
+    automatic = "automatic"
+    exact = "exact"
+    rk4 = "rk4"
+    mixed = "mixed"
+    midpoint = "midpoint"
+    radau = "radau"
+
+
+class TranscriptionName(StrEnum):
+    """How a record becomes a cost."""
+
+    automatic = "automatic"
+    single = "single"
+    multiple = "multiple"
+    collocation_radau = "collocation-radau"
+    collocation_legendre = "collocation-legendre"
+    arcs = "arcs"
+
+
+@dataclass(frozen=True)
+class Spec:
+    """How one field of a study is written.
+
+    ``flag`` on the command line, "" for the arguments MODEL and DATA; ``table`` and ``key`` in the file, both "" where the
+    whole table is the field; ``commands`` that use it; ``help`` for all commands, or by command.
+    """
+
+    kind: Kind
+    flag: str
+    table: str
+    key: str
+    commands: tuple[str, ...]
+    help: str | Mapping[str, str]
+    metavar: str = ""
+    complete: Callable[..., Any] | None = None
+    show_default: bool = False
+
+    @property
+    def place(self) -> str:
+        """Where the field stands in a study file: ``[records] skip``, ``[noise]`` or ``model``."""
+        return " ".join(part for part in (f"[{self.table}]" if self.table else "", self.key) if part)
+
+    def help_for(self, command: str) -> str:
+        """The help that ``command`` shows."""
+        return self.help if isinstance(self.help, str) else self.help[command]
+
+
+def _study_field(
+    kind: Kind, flag: str, place: str, commands: tuple[str, ...], text: str | Mapping[str, str], **more: Any
+) -> Any:
+    """A field of `Study`; ``place`` is ``table.key``, ``key`` at the top of the file, or ``table.`` for a whole table."""
+    table, _, key = place.rpartition(".")
+    spec = Spec(kind, flag, table, key, commands, text, **more)
+    return field(default_factory=lambda: kind.empty, metadata={"spec": spec})
+
+
+_ALL = STUDY_COMMANDS
+_FITS = (FIT, COMPARE)
+_FITS_AND_CHECK = (FIT, COMPARE, CHECK)
+
+
+@dataclass(frozen=True)
+class Study:
+    """What decides the result of a command. Values are as the library takes them: numbers in the model's units."""
+
+    model: str = field(default="", metadata={"spec": Spec(Word(), "", "", "model", (*_ALL, SIMULATE), "")})
+    estimation: tuple[Path, ...] = field(
+        default=(), metadata={"spec": Spec(Files(), "", "records", "estimation", _ALL, "")}
+    )
+    effects: tuple[str, ...] = _study_field(
+        Names(),
+        "--effect",
+        "effects",
+        (*_FITS_AND_CHECK, SIMULATE),
+        "Add an effect of the catalogue, such as coulomb_friction.",
+        metavar="NAME",
+        complete=completion.effects,
+    )
+    candidates: tuple[str, ...] = _study_field(
+        CommaNames(),
+        "--effects",
+        "candidates",
+        (COMPARE, DISCOVER),
+        {
+            COMPARE: "Also fit MODEL with each of these effects of the catalogue; A+B is one model with both.",
+            DISCOVER: "Only these effects of the catalogue. [default: all]",
+        },
+        metavar="NAME,...",
+        complete=completion.effects,
+    )
+    further: bool = _study_field(
+        Switch(),
+        "--further",
+        "further",
+        (DISCOVER,),
+        "Continue after the answer: accept effects that explain a part of the remaining error, however small. For measured"
+        " records, which hardly ever reach the noise.",
+    )
+    outputs: tuple[str, ...] = _study_field(
+        Names(split=True),
+        "--outputs",
+        "outputs",
+        (CHECK,),
+        "Suppose that only this output is measured; may be repeated.",
+        metavar="NAME",
+    )
+    fixed: Mapping[str, float | None] = _study_field(
+        Numbers(bare="as declared"),
+        "--fix",
+        "fixed.",
+        _ALL,
+        "A known constant, in its unit; NAME alone fixes it at the value that the model declares.",
+        metavar="NAME=VALUE",
+        complete=completion.constants,
+    )
+    start: Mapping[str, float] = _study_field(
+        Numbers(),
+        "--start",
+        "start.",
+        _ALL,
+        "A start value, in the constant's unit.",
+        metavar="NAME=VALUE",
+        complete=completion.constants,
+    )
+    free: tuple[str, ...] = _study_field(
+        Names(),
+        "--free",
+        "parameters.free",
+        _ALL,
+        "A constant to fit that the model holds fixed.",
+        metavar="NAME",
+        complete=completion.constant_names,
+    )
+    priors: Mapping[str, tuple[float, float]] = _study_field(
+        Priors(),
+        "--prior",
+        "priors.",
+        _FITS,
+        "What is known of a constant beforehand, as M=0.0100+-0.0001; it counts as a measurement.",
+        metavar="NAME=MEAN+-STD",
+        complete=completion.constants,
+    )
+    ties: Mapping[str, str] = _study_field(
+        Table(shape="NAME=FORMULA", example="Kv=Kf"),
+        "--tie",
+        "ties.",
+        _FITS_AND_CHECK,
+        "A constant that others determine exactly, as Kv=Kf or K2=3*K1.",
+        metavar="NAME=FORMULA",
+        complete=completion.constants,
+    )
+    per_experiment: tuple[str, ...] = _study_field(
+        Names(split=True),
+        "--own",
+        "parameters.per_record",
+        _FITS,
+        "A constant that has its own value in each record.",
+        metavar="NAME",
+        complete=completion.constant_names,
+    )
+    schedules: Mapping[str, tuple[str, float | None]] = _study_field(
+        Schedules(),
+        "--schedule",
+        "schedule.",
+        _FITS,
+        "A constant that follows a condition or an input, as K2=P_S@8e5; VALUE is where the constant holds.",
+        metavar="NAME=CONDITION[@VALUE]",
+        complete=completion.constants,
+    )
+    conditions: Mapping[str, tuple[float, ...] | None] = _study_field(
+        Conditions(),
+        "--condition",
+        "conditions.",
+        _ALL,
+        "A constant that each record brings with it: one value for each record in their order (--validate last). NAME alone"
+        " reads it from each file: a column of that name, or a comment line such as '# P_S = 801 kPa'.",
+        metavar="NAME[=V1,V2,...]",
+    )
+    process_noise: Mapping[str, float | None] = _study_field(
+        Numbers(bare="estimated"),
+        "--process-noise",
+        "process_noise.",
+        _FITS,
+        "A state that a random disturbance acts on. The fit then minimises the prediction error with a Kalman filter and"
+        " estimates the intensity; VALUE gives it, in the state's unit over sqrt(s).",
+        metavar="STATE[=VALUE]",
+        complete=completion.states,
+    )
+    noise: Mapping[str, float] = _study_field(
+        Numbers(shape="OUTPUT=STD", example="x=2e-7"),
+        "--noise",
+        "noise.",
+        _ALL,
+        "Standard deviation of an output's noise, in the model's unit; estimated if left out.",
+        metavar="OUTPUT=STD",
+        complete=completion.outputs,
+    )
+    quiet: tuple[Path, ...] = _study_field(
+        Files(),
+        "--quiet",
+        "records.quiet",
+        (FIT, COMPARE, DISCOVER),
+        "A record with the input at rest and the same columns, from which the noise is estimated; may be repeated.",
+        metavar="FILE",
+    )
+    validation: tuple[Path, ...] = _study_field(
+        Files(),
+        "--validate",
+        "records.validation",
+        (FIT, COMPARE, DISCOVER),
+        "A validation record, which is not fitted; may be repeated.",
+        metavar="FILE",
+    )
+    skip: int = _study_field(
+        Count(0),
+        "--skip",
+        "records.skip",
+        _FITS,
+        "Rows at the start of each validation record that do not count.",
+        metavar="N",
+        show_default=True,
+    )
+    hold: str = _study_field(
+        Choice(HoldName),
+        "--hold",
+        "records.hold",
+        (*_ALL, SIMULATE),
+        "The input between samples: zero (held), first (straight lines) or band-limited.",
+        show_default=True,
+    )
+    at_rest: bool = _study_field(
+        Switch(),
+        "--at-rest",
+        "records.at_rest",
+        _ALL,
+        "Records begin at the initial state that the model declares, which is estimated otherwise.",
+    )
+    free_decay: bool = _study_field(
+        Switch(),
+        "--free-decay",
+        "records.free_decay",
+        _FITS_AND_CHECK,
+        "Accept records whose input is zero throughout: the plant was released and left alone.",
+    )
+    split_holes: bool = _study_field(
+        Switch(),
+        "--split-holes",
+        "records.split_holes",
+        _ALL,
+        "Split records where their time has a gap or starts anew (the logger dropped out, or the file holds two runs).",
+    )
+    columns: Mapping[str, str] = _study_field(
+        Table(shape="NAME=HEADER", example="x=Laser"),
+        "--column",
+        "columns.",
+        (*_ALL, SIMULATE),
+        "The header in the file of a signal, or of time, where it has another name.",
+        metavar="NAME=HEADER",
+        complete=completion.signals,
+    )
+    method: str = _study_field(
+        Choice(MethodName),
+        "--method",
+        "integration.method",
+        (*_FITS_AND_CHECK, SIMULATE),
+        "How to integrate: automatic, exact (linear models), rk4, mixed, or midpoint and radau (stiff models).",
+        show_default=True,
+    )
+    substeps: int = _study_field(
+        Count(0),
+        "--substeps",
+        "integration.substeps",
+        (*_FITS_AND_CHECK, SIMULATE),
+        "Integration steps in each sampling interval; 0 chooses.",
+        metavar="N",
+        show_default=True,
+    )
+    loss: str = _study_field(
+        Word("squares"),
+        "--loss",
+        "estimation.loss",
+        _FITS,
+        "squares, or a robust loss that limits the influence of outliers: huber, student. K: the residual in noise standard"
+        " deviations beyond which huber grows linearly, or the degrees of freedom of student.",
+        metavar="NAME[:K]",
+        show_default=True,
+    )
+    transcription: str = _study_field(
+        Choice(TranscriptionName),
+        "--transcription",
+        "estimation.transcription",
+        _FITS,
+        "single: one free run of each record. multiple: segments joined by continuity (unstable plants). collocation: the"
+        " equations solved at points, states within their bounds. arcs: pieces of --arc-length without continuity."
+        " automatic chooses by the model.",
+        show_default=True,
+    )
+    arc_length: float = _study_field(
+        Quantity(),
+        "--arc-length",
+        "estimation.arc_length",
+        _FITS,
+        "Fit arcs of this length, each with its own initial state: short arcs show structure, long arcs show drift.",
+        metavar="SECONDS",
+    )
+    starts: int = _study_field(
+        Count(1, 1),
+        "--starts",
+        "estimation.starts",
+        _FITS,
+        "Fit from N start points, the model's own and random ones, on all cores; prints where each ended.",
+        metavar="N",
+        show_default=True,
+    )
+    seed: int | None = _study_field(
+        Count(0, None),
+        "--seed",
+        "estimation.seed",
+        _FITS,
+        "Seed of the random --starts; 0 if left out.",
+        metavar="N",
+    )
+    predict: tuple[int, ...] = _study_field(
+        Counts(),
+        "--predict",
+        "estimation.predict",
+        _FITS,
+        "Also print the prediction error K samples ahead, beside the error of the free run; may be repeated, 0 for none."
+        "  [default: 1]",
+        metavar="K",
+    )
+    profiles: tuple[str, ...] = _study_field(
+        Names(split=True),
+        "--profile",
+        "profile",
+        (FIT,),
+        "A constant whose interval is also computed by profile likelihood, with 10 to 20 refits; may be repeated.",
+        metavar="NAME",
+    )
+    bootstrap: int = _study_field(
+        Count(0),
+        "--bootstrap",
+        "bootstrap",
+        (FIT,),
+        "Also compute intervals of all constants by a block bootstrap with N replicates (1000 are enough).",
+        metavar="N",
+    )
+    file: Path | None = None
+    from_file: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        for name, spec in SPECS.items():
+            if isinstance(spec.kind, Table):
+                object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def label(self, name: str) -> str:
+        """How a message names a field: by its option, or by its place in the study file it came from."""
+        spec = SPECS[name]
+        return f"{self.file}, {spec.place}" if self.file is not None and name in self.from_file else spec.flag
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder of the study file, None without a file."""
+        return None if self.file is None else self.file.parent
+
+
+def fields_of(command: str) -> dict[str, Spec]:
+    """The fields that ``command`` uses, by name, in their order."""
+    return {name: spec for name, spec in SPECS.items() if command in spec.commands}
+
+
+SPECS: Mapping[str, Spec] = MappingProxyType(
+    {f.name: f.metadata["spec"] for f in fields(Study) if f.metadata}  # every field that a person writes
+)
+"""How each field is written, by name."""

@@ -1,0 +1,230 @@
+"""A study file: it repeats what the options compute to the last bit, and says in one line what is wrong with it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import Result
+
+from greybox.cli.study import SPECS, STUDY_COMMANDS, Study, fields_of
+from greybox.cli.study_file import read_study, study_text
+from greybox.errors import GreyboxError
+from greybox.signals import multisine
+from greybox.simulation import simulate, write_csv
+from models.micro_actuator import micro_actuator
+
+Run = Callable[..., Result]
+NOISE = {"x": 2e-7, "i": 5e-3}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    for seed, name in enumerate(("train", "second", "test")):
+        time, generator = 5e-4 * np.arange(400), np.random.default_rng(seed)
+        run = simulate(micro_actuator, {"time": time, "u": multisine(time, 5, 800, 2.0, generator)})
+        write_csv(run.record(NOISE, generator), micro_actuator, folder / f"{name}.csv")
+    return folder
+
+
+def numbers(value: object) -> object:
+    """A result without the time it took and the paths that were typed."""
+    if isinstance(value, dict):
+        return {name: numbers(item) for name, item in value.items() if name not in ("seconds", "command")}
+    return [numbers(item) for item in value] if isinstance(value, list) else value
+
+
+EVERYTHING = {
+    "fit": (
+        "fit.json",
+        "micro_actuator {d}/train.csv {d}/second.csv --fix M=0.01 --fix Ra --start K=5678.9 --tie Kv=Kf --prior B=0.27+-0.013"
+        " --own La --noise x=2.1e-7 --validate {d}/test.csv --skip 13 --at-rest --loss huber:1.7 --predict 3 --hold first",
+    ),
+    "process noise": (
+        "fit.json",
+        "micro_actuator {d}/train.csv --fix M --fix Ra=8 --process-noise v --process-noise x=1e-9 --effect cubic_stiffness",
+    ),
+    "discover": (
+        "discovery.json",
+        "micro_actuator {d}/train.csv --validate {d}/test.csv --fix M=0.01 --fix Ra=8 --at-rest"
+        " --effects coulomb_friction,cubic_stiffness",
+    ),
+    "check": ("check.json", "micro_actuator {d}/train.csv --free M --fix Ra=8.25 --method rk4 --substeps 3"),
+}
+
+
+@pytest.mark.parametrize("case", EVERYTHING)
+def test_a_study_file_repeats_the_options_to_the_last_bit(run: Run, data: Path, tmp_path: Path, case: str) -> None:
+    file, line = EVERYTHING[case]
+    command = case if case in STUDY_COMMANDS else "fit"
+    words = [command, *line.format(d=data).split()]
+    written = run(*words, "--write-study", "there/study.toml")
+    assert written.exit_code == 0, written.output
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]  # nothing was computed
+    one = run(*words, "--no-report", "--output", "one")
+    two = run(command, "there/study.toml", "--no-report", "--output", "two")
+    assert one.exit_code == two.exit_code == 0, one.output + two.output
+    first, second = (json.loads((tmp_path / folder / file).read_text()) for folder in ("one", "two"))
+    assert numbers(first) == numbers(second)
+
+
+def test_a_comparison_is_written_and_read_as_the_same_study(run: Run, data: Path, tmp_path: Path) -> None:
+    line = f"compare micro_actuator {data}/train.csv --validate {data}/test.csv --effects cubic_stiffness,coulomb_friction+backlash"
+    assert run(*line.split(), "--starts", 3, "--seed", 4, "--write-study", "study.toml").exit_code == 0
+    study = read_study(tmp_path / "study.toml", "compare")
+    assert study.candidates == ("cubic_stiffness", "coulomb_friction+backlash")
+    assert (study.starts, study.seed, study.validation) == (3, 4, (data / "test.csv",))
+
+
+def test_paths_are_relative_to_the_file(run: Run, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "records").mkdir()
+    (tmp_path / "records" / "train.csv").write_text((data / "train.csv").read_text())
+    options = ["--fix", "M", "--fix", "Ra", "--no-report"]
+    arguments = ["fit", "micro_actuator", "records/train.csv", *options[:-1], "--write-study", "studies/study.toml"]
+    assert run(*arguments).exit_code == 0
+    assert 'estimation = ["../records/train.csv"]' in (tmp_path / "studies" / "study.toml").read_text()
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert run("fit", "../studies/study.toml", "--no-report", "-q").exit_code == 0
+
+
+def test_options_beside_a_study_file_take_the_place_of_what_it_says(tmp_path: Path, run: Run, data: Path) -> None:
+    (tmp_path / "study.toml").write_text(
+        f'model = "micro_actuator"\n[records]\nestimation = ["{data}/train.csv"]\nskip = 5\n'
+        f'validation = ["{data}/test.csv"]\n[fixed]\nM = 0.01\nRa = 9\n'
+    )
+    result = run("fit", "study.toml", "--fix", "Ra=8", "--skip", 0, "--write-study", "new.toml")
+    assert result.exit_code == 0, result.output
+    study = read_study(tmp_path / "new.toml", "fit")
+    assert dict(study.fixed) == {"M": 0.01, "Ra": 8.0}
+    assert (study.skip, study.estimation) == (0, (data / "train.csv",))
+
+
+def test_a_table_of_a_command_counts_for_that_command_only(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(
+        'model = "micro_actuator"\n[records]\nestimation = "a.csv"\n[start]\nK = 5000\n'
+        '[fit.start]\nB = 0.2\n[fit.estimation]\nstarts = 4\n[discover]\nfurther = true\ncandidates = ["backlash"]\n'
+    )
+    fit, discover = (read_study(tmp_path / "study.toml", command) for command in ("fit", "discover"))
+    assert dict(fit.start) == {"K": 5000.0, "B": 0.2} and fit.starts == 4 and not fit.candidates
+    assert dict(discover.start) == {"K": 5000.0} and discover.further and discover.candidates == ("backlash",)
+
+
+HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("model = micro", "study.toml: not TOML: Invalid value (at line 1, column 9); correct that line"),
+        (HEAD + "[fixd]\nM = 1", "study.toml: fixd: no such table; did you mean 'fixed' or 'fit'?"),
+        ("modle = 'a'", "study.toml: modle: no such key; did you mean 'model' or"),
+        (HEAD + "at_rset = true", "study.toml, [records] at_rset: no such key; did you mean 'at_rest'?"),
+        (HEAD + "[fit]\nprofle = ['K']", "study.toml, [fit]: profle: no such key; did you mean 'profile' or"),
+        (HEAD + "[fixed]\nM = 'ten'", "study.toml, [fixed], M: 'ten' must be a number in the unit of the model, or 'as declared'"),
+        (HEAD + "[start]\nM = true", "study.toml, [start], M: True must be a number"),
+        (HEAD + "[noise]\nx = nan", "study.toml, [noise], x: nan must be finite"),
+        (HEAD + "[noise]\nx = 1" + "0" * 400, "[noise], x: 1000000000000000000000000000000000"),
+        (HEAD + "skip = -1", "study.toml, [records] skip: -1: give 0 or more"),
+        (HEAD + "skip = 1.5", "study.toml, [records] skip: 1.5 must be a whole number"),
+        (HEAD + "hold = 'second'", "study.toml, [records] hold: there is no choice 'second'; known: zero, first, band-limited"),
+        (HEAD + "at_rest = 1", "study.toml, [records] at_rest: 1 must be true or false"),
+        (HEAD + "quiet = [1]", "study.toml, [records] quiet: 1 must be a text in quotes"),
+        (HEAD + "quiet = {a = 1}", "study.toml, [records] quiet: a table must be a list"),
+        (HEAD + "[priors]\nM = 0.01", "study.toml, [priors], M: 0.01: write it as M = { mean = 0.0100, std = 0.0001 }"),
+        (HEAD + "[schedule]\nK2 = {at = 1}", "study.toml, [schedule], K2: a table: write it as K2 = { by = "),
+        ("fixed = 3\n" + HEAD, "study.toml, [fixed]: 3 must be a table of NAME = VALUE"),
+        ("records = 3", "study.toml, records: must be a table, as in [records]"),
+        ("fit = 3\n" + HEAD, "study.toml: fit: must be a table, as in [fit]"),
+        (HEAD + "[fixed]\nM = 1\n[fixed]\nRa = 1", "not TOML: Cannot declare ('fixed',) twice"),
+        (HEAD + "skip = 3\n[fit.records]\nskip = 4", "study.toml, [fit.records] skip: given twice, for all commands and for fit"),
+        ("further = true\n" + HEAD, "greybox fit does not use it, discover does; leave it out, or move it to the table [discover]"),
+        (HEAD + "[discover.ties]\nKv = 'Kf'", "[discover.ties]: greybox discover does not use it, fit and compare and check do"),
+        ("[records]\nestimation = ['a.csv']", 'study.toml: model is missing; name one, as in model = "micro_actuator"'),
+        ('model = "micro_actuator"', "study.toml: [records] estimation is missing; name records"),
+        (HEAD, "a.csv: file not found"),
+        (HEAD + "[fixed]\nM = 0.01\n[start]\nM = 0.02", "M: study.toml, [fixed] and study.toml, [start] contradict each other"),
+        (HEAD + "\x00", "not TOML"),
+    ],
+)  # fmt: skip
+def test_a_mistake_in_a_study_file_is_one_line_with_its_place(
+    run: Run, tmp_path: Path, text: str, message: str
+) -> None:
+    (tmp_path / "study.toml").write_text(text)
+    result = run("fit", "study.toml")
+    assert result.exit_code == 2, result.output
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+    assert message in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["study.toml"]
+
+
+def test_a_file_that_is_no_text_too_long_or_not_there_is_refused(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_bytes(b"\xff\xfe\x00")
+    assert "not a text in UTF-8" in run("fit", "study.toml").stderr
+    (tmp_path / "long.toml").write_text("#" * 1_000_001)
+    assert "too long for a study file" in run("fit", "long.toml").stderr
+    assert "stduy.toml: file not found; did you mean 'study.toml'" in run("fit", "stduy.toml").stderr
+    assert "deep.toml: " in _deep(run, tmp_path)
+
+
+def _deep(run: Run, folder: Path) -> str:
+    (folder / "deep.toml").write_text("model = " + "[" * 5000 + "]" * 5000)
+    result = run("fit", "deep.toml")
+    assert result.exit_code == 2
+    return result.stderr
+
+
+def test_reading_a_study_file_runs_no_code(tmp_path: Path) -> None:
+    (tmp_path / "rig.py").write_text("raise RuntimeError('the model ran')")
+    (tmp_path / "study.toml").write_text('model = "rig.py"\n[records]\nestimation = ["a.csv"]\n')
+    study = read_study(tmp_path / "study.toml", "fit")
+    assert study.model == str(tmp_path / "rig.py")
+
+
+def test_a_study_file_is_never_overwritten(run: Run, tmp_path: Path, data: Path) -> None:
+    arguments = ["fit", "micro_actuator", data / "train.csv", "--write-study"]
+    assert run(*arguments, "study.toml").exit_code == 0
+    again = run(*arguments, "study.toml")
+    assert again.exit_code == 2 and "there is such a file already" in again.stderr
+    assert "a study file ends in .toml" in run(*arguments, "study.txt").stderr
+
+
+def test_every_field_has_one_place_and_one_option() -> None:
+    places = [(spec.table, spec.key) for spec in SPECS.values()]
+    flags = [spec.flag for spec in SPECS.values() if spec.flag]
+    assert len(set(places)) == len(places) and len(set(flags)) == len(flags)
+    assert not {spec.table for spec in SPECS.values()} & set(STUDY_COMMANDS)
+    assert all(set(fields_of(command)) <= set(SPECS) for command in STUDY_COMMANDS)
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+name = st.text(st.characters(exclude_categories=["Cs"]), min_size=1).filter(str.strip)
+
+
+@given(
+    fixed=st.dictionaries(name, st.none() | finite, max_size=3),
+    priors=st.dictionaries(name, st.tuples(finite, finite), max_size=2),
+    schedules=st.dictionaries(name, st.tuples(name, st.none() | finite), max_size=2),
+    conditions=st.dictionaries(name, st.none() | st.lists(finite, min_size=1).map(tuple), max_size=2),
+    ties=st.dictionaries(name, name, max_size=2),
+    effects=st.lists(name, max_size=2).map(tuple),
+    predict=st.lists(st.integers(0, 10**6), max_size=2).map(tuple),
+    arc_length=finite,
+)
+def test_any_study_is_read_as_it_was_written(tmp_path_factory: pytest.TempPathFactory, **values: object) -> None:
+    path = tmp_path_factory.mktemp("study") / "study.toml"
+    study = Study(model="rig", estimation=(Path("/a b/ü.csv"),), **values)  # type: ignore[arg-type]
+    path.write_text(study_text(study, path, "fit"), encoding="utf-8", newline="")
+    assert replace(read_study(path, "fit"), file=None, from_file=frozenset()) == study
+
+
+def test_a_study_refuses_what_it_cannot_say(tmp_path: Path) -> None:
+    with pytest.raises(GreyboxError, match="file not found"):
+        read_study(tmp_path / "none.toml", "fit")
