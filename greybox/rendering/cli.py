@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greybox.cli.findings import CommandCode
 from greybox.rendering.registry import register, renders
 from greybox.result.summary import MISFIT_HEADS, format_table, to_misfit_cells
 
@@ -23,16 +22,19 @@ def _record_split(finding: Finding) -> str:
     )
 
 
-register({
-    CommandCode.SPLIT_WITHOUT_EFFECT: "--split-holes has no effect: no record has a gap in its time, and none starts anew",
-    CommandCode.RECORD_SPLIT: _record_split,
-    CommandCode.PIECES_AT_REST: "with --at-rest each piece begins at rest; leave it out if the plant still moved after a gap",
-    CommandCode.SUBSTEPS_WITHOUT_EFFECT: (
-        "--substeps {substeps} has no effect where a linear model is integrated exactly; --method rk4 has substeps"
-    ),
-    CommandCode.FILE_OVERWRITTEN: "{subject} existed and has been overwritten",
-    CommandCode.UNUSED_PARAMETER: "parameter {subject!r} is in no equation: a term is missing, or the parameter is not needed",
-})  # fmt: skip
+# The codes are those of greybox.cli.findings, a later room.
+register(
+    {
+        "split_without_effect": "--split-holes has no effect: no record has a gap in its time, and none starts anew",
+        "record_split": _record_split,
+        "pieces_at_rest": "with --at-rest each piece begins at rest; leave it out if the plant still moved after a gap",
+        "substeps_without_effect": (
+            "--substeps {substeps} has no effect where a linear model is integrated exactly; --method rk4 has substeps"
+        ),
+        "file_overwritten": "{subject} existed and has been overwritten",
+        "unused_parameter": "parameter {subject!r} is in no equation: a term is missing, or the parameter is not needed",
+    }
+)
 
 
 @renders("FitAnswer")
