@@ -91,7 +91,11 @@ eddy_current = Effect(
     site="voltage",
     parameters=[
         shape_parameter(
-            "Re", "{voltage}/{current}", 1e6, (1e-6, 1e9), "loop resistance in parallel with the inductance",
+            "Re",
+            "{voltage}/{current}",
+            1e6,
+            (1e-6, 1e9),
+            "loop resistance in parallel with the inductance",
             "large: absent until fitted",
         )
     ],
@@ -107,6 +111,6 @@ eddy_current = Effect(
     amplitudes=("Re",),
     neutral={"Re": 1e6},
     grid=lambda s: {"Re": [factor * s.input / s.current for factor in (30.0, 5.0, 1.0, 0.3)]},
-)  # fmt: skip
+)
 
 ELECTRICAL: tuple[Effect, ...] = (force_constant_droop, winding_heating, eddy_current)

@@ -108,11 +108,21 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
     storage = ca.Function("storage", arguments, [ca.SX(stored)])
     fastest, slowest = _time_constants(model, x, u, p, duration)
     return Scales(
-        displacement=peak("displacement"), velocity=peak("velocity"), current=peak("current"),
-        input=_peak(u[:, 0]) if u.shape[1] else 0.0, sensor=_peak(shown - shown[0]), force=balances.get("force", 0.0),
-        storage=float(storage(x[0], u[0], p)), balances=balances, period=period, duration=duration,
-        fastest=fastest, slowest=slowest, reading=_peak(shown), peaks={role: peak(role) for role in roles},
-    )  # fmt: skip
+        displacement=peak("displacement"),
+        velocity=peak("velocity"),
+        current=peak("current"),
+        input=_peak(u[:, 0]) if u.shape[1] else 0.0,
+        sensor=_peak(shown - shown[0]),
+        force=balances.get("force", 0.0),
+        storage=float(storage(x[0], u[0], p)),
+        balances=balances,
+        period=period,
+        duration=duration,
+        fastest=fastest,
+        slowest=slowest,
+        reading=_peak(shown),
+        peaks={role: peak(role) for role in roles},
+    )
 
 
 def tailor_to_record(entry: Effect, scales: Scales) -> Effect:

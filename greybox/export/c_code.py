@@ -30,13 +30,34 @@ KEYWORDS = frozenset(
 
 
 def to_c(plant: Fit | Model, path: str | Path, *, dt: float | None = None, substeps: int = 0) -> tuple[Path, Path]:
-    """Write ``path`` (``plant.c``) and the header beside it: one sampling interval of the model, in C99 without dependencies.
+    """Write one sampling interval of a model as C99 without dependencies: a source and the header beside it.
 
     It is the library's own step (exact hold or Runge-Kutta with its substeps), with every effect in it: friction that sticks, bristles,
-    play, delays. ``dt`` in seconds (None: that of the fitted records); ``substeps`` 0 chooses. The constants are in the source with
-    their units and where they come from; nothing is allocated, there are no globals that change.
+    play, delays. The parameters are in the source with their units and where they come from; nothing is allocated, there are no globals
+    that change.
 
-    Raises ModelError where no sampling time is known, UnsupportedOperationError for an operation that C does not have.
+    Parameters
+    ----------
+    plant
+        A fit, or a model at its present values.
+    path
+        Of the source, ``plant.c``.
+    dt
+        Sampling time in s; None takes that of the fitted records.
+    substeps
+        Of a Runge-Kutta step; 0 chooses.
+
+    Returns
+    -------
+    tuple of Path
+        The source and the header.
+
+    Raises
+    ------
+    ModelError
+        Where no sampling time is known.
+    UnsupportedOperationError
+        For an operation that C does not have.
     """
     source = to_plant(plant)
     interval = make_discrete_step(source, dt, substeps=substeps)
@@ -57,17 +78,30 @@ def _header(plant: Plant, interval: DiscreteStep) -> str:
     model, name = plant.model, to_identifier(plant.model.name)
     past = _past_members(interval)
     lines = [
-        "/*", *(f"   {to_comment(line)}".rstrip() for line in _about(plant, interval)), "*/", "",
-        f"#ifndef {name.upper()}_H", f"#define {name.upper()}_H", "",
-        f"#define {name.upper()}_SAMPLING_TIME {c_literal(interval.dt)} /* s */", "",
-        *_struct(f"{name}_state", model.all_states, past), *_struct(f"{name}_input", model.inputs),
+        "/*",
+        *(f"   {to_comment(line)}".rstrip() for line in _about(plant, interval)),
+        "*/",
+        "",
+        f"#ifndef {name.upper()}_H",
+        f"#define {name.upper()}_H",
+        "",
+        f"#define {name.upper()}_SAMPLING_TIME {c_literal(interval.dt)} /* s */",
+        "",
+        *_struct(f"{name}_state", model.all_states, past),
+        *_struct(f"{name}_input", model.inputs),
         *_struct(f"{name}_output", model.outputs),
-        "/* The state at rest. */", f"void {name}_start(struct {name}_state *state);", "",
+        "/* The state at rest. */",
+        f"void {name}_start(struct {name}_state *state);",
+        "",
         "/* What the sensors show now. */",
-        f"void {name}_outputs(const struct {name}_state *state, const struct {name}_input *input, struct {name}_output *output);", "",
+        f"void {name}_outputs(const struct {name}_state *state, const struct {name}_input *input, struct {name}_output *output);",
+        "",
         f"/* The state {interval.dt:g} s later, the input held. */",
-        f"void {name}_step(struct {name}_state *state, const struct {name}_input *input);", "", "#endif", "",
-    ]  # fmt: skip
+        f"void {name}_step(struct {name}_state *state, const struct {name}_input *input);",
+        "",
+        "#endif",
+        "",
+    ]
     return "\n".join(lines)
 
 
@@ -81,10 +115,18 @@ def _about(plant: Plant, interval: DiscreteStep) -> list[str]:
     widths = [max(len(row[k]) for row in table) for k in range(3)] if table else [0, 0, 0]
     constants = ["  " + "  ".join(c.ljust(w) for c, w in zip(row, [*widths, 0], strict=True)).rstrip() for row in table]
     return [
-        title, "", *equations_text(model).splitlines(), "",
-        f"One step is {interval.dt:g} s with the input held; integrated by {interval.step.label}.", "",
-        "Constants", *constants, "", *plant.origin(), *(f"Note: {note}" for note in plant.notes),
-    ]  # fmt: skip
+        title,
+        "",
+        *equations_text(model).splitlines(),
+        "",
+        f"One step is {interval.dt:g} s with the input held; integrated by {interval.step.label}.",
+        "",
+        "Constants",
+        *constants,
+        "",
+        *plant.origin(),
+        *(f"Note: {note}" for note in plant.notes),
+    ]
 
 
 def _source(plant: Plant, interval: DiscreteStep, header_name: str) -> str:
@@ -102,8 +144,11 @@ def _source(plant: Plant, interval: DiscreteStep, header_name: str) -> str:
         tables += [
             "/* Exact discretisation with these constants for one sampling time; changing a constant above does not change these:",
             "   export the model anew. */",
-            "static const double coefficients[] = {", *_blocks(interval), "};", "",
-        ]  # fmt: skip
+            "static const double coefficients[] = {",
+            *_blocks(interval),
+            "};",
+            "",
+        ]
     use = "coefficients" if exact else "constants"
     states = _members(model.all_states, _past_members(interval))
     inputs, outputs = _members(model.inputs), _members(model.outputs)
@@ -111,21 +156,40 @@ def _source(plant: Plant, interval: DiscreteStep, header_name: str) -> str:
     load = [f"    const double u[] = {{{', '.join(f'input->{m}' for m in inputs) or '0'}}};"]
     past = ", ".join(f"state->{m}" for m in states[nx:]) or "0"
     body = [
-        f"void {name}_start(struct {name}_state *state)", "{",
-        "    struct start_once once;", "    double x[NX];", "", "    prepare_start(&once, constants);", "    start(&once, constants, x);",
-        *(f"    state->{m} = x[{k}];" for k, m in enumerate(states[:nx])), *(f"    state->{m} = 0;" for m in states[nx:]), "}", "",
-        f"void {name}_outputs(const struct {name}_state *state, const struct {name}_input *input, struct {name}_output *output)", "{",
-        f"    const double x[] = {{{', '.join(f'state->{m}' for m in states[:nx])}}}, past[] = {{{past}}};", *load, "    double y[NY];", "",
+        f"void {name}_start(struct {name}_state *state)",
+        "{",
+        "    struct start_once once;",
+        "    double x[NX];",
+        "",
+        "    prepare_start(&once, constants);",
+        "    start(&once, constants, x);",
+        *(f"    state->{m} = x[{k}];" for k, m in enumerate(states[:nx])),
+        *(f"    state->{m} = 0;" for m in states[nx:]),
+        "}",
+        "",
+        f"void {name}_outputs(const struct {name}_state *state, const struct {name}_input *input, struct {name}_output *output)",
+        "{",
+        f"    const double x[] = {{{', '.join(f'state->{m}' for m in states[:nx])}}}, past[] = {{{past}}};",
+        *load,
+        "    double y[NY];",
+        "",
         *(["    (void)input;"] if not inputs else []),
         f"    read_outputs(x, past, u, constants, {name.upper()}_SAMPLING_TIME, y);",
-        *(f"    output->{m} = y[{k}];" for k, m in enumerate(outputs)), "}", "",
-        f"void {name}_step(struct {name}_state *state, const struct {name}_input *input)", "{",
-        f"    double x[] = {{{', '.join(f'state->{m}' for m in states[:nx])}}}, past[] = {{{past}}};", *load, "",
+        *(f"    output->{m} = y[{k}];" for k, m in enumerate(outputs)),
+        "}",
+        "",
+        f"void {name}_step(struct {name}_state *state, const struct {name}_input *input)",
+        "{",
+        f"    double x[] = {{{', '.join(f'state->{m}' for m in states[:nx])}}}, past[] = {{{past}}};",
+        *load,
+        "",
         *(["    (void)input;"] if not inputs else []),
         f"    interval(x, past, u, {use}, {name.upper()}_SAMPLING_TIME);",
         *(f"    state->{m} = x[{k}];" for k, m in enumerate(states[:nx])),
-        *(f"    state->{m} = past[{k}];" for k, m in enumerate(states[nx:])), "}", "",
-    ]  # fmt: skip
+        *(f"    state->{m} = past[{k}];" for k, m in enumerate(states[nx:])),
+        "}",
+        "",
+    ]
     head = [
         f"/* {to_comment(model.title)}: see {header_name}. Generated by greybox; edit the model and export it anew. */",
         "",

@@ -23,10 +23,16 @@ def write_step(interval: DiscreteStep) -> str:
     step = interval.step
     columns = len(interval.model.inputs) + count_history_columns(step.past)
     sizes = {
-        "NX": len(interval.x0), "NU": len(interval.model.inputs), "NY": len(interval.model.outputs), "NP": len(interval.p),
-        "NQ": len(interval.coefficients()), "PAST": interval.past, "LATE": interval.late_input, "COLUMNS": max(columns, 1),
+        "NX": len(interval.x0),
+        "NU": len(interval.model.inputs),
+        "NY": len(interval.model.outputs),
+        "NP": len(interval.p),
+        "NQ": len(interval.coefficients()),
+        "PAST": interval.past,
+        "LATE": interval.late_input,
+        "COLUMNS": max(columns, 1),
         "SUBSTEPS": step.substeps,
-    }  # fmt: skip
+    }
     system = interval.model.system
     start = ca.Function("start", [system.p], [ca.densify(system.start)])
     routines = [
@@ -36,10 +42,15 @@ def write_step(interval: DiscreteStep) -> str:
     ]
     return "\n".join(
         [
-            "#include <math.h>", "", "#define INLINE static", *(f"#define {name} {size}" for name, size in sizes.items()), "",
-            *(routine.text() for routine in routines), read_template("step.c"),
+            "#include <math.h>",
+            "",
+            "#define INLINE static",
+            *(f"#define {name} {size}" for name, size in sizes.items()),
+            "",
+            *(routine.text() for routine in routines),
+            read_template("step.c"),
         ]
-    )  # fmt: skip
+    )
 
 
 def read_template(name: str) -> str:

@@ -80,8 +80,8 @@ def expression_latex(value: ca.SX | float) -> str:
 
 def symbol_latex(name: str) -> str:
     r"""A name as a symbol: ``Kf`` -> ``K_{f}``, ``p1`` -> ``p_{1}``, ``tau_e`` -> ``\tau_{e}``, ``friction.Fc`` -> ``F_{c,friction}``."""
-    owner, _, own = name.rpartition(".")
-    head, _, tail = own.partition("_")
+    owner, _, symbol = name.rpartition(".")
+    head, _, tail = symbol.partition("_")
     if not tail and (parts := NAME_PARTS.match(head)) and head not in GREEK:
         head, tail = parts.group(1), parts.group(2) or ""
     below = ",".join(part for part in (tail, owner) if part)

@@ -54,12 +54,23 @@ class CRoutine:
         results = "double *z, v *dz" if self.blocks else "double *z"
         return "\n".join(
             [
-                f"struct {self.name}_once {{", *(fields or ["    int none;"]), "};", "",
-                f"static void prepare_{self.name}(struct {self.name}_once *c, {arguments})", "{", *once, "}", "",
+                f"struct {self.name}_once {{",
+                *(fields or ["    int none;"]),
+                "};",
+                "",
+                f"static void prepare_{self.name}(struct {self.name}_once *c, {arguments})",
+                "{",
+                *once,
+                "}",
+                "",
                 f"INLINE void {self.name}(const struct {self.name}_once *c, {arguments}, {results})",
-                "{", *each, *outputs, "}", "",
+                "{",
+                *each,
+                *outputs,
+                "}",
+                "",
             ]
-        )  # fmt: skip
+        )
 
     def _statements(self, varying: bool) -> list[str]:
         lines = []

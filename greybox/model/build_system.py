@@ -54,8 +54,8 @@ def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
                 f"effect {effect.name!r} acts at {effect.site!r}, which model {statement.name!r} does not have;"
                 f" {nearest(site, sites)}"
             )
-        own: tuple[Item, ...] = (*effect.parameters, *effect.states)
-        names = {item.name: f"{effect.name}.{item.name}" if item.name in taken else item.name for item in own}
+        items: tuple[Item, ...] = (*effect.parameters, *effect.states)
+        names = {item.name: f"{effect.name}.{item.name}" if item.name in taken else item.name for item in items}
         parameters = tuple(
             ParameterSymbol(names[q.name], _fill_unit(q.unit, units, effect, statement.name), q.role)
             for q in effect.parameters
@@ -94,9 +94,14 @@ def build_system(statement: Statement) -> System:
     start = _start(statement, effects, p, outputs[statement.outputs[0].name], symbols_x, symbols_u)
     ranges = dict(zip((q.name for q in every), statement.delay_ranges, strict=False))
     equations = _Equations(
-        statement, [s.name for s in states], symbols_x, balances, outputs, _units_by_word(statement, balances.values()),
+        statement,
+        [s.name for s in states],
+        symbols_x,
+        balances,
+        outputs,
+        _units_by_word(statement, balances.values()),
         {name: ranges[name] for name in (q.name for q in parameters)} if ranges else {},
-    )  # fmt: skip
+    )
     for effect in effects:
         equations.add(effect, *before.get(effect.effect.name, (x, u)), p)
 
@@ -167,10 +172,11 @@ class _Equations:
             )
             self.balances[placed.site] = target.with_term(effect.name, -friction.sliding * ca.sign(self.x[state]))
         model_names = placed.model_names
-        for own in effect.balances(*names) if effect.balances else ():
-            name, unit = f"{effect.name}.{own.name}", _fill_unit(own.unit, self.units, effect, self.statement.name)
-            state_name = model_names.get(own.state, own.state)
-            self.balances[name] = Balance(name, unit, own.storage, state_name, **own.terms)
+        for balance in effect.balances(*names) if effect.balances else ():
+            name = f"{effect.name}.{balance.name}"
+            unit = _fill_unit(balance.unit, self.units, effect, self.statement.name)
+            state_name = model_names.get(balance.state, balance.state)
+            self.balances[name] = Balance(name, unit, balance.storage, state_name, **balance.terms)
         if effect.update:
             self.updates += collect_updates(effect.name, effect.update(*names), model_names, self.states)
         if effect.delay:

@@ -40,7 +40,7 @@ def collect_updates(
     """
     others = [name for name in updates if model_names.get(name) not in states]
     if others:
-        own_states = [own for own, name in model_names.items() if name in states]
+        own_states = [inner for inner, name in model_names.items() if name in states]
         raise ModelError(
             f"effect {effect!r} sets {others[0]!r}, which is no state of its own; {nearest(others[0], own_states)}"
         )

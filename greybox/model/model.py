@@ -283,11 +283,11 @@ class Model(Printable):
         plant = tuple(replace(s, noise=noise[s.name]) if s.name in noise else s for s in self.states)
         effects = []
         for b in self.bound_effects:
-            own = [
+            states_of_effect = [
                 replace(inner, noise=noise[outer.name]) if outer.name in noise else inner
                 for inner, outer in zip(b.effect.states, b.states, strict=True)
             ]
-            effects.append(replace(b.effect, states=tuple(own)))
+            effects.append(replace(b.effect, states=tuple(states_of_effect)))
         return replace(self, states=plant, parameters=(*self.parameters, *added), effects=tuple(effects))
 
     def prior(self, **priors: tuple[float, float] | None) -> Model:
@@ -374,9 +374,11 @@ class Model(Printable):
             raise ModelError("; ".join(problems))
         effects = []
         for b in self.bound_effects:
-            pairs = zip(b.effect.parameters, b.parameters, strict=True)
-            own = [replace(new[q.name], name=own.name, unit=own.unit) if q.name in new else own for own, q in pairs]
-            effects.append(replace(b.effect, parameters=tuple(own)))
+            parameters = [
+                replace(new[outer.name], name=inner.name, unit=inner.unit) if outer.name in new else inner
+                for inner, outer in zip(b.effect.parameters, b.parameters, strict=True)
+            ]
+            effects.append(replace(b.effect, parameters=tuple(parameters)))
         return replace(self, parameters=tuple(new.get(q.name, q) for q in self.parameters), effects=tuple(effects))
 
     def __getstate__(self) -> dict[str, Any]:

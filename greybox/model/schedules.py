@@ -32,12 +32,16 @@ def schedule_effect(name: str, by: str, about: float, *, order: int = 1) -> Effe
         return {name: p[name] * (1 + sum(p[coefficients[k]] * away**k for k in powers))}
 
     return Effect(
-        f"{name}_by_{by}", "",
+        f"{name}_by_{by}",
+        "",
         [
-            *(Parameter(coefficients[k], "1", 0.0, description=f"change of {name} with {by}, power {k}") for k in powers),
+            *(
+                Parameter(coefficients[k], "1", 0.0, description=f"change of {name} with {by}, power {k}")
+                for k in powers
+            ),
             Parameter(reference, f"{{{by}}}", about, fixed=True, description=f"the {by} at which {name} holds"),
         ],
         on_parameter=used,
         equation=f"{name} (1 + {coefficients[1]} ({by}/{reference} - 1){' + ...' if order > 1 else ''})",
         amplitudes=tuple(coefficients.values()),
-    )  # fmt: skip
+    )

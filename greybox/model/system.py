@@ -56,9 +56,22 @@ class EffectEquations(NamedTuple):
         """The equations of ``effect``."""
         e = effect
         return cls(
-            e.name, e.site, parameter_symbols(e.parameters), tuple(e.states), e.terms, e.dry, e.balances, e.update, e.delay, e.on_input,
-            e.on_output, e.on_parameter, e.on_state, e.on_term, e.on_storage,
-        )  # fmt: skip
+            e.name,
+            e.site,
+            parameter_symbols(e.parameters),
+            tuple(e.states),
+            e.terms,
+            e.dry,
+            e.balances,
+            e.update,
+            e.delay,
+            e.on_input,
+            e.on_output,
+            e.on_parameter,
+            e.on_state,
+            e.on_term,
+            e.on_storage,
+        )
 
 
 class Statement(NamedTuple):
@@ -96,9 +109,16 @@ class Statement(NamedTuple):
             every = (*parameters, *(q for effect in effects for q in effect.parameters))
             ranges = tuple((q.value,) if q.fixed else tuple(q.bounds) for q in every)
         return cls(
-            name, tuple(states), tuple(inputs), tuple(outputs), parameter_symbols(parameters), balances,
-            tuple(map(EffectEquations.of, effects)), tuple(ties), ranges,
-        )  # fmt: skip
+            name,
+            tuple(states),
+            tuple(inputs),
+            tuple(outputs),
+            parameter_symbols(parameters),
+            balances,
+            tuple(map(EffectEquations.of, effects)),
+            tuple(ties),
+            ranges,
+        )
 
     @property
     def title(self) -> str:
@@ -120,17 +140,17 @@ class PlacedEffect:
         """The effect's own names -> the model's names."""
         inner: tuple[Item, ...] = (*self.effect.parameters, *self.effect.states)
         outer: tuple[Item, ...] = (*self.parameters, *self.states)
-        return {own.name: placed.name for own, placed in zip(inner, outer, strict=True)}
+        return {own_item.name: placed.name for own_item, placed in zip(inner, outer, strict=True)}
 
     def sees_states(self, x: NamedValues) -> NamedValues:
         """The states as the effect's functions see them: its own names come first."""
         names = self.model_names
-        return x.replaced({own.name: x[names[own.name]] for own in self.effect.states})
+        return x.replaced({state.name: x[names[state.name]] for state in self.effect.states})
 
     def sees_parameters(self, p: NamedValues) -> NamedValues:
         """The parameters as the effect's functions see them: its own names come first."""
         names = self.model_names
-        return p.replaced({own.name: p[names[own.name]] for own in self.effect.parameters})
+        return p.replaced({q.name: p[names[q.name]] for q in self.effect.parameters})
 
 
 @dataclass(frozen=True)

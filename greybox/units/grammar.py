@@ -38,16 +38,16 @@ def parse_powers(unit: str) -> tuple[float, Powers]:
 
 def _tokens(text: str) -> list[str]:
     """Tokens in reverse order, so that the next one is popped from the end."""
-    found = []
+    tokens = []
     position = 0
     while position < len(text):
         match = TOKEN.match(text, position)
         if not match and not text[position].isspace():
             raise ValueError(text[position])
         if match:
-            found.append(match.group())
+            tokens.append(match.group())
         position = match.end() if match else position + 1
-    return found[::-1]
+    return tokens[::-1]
 
 
 def _product(tokens: list[str]) -> tuple[float, Powers]:

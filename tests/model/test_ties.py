@@ -20,12 +20,16 @@ def two(**second):
 
 def test_a_tie_is_the_formula_in_the_place_of_the_constant():
     written = Model(
-        "mass", MASS.states, MASS.inputs, MASS.outputs, [q for q in MASS.parameters if q.name != "B"],
+        "mass",
+        MASS.states,
+        MASS.inputs,
+        MASS.outputs,
+        [q for q in MASS.parameters if q.name != "B"],
         lambda x, u, p: [
             Balance("position", "m/s", 1, "x", velocity=x.v),
             Balance("force", "N", p.M, "v", drive=u.u, damping=-0.2 * (p.K * p.M) ** 0.5 * x.v, spring=-p.K * x.x),
         ],
-    )  # fmt: skip
+    )
     found, expected = fit(TIED, two(), noise=LEVEL), fit(written, two(), noise=LEVEL)
     assert found.uncertainty.free == ("K",) and found.solver.cost == pytest.approx(expected.solver.cost, rel=1e-10)
     k, b = found.parameters["K"], found.constraints.tied["B"]
@@ -107,7 +111,10 @@ def test_a_constant_may_follow_a_measured_input():
         (lambda: TIED.tie(B="0.1*sqrt(K*M)"), "it is tied already, B = 0.2\\*sqrt\\(K\\*M\\); first untie"),
         (lambda: TIED.start(B=1.0), "set K or M instead"),
         (lambda: MASS.untie("B"), "'B' is not tied"),
-        (lambda: fit(MASS, record(0), per_experiment=["K"]), "there is one experiment; a constant of each experiment's own needs several"),
+        (
+            lambda: fit(MASS, record(0), per_experiment=["K"]),
+            "there is one experiment; a constant of each experiment's own needs several",
+        ),
         (lambda: fit(MASS, two(), per_experiment=["M"]), "'M' is fixed at 1 kg; first free\\('M'\\)"),
         (lambda: fit(MASS, two(), per_experiment=["K", "K"]), "'K' is named twice"),
         (lambda: fit(MASS, two(), per_experiment=["Kk"]), "'Kk'; did you mean 'K'"),
@@ -115,7 +122,7 @@ def test_a_constant_may_follow_a_measured_input():
         (lambda: PRESSED.schedule("K", by="P", about=0.0), "about 0 leaves nothing to refer to"),
         (lambda: fit(TIED, [replace(record(0), conditions={"B": 1.0})]), "condition 'B' is tied"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_refused_in_words(change, message):
     with pytest.raises(ModelError, match=message):
         change()
