@@ -7,7 +7,7 @@ import sys
 import numpy as np
 
 from fits.control_study import BLACK, COMPENSATED, GENTLER, KNOWING, LEVEL, PLAIN, Study
-from greybox.result.summary import format_table
+from greybox.rendering.tables import format_table
 
 MEASURES = (
     "settling time of each move [s]",

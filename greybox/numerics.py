@@ -90,3 +90,25 @@ full precision (``0.5^14 / 14!`` is below 1e-15)."""
 
 INTEGRATOR_POLE = 1e-9
 """A mode slower than this share of the fastest one counts as an integrator: it has no time constant."""
+
+INFORMATION_CUTOFF = 1e-12
+"""Directions of the scaled parameters with less than this share of the largest curvature are not determined: the information matrix is
+a product of sensitivities, which squares their rounding errors."""
+
+PART_INFORMATION_CUTOFF = 1e-10
+"""The same for a part of the data by itself, where it decides only whether the part says anything of a parameter."""
+
+DECREASE_CUTOFF = 1e-13
+"""Directions with less than this share of the largest curvature promise no decrease of a cost."""
+
+AT_BOUND = 1e-6
+"""A scaled variable this close to its bound lies on it."""
+
+FAINT_SENSITIVITY = 1e-100
+"""Root of an information below which a parameter does not act at all: its square is next to underflow."""
+
+UNSEEN_INFORMATION = 1e-8
+"""A direction of first states with less than this share of the information of the best known one is taken to be as wide as this says."""
+
+PRIOR_INFORMATION_CUTOFF = 1e-6
+"""A prior without which the data leave less than this share of the information says all that is known: the rest is rounding."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from greybox.errors import DataError, ModelError, nearest
-from greybox.estimation.option_findings import find_excluded_outputs
+from greybox.estimation.fit_issues import find_excluded_outputs
 from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import prepare_problem
 from greybox.experiment import Experiment
@@ -113,7 +113,7 @@ def check(
         model, model.system.linear, problem.step.label, problem.kernel.description, problem.kernel.reason,
         group, assumed,
         {o.name: float(problem.noise.std[j]) for j, o in enumerate(model.outputs) if o.name in measured},
-        "; ".join([str(problem.noise), *find_excluded_outputs(problem)]), structure, analyse_problem(problem, structure), doubt,
+        "; ".join([str(problem.noise), *map(str, find_excluded_outputs(problem))]), structure, analyse_problem(problem, structure), doubt,
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.surrogate import TONE, Surrogate, SurrogateTone
 from greybox.estimation import fit as fitted
 from greybox.estimation import validate
-from greybox.estimation.validate import FIRST_ROWS
+from greybox.estimation.policy import DEFAULT_POLICY
 from greybox.experiment import Experiment
 from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, Parameter, State
@@ -59,7 +59,7 @@ def fit_tone_surrogate(
     alike = [(p, f) for p, f in zip(ways, fits, strict=True) if f.solver.cost - least < decision.TIE]
     place, result = alike[0]
     rows, seconds = _beginning(judges, result.parameters[_own(result)[0]].value, skip)
-    seen = validate(result.model, judges, noise=result.noise.std, skip=skip, beginning=rows, options=bench.options)
+    seen = validate(result.model, judges, noise=result.noise.std, skip=skip, initial_rows=rows, options=bench.options)
     result = replace(result, validation=seen)
     others = tuple(str(p) for p, _ in alike[1:])
     return _drawn(
@@ -182,5 +182,5 @@ def _beginning(judges: Sequence[Experiment], frequency: float, skip: int) -> tup
     """Rows of a judging record from which the tone's amplitude and phase are estimated, and their seconds."""
     period = max(float(np.median(np.diff(e.time))) for e in judges)
     half = min(e.rows for e in judges) // 2
-    rows = skip or min(max(math.ceil(PERIODS / (frequency * period)), FIRST_ROWS), half)
+    rows = skip or min(max(math.ceil(PERIODS / (frequency * period)), DEFAULT_POLICY.initial_state.first_rows), half)
     return rows, rows * period

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
+from greybox.estimation.likelihood_search import LikelihoodOptimum
+from greybox.estimation.policy import DEFAULT_POLICY, IntervalPolicy
 from greybox.estimation.sandwich import (
     estimate_kernel_score_covariance,
     estimate_residual_colour,
     estimate_score_covariance,
 )
+from greybox.estimation.solution import Runs
+from greybox.numerics import INFORMATION_CUTOFF, TINY
+from greybox.result import IntervalKind
 from greybox.transcription import DecisionVector, Evaluation
-
-# A direction of the scaled constants with less than this share of the largest curvature is not determined.
-UNDETERMINED = 1e-12
-
-GAUSS_NEWTON, SANDWICH = "gauss_newton", "sandwich"
-Rows = Sequence[tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -34,7 +32,7 @@ class ParameterCovariance:
 
     covariance: np.ndarray
     open_directions: tuple[dict[str, float], ...]
-    kind: str = GAUSS_NEWTON
+    kind: IntervalKind = IntervalKind.GAUSS_NEWTON
     inflation: np.ndarray | None = None
     degrees: float = np.inf
     information: np.ndarray | None = None
@@ -42,9 +40,14 @@ class ParameterCovariance:
 
 
 def estimate_covariance(
-    variables: DecisionVector, evaluation: Evaluation, noise_given: bool, rows: Rows | None = None, unknowns: int | None = None,
-    least: np.ndarray | None = None,
-) -> ParameterCovariance:  # fmt: skip
+    variables: DecisionVector,
+    evaluation: Evaluation,
+    noise_given: bool,
+    rows: Runs | None = None,
+    unknowns: int | None = None,
+    variance_floor: np.ndarray | None = None,
+    policy: IntervalPolicy = DEFAULT_POLICY.intervals,
+) -> ParameterCovariance:
     """Covariance of the constants, initial states projected out; constants at a bound count as fixed there.
 
     With the Jacobian ``J`` of the residual, its covariance ``R`` and the precision ``P`` of the priors it is the sandwich
@@ -53,7 +56,7 @@ def estimate_covariance(
     with them, at ``s^2 = 1``, the posterior covariance ``A^-1``. With ``rows``, the residuals and Jacobians of each record, each output
     has an ``s^2`` of its own and the residual may be coloured (`greybox.estimation.sandwich`); without them it is taken to be white.
     Constants along an undetermined direction get an infinite variance. ``unknowns``: how many numbers were estimated.
-    ``least`` (ny,): see `estimate_residual_colour`.
+    ``variance_floor`` (ny,): see `estimate_residual_colour`.
     """
     n = len(variables.which)
     covariance = np.full((n, n), np.nan)
@@ -73,21 +76,21 @@ def estimate_covariance(
     degrees = float(max(evaluation.count - unknowns + int(variables.held.sum()), 1))
     variance = float(evaluation.squares.sum()) / degrees
     if noise_given:
-        degrees = np.inf if variance <= 1 or least is not None else degrees
+        degrees = np.inf if variance <= 1 or variance_floor is not None else degrees
         variance = max(variance, 1.0)
-    scores, kind, inflation = variance * information, GAUSS_NEWTON, np.ones(n)
+    scores, kind, inflation = variance * information, IntervalKind.GAUSS_NEWTON, np.ones(n)
     if rows is not None:
-        colour = estimate_residual_colour(rows, unknowns, noise_given, least)
+        colour = estimate_residual_colour(rows, unknowns, noise_given, variance_floor, policy)
         scores = (projector @ estimate_score_covariance(variables, rows, colour.white) @ projector.T)[block]
     spread = inverse @ (scores + held) @ inverse
     if rows is not None and colour.coloured:
         white = np.diag(spread)
         scores = (projector @ estimate_score_covariance(variables, rows, colour) @ projector.T)[block]
-        other = estimate_kernel_score_covariance(variables, rows, colour, projector)[block]
+        other = estimate_kernel_score_covariance(variables, rows, colour, projector, policy)[block]
         spread = raise_to_larger(*(inverse @ (middle + held) @ inverse for middle in (scores, other)))
         with np.errstate(divide="ignore", invalid="ignore"):
             inflation[inside] = np.sqrt(np.diag(spread) / white)
-        kind, degrees = SANDWICH, colour.degrees
+        kind, degrees = IntervalKind.SANDWICH, colour.degrees
     spread[np.diag_indices_from(spread)] = np.where(is_in_open_direction(weak), np.inf, np.diag(spread))
     slopes = variables.spans[inside]
     covariance[block] = spread * np.outer(slopes, slopes)
@@ -98,7 +101,7 @@ def estimate_covariance(
     )
 
 
-def compute_information(variables: DecisionVector, rows: Rows) -> np.ndarray:
+def compute_information(variables: DecisionVector, rows: Runs) -> np.ndarray:
     """``J'J`` (size, size) of the residuals that were measured."""
     total = np.zeros((variables.size, variables.size))
     for e, (r, jacobian) in enumerate(rows):
@@ -109,14 +112,14 @@ def compute_information(variables: DecisionVector, rows: Rows) -> np.ndarray:
 
 def invert_information(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The inverse, zero along directions without information; these directions (n, k), scaled; and the scale (n,) of each entry."""
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(information), TINY))
     told = (
         np.diag(information) > 0
     )  # a run that has left all bounds may say less than nothing of a constant, by rounding
     values, vectors = np.linalg.eigh(
         np.divide(information, np.outer(scale, scale), where=np.outer(told, told), out=np.zeros_like(information))
     )
-    weak = values <= UNDETERMINED * max(values.max(initial=0.0), 1.0)
+    weak = values <= INFORMATION_CUTOFF * max(values.max(initial=0.0), 1.0)
     inverse = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
     return inverse, vectors[:, weak], scale
 
@@ -148,7 +151,11 @@ def _projector(information: np.ndarray, n: int) -> np.ndarray:
     Applied to the information it leaves the Schur complement ``A - B C^-1 B'``.
     """
     b, c = information[:n, n:], information[n:, n:]
-    return np.hstack([np.eye(n), -b @ np.linalg.pinv(c, rcond=1e-12, hermitian=True)]) if c.size else np.eye(n)
+    return (
+        np.hstack([np.eye(n), -b @ np.linalg.pinv(c, rcond=INFORMATION_CUTOFF, hermitian=True)])
+        if c.size
+        else np.eye(n)
+    )
 
 
 def raise_to_larger(covariance: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -169,3 +176,121 @@ def to_direction(names: list[str], vector: np.ndarray) -> dict[str, float]:
     largest = np.abs(vector).max()
     share = vector / (largest * np.sign(vector[np.argmax(np.abs(vector))]))
     return {name: float(w) for name, w in zip(names, share, strict=True) if abs(w) > 1e-2}
+
+
+@dataclass(frozen=True)
+class LikelihoodCovariance:
+    """``constants`` as `ParameterCovariance` has them; ``noise`` (ny,): standard deviation of the logarithm of each output's
+    estimated noise,
+    NaN where it was given.
+    """
+
+    constants: ParameterCovariance
+    noise: np.ndarray
+
+
+def estimate_likelihood_covariance(
+    optimum: LikelihoodOptimum, policy: IntervalPolicy = DEFAULT_POLICY.intervals
+) -> LikelihoodCovariance:
+    """Covariance of the constants and of the noise levels at the optimum, the first states estimated as well.
+
+    The observed information is half the Hessian of ``-2 log L``, by central differences of its exact gradient; where it is not positive
+    definite, the expected one. Where the innovations are correlated from sample to sample the model lacks something: then it is the
+    sandwich ``A^-1 B A^-1`` with Newey and West's covariance ``B`` of the scores, which for a model that lacks nothing are martingale
+    differences, but no standard deviation gets smaller by that. Constants at a bound count as fixed there.
+    """
+    u = optimum.cost.unknowns
+    n, ny = len(u.variables.which), len(u.level)
+    if not u.size or not optimum.status.success:
+        return LikelihoodCovariance(ParameterCovariance(np.full((n, n), np.nan), ()), np.full(ny, np.nan))
+    inside = np.flatnonzero(~u.variables.active)
+    k = len(inside)
+    wanted = np.concatenate([inside, np.arange(u.variables.size, u.size)])
+    first_states = np.arange(n, u.variables.size)
+    kind, whole = IntervalKind.OBSERVED_INFORMATION, compute_observed_information(optimum, policy)
+    expected = optimum.evaluation.hessian / 2
+    projector = _project_scores(expected, wanted, first_states)
+    inverse, weak, scale = invert_information(_symmetrise(projector @ expected[:, wanted]))
+    observed = _invert_within(_reduce_information(whole, wanted, first_states), weak, scale)
+    if observed is None:
+        kind, whole = IntervalKind.EXPECTED_INFORMATION, expected
+    else:
+        inverse, projector = observed, _project_scores(whole, wanted, first_states)
+    covariance, inflation = inverse.copy(), np.ones(n)
+    innovations = optimum.cost.innovations()
+    colour = estimate_residual_colour([(r, r) for r in innovations], 0, True, policy=policy)
+    if colour.coloured:
+        rows = [(np.ones((len(s), 1)), s[:, None, :]) for s in optimum.cost.scores()]
+        covariance = raise_to_larger(
+            inverse, inverse @ estimate_kernel_score_covariance(u, rows, colour, projector, policy) @ inverse
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inflation[inside] = np.sqrt(np.diag(covariance) / np.diag(inverse))[:k]
+        kind = IntervalKind.SANDWICH
+    covariance[np.diag_indices_from(covariance)] = np.where(is_in_open_direction(weak), np.inf, np.diag(covariance))
+    result, information = np.full((n, n), np.nan), np.full((n, n), np.nan)
+    block, spans = np.ix_(inside, inside), u.variables.spans[inside]
+    result[block] = covariance[:k, :k] * np.outer(spans, spans)
+    data = whole - np.diag(np.pad(u.variables.penalty(np.zeros(u.variables.size))[2] / 2, (0, u.size - n)))
+    information[block] = _reduce_information(data, inside, np.arange(n, u.size))
+    names = [u.variables.names[j] for j in inside] + [""] * (len(wanted) - k)
+    directions = tuple(to_direction(names, weak[:, j] / scale) for j in range(weak.shape[1]))
+    noise = np.full(ny, np.nan)
+    noise[u.estimated] = np.sqrt(np.diag(covariance)[k:])
+    return LikelihoodCovariance(
+        ParameterCovariance(result, directions, kind, inflation, np.inf, information, information), noise
+    )
+
+
+def compute_observed_information(optimum: LikelihoodOptimum, policy: IntervalPolicy) -> np.ndarray:
+    """Half the Hessian (size, size) of ``-2 log L`` at the optimum; an experiment's first states concern it alone."""
+    cost, u = optimum.cost, optimum.cost.unknowns
+    expected = np.diag(optimum.evaluation.hessian) / 2
+    steps = np.where(expected > 0, policy.difference_share / np.sqrt(np.maximum(expected, TINY)), 0.0)
+    whole = np.zeros((u.size, u.size))
+    each, n = len(u.variables.free_states), len(u.variables.which)
+    for k in np.flatnonzero(steps):
+        step = np.zeros(u.size)
+        step[k] = min(steps[k], policy.longest_difference)
+        own = [int(k - n) // each] if n <= k < u.variables.size else None
+        whole[k] = (cost.gradient(step, own) - cost.gradient(-step, own)) / (4 * step[k])
+    places = np.arange(n)
+    whole[places, places] += u.variables.penalty(np.zeros(u.variables.size))[2] / 2
+    return _symmetrise(whole)
+
+
+def _project_scores(information: np.ndarray, wanted: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Takes scores (size,) to those of the ``wanted`` unknowns with the ``others`` estimated as well: ``[I, -B C^-1]``."""
+    result = np.zeros((len(wanted), len(information)))
+    result[np.arange(len(wanted)), wanted] = 1.0
+    if len(others):
+        inverse = invert_information(information[np.ix_(others, others)])[0]
+        result[:, others] = -information[np.ix_(wanted, others)] @ inverse
+    return result
+
+
+def _reduce_information(information: np.ndarray, wanted: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Information on the ``wanted`` unknowns with the ``others`` estimated as well; what is not finite stays so."""
+    if not np.isfinite(information).all():
+        return np.full((len(wanted), len(wanted)), np.nan)
+    return _symmetrise(_project_scores(information, wanted, others) @ information[:, wanted])
+
+
+def _invert_within(information: np.ndarray, weak: np.ndarray, scale: np.ndarray) -> np.ndarray | None:
+    """The inverse of an information but for its ``weak`` directions, along which it is zero; None where it is not positive definite.
+
+    Differences leave a little curvature along directions that have none: which these are, the exact expected information says.
+    """
+    if not np.isfinite(information).all():
+        return None
+    basis = np.linalg.svd(weak, full_matrices=True)[0][:, weak.shape[1] :] if weak.size else np.eye(len(scale))
+    values, vectors = np.linalg.eigh(_symmetrise(basis.T @ (information / np.outer(scale, scale)) @ basis))
+    if values.min(initial=1.0) <= 0:
+        return None
+    strong = basis @ vectors
+    return (strong / values) @ strong.T / np.outer(scale, scale)
+
+
+def _symmetrise(matrix: np.ndarray) -> np.ndarray:
+    """The symmetric part."""
+    return (matrix + matrix.T) / 2

@@ -11,11 +11,9 @@ from greybox.estimation.options import FitOptions, FitProgressCallback
 from greybox.estimation.problem import EstimationProblem
 from greybox.estimation.solution import Solution
 from greybox.estimation.solve_single_shooting import solve_single
+from greybox.estimation.strategy import Completion, extend_strategy
 from greybox.noise import AutoRegression
 from greybox.transcription import SingleShooting
-
-# A free run follows the joined one if its cost is at most this much larger (or its misfit over noise by this much).
-FOLLOWS, PERFECT = 1.1, 1e-3
 
 
 def is_plain_least_squares(problem: EstimationProblem) -> bool:
@@ -37,20 +35,23 @@ def finish_by_simulation_error(solution: Solution, options: FitOptions, report: 
     problem = replace(solution.problem, variables=solution.variables)
     if is_plain_least_squares(problem) or not solution.status.success:
         return solution
+    policy = options.policy.joining
     run = SingleShooting(problem.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
     cost, count = run.evaluate(np.zeros(problem.variables.size)).cost, solution.evaluation.count
-    if cost <= FOLLOWS * solution.evaluation.cost + PERFECT**2 * count:
-        found = solve_single(problem, replace(options, progressive=False), report)
+    if cost <= policy.cost_ratio * solution.evaluation.cost + policy.perfect_noise_ratio**2 * count:
+        finished = solve_single(problem, replace(options, progressive=False), report)
         return replace(
-            found, strategy=f"{solution.strategy}; then by a free run from there, as the noise or the cost asks",
-            iterations=found.iterations + solution.iterations, evaluations=found.evaluations + solution.evaluations,
-            seconds=found.seconds + solution.seconds,
-        )  # fmt: skip
+            finished,
+            strategy=extend_strategy(solution.strategy, Completion.FREE_RUN),
+            iterations=finished.iterations + solution.iterations,
+            evaluations=finished.evaluations + solution.evaluations,
+            seconds=finished.seconds + solution.seconds,
+        )
     if is_plain_least_squares(with_white_noise(problem)):
-        said = "the noise is weighed as white, since a free run does not follow this plant; the intervals allow for its colour"
-        return replace(solution, problem=with_white_noise(solution.problem), strategy=f"{solution.strategy}; {said}")
+        strategy = extend_strategy(solution.strategy, Completion.WHITE_NOISE)
+        return replace(solution, problem=with_white_noise(solution.problem), strategy=strategy)
     title = "multiple shooting" if solution.transcription == "multiple" else "collocation"
     raise ModelError(
-        f"{problem.model.title}: {title} minimises plain squares of the error; a robust loss needs a free run, and that does not"
-        " follow this plant: leave it out"
+        f"{problem.model.title}: {title} minimises plain squares of the error; a robust loss needs a free run, and a free run does not"
+        " follow this plant: leave the loss out"
     )

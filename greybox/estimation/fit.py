@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,10 +17,16 @@ from greybox.estimation.estimates import (
     to_model_covariance,
     to_tied_estimates,
 )
-from greybox.estimation.findings import add_record_notes, describe_status, find_fit_issues, find_validation_issues
-from greybox.estimation.option_findings import find_option_issues
-from greybox.estimation.options import FitOptions, FitProgressCallback, resolve_options
+from greybox.estimation.fit_issues import (
+    add_record_findings,
+    find_fit_issues,
+    find_option_issues,
+    find_status_details,
+    find_validation_issues,
+)
+from greybox.estimation.options import ColourTreatment, FitOptions, FitProgressCallback, resolve_options
 from greybox.estimation.parameter_constancy import find_solution_shifts
+from greybox.estimation.policy import JoiningPolicy
 from greybox.estimation.prediction_error_fit import fit_by_prediction
 from greybox.estimation.problem import prepare_problem
 from greybox.estimation.robust_estimation import refit_robustly, summarise_outliers
@@ -45,13 +50,9 @@ from greybox.result import (
     FitNoise,
     FitUncertainty,
     Provenance,
-    RobustReport,
     SolverReport,
 )
 from greybox.transcription.records import to_experiments
-
-ColourTreatment = Literal["known", "residual", "white"]
-COLOURINGS = ("known", "residual", "white")
 
 
 def fit(
@@ -60,7 +61,7 @@ def fit(
     *,
     noise: Mapping[str, float] | NoiseModel | None = None,
     quiet: Experiment | Sequence[Experiment] = (),
-    colour: ColourTreatment = "known",
+    colour: ColourTreatment | str = ColourTreatment.KNOWN,
     validation: Experiment | Sequence[Experiment] = (),
     skip: int = 0,
     per_experiment: Sequence[str] = (),
@@ -104,70 +105,67 @@ def fit(
             *((per_experiment,) if isinstance(per_experiment, str) else per_experiment),
         ),
     )
-    if colour not in COLOURINGS:
-        raise ModelError(f"unknown colour {colour!r}; {nearest(colour, COLOURINGS)}")
+    if colour not in list(ColourTreatment):
+        raise ModelError(f"unknown colour {colour!r}; {nearest(colour, list(map(str, ColourTreatment)))}")
     judges = to_experiments(validation) if validation else ()  # refused before the work is done, and not after it
     if model.noisy_states:
-        if colour == "residual":
+        if colour == ColourTreatment.RESIDUAL:
             raise ModelError(
                 "colour 'residual': process noise is what makes the innovations white; leave out the colour, or the process noise"
             )
-        if options.transcription not in ("automatic", "single") or options.arc_length:
-            raise ModelError(
-                f"transcription {options.transcription!r}: a model with process noise is fitted by its one-step predictions, which have"
-                " none; leave out transcription and arc_length, or the process noise"
-            )
         result = fit_by_prediction(model, experiments, noise, quiet, options, report, initial)
-        return _judged(result, judges, skip, options, raise_on_failure)
+        return _add_validation(result, judges, skip, options, raise_on_failure)
     problem = prepare_problem(
         model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet,
         per_experiment=options.per_experiment, robust=options.robust, initial=initial,
     )  # fmt: skip
     if not problem.step.per_interval:
         refuse_long_time_gaps(judges)
-    if colour == "white":
+    if colour == ColourTreatment.WHITE:
         problem = problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in model.outputs)))
     solution = solve(problem, options, report)
     if NoiseSource.RESIDUAL in problem.noise.sources.values() and solution.status.success:
-        solution = _weighted_by_residual(solution, options, report)
+        solution = _weigh_by_residual(solution, options, report)
     solution = refit_robustly(solution, options, report)
-    if colour == "residual" and solution.status.success:
-        solution = refit_robustly(_coloured_by_residual(solution, options, report), options, report)
-    solution = polish_by_gauss_newton(solution)
-    return _judged(_result(model, solution, options), judges, skip, options, raise_on_failure)
+    if colour == ColourTreatment.RESIDUAL and solution.status.success:
+        solution = refit_robustly(_whiten_by_residual(solution, options, report), options, report)
+    solution = polish_by_gauss_newton(solution, options.policy.convergence)
+    return _add_validation(_to_fit(model, solution, options), judges, skip, options, raise_on_failure)
 
 
-def _judged(
+def _add_validation(
     result: Fit, validation: Experiment | Sequence[Experiment], skip: int, options: FitOptions, raise_on_failure: bool
 ) -> Fit:
     """``result`` with its misfit on validation records; FitError for a failure that is to be raised."""
     if validation and result.success:
         judged = validate(result.model, validation, noise=result.noise.std, skip=skip, options=options)
-        result = replace(
-            result, validation=judged, notes=(*result.notes, *find_validation_issues(result.misfit, judged.misfit))
-        )
+        issues = find_validation_issues(result.misfit, judged.misfit, options.policy)
+        result = replace(result, validation=judged, findings=(*result.findings, *issues))
     if raise_on_failure and not result.success:
         raise FitError(f"fit of {result.model.title}: {result.solver.status_message}")
     return result
 
 
-def _weighted_by_residual(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
+def _weigh_by_residual(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
     """The fit repeated with the residual's own size as the noise of the outputs whose noise nothing else tells."""
     problem, evaluation = solution.problem, solution.evaluation
     counts = np.maximum(evaluation.counts, 1)
     size = np.sqrt(evaluation.squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
-    told = np.array([problem.noise.sources.get(o.name) is NoiseSource.RESIDUAL for o in problem.model.outputs])
-    std = problem.noise.std * np.where(told & (size > 0), np.maximum(size, NOISE_POLICY.min_relative_level), 1.0)
+    by_residual = np.array([problem.noise.sources.get(o.name) is NoiseSource.RESIDUAL for o in problem.model.outputs])
+    std = problem.noise.std * np.where(by_residual & (size > 0), np.maximum(size, NOISE_POLICY.min_relative_level), 1.0)
     weighted = replace(problem.with_noise(replace(problem.noise, std=std)), variables=solution.variables)
     return solve(weighted, replace(options, progressive=False), report)
 
 
-def _coloured_by_residual(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
+def _whiten_by_residual(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
     """The fit repeated with the noise coloured as the residual is, where its colour is not known already."""
     problem, variables = solution.problem, solution.variables
-    residual = estimate_residual_colour(solution.residuals(), solution.unknowns, problem.noise.known)
+    residual = estimate_residual_colour(
+        solution.residuals(), solution.unknowns, problem.noise.known, policy=options.policy.intervals
+    )
     models = tuple(
-        known if known.order else found for known, found in zip(problem.noise.colour, residual.models, strict=True)
+        known if known.order else estimated
+        for known, estimated in zip(problem.noise.colour, residual.models, strict=True)
     )
     if all(a is b for a, b in zip(models, problem.noise.colour, strict=True)):
         return solution
@@ -175,37 +173,42 @@ def _coloured_by_residual(solution: Solution, options: FitOptions, report: FitPr
     return solve(coloured, replace(options, progressive=False), report)
 
 
-def _result(model: Model, solution: Solution, options: FitOptions) -> Fit:
-    problem, variables = solution.problem, solution.variables
-    runs, rows = make_traces(problem, solution.simulate()), solution.residuals()
-    misfit = compute_misfits(problem, runs)
-    found = estimate_covariance(
-        variables, solution.evaluation, problem.noise.known, rows, solution.unknowns, problem.least
+def _to_fit(model: Model, solution: Solution, options: FitOptions) -> Fit:
+    problem, variables, policy = solution.problem, solution.variables, options.policy
+    traces, rows = make_traces(problem, solution.simulate()), solution.residuals()
+    misfit = compute_misfits(problem, traces)
+    covariance = estimate_covariance(
+        variables,
+        solution.evaluation,
+        problem.noise.known,
+        rows,
+        solution.unknowns,
+        problem.variance_floor,
+        policy.intervals,
     )
-    constants, priors, robust = (
-        to_estimates(variables, found),
-        check_priors(variables, found),
-        summarise_outliers(solution),
-    )
-    per_experiment, tied = to_experiment_estimates(variables, found), to_tied_estimates(variables, found)
-    shift = measure_discretisation_shift(solution, np.sqrt(np.diag(found.covariance)))
-    remarks = find_fit_issues(solution, found, constants, misfit, runs, find_solution_shifts(solution, rows), shift)
-    remarks = add_record_notes(
-        (*remarks, *find_option_issues(problem, constants, tied, per_experiment, priors, robust)), problem.experiments
+    parameters, priors = to_estimates(variables, covariance), check_priors(variables, covariance)
+    per_experiment, tied = to_experiment_estimates(variables, covariance), to_tied_estimates(variables, covariance)
+    robust = summarise_outliers(solution)
+    step_shift = measure_discretisation_shift(solution, np.sqrt(np.diag(covariance.covariance)))
+    shifts = find_solution_shifts(solution, rows, policy)
+    findings = (
+        *find_fit_issues(solution, covariance, parameters, misfit, traces, shifts, step_shift, policy),
+        *find_option_issues(problem, tied, per_experiment, priors, robust, policy),
     )
     measured = [j for j, o in enumerate(model.outputs) if o.name in misfit]
-    widened = np.ones(len(variables.names)) if found.inflation is None else found.inflation
+    inflation = np.ones(len(variables.names)) if covariance.inflation is None else covariance.inflation
     return Fit(
         model=model.start(**{name: float(variables.fixed[k]) for k, name in enumerate(model.values)}),
-        parameters=constants,
+        parameters=parameters,
         misfit=misfit,
-        traces=runs,
+        traces=traces,
         solver=SolverReport(
             solution.status.name.lower(),
             solution.status.success,
-            describe_status(solution, misfit),
             float(solution.evaluation.cost),
-            _statistics(solution),
+            _collect_statistics(solution, options.policy.joining),
+            solution.strategy,
+            find_status_details(solution, misfit),
         ),
         noise=FitNoise(
             to_noise_by_output(problem, misfit),
@@ -219,29 +222,27 @@ def _result(model: Model, solution: Solution, options: FitOptions) -> Fit:
         ),
         uncertainty=FitUncertainty(
             tuple(model.all_parameters[k].name for k in locate_fitted(variables)),
-            to_model_covariance(variables, found.covariance),
-            found.kind,
-            dict(zip(variables.names, widened.tolist(), strict=True)),
+            to_model_covariance(variables, covariance.covariance),
+            covariance.kind,
+            dict(zip(variables.names, inflation.tolist(), strict=True)),
         ),
         discretisation=FitDiscretisation(
             solution.discretisation or problem.step.label,
             {model.outputs[j].name: float(solution.integration_error[j]) for j in measured},
-            dict(zip(variables.names, shift.tolist(), strict=True)),
+            dict(zip(variables.names, step_shift.tolist(), strict=True)),
         ),
-        provenance=Provenance(
-            {**asdict(options), "per_experiment": list(options.per_experiment)}, equations_text(model), read_versions()
-        ),
+        provenance=Provenance(options.to_data(), equations_text(model), read_versions()),
         constraints=FitConstraints({tie.name: tie.formula for tie in model.ties}, tied, per_experiment, priors),
-        robust=RobustReport(robust.loss, robust.scale, robust.outliers),
-        notes=remarks,
+        robust=robust,
+        findings=add_record_findings(findings, problem.experiments),
     )
 
 
-def _statistics(solution: Solution) -> dict[str, object]:
+def _collect_statistics(solution: Solution, policy: JoiningPolicy) -> dict[str, object]:
     return {
         "optimiser": "IPOPT", "ipopt_status": solution.solver_status, "iterations": solution.iterations,
         "passes": solution.evaluations, "seconds": solution.seconds, "record_shares": list(solution.shares),
-        "strategy": solution.strategy, "transcription": solution.transcription, "free_run": solution.free_run,
+        "transcription": solution.transcription, "free_run": solution.is_free_run(policy),
         "method": solution.problem.method,
         "kernel": solution.problem.kernel.name, "substeps": solution.problem.step.substeps,
     }  # fmt: skip

@@ -8,19 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.estimation.options import FitOptions, FitProgress, FitProgressCallback
+from greybox.estimation.policy import LikelihoodSearchPolicy
 from greybox.estimation.prediction_error import PredictionErrorObjective
+from greybox.numerics import AT_BOUND, INFORMATION_CUTOFF, TINY
 from greybox.optim import TerminationStatus, minimise
 from greybox.transcription import Evaluation
-
-# Converged when a further step would lower -2 log L by less than this: a thousandth of a standard deviation, squared.
-NEGLIGIBLE = 1e-6
-# ... and by less than this after it, so that the constants have their digits.
-LAST_DIGITS = 1e-12
-# Enough when so many iterations gained less than this (a filter of a model with dry friction is not smooth everywhere).
-PATIENCE, LITTLE_GAIN = 12, 1e-2
-# Steps of scoring at most, each halved so often until it lowers the cost.
-STEPS, HALVINGS = 10, 6
-AT_BOUND, UNDETERMINED = 1e-6, 1e-12
 
 
 @dataclass(frozen=True)
@@ -52,17 +44,14 @@ def maximise_likelihood(
         return LikelihoodOptimum(cost, begin, TerminationStatus.CONVERGED, "", 0, 1, 0.0)
     cost = cost.at(cost.unknowns.rescale(max(begin.count, 1), np.diag(begin.hessian) / 2))
     low, high = cost.unknowns.bounds()
-    gains: list[float] = []
+    policy, costs = options.policy.likelihood_search, list[float]()
 
     def finished(z: np.ndarray, e: Evaluation) -> TerminationStatus | None:
-        if predicted_decrease(e, compute_scoring_step(e, low - z, high - z)) <= NEGLIGIBLE:
+        if predicted_decrease(e, compute_scoring_step(e, low - z, high - z)) <= policy.negligible_decrease:
             return TerminationStatus.CONVERGED
-        gains.append(e.cost)
-        return (
-            TerminationStatus.ACCEPTABLE
-            if len(gains) > PATIENCE and gains[-1 - PATIENCE] - e.cost <= LITTLE_GAIN
-            else None
-        )
+        costs.append(e.cost)
+        flat = len(costs) > policy.patience and costs[-1 - policy.patience] - e.cost <= policy.little_gain
+        return TerminationStatus.ACCEPTABLE if flat else None
 
     def progress(iteration: int, _: float) -> None:
         if report:
@@ -72,41 +61,51 @@ def maximise_likelihood(
         cost.evaluate, np.zeros(cost.unknowns.size), low, high, scale=float(max(begin.count, 1)), tolerance=options.tolerance,
         iterations=options.iterations, finished=finished, thorough=False, progress=progress,
     )  # fmt: skip
-    there, status = fisher_scoring(cost.at(cost.unknowns.moved(outcome.z)), LAST_DIGITS), outcome.status
-    if there.status.success and not status.success and status is not TerminationStatus.INTERRUPTED:
+    polished, status = (
+        fisher_scoring(cost.at(cost.unknowns.moved(outcome.z)), policy, policy.last_digits),
+        outcome.status,
+    )
+    if polished.status.success and not status.success and status is not TerminationStatus.INTERRUPTED:
         status = TerminationStatus.CONVERGED
     return LikelihoodOptimum(
-        there.cost, there.evaluation, status, outcome.solver_status, outcome.iterations,
-        outcome.evaluations + 1 + there.evaluations, outcome.seconds,
+        polished.cost, polished.evaluation, status, outcome.solver_status, outcome.iterations,
+        outcome.evaluations + 1 + polished.evaluations, outcome.seconds,
     )  # fmt: skip
 
 
-def fisher_scoring(cost: PredictionErrorObjective, negligible: float = NEGLIGIBLE) -> LikelihoodOptimum:
+def fisher_scoring(
+    cost: PredictionErrorObjective, policy: LikelihoodSearchPolicy, negligible: float | None = None
+) -> LikelihoodOptimum:
     """The most likely unknowns near ``z = 0`` of ``cost`` by scoring alone: cheaper than `maximise_likelihood` where that is close already.
 
     Ends where a step promises to lower -2 log L by less than ``negligible``, or none lowers it: stuck, if much was promised.
     """
+    negligible = policy.negligible_decrease if negligible is None else negligible
     evaluation, passes = cost.evaluate(np.zeros(cost.unknowns.size)), 1
     if not np.isfinite(evaluation.cost):
         return LikelihoodOptimum(cost, evaluation, TerminationStatus.NO_START, "", 0, passes, 0.0)
-    gain = np.inf
-    for _ in range(STEPS):
+    decrease = np.inf
+    for _ in range(policy.scoring_steps):
         low, high = cost.unknowns.bounds()
         step = compute_scoring_step(evaluation, low, high)
-        gain = predicted_decrease(evaluation, step)
-        if gain <= negligible:
+        decrease = predicted_decrease(evaluation, step)
+        if decrease <= negligible:
             break
-        for share in 0.5 ** np.arange(HALVINGS):
+        for share in 0.5 ** np.arange(policy.halvings):
             z = np.clip(share * step, np.minimum(low, 0.0), np.maximum(high, 0.0))
-            there = cost.at(cost.unknowns.moved(z))
-            after = there.evaluate(np.zeros(len(z)))
+            moved = cost.at(cost.unknowns.moved(z))
+            after = moved.evaluate(np.zeros(len(z)))
             passes += 1
             if after.cost < evaluation.cost:
-                cost, evaluation = there, after
+                cost, evaluation = moved, after
                 break
         else:
             break
-    status = TerminationStatus.CONVERGED if gain <= max(negligible, NEGLIGIBLE) else TerminationStatus.STUCK
+    status = (
+        TerminationStatus.CONVERGED
+        if decrease <= max(negligible, policy.negligible_decrease)
+        else TerminationStatus.STUCK
+    )
     return LikelihoodOptimum(cost, evaluation, status, "", 0, passes, 0.0)
 
 
@@ -122,8 +121,8 @@ def compute_scoring_step(evaluation: Evaluation, low: np.ndarray, high: np.ndarr
     while inside.any():
         block = h[np.ix_(inside, inside)]
         slope = g[inside] + h[np.ix_(inside, ~inside)] @ step[~inside]
-        scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
-        free = -np.linalg.lstsq(block / np.outer(scale, scale), slope / scale, rcond=UNDETERMINED)[0] / scale
+        scale = np.sqrt(np.maximum(np.diag(block), TINY))
+        free = -np.linalg.lstsq(block / np.outer(scale, scale), slope / scale, rcond=INFORMATION_CUTOFF)[0] / scale
         step[inside] = np.clip(free, low[inside], high[inside])
         beyond = inside.copy()
         beyond[inside] = step[inside] != free

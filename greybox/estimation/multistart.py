@@ -9,44 +9,52 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.errors import GreyboxError, ModelError
-from greybox.estimation.fit import ColourTreatment, fit
-from greybox.estimation.options import FitOptions, resolve_options
+from greybox.estimation.findings import EstimationCode
+from greybox.estimation.fit import fit
+from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
+from greybox.estimation.policy import DEFAULT_POLICY, MultistartPolicy
 from greybox.estimation.problem import EstimationProblem, prepare_problem
 from greybox.estimation.solve import solve
 from greybox.experiment import Experiment
+from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.model.signals import Parameter
 from greybox.noise import NoiseModel
 from greybox.parallel import JobProgressCallback, run_jobs
 from greybox.result import Fit, StartResult
-
-# Ends belong together if their costs differ by at most this share, or their misfits over noise by this much.
-SAME_COST, SAME_MISFIT = 0.01, 1e-3
+from greybox.values import Printable
 
 
 @dataclass(frozen=True)
-class MultiStartResult:
-    """``best``: the fit from the best end, which carries the others in `Fit.starts`. ``ends``: all of them, best first.
+class MultiStartResult(Printable):
+    """Where several starts ended.
 
-    ``interrupted``: Ctrl-C came before all were done.
+    Attributes
+    ----------
+    best
+        The fit from the best end, which carries the others in `Fit.starts`.
+    start_results
+        Where each start ended, best first.
+    interrupted
+        Whether Ctrl-C came before all were done.
+    policy
+        When two ends are the same optimum.
     """
 
     best: Fit
     start_results: tuple[StartResult, ...]
     interrupted: bool = False
+    policy: MultistartPolicy = DEFAULT_POLICY.multistart
 
     @property
     def best_optimum_count(self) -> int:
         """How many starts ended at the best optimum."""
-        return len(group_by_optimum(self.start_results)[0])
+        return len(group_by_optimum(self.start_results, self.policy)[0])
 
     @property
-    def waterfall(self) -> str:
-        """How many starts ended where, in words."""
-        return describe_starts(self.start_results)
-
-    def __str__(self) -> str:
-        return f"{self.waterfall}\n{self.best}"
+    def summary(self) -> Finding:
+        """How many starts ended where."""
+        return summarise_starts(self.start_results, self.policy)
 
 
 def multistart(
@@ -58,7 +66,7 @@ def multistart(
     factor: float = 3.0,
     noise: Mapping[str, float] | NoiseModel | None = None,
     quiet: Experiment | Sequence[Experiment] = (),
-    colour: ColourTreatment = "known",
+    colour: ColourTreatment | str = ColourTreatment.KNOWN,
     validation: Experiment | Sequence[Experiment] = (),
     skip: int = 0,
     options: FitOptions | None = None,
@@ -66,12 +74,40 @@ def multistart(
     workers: int = 0,
     report: JobProgressCallback | None = None,
 ) -> MultiStartResult:
-    """Fit ``model`` from its own start and ``starts - 1`` random ones, see `draw_starts`; the rest as in `fit`.
+    """Fit ``model`` from its own start and from random ones.
 
-    The starts are independent of each other and run on local processes, ``workers`` of them (0: one for each core), or on
-    any ``executor``. ``report(done, starts)`` is called after each. Ctrl-C keeps what is finished.
+    Parameters
+    ----------
+    model
+        The model; its values are the first start.
+    experiments
+        Estimation records.
+    starts
+        How many starts, the model's own included; the others are drawn by `greybox.estimation.multistart.draw_starts`.
+    seed
+        Seed of the draws.
+    factor
+        Random starts lie between value / factor and value x factor.
+    noise, quiet, colour, validation, skip, options
+        As in `greybox.fit`.
+    executor
+        Where the starts run; None for processes of this machine.
+    workers
+        How many local processes, 0 for one on each core.
+    report
+        Called as ``report(done, starts)`` after each start.
 
-    Raises GreyboxError if no start led anywhere, ModelError and DataError as `fit` does.
+    Returns
+    -------
+    MultiStartResult
+        The best fit and where each start ended. Ctrl-C keeps what is finished.
+
+    Raises
+    ------
+    GreyboxError
+        If no start leads to a result.
+    ModelError, DataError
+        As `greybox.fit`.
     """
     options = resolve_options(options)
     if starts < 1:
@@ -82,32 +118,39 @@ def multistart(
             " without its process noise"
         )
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
-    known = _prepared(model, group, noise, options, quiet).noise  # looked at once; refuses here what no start can use
-    per_experiment = {q.name: q.value for q in model.free_parameters}
-    begins = [per_experiment, *draw_starts(model, starts - 1, seed, factor)]
+    known_noise = _prepare(model, group, noise, options, quiet).noise  # once; refuses here what no start can use
+    begins = [{q.name: q.value for q in model.free_parameters}, *draw_starts(model, starts - 1, seed, factor)]
     results, interrupted = run_jobs(
-        _one, (model, group, known, options), begins, executor=executor, workers=workers, report=report
+        _fit_from, (model, group, known_noise, options), begins, executor=executor, workers=workers, report=report
     )
     start_results = []
-    for begin, done in zip(begins, results, strict=True):
-        if done is not None and done.error:
-            start_results.append(StartResult(begin, {}, np.inf, done.error, done.seconds))
-        elif done is not None:
-            values, ratio, status = done.value
-            start_results.append(StartResult(begin, values, ratio, status, done.seconds))
-    start_results.sort(key=lambda end: end.noise_ratio)
+    for begin, job in zip(begins, results, strict=True):
+        if job is not None and job.error:
+            start_results.append(StartResult(begin, {}, np.inf, job.error, job.seconds))
+        elif job is not None:
+            values, ratio, status = job.value
+            start_results.append(StartResult(begin, values, ratio, status, job.seconds))
+    start_results.sort(key=lambda result: result.noise_ratio)
     if not start_results or not start_results[0].values:
         reason = start_results[0].status if start_results else "interrupted before the first was done"
         raise GreyboxError(
-            f"multi-start of {model.title}: none of {len(begins)} starts led anywhere ({reason});"
-            " give start values nearer to physical ones"
+            f"multi-start of {model.title}: none of {len(begins)} starts has a result ({reason}); give start values nearer to physical"
+            " ones"
         )
     best = fit(
-        model.start(**start_results[0].values), group, noise=noise, quiet=quiet, colour=colour, validation=validation, skip=skip,
+        model.start(**start_results[0].values),
+        group,
+        noise=noise,
+        quiet=quiet,
+        colour=colour,
+        validation=validation,
+        skip=skip,
         options=options,
-    )  # fmt: skip
-    best = replace(best, notes=(describe_starts(start_results), *best.notes), starts=tuple(start_results))
-    return MultiStartResult(best, tuple(start_results), interrupted)
+    )
+    policy = options.policy.multistart
+    summary = summarise_starts(start_results, policy)
+    best = replace(best, findings=(summary, *best.findings), starts=tuple(start_results))
+    return MultiStartResult(best, tuple(start_results), interrupted, policy)
 
 
 def draw_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -> list[dict[str, float]]:
@@ -119,65 +162,76 @@ def draw_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -
     if not factor > 1:
         raise ModelError(f"factor {factor:g} of the random starts: it must be greater than one; 3 is usual")
     rng = np.random.default_rng(seed)
-    return [{q.name: _drawn(q, factor, rng.uniform()) for q in model.free_parameters} for _ in range(max(starts, 0))]
+    return [{q.name: _draw(q, factor, rng.uniform()) for q in model.free_parameters} for _ in range(max(starts, 0))]
 
 
-def _drawn(q: Parameter, factor: float, share: float) -> float:
+def _draw(q: Parameter, factor: float, share: float) -> float:
     low, high = q.bounds
     if q.value == 0:
         return float(low + share * (high - low)) if np.isfinite(low) and np.isfinite(high) else 0.0
-    start_results = sorted((q.value / factor, q.value * factor))
-    a, b = max(start_results[0], low), min(start_results[1], high)
+    smaller, larger = sorted((q.value / factor, q.value * factor))
+    a, b = max(smaller, low), min(larger, high)
     size = np.sign(q.value)
     return float(np.clip(size * np.exp(np.log(size * a) + share * np.log(b / a)), low, high))
 
 
-def group_by_optimum(start_results: Sequence[StartResult]) -> list[list[StartResult]]:
-    """Ends at the same optimum, best first; what led nowhere is left out."""
-    result: list[list[StartResult]] = []
-    for end in sorted((e for e in start_results if e.values), key=lambda e: e.noise_ratio):
-        if result and _alike(result[-1][0].noise_ratio, end.noise_ratio):
-            result[-1].append(end)
+def group_by_optimum(
+    start_results: Sequence[StartResult], policy: MultistartPolicy = DEFAULT_POLICY.multistart
+) -> list[list[StartResult]]:
+    """Results at the same optimum, best first; starts without a result are left out."""
+    groups: list[list[StartResult]] = []
+    for result in sorted((r for r in start_results if r.values), key=lambda r: r.noise_ratio):
+        if groups and _is_same_optimum(groups[-1][0].noise_ratio, result.noise_ratio, policy):
+            groups[-1].append(result)
         else:
-            result.append([end])
-    return result
+            groups.append([result])
+    return groups
 
 
-def describe_starts(start_results: Sequence[StartResult]) -> str:
-    """``18 of 20 starts ended at the best optimum (misfit 1.00 x noise), 2 at a worse one (3.4 x)``."""
-    found = group_by_optimum(start_results)
-    parts = [
-        f"{len(found[0])} of {len(start_results)} starts ended at the best optimum (misfit {found[0][0].noise_ratio:.3g} x noise)"
-    ]
-    parts += [f"{len(group)} at a worse one ({group[0].noise_ratio:.3g} x)" for group in found[1:4]]
-    if len(found) > 4:
-        rest = sum(map(len, found[4:]))
-        parts.append(f"{rest} at still worse ones (from {found[4][0].noise_ratio:.3g} x)")
-    nowhere = sum(not end.values for end in start_results)
-    return ", ".join([*parts, f"{nowhere} led nowhere"] if nowhere else parts)
+def summarise_starts(
+    start_results: Sequence[StartResult], policy: MultistartPolicy = DEFAULT_POLICY.multistart
+) -> Finding:
+    """How many starts ended at each optimum, the best first, and how many have no result."""
+    groups = group_by_optimum(start_results, policy)
+    values = {
+        "counts": [len(group) for group in groups],
+        "ratios": [group[0].noise_ratio for group in groups],
+        "without_result": sum(not result.values for result in start_results),
+    }
+    return Finding(EstimationCode.STARTS, Severity.NOTE, "", values)
 
 
-def _alike(a: float, b: float) -> bool:
-    return b**2 <= (1 + SAME_COST) * a**2 or b - a <= SAME_MISFIT
+def _is_same_optimum(a: float, b: float, policy: MultistartPolicy) -> bool:
+    return b**2 <= (1 + policy.same_cost) * a**2 or b - a <= policy.same_noise_ratio
 
 
-def _prepared(
-    model: Model, experiments: Sequence[Experiment], noise: Mapping[str, float] | NoiseModel | None, options: FitOptions,
+def _prepare(
+    model: Model,
+    experiments: Sequence[Experiment],
+    noise: Mapping[str, float] | NoiseModel | None,
+    options: FitOptions,
     quiet: Experiment | Sequence[Experiment] = (),
-) -> EstimationProblem:  # fmt: skip
+) -> EstimationProblem:
     return prepare_problem(
-        model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet,
-        per_experiment=options.per_experiment, robust=options.robust,
-    )  # fmt: skip
+        model,
+        experiments,
+        noise,
+        at_rest=options.at_rest,
+        method=options.method,
+        substeps=options.substeps,
+        quiet=quiet,
+        per_experiment=options.per_experiment,
+        robust=options.robust,
+    )
 
 
-def _one(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, float], float, str]:
+def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, float], float, str]:
     """One start, where it runs: the values it ended with, misfit over noise, status."""
     model, experiments, noise, options = common
-    solution = solve(_prepared(model.start(**begin), experiments, noise, options), options)
-    e = solution.evaluation
-    if not np.isfinite(e.cost):
-        return {}, np.inf, solution.status.value
+    solution = solve(_prepare(model.start(**begin), experiments, noise, options), options)
+    evaluation, status = solution.evaluation, solution.status.name.lower()
+    if not np.isfinite(evaluation.cost):
+        return {}, np.inf, status
     values = dict(zip(model.values, solution.variables.fixed, strict=True))
-    found = {q.name: float(values[q.name]) for q in model.free_parameters}
-    return found, float(np.sqrt(e.cost / max(e.count, 1))), solution.status.value
+    free = {q.name: float(values[q.name]) for q in model.free_parameters}
+    return free, float(np.sqrt(evaluation.cost / max(evaluation.count, 1))), status

@@ -3,15 +3,41 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from enum import StrEnum
 from typing import Any
 
 from greybox.errors import ModelError, nearest
+from greybox.estimation.policy import DEFAULT_POLICY, EstimationPolicy
+from greybox.result import to_json_data
 from greybox.transcription.robust_loss import parse_loss
 
-TRANSCRIPTIONS = ("automatic", "single", "multiple", "collocation-radau", "collocation-legendre", "arcs")
-HESSIANS = ("gauss-newton", "exact")
+
+class Transcription(StrEnum):
+    """How records become an optimisation problem."""
+
+    AUTOMATIC = "automatic"
+    SINGLE = "single"
+    MULTIPLE = "multiple"
+    COLLOCATION_RADAU = "collocation-radau"
+    COLLOCATION_LEGENDRE = "collocation-legendre"
+    ARCS = "arcs"
+
+
+class Hessian(StrEnum):
+    """Curvature that a fit by collocation uses."""
+
+    GAUSS_NEWTON = "gauss-newton"
+    EXACT = "exact"
+
+
+class ColourTreatment(StrEnum):
+    """Which coloured noise a fit is whitened with."""
+
+    KNOWN = "known"
+    RESIDUAL = "residual"
+    WHITE = "white"
 
 
 @dataclass(frozen=True)
@@ -31,26 +57,49 @@ FitProgressCallback = Callable[[FitProgress], None]
 class FitOptions:
     """Choices of a fit, kept with its result.
 
-    ``at_rest``: every record starts at the states the model declares, instead of estimated ones (but for states with `State.free_start`).
-    ``method``: ``automatic``,
-    ``exact`` or ``rk4``. ``substeps`` of RK4 a sample, 0 to choose. ``progressive``: fit a growing part of the record, so that a start
-    far off does not lock onto a wrong oscillation. ``iterations`` at most in each stage; ``tolerance`` of IPOPT; as a rule the
-    search ends earlier, when a further step would change nothing that matters. ``thorough``: where the cost has a kink (dry
-    friction) and its gradient misleads, search on without it; that takes many passes.
+    Parameters
+    ----------
+    at_rest
+        Every record starts at the states the model declares, instead of estimated ones (but for states with `State.free_start`).
+    method
+        Discretisation: ``automatic``, ``exact``, ``rk4``, ``midpoint``, ``radau`` ...
+    substeps
+        Substeps of a sample, 0 to choose.
+    progressive
+        Fit a growing part of the record first, so that a start far off does not lock onto a wrong oscillation.
+    iterations
+        Iterations at most in each stage. As a rule the search ends earlier, when a further step would change nothing that matters.
+    tolerance
+        Tolerance of IPOPT.
+    thorough
+        Where the cost has a kink (dry friction) and its gradient misleads, search on without it; that takes many passes.
+    transcription
+        ``single`` shooting runs the model freely from each record's initial state. ``multiple`` shooting runs it in segments that meet
+        at the optimum, for unstable plants. ``collocation-radau`` and ``collocation-legendre`` solve the equations at points of each
+        interval together with the fit: for smooth equations, with the states' bounds as path constraints. ``arcs`` have an initial
+        state each and need not meet: short ones show the structure of the fast motion, long ones what drifts. ``automatic`` chooses by
+        the model and by the record's length (arcs where ``arc_length`` is given); the result states what, and why.
+    arc_length
+        Length of the arcs in seconds, 0 for none.
+    hessian
+        Curvature that collocation uses: ``gauss-newton`` or ``exact``.
+    loss
+        ``squares``, or a robust one that outliers cannot pull: ``huber`` or ``student``, with a threshold if need be (``huber:2`` noise
+        standard deviations, ``student:3`` degrees of freedom), see `greybox.transcription.loss.Loss`.
+    per_experiment
+        Parameters of which each experiment has a value of its own.
+    policy
+        The numbers that steer decisions, see `greybox.estimation.policy.EstimationPolicy`.
 
-    ``transcription``: ``single`` shooting runs the model freely from each record's initial state. ``multiple`` shooting runs it in
-    segments that meet at the optimum, for unstable plants. ``collocation-radau`` and ``collocation-legendre`` solve the equations at
-    points of each interval together with the fit: for smooth equations, with the states' bounds as path constraints; their
-    ``hessian`` is ``gauss-newton`` or ``exact``. ``arcs`` of ``arc_length`` seconds have an initial state each and need not meet: short
-    ones show the structure of the fast motion, long ones what drifts. ``automatic`` picks by the model, and by the record's length
-    (arcs where ``arc_length`` is given); the result says what, and why.
+    Raises
+    ------
+    ModelError
+        For a choice that does not exist, or one that contradicts another.
 
-    ``loss``: ``squares``, or a robust one that outliers cannot pull: ``huber`` or ``student``, with a threshold of its own if need be
-    (``huber:2`` noise standard deviations, ``student:3`` degrees of freedom), see `greybox.transcription.robust_loss.RobustLoss`.
-    ``own``: constants
-    of which each experiment has a value of its own.
-
-    Raises ModelError for a choice that does not exist, or one that contradicts another.
+    Examples
+    --------
+    >>> FitOptions(at_rest=True, loss="huber").transcription
+    'automatic'
     """
 
     at_rest: bool = False
@@ -65,6 +114,7 @@ class FitOptions:
     hessian: str = "gauss-newton"
     loss: str = "squares"
     per_experiment: tuple[str, ...] = ()
+    policy: EstimationPolicy = DEFAULT_POLICY
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -73,12 +123,12 @@ class FitOptions:
             (self.per_experiment,) if isinstance(self.per_experiment, str) else tuple(self.per_experiment),
         )
         parse_loss(self.loss)
-        if self.transcription not in TRANSCRIPTIONS:
+        if self.transcription not in list(Transcription):
             raise ModelError(
-                f"unknown transcription {self.transcription!r}; {nearest(self.transcription, TRANSCRIPTIONS)}"
+                f"unknown transcription {self.transcription!r}; {nearest(self.transcription, list(map(str, Transcription)))}"
             )
-        if self.hessian not in HESSIANS:
-            raise ModelError(f"unknown Hessian {self.hessian!r}; {nearest(self.hessian, HESSIANS)}")
+        if self.hessian not in list(Hessian):
+            raise ModelError(f"unknown Hessian {self.hessian!r}; {nearest(self.hessian, list(map(str, Hessian)))}")
         if not (math.isfinite(self.arc_length) and self.arc_length >= 0):
             raise ModelError(f"arc_length {self.arc_length} s: give a positive number of seconds, or 0 for no arcs")
         if self.arc_length and self.transcription not in ("automatic", "arcs"):
@@ -92,6 +142,16 @@ class FitOptions:
                 f"hessian 'exact': transcription {self.transcription!r} has none; take 'collocation-radau' or"
                 " 'collocation-legendre', or 'gauss-newton'"
             )
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> FitOptions:
+        """The options that a result has stored (`Fit.provenance`); what an older result lacks is the default."""
+        known = {name: data[name] for name in cls.__dataclass_fields__ if name in data and name != "policy"}
+        return cls(**known, policy=EstimationPolicy.from_data(data.get("policy", {})))
+
+    def to_data(self) -> dict[str, Any]:
+        """The options as plain values, for a result to store."""
+        return dict(to_json_data(asdict(self)))
 
     @property
     def robust(self) -> bool:

@@ -1,29 +1,182 @@
-"""`predict`: outputs so many samples ahead, the last measurements at hand, for every model of any kind."""
+"""`predict`: outputs some samples ahead from the measurements up to now, for every kind of model."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
 from greybox.errors import DataError, ModelError, nearest
-from greybox.estimation.fixed_parameters import (
-    FIRST_ROWS,
-    FixedParameterModel,
-    estimate_initial_state,
-    fix_parameters,
-    make_likelihood,
+from greybox.estimation.likelihood_search import fisher_scoring, maximise_likelihood
+from greybox.estimation.options import FitOptions, resolve_options
+from greybox.estimation.prediction_error import (
+    PredictionErrorObjective,
+    compute_free_runs,
+    make_likelihood_unknowns,
+    predict_ahead,
 )
-from greybox.estimation.options import FitOptions
-from greybox.estimation.prediction_correction import PredictionCorrection, describe_filter, identify_correction
-from greybox.estimation.prediction_error import PredictionErrorObjective
-from greybox.estimation.prediction_error_runs import compute_free_runs, predict_ahead
+from greybox.estimation.prediction_error_fit import MaximumLikelihoodEstimate, maximum_likelihood_estimate
+from greybox.estimation.problem import prepare_problem
+from greybox.estimation.solve import solve
 from greybox.experiment import Experiment
+from greybox.filtering import KalmanFilter
+from greybox.filtering.kalman_filter import LOG_TWO_PI
+from greybox.kernel import Record
 from greybox.model import Model
-from greybox.noise import NoiseModel
+from greybox.noise import AutoRegression, NoiseModel, fit_autoregression, join_series
+from greybox.numerics import TINY
 from greybox.result import Fit
+
+
+@dataclass(frozen=True)
+class FixedParameterModel:
+    """A model whose constants are known, and what else a run of its filter needs: ``noise`` by output (None: to be found), options."""
+
+    model: Model
+    noise: Mapping[str, float] | NoiseModel | None
+    options: FitOptions
+
+
+def fix_parameters(
+    given: Model | Fit, noise: Mapping[str, float] | NoiseModel | None, options: FitOptions | None
+) -> FixedParameterModel:
+    """The model of a fit with the noise and the options of that fit, unless others are given; a model as it is."""
+    if isinstance(given, Fit):
+        return FixedParameterModel(
+            given.model,
+            given.noise.std if noise is None else noise,
+            resolve_options(options or restore_integration_options(given)),
+        )
+    if not isinstance(given, Model):
+        raise ModelError(f"{given!r} is neither a model nor a fit; give a Model, or what fit(...) returned")
+    return FixedParameterModel(given, noise, resolve_options(options))
+
+
+def restore_integration_options(fit: Fit) -> FitOptions:
+    """How ``fit`` integrated and began its records."""
+    saved = fit.provenance.options
+    return FitOptions(at_rest=bool(saved.get("at_rest", False)), method=str(saved.get("method", "automatic")))
+
+
+def make_likelihood(
+    given: FixedParameterModel, experiments: Experiment | Sequence[Experiment], *, free: bool = False
+) -> PredictionErrorObjective:
+    """The likelihood of records with nothing unknown but the first states, and the outputs' noise where that is neither given
+    nor known from a quiet record; with ``free`` the free constants of the model are unknown too."""
+    options = given.options
+    model = given.model if free else given.model.fix(*given.model.values)
+    problem = prepare_problem(
+        model, experiments, given.noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps,
+        per_experiment=options.per_experiment if free else (),
+    )  # fmt: skip
+    kalman = KalmanFilter.of(model.system, problem.step, known_start=not problem.variables.initial.free.any())
+    unknowns = make_likelihood_unknowns(problem, problem.variables, options.policy.likelihood_search)
+    return PredictionErrorObjective(unknowns, kalman, problem.records)
+
+
+def estimate_initial_state(
+    cost: PredictionErrorObjective, options: FitOptions, rows: int = 0
+) -> PredictionErrorObjective:
+    """``cost`` with ``z = 0`` at the most likely unknowns, from the first ``rows`` of each record (0: all of them)."""
+    part = replace(cost, records=tuple(r.first(min(rows, len(r.y))) for r in cost.records)) if rows else cost
+    optimum = maximise_likelihood(part, options)
+    if not optimum.status.success:
+        optimum = fisher_scoring(part, options.policy.likelihood_search)
+    return cost.at(optimum.cost.unknowns)
+
+
+@dataclass(frozen=True)
+class PredictionCorrection:
+    """How measurements correct a run: through the states of ``model``, where that has process noise, or by the autoregression
+    ``colours`` of each output's error; by nothing where there is neither. ``noise``: what the sensors are taken to have, by output.
+    ``words`` say which it is.
+    """
+
+    model: Model
+    noise: Mapping[str, float]
+    colours: Mapping[str, AutoRegression] = field(default_factory=dict)
+    words: str = ""
+
+
+def identify_correction(given: FixedParameterModel, experiments: Sequence[Experiment]) -> PredictionCorrection:
+    """The correction under which ``experiments`` are most likely, the constants being left as they are.
+
+    A model with process noise of its own brings its Kalman filter. Else there are two rivals. Process noise on every balance that may
+    lack something, its intensities and the noise of the sensors estimated by maximum likelihood: a filter that moves the states, which
+    is right where the plant is pushed, drifts, or began elsewhere. An autoregression of the free run's error, the exact predictor where
+    the sensors' noise is coloured: the states stay. The more likely one is taken, less what its numbers cost (BIC), and neither where
+    the error of the free run is white: a model that lacks nothing predicts as it runs freely.
+    """
+    frozen = given.model.fix(*given.model.values)
+    if frozen.noisy_states:
+        cost = estimate_initial_state(make_likelihood(given, experiments), given.options)
+        return PredictionCorrection(
+            frozen, _levels(frozen, cost.unknowns.level, cost.records), words=describe_filter(frozen)
+        )
+    options = given.options
+    problem = prepare_problem(
+        frozen, experiments, given.noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps
+    )
+    levels, runs = _levels(frozen, problem.noise.std, problem.records), solve(problem, options).simulate()
+    errors = [r.samples(r.y - y) for r, (y, _) in zip(problem.records, runs, strict=True)]
+    series = {o.name: join_series([e[:, j] for e in errors]) for j, o in enumerate(frozen.outputs)}
+    colours = {name: fit_autoregression(s) for name, s in series.items() if np.isfinite(s).any()}
+    if not any(colour.order for colour in colours.values()):
+        return PredictionCorrection(frozen, levels, words="none: the error of the free run is white")
+    states = find_correctable_states(frozen)
+    likely = maximum_likelihood_estimate(frozen.with_process_noise(*states), experiments, given.noise, (), options)
+    if likely.optimum.status.success and _of_states(likely) < sum(_of_colour(series[n], c) for n, c in colours.items()):
+        return _by_states(frozen, states, likely)
+    orders = ", ".join(f"{name} AR({colour.order})" for name, colour in colours.items() if colour.order)
+    words = f"autoregression of the free run's error ({orders})"
+    return PredictionCorrection(frozen, levels, colours, words)
+
+
+def describe_filter(model: Model) -> str:
+    """The filter of a model with known process noise, in words; of one whose intensities are all zero there is none."""
+    states = model.noisy_states
+    return f"Kalman filter, process noise on {', '.join(states)}" if states else "none: the process noise is zero"
+
+
+def _by_states(frozen: Model, states: Sequence[str], likely: MaximumLikelihoodEstimate) -> PredictionCorrection:
+    variables = likely.optimum.cost.unknowns.variables
+    found = dict(zip((q.name for q in variables.model.all_parameters), variables.fixed.tolist(), strict=True))
+    model = frozen.with_process_noise(*states)
+    model = model.fix(**{name: found[name] for name in likely.names})
+    words = f"Kalman filter, process noise estimated on {', '.join(model.noisy_states)}"
+    cost = likely.optimum.cost
+    return PredictionCorrection(model, _levels(model, cost.unknowns.level, cost.records), words=words)
+
+
+def find_correctable_states(model: Model) -> tuple[str, ...]:
+    """States whose balance may lack something: not one whose rate is another state by definition, nor one that is set after a step."""
+    system = model.system
+    moved = [b.state for b in system.balances]
+    by_definition = {name for k, name in enumerate(system.state_names) if system.rhs[k].is_symbolic()}
+    return tuple(name for name in moved if name not in by_definition) or tuple(moved)
+
+
+def _levels(model: Model, level: np.ndarray, records: Sequence[Record]) -> dict[str, float]:
+    """Noise of the outputs that were measured."""
+    seen = [j for j in range(len(level)) if any(np.isfinite(r.y[:, j]).any() for r in records)]
+    return {model.outputs[j].name: float(level[j]) for j in seen}
+
+
+def _of_states(likely: MaximumLikelihoodEstimate) -> float:
+    """``-2 log L`` of the filter, and what its intensities and noise levels cost."""
+    unknowns, evaluation = likely.optimum.cost.unknowns, likely.optimum.evaluation
+    numbers = len(unknowns.variables.which) + int(unknowns.estimated.sum())
+    return evaluation.cost + numbers * float(np.log(max(evaluation.count, 1)))
+
+
+def _of_colour(series: np.ndarray, colour: AutoRegression) -> float:
+    """``-2 log L`` of an output's errors (N,) as an autoregression, and what its numbers cost."""
+    count = int(np.isfinite(series).sum())
+    variance = float(np.nanmean(series**2)) * colour.innovation_variance
+    return count * (float(np.log(max(variance, TINY))) + 1 + LOG_TWO_PI) + (colour.order + 1) * float(np.log(count))
+
 
 InitialState = Mapping[str, float]
 
@@ -72,7 +225,9 @@ class Predictor:
         model = self.correction.model
         given = FixedParameterModel(model, self.correction.noise, self.options)
         if initial is None:
-            return estimate_initial_state(make_likelihood(given, experiment), self.options, FIRST_ROWS)
+            return estimate_initial_state(
+                make_likelihood(given, experiment), self.options, self.options.policy.initial_state.first_rows
+            )
         states = model.system.state_names
         unknown = [n for n in initial if n not in states]
         if unknown:
@@ -96,7 +251,7 @@ def predictor(
     """A `Predictor` of a model or a fit.
 
     Of a model with process noise it is the Kalman filter. Any other model is corrected as ``experiments`` say (None: those of the
-    fit), see `greybox.estimation.prediction_correction.identify_correction`; its constants stay. Judge it on other records than
+    fit), see `greybox.estimation.predictor.identify_correction`; its constants stay. Judge it on other records than
     those. With a
     model that lacks nothing there is nothing to correct, and the prediction is the free run. ``noise`` of the sensors by output; None
     takes that of the fit, or finds the most likely one.

@@ -26,7 +26,7 @@ from greybox.transcription.whitened_shooting import WhitenedShooting
 class EstimationProblem:
     """Everything a fit needs, in plain arrays.
 
-    ``loss``: None for least squares. ``still``: outputs that were left out because they read the same in every row.
+    ``loss``: None for least squares. ``constant_outputs``: outputs that were left out because they read the same in every row.
     """
 
     model: Model
@@ -38,22 +38,22 @@ class EstimationProblem:
     kernel: Kernel
     method: str
     loss: RobustLoss | None = None
-    still: tuple[str, ...] = ()
+    constant_outputs: tuple[str, ...] = ()
 
     def shooting(self, variables: DecisionVector, share: float = 1.0) -> SingleShooting:
         """The cost over the first ``share`` of every record; whitened where the noise is known to be coloured, with the ``loss``."""
         if self.loss is not None:
             return RobustShooting(
                 variables, self.step, self.kernel, self.records, 1 / self.noise.std, self.noise.colour, self.loss, share
-            )  # fmt: skip
+            )
         if self.noise.coloured:
             return WhitenedShooting(
                 variables, self.step, self.kernel, self.records, 1 / self.noise.std, self.noise.colour, share
-            )  # fmt: skip
+            )
         return SingleShooting(variables, self.step, self.kernel, self.records, 1 / self.noise.std, share)
 
     @property
-    def least(self) -> np.ndarray | None:
+    def variance_floor(self) -> np.ndarray | None:
         """What the loss leaves of the variance of known noise, by output (ny,); None for least squares."""
         return None if self.loss is None else self.loss.least()
 
@@ -82,10 +82,10 @@ def prepare_problem(
 ) -> EstimationProblem:
     """Check model and data against each other and lay out the problem; ``quiet`` records tell the noise (`greybox.noise`).
 
-    ``noise`` as `greybox.noise.noise_of` takes it, or a `NoiseModel` that is known from an earlier fit. ``own``: constants of which each
-    experiment has a value of its own. ``robust``: outliers must not pass for noise. ``initial``: the first guess of each record's
-    initial state, see `apply_initial_guess`. An output that reads the same in every row, and whose noise nothing tells, is left out
-    (`Problem.still`).
+    ``noise`` as `greybox.noise.estimate_noise` takes it, or a `NoiseModel` that is known from an earlier fit. ``per_experiment``:
+    parameters of which each experiment has a value of its own. ``robust``: outliers must not pass for noise. ``initial``: the first
+    guess of each record's initial state, see `apply_initial_guess`. An output that reads the same in every row, and whose noise is
+    not known, is left out (`EstimationProblem.constant_outputs`).
 
     Raises DataError or ModelError with what is wrong and what to do.
     """
@@ -97,8 +97,8 @@ def prepare_problem(
         if isinstance(noise, NoiseModel)
         else estimate_noise(model, group, noise or {}, quiet, robust=robust, alike=not per_experiment)
     )
-    resting = _resting(model, group, deviation)
-    records = tuple(_without(to_record(model, e), [o.name in resting for o in model.outputs]) for e in group)
+    constant = _find_constant_outputs(model, group, deviation)
+    records = tuple(_drop_outputs(to_record(model, e), [o.name in constant for o in model.outputs]) for e in group)
     beginning = guess_initial_states(model, records, at_rest, [e.conditions for e in group])
     if initial:
         beginning = apply_initial_guess(model, beginning, initial)
@@ -109,17 +109,19 @@ def prepare_problem(
     conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
     variables = DecisionVector.of(model, beginning, conditions, per_experiment, [e.name for e in group])
     return EstimationProblem(
-        model, group, records, deviation, variables, step, make_kernel(step), method, still=resting
+        model, group, records, deviation, variables, step, make_kernel(step), method, constant_outputs=constant
     )
 
 
-def _resting(model: Model, experiments: Sequence[Experiment], noise: NoiseModel) -> tuple[str, ...]:
+def _find_constant_outputs(model: Model, experiments: Sequence[Experiment], noise: NoiseModel) -> tuple[str, ...]:
     """Outputs that read the same in every row and have no noise from anywhere."""
     columns = {o.name: [e.outputs[o.name] for e in experiments if o.name in e.outputs] for o in model.outputs}
-    return tuple(n for n, found in columns.items() if found and n not in noise.sources and all(map(is_constant, found)))
+    return tuple(
+        n for n, signals in columns.items() if signals and n not in noise.sources and all(map(is_constant, signals))
+    )
 
 
-def _without(record: Record, outputs: Sequence[bool]) -> Record:
+def _drop_outputs(record: Record, outputs: Sequence[bool]) -> Record:
     """``record`` as if some of its outputs had not been measured."""
     return replace(record, y=np.where(outputs, np.nan, record.y)) if any(outputs) else record
 
@@ -157,9 +159,9 @@ def apply_initial_guess(
     finite or lie outside the state's bounds, a wrong number of mappings, and states that are not estimated.
     """
     if isinstance(initial, Mapping) or len(initial) != len(beginning.guess):
-        given = "a bare mapping" if isinstance(initial, Mapping) else _several(len(initial), "mapping")
+        given = "a bare mapping" if isinstance(initial, Mapping) else _count(len(initial), "mapping")
         raise ModelError(
-            f"initial states: {given} for {_several(len(beginning.guess), 'experiment')}: give a sequence with one mapping from state to"
+            f"initial states: {given} for {_count(len(beginning.guess), 'experiment')}: give a sequence with one mapping from state to"
             " value for each experiment, in their order"
         )
     names, guess, wrong = model.system.state_names, beginning.guess.copy(), []
@@ -183,7 +185,7 @@ def apply_initial_guess(
     return replace(beginning, guess=guess)
 
 
-def _several(count: int, what: str) -> str:
+def _count(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 

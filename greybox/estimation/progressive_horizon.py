@@ -11,45 +11,40 @@ from collections.abc import Callable
 
 import numpy as np
 
+from greybox.estimation.policy import ProgressiveHorizonPolicy
 from greybox.estimation.problem import EstimationProblem
 from greybox.transcription import Evaluation
 
-# The first part holds this many of the slowest time constants, this share of an output's movement, and so many rows at least.
-TIME_CONSTANTS, MOVEMENT, LEAST_ROWS, ROWS_PER_UNKNOWN = 2.0, 0.1, 60, 5
-# The movement is looked at in this many places of a record.
-PLACES = 2000
-# The record grows by the first of these factors with which the misfit grows at most so many times (of the noise at least).
-GROWTH, SURPRISE = (10.0, 4.0, 2.0, 1.4), 3.0
-# ... or with which the model still follows this share of the movement.
-FORETOLD = 0.8
-# From this share on the next part is the whole.
-ALMOST_WHOLE = 0.5
-# A first part of whose movement less than this can be followed is too long for that start: it is cut to a third.
-FOLLOWED, SHRINK, LITTLE_LONGER = 0.5, 3.0, 1.2
 
-
-def choose_first_share(problem: EstimationProblem) -> float:
+def choose_first_share(problem: EstimationProblem, policy: ProgressiveHorizonPolicy) -> float:
     """Share of the record for the first stage: a few time constants with some movement in them."""
     v = problem.variables
     rows = max(len(r.u) for r in problem.records)
-    period = max(float(np.median(r.h[:PLACES])) for r in problem.records)
+    period = max(float(np.median(r.h[: policy.inspected_rows])) for r in problem.records)
     jacobian = problem.model.system.jacobian(v.initial.guess[0], problem.records[0].u[0], v.fixed).full()
     decays = -np.linalg.eigvals(jacobian).real if np.isfinite(jacobian).all() else np.empty(0)
     slowest = 1 / decays[decays > 0].min() if np.any(decays > 0) else 0.0
-    first = max(LEAST_ROWS, ROWS_PER_UNKNOWN * v.size, TIME_CONSTANTS * slowest / period) / rows
-    first = max(first, min(_moving(r.y) for r in problem.records))
-    return float(first) if first < ALMOST_WHOLE else 1.0
+    first = max(policy.least_rows, policy.rows_per_unknown * v.size, policy.time_constants * slowest / period) / rows
+    first = max(first, min(_find_movement_share(r.y, policy) for r in problem.records))
+    return float(first) if first < policy.almost_whole else 1.0
 
 
 def choose_next_share(
-    problem: EstimationProblem, share: float, reached: Evaluation, measure: Callable[[float], Evaluation]
+    problem: EstimationProblem,
+    share: float,
+    reached: Evaluation,
+    measure: Callable[[float], Evaluation],
+    policy: ProgressiveHorizonPolicy,
 ) -> tuple[float, Evaluation]:
     """The next share and the evaluation there: as much more of the record as the present part foretells."""
-    expected = SURPRISE * max(_ratio(reached), 1.0)
-    for factor in GROWTH:
-        wider = factor * share if factor * share < ALMOST_WHOLE else 1.0
+    expected = policy.surprise * max(_compute_noise_ratio(reached), 1.0)
+    for factor in policy.growth:
+        wider = factor * share if factor * share < policy.almost_whole else 1.0
         ahead = measure(wider)
-        if _ratio(ahead) <= expected or compute_explained_share(problem, ahead, wider) >= FORETOLD:
+        if (
+            _compute_noise_ratio(ahead) <= expected
+            or compute_explained_share(problem, ahead, wider) >= policy.foretold_share
+        ):
             break
     return wider, ahead
 
@@ -65,27 +60,27 @@ def compute_explained_share(problem: EstimationProblem, e: Evaluation, share: fl
     return 1.0 - float(e.squares.sum()) / total if total > 0 else 1.0
 
 
-def shorten_share(problem: EstimationProblem, share: float) -> float:
+def shorten_share(problem: EstimationProblem, share: float, policy: ProgressiveHorizonPolicy) -> float:
     """The next shorter beginning, or the same where it cannot be shorter."""
     rows = max(len(r.u) for r in problem.records)
-    least = max(LEAST_ROWS, ROWS_PER_UNKNOWN * problem.variables.size) / rows
-    return max(share / SHRINK, least) if share > LITTLE_LONGER * least else share
+    least = max(policy.least_rows, policy.rows_per_unknown * problem.variables.size) / rows
+    return max(share / policy.shrink, least) if share > policy.least_shrink * least else share
 
 
-def _ratio(e: Evaluation) -> float:
+def _compute_noise_ratio(e: Evaluation) -> float:
     """Misfit over noise."""
     return float(np.sqrt(e.cost / max(e.count, 1)))
 
 
-def _moving(y: np.ndarray) -> float:
-    """Share of the record after which an output has shown `MOVEMENT` of its range."""
+def _find_movement_share(y: np.ndarray, policy: ProgressiveHorizonPolicy) -> float:
+    """Share of the record after which an output has shown the policy's share of its range."""
     shares = []
-    for column in y[:: max(1, len(y) // PLACES)].T:
+    for column in y[:: max(1, len(y) // policy.inspected_rows)].T:
         finite = np.flatnonzero(np.isfinite(column))
         if len(finite) == 0:
             continue
         values = column[finite]
         seen = np.maximum.accumulate(values) - np.minimum.accumulate(values)
         if seen[-1] > 0:
-            shares.append(finite[np.argmax(seen >= MOVEMENT * seen[-1])] / len(column))
+            shares.append(finite[np.argmax(seen >= policy.movement * seen[-1])] / len(column))
     return min(shares, default=1.0)

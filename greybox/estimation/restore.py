@@ -1,4 +1,4 @@
-"""A finished fit as the problem it was, at its optimum."""
+"""A finished fit as the problem that it was, at its optimum: by simulation error or by prediction error."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 
 from greybox.errors import FitError
 from greybox.estimation.options import FitOptions
+from greybox.estimation.prediction_error import PredictionErrorObjective, compute_innovations
+from greybox.estimation.predictor import FixedParameterModel, make_likelihood
 from greybox.estimation.problem import EstimationProblem, prepare_problem
 from greybox.model import Model
 from greybox.noise import AutoRegression, NoiseModel
@@ -18,7 +20,7 @@ from greybox.transcription.robust_loss import RobustLoss, parse_loss
 
 def restore_options(fit: Fit) -> FitOptions:
     """The options of ``fit`` for a search that begins next to its optimum, with the step it ended with."""
-    options = FitOptions(**fit.provenance.options)
+    options = FitOptions.from_data(fit.provenance.options)
     return replace(
         options,
         progressive=False,
@@ -80,7 +82,7 @@ def restore_problem(
 
 def restore_loss(fit: Fit) -> RobustLoss | None:
     """The robust loss of ``fit`` with its scales; None for least squares."""
-    loss = parse_loss(FitOptions(**fit.provenance.options).loss)
+    loss = parse_loss(FitOptions.from_data(fit.provenance.options).loss)
     scale = np.array([fit.robust.scale.get(o.name, 1.0) for o in fit.model.outputs])
     return None if loss is None else replace(loss, scale=scale)
 
@@ -92,3 +94,52 @@ def restore_noise(fit: Fit) -> NoiseModel:
     colour = tuple(AutoRegression(tuple(fit.noise.colour.get(o.name, ()))) for o in outputs)
     known = bool(fit.noise.sources) and all(source.is_independent for source in fit.noise.sources.values())
     return NoiseModel(tuple(o.name for o in outputs), std, fit.noise.sources, colour, known)
+
+
+def restore_likelihood(fit: Fit) -> PredictionErrorObjective:
+    """The likelihood of a fit with process noise, its constants and first states free, ``z = 0`` at its optimum.
+
+    An intensity that became zero stays there.
+
+    Raises FitError for a fit that did not succeed, or was saved without its inputs.
+    """
+    if not fit.success:
+        raise FitError(
+            f"fit of {fit.model.title}: {fit.solver.status_message}; its innovations need a fit that has succeeded"
+        )
+    if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
+        raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
+    saved = FitOptions.from_data(fit.provenance.options)
+    options = replace(
+        saved,
+        method=str(fit.solver.statistics.get("method", saved.method)),
+        substeps=int(fit.solver.statistics.get("substeps", 0)),
+    )
+    std = np.array([fit.noise.std.get(o.name, 1.0) for o in fit.model.outputs])
+    outputs = tuple(o.name for o in fit.model.outputs)
+    noise = NoiseModel(outputs, std, fit.noise.sources, tuple(AutoRegression() for _ in std), True)
+    none = [name for name in fit.model.noise_parameters if fit.model.values[name] == 0]
+    cost = make_likelihood(
+        FixedParameterModel(fit.model.fix(*none), noise, options), [t.experiment for t in fit.traces], free=True
+    )
+    v = cost.unknowns.variables
+    start = np.array([[t.initial_state[name] for name in fit.model.system.state_names] for t in fit.traces])
+    per_experiment = {
+        f"{name} ({title})": e.value
+        for name, found in fit.constraints.per_experiment.items()
+        for title, e in found.items()
+    }
+    variables = replace(v.at(per_experiment), initial=replace(v.initial, guess=start))
+    return cost.at(replace(cost.unknowns, variables=variables))
+
+
+def compute_innovation_rows(fit: Fit) -> tuple[list[tuple[np.ndarray, np.ndarray]], PredictionErrorObjective]:
+    """For each record of ``fit`` its standardised innovations (N, ny), NaN in gaps, and the slopes (N, ny, L) of the innovations
+    themselves over their standard deviation.
+
+    L are the columns of the experiment, see `LikelihoodUnknowns.columns`. How the standard deviations depend on the unknowns is
+    left out: what
+    only scales an innovation does not explain it.
+    """
+    cost = restore_likelihood(fit)
+    return [(e, mean) for e, mean, _ in compute_innovations(cost).rows], cost

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from greybox.estimation.options import FitOptions, FitProgressCallback
+from greybox.estimation.policy import RobustPolicy
 from greybox.estimation.solution import Solution
 from greybox.estimation.solve import solve
 from greybox.noise.differences import estimate_spread
-from greybox.result import Misfit
+from greybox.result import Misfit, RobustReport
 from greybox.transcription.robust_loss import USUAL, RobustLoss, parse_loss
-
-# The scale is looked at again after each fit until it changes by less than this share, so many times at most.
-SETTLED, ROUNDS = 0.02, 5
-# Noise that was estimated may be so many times too large (outliers count in it), but not more: less is rounding.
-LEAST = 0.3
 
 
 def refit_robustly(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
@@ -27,34 +23,37 @@ def refit_robustly(solution: Solution, options: FitOptions, report: FitProgressC
     down. The ``scale`` of each output is that of the bulk of its residual over the noise (1.48 times the median size), and where the
     noise is known one at least: what the model lacks is not to be taken for outliers. It is constant while the cost is minimised.
     """
+    policy = options.policy.robust
     loss = parse_loss(options.loss)
     if loss is None or not solution.status.success:
         return solution
     options = replace(options, progressive=False)
     first = replace(loss, kind="huber", threshold=USUAL["huber"]) if loss.kind != "huber" else loss
-    for _k in range(ROUNDS):
-        scale = estimate_bulk_scale(solution)
+    for _ in range(policy.rounds):
+        scale = estimate_bulk_scale(solution, policy)
         before = solution.problem.loss
         wanted = replace(first if before is None else loss, scale=scale)
-        if before is not None and before.kind == loss.kind and _settled(before, wanted):
+        if before is not None and before.kind == loss.kind and _is_settled(before, wanted, policy):
             break
         problem = replace(solution.problem, loss=wanted, variables=solution.variables)
-        work = solution.iterations, solution.evaluations, solution.seconds
+        iterations, evaluations, seconds = solution.iterations, solution.evaluations, solution.seconds
         solution = solve(problem, options, report)
         if not solution.status.success:
             break
-        iterations, evaluations, seconds = work
         solution = replace(
-            solution, iterations=solution.iterations + iterations, evaluations=solution.evaluations + evaluations,
-            seconds=solution.seconds + seconds, shares=(1.0,),
-        )  # fmt: skip
+            solution,
+            iterations=solution.iterations + iterations,
+            evaluations=solution.evaluations + evaluations,
+            seconds=solution.seconds + seconds,
+            shares=(1.0,),
+        )
     return solution
 
 
-def estimate_bulk_scale(solution: Solution) -> np.ndarray:
+def estimate_bulk_scale(solution: Solution, policy: RobustPolicy) -> np.ndarray:
     """Size of the bulk of each output's residual over its noise (ny,), one at least where the noise is given."""
     r = np.concatenate(compute_whitened_residuals(solution))
-    least = 1.0 if solution.problem.noise.known else LEAST
+    least = 1.0 if solution.problem.noise.known else policy.least_scale
     return np.array([max(estimate_spread(column, robust=True), least) for column in r.T])
 
 
@@ -69,35 +68,26 @@ def compute_noise_ratios(solution: Solution, misfit: Mapping[str, Misfit]) -> di
 
 def compute_whitened_residuals(solution: Solution) -> list[np.ndarray]:
     """For each record the residual (N, ny) over its noise, whitened where the noise's colour is known; NaN in gaps."""
-    problem, found = solution.problem, []
+    problem, residuals = solution.problem, []
     for record, (y, _) in zip(problem.records, solution.simulate(), strict=True):
         r = record.samples(record.y - y) / problem.noise.std
-        found.append(np.column_stack([colour.whiten(r[:, j]) for j, colour in enumerate(problem.noise.colour)]))
-    return found
+        residuals.append(np.column_stack([colour.whiten(r[:, j]) for j, colour in enumerate(problem.noise.colour)]))
+    return residuals
 
 
-@dataclass(frozen=True)
-class OutlierSummary:
-    """The loss of a fit in words, "" for least squares; by output its scale, and the share of the samples that count as outliers."""
-
-    loss: str
-    scale: dict[str, float]
-    outliers: dict[str, float]
-
-
-def summarise_outliers(solution: Solution) -> OutlierSummary:
+def summarise_outliers(solution: Solution) -> RobustReport:
     """What a robust fit made of the samples that it took for outliers; nothing for least squares."""
     loss = solution.problem.loss
     if loss is None:
-        return OutlierSummary("", {}, {})
+        return RobustReport()
     r = np.concatenate(compute_whitened_residuals(solution))
     shares = loss.outliers(r).sum(axis=0) / np.maximum(np.isfinite(r).sum(axis=0), 1)
     names = [o.name for o in solution.problem.model.outputs]
     measured = [j for j in range(len(names)) if np.isfinite(r[:, j]).any()]
-    return OutlierSummary(
+    return RobustReport(
         str(loss), {names[j]: float(loss.scale[j]) for j in measured}, {names[j]: float(shares[j]) for j in measured}
     )
 
 
-def _settled(before: RobustLoss, after: RobustLoss) -> bool:
-    return bool(np.all(np.abs(after.scale / before.scale - 1) < SETTLED))
+def _is_settled(before: RobustLoss, after: RobustLoss, policy: RobustPolicy) -> bool:
+    return bool(np.all(np.abs(after.scale / before.scale - 1) < policy.settled_scale))

@@ -16,14 +16,11 @@ from typing import Protocol
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
+from greybox.estimation.policy import DEFAULT_POLICY, IntervalPolicy
 from greybox.noise import AutoRegression, fit_autoregression, join_series
 
-# The kernel estimate looks this many correlation times back, and at most at this share of a record.
-CORRELATION_TIMES, SHARE = 5.0, 0.125
-# A residual of fewer samples shows no colour that could be told from chance: it counts as white.
-LEAST_SAMPLES = 50
-# Numbers that one transform may hold.
-CHUNK = 4_000_000
+# Numbers that one transform may hold: a limit of memory, not of accuracy.
+_CHUNK = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -62,11 +59,15 @@ class ResidualColour:
 
 
 def estimate_residual_colour(
-    rows: Sequence[tuple[np.ndarray, np.ndarray]], unknowns: int, noise_given: bool, least: np.ndarray | None = None
+    rows: Sequence[tuple[np.ndarray, np.ndarray]],
+    unknowns: int,
+    noise_given: bool,
+    variance_floor: np.ndarray | None = None,
+    policy: IntervalPolicy = DEFAULT_POLICY.intervals,
 ) -> ResidualColour:
     """Autoregression of each output's weighted residual over all records, and its variance.
 
-    If the noise is given that is at least one, or the ``least`` (ny,) that a robust loss leaves of it.
+    If the noise is given that is at least one, or the ``variance_floor`` (ny,) that a robust loss leaves of it.
     """
     outputs = rows[0][0].shape[1]
     total = sum(int(np.isfinite(r).sum()) for r, _ in rows)
@@ -75,14 +76,16 @@ def estimate_residual_colour(
         series = join_series([r[:, j] for r, _ in rows])
         count = int(np.isfinite(series).sum())
         square = float(np.nansum(series**2)) / max(count, 1) * total / max(total - unknowns, 1)
-        models.append(fit_autoregression(series) if count >= LEAST_SAMPLES else AutoRegression())
-        variances.append(max(square, 1.0 if least is None else float(least[j])) if noise_given else square)
+        models.append(fit_autoregression(series) if count >= policy.least_samples else AutoRegression())
+        variances.append(
+            max(square, 1.0 if variance_floor is None else float(variance_floor[j])) if noise_given else square
+        )
         counts.append(count)
     return ResidualColour(tuple(models), tuple(variances), tuple(counts), unknowns)
 
 
 class ColumnLayout(Protocol):
-    """Where the Jacobian's columns of each record belong among all unknowns (`greybox.transcription.Variables`)."""
+    """Where the Jacobian's columns of each record belong among all unknowns (`greybox.transcription.DecisionVector`)."""
 
     @property
     def size(self) -> int:
@@ -116,18 +119,19 @@ def estimate_kernel_score_covariance(
     rows: Sequence[tuple[np.ndarray, np.ndarray]],
     colour: ResidualColour,
     projector: np.ndarray,
+    policy: IntervalPolicy = DEFAULT_POLICY.intervals,
 ) -> np.ndarray:
     """Covariance (n, n) of the projected scores after Newey and West, with Bartlett's weights.
 
-    ``projector`` (n, size) takes scores to those of the constants with the initial states estimated as well.
+    ``projector`` (n, size) takes scores to those of the parameters with the initial states estimated as well.
     """
     total = np.zeros((len(projector), len(projector)))
-    reach = max((time for time, _ in colour.times), default=1.0) * CORRELATION_TIMES
+    reach = max((time for time, _ in colour.times), default=1.0) * policy.correlation_times
     for e, (r, jacobian) in enumerate(rows):
-        there = np.isfinite(r)
-        slopes, residual = np.where(there[:, :, None], jacobian, 0.0), np.where(there, r, 0.0)
+        measured = np.isfinite(r)
+        slopes, residual = np.where(measured[:, :, None], jacobian, 0.0), np.where(measured, r, 0.0)
         scores = np.einsum("tjk,tj->tk", slopes, residual) @ projector[:, variables.columns(e)].T
-        lags = int(min(max(reach, 1.0), max(SHARE * len(r), 1.0)))
+        lags = int(min(max(reach, 1.0), max(policy.record_share * len(r), 1.0)))
         total += compute_toeplitz_form(scores, np.append(1 - np.arange(lags) / lags, np.zeros(len(r) - lags)))
     return total
 
@@ -141,7 +145,7 @@ def compute_toeplitz_form(columns: np.ndarray, rho: np.ndarray) -> np.ndarray:
     circle = np.concatenate([rho, np.zeros(size - 2 * n + 1), rho[:0:-1]])
     spectrum = rfft(circle)
     filtered = np.empty_like(columns)
-    step = max(1, CHUNK // size)
+    step = max(1, _CHUNK // size)
     for k in range(0, columns.shape[1], step):
         filtered[:, k : k + step] = irfft(
             rfft(columns[:, k : k + step], size, axis=0) * spectrum[:, None], size, axis=0

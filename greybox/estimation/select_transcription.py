@@ -6,24 +6,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.estimation.options import FitOptions
+from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.problem import EstimationProblem
+from greybox.estimation.strategy import make_strategy
+from greybox.findings import Finding
 from greybox.transcription import estimate_error_growth, propose_transcription
-
-ASKED = "as asked"
 
 
 @dataclass(frozen=True)
 class TranscriptionChoice:
-    """``transcription`` is one of `TRANSCRIPTIONS` without ``automatic``; ``problem`` has the steps that go with it."""
+    """A transcription (`Transcription` without ``automatic``), why it was chosen ("" where it was asked for), and the problem with the
+    steps that go with it.
+    """
 
     transcription: str
     reason: str
     problem: EstimationProblem
 
-    def told(self, what: str) -> str:
-        """``what``, with the reason."""
-        return f"{what}, {ASKED}" if self.reason == ASKED else f"{what}; picked because {self.reason}"
+    def to_strategy(self, **values: object) -> Finding:
+        """The strategy with what the search was made of."""
+        return make_strategy(self.transcription, reason=self.reason, **values)
 
 
 def select_transcription(problem: EstimationProblem, options: FitOptions) -> TranscriptionChoice:
@@ -32,21 +34,21 @@ def select_transcription(problem: EstimationProblem, options: FitOptions) -> Tra
     A stiff model also gets implicit steps, unless the method or the substeps were given.
     """
     longest = max(problem.records, key=lambda r: float(r.h.sum()))
-    found = propose_transcription(problem.model.system, _start(problem), longest, integrating="single")
-    if found.implicit and options.method == "automatic" and not options.substeps:
-        problem = replace(problem, method="radau").with_step(0, _start(problem))
+    proposal = propose_transcription(problem.model.system, _start_parameters(problem), longest, integrating="single")
+    if proposal.implicit and options.method == "automatic" and not options.substeps:
+        problem = replace(problem, method="radau").with_step(0, _start_parameters(problem))
     if options.arc_length:
-        return TranscriptionChoice("arcs", ASKED, problem)
-    if options.transcription != "automatic":
-        return TranscriptionChoice(options.transcription, ASKED, problem)
-    name = "collocation-radau" if found.transcription == "collocation" else found.transcription
-    return TranscriptionChoice(name, found.reason, problem)
+        return TranscriptionChoice(Transcription.ARCS, "", problem)
+    if options.transcription != Transcription.AUTOMATIC:
+        return TranscriptionChoice(options.transcription, "", problem)
+    name = "collocation-radau" if proposal.transcription == "collocation" else proposal.transcription
+    return TranscriptionChoice(name, proposal.reason, problem)
 
 
 def compute_growth_rates(problem: EstimationProblem) -> list[float]:
     """Rate (1/s) at which small errors grow along each record, at the start values."""
-    return [estimate_error_growth(problem.model.system, _start(problem), r) for r in problem.records]
+    return [estimate_error_growth(problem.model.system, _start_parameters(problem), r) for r in problem.records]
 
 
-def _start(problem: EstimationProblem) -> np.ndarray:
+def _start_parameters(problem: EstimationProblem) -> np.ndarray:
     return problem.variables.parameters(np.zeros(problem.variables.size))

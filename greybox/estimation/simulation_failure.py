@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from enum import StrEnum
 
 import casadi as ca
 import numpy as np
 
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.problem import EstimationProblem
 from greybox.expressions.text import expression_text
+from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.numerics import STATE_BOUND_MARGIN
 from greybox.transcription import DecisionVector
 
-LONGEST = 80  # characters of a formula that are worth showing
+
+class QuantityKind(StrEnum):
+    """What may fail to be a number in a run."""
+
+    START = "start"
+    TERM = "term"
+    STORAGE = "storage"
+    OUTPUT = "output"
 
 
-def describe_simulation_failure(
+def locate_simulation_failure(
     problem: EstimationProblem, variables: DecisionVector, experiment: int, sample: int
-) -> str:
+) -> Finding:
     """What went wrong where the run of record number ``experiment`` is no longer finite at row ``sample`` (both from 0).
 
     The terms of every balance are evaluated at the last states that were finite, and then at the points to which a Runge-Kutta
@@ -28,26 +38,25 @@ def describe_simulation_failure(
     model, record = problem.model, problem.records[experiment]
     z = np.zeros(variables.size)
     p = variables.parameters(z, experiment)
-    run = problem.shooting(variables).simulate(z)[experiment]
-    where = f"The simulation of experiment {experiment + 1}"
-    if sample >= len(run[1]):
-        return (
-            f"{where} goes through, but its slope along the constants is not finite: a term has an infinite slope, as sqrt has"
-            " at 0; give the state behind it a bound, or write the term without it"
-        )
-    finite = np.isfinite(run[1]).all(axis=1)
+    _, states = problem.shooting(variables).simulate(z)[experiment]
+    if sample >= len(states):
+        return Finding(EstimationCode.SENSITIVITY_NOT_FINITE, Severity.ERROR, "", {"experiment": experiment + 1})
+    finite = np.isfinite(states).all(axis=1)
     last = min(sample, max(int(np.argmin(finite)) - 1, 0)) if not finite.all() else sample
-    x, u = run[1][last], record.u[last, : len(model.inputs)]
-    time = float(problem.experiments[experiment].time[last])
-    place = f"{where} fails at t = {time:.6g} s (row {last + 1})"
+    x, u = states[last], record.u[last, : len(model.inputs)]
+    place = {
+        "experiment": experiment + 1,
+        "time": float(problem.experiments[experiment].time[last]),
+        "row": last + 1,
+    }
     h = float(record.h[min(last, len(record.h) - 1)]) if len(record.h) else 0.0
     for at in _points(model, x, u, p, h):
-        found = _first_bad(model, at, u, p)
-        if found:
-            return f"{place}: {found}, at {_state(model, at, u)}"
-    return (
-        f"{place}: every term is finite there, but the states run away; {_largest(model, x)}, at {_state(model, x, u)}"
-    )
+        quantity = _first_not_finite(model, at, u, p)
+        if quantity:
+            values = {**place, **quantity, "point": _name_point(model, at, u)}
+            return Finding(EstimationCode.TERM_NOT_FINITE, Severity.ERROR, quantity["name"], values)
+    largest = model.system.state_names[int(np.argmax(np.abs(x)))]
+    return Finding(EstimationCode.STATES_DIVERGE, Severity.ERROR, largest, {**place, "point": _name_point(model, x, u)})
 
 
 def _points(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray, h: float) -> Iterator[np.ndarray]:
@@ -62,38 +71,46 @@ def _points(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray, h: float)
         yield at
 
 
-def _first_bad(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> str:
-    """The first quantity of the equations that is not finite, in words; empty if there is none."""
+def _first_not_finite(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> dict[str, str]:
+    """The first quantity of the equations that is not finite: its kind, name, balance, formula, value and unit; empty if none is."""
     system = model.system
-    named = [
-        (f"the starting value of the state {n!r}", e)
-        for n, e in zip(system.state_names, x, strict=True)
-        if not np.isfinite(e)
-    ]
-    if named:
-        return f"{named[0][0]} is {named[0][1]:g}"
+    for name, value in zip(system.state_names, x, strict=True):
+        if not np.isfinite(value):
+            return _describe_quantity(QuantityKind.START, name, "", "", float(value), "")
     bounds = np.array([s.bounds for s in model.all_states], float)
     inside = np.clip(x, bounds[:, 0] + STATE_BOUND_MARGIN, bounds[:, 1] - STATE_BOUND_MARGIN)
-    things: list[tuple[str, ca.SX, str]] = []
+    quantities: list[tuple[QuantityKind, str, str, ca.SX, str]] = []
     for balance in system.balances:
-        things += [
-            (f"in the balance {balance.name!r} the term {n!r}", ca.SX(t), balance.unit)
-            for n, t in balance.terms.items()
+        quantities += [
+            (QuantityKind.TERM, name, balance.name, ca.SX(term), balance.unit) for name, term in balance.terms.items()
         ]
-        things.append((f"in the balance {balance.name!r} one over the storage", 1 / ca.SX(balance.storage), ""))
-    things += [
-        (f"the output {n!r}", system.outputs[j], model.outputs[j].unit) for j, n in enumerate(system.output_names)
+        quantities.append((QuantityKind.STORAGE, balance.name, balance.name, 1 / ca.SX(balance.storage), ""))
+    quantities += [
+        (QuantityKind.OUTPUT, name, "", system.outputs[j], model.outputs[j].unit)
+        for j, name in enumerate(system.output_names)
     ]
-    values = _values(model, [e for _, e, _ in things], inside, u, p)
-    for (name, formula, unit), value in zip(things, values, strict=True):
+    values = _evaluate(model, [formula for _, _, _, formula, _ in quantities], inside, u, p)
+    for (kind, name, balance_name, formula, unit), value in zip(quantities, values, strict=True):
         if not np.isfinite(value):
-            text = expression_text(formula)
-            shown = f" ({text})" if len(text) <= LONGEST else ""
-            return f"{name}{shown} is {value:g} {unit}".rstrip()
-    return ""
+            return _describe_quantity(kind, name, balance_name, expression_text(formula), float(value), unit)
+    return {}
 
 
-def _values(model: Model, formulas: list[ca.SX], x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
+def _describe_quantity(
+    kind: QuantityKind, name: str, balance: str, formula: str, value: float, unit: str
+) -> dict[str, str]:
+    # JSON has no infinities: the value is text.
+    return {
+        "kind": str(kind),
+        "name": name,
+        "balance": balance,
+        "formula": formula,
+        "value": f"{value:g}",
+        "unit": unit,
+    }
+
+
+def _evaluate(model: Model, formulas: list[ca.SX], x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
     system = model.system
     known = [system.x, system.u, system.p]
     whole = ca.vertcat(*formulas)
@@ -104,14 +121,8 @@ def _values(model: Model, formulas: list[ca.SX], x: np.ndarray, u: np.ndarray, p
     return np.asarray(ca.Function("terms", known, [ca.densify(whole)])(x, u, p)).ravel()
 
 
-def _largest(model: Model, x: np.ndarray) -> str:
-    k = int(np.argmax(np.abs(x)))
-    return f"{model.system.state_names[k]!r} is largest"
-
-
-def _state(model: Model, x: np.ndarray, u: np.ndarray) -> str:
-    """``x = 0.1 m, v = -2 m/s, u = 1 V``."""
-    units = [s.unit for s in model.all_states]
-    parts = [f"{n} = {value:.4g} {unit}" for n, value, unit in zip(model.system.state_names, x, units, strict=True)]
-    parts += [f"{i.name} = {value:.4g} {i.unit}" for i, value in zip(model.inputs, u, strict=True)]
-    return ", ".join(part.strip() for part in parts)
+def _name_point(model: Model, x: np.ndarray, u: np.ndarray) -> list[dict[str, str]]:
+    """States and inputs with their units, values as text."""
+    states = zip(model.system.state_names, x, (s.unit for s in model.all_states), strict=True)
+    inputs = zip((i.name for i in model.inputs), u, (i.unit for i in model.inputs), strict=True)
+    return [{"name": name, "value": f"{value:.4g}", "unit": unit} for name, value, unit in (*states, *inputs)]

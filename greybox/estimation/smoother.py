@@ -9,26 +9,21 @@ import numpy as np
 from scipy.special import ndtri
 
 from greybox.errors import ModelError, nearest
-from greybox.estimation.fixed_parameters import estimate_initial_state, fix_parameters, make_likelihood
 from greybox.estimation.options import FitOptions
-from greybox.estimation.prediction_error import PredictionErrorObjective
-from greybox.estimation.prediction_error_runs import evaluate_start
+from greybox.estimation.policy import InitialStatePolicy
+from greybox.estimation.prediction_error import PredictionErrorObjective, evaluate_initial_state
+from greybox.estimation.predictor import estimate_initial_state, fix_parameters, make_likelihood
 from greybox.experiment import Experiment
 from greybox.filtering import smooth_states
 from greybox.model import Model
 from greybox.noise import NoiseModel
+from greybox.numerics import TINY, UNSEEN_INFORMATION
 from greybox.result import Fit
-from greybox.units import format_unit
-
-# The first states count as unknown: their prior is this many times as wide (variance) as what the record says of them. That leaves
-# all but a ten-thousandth of the smoothed variance to the record.
-WIDE = 1e4
-# A direction of the first states with less than this share of the information of the best known one is as wide as this says.
-UNSEEN = 1e-8
+from greybox.values import Printable
 
 
 @dataclass(frozen=True, eq=False)
-class SmoothedStates:
+class SmoothedStates(Printable):
     """States of one record given all of its measurements, at known constants.
 
     ``time`` (N,); ``mean`` and ``std`` by state (N,) in ``units``, and ``filtered``: the same from the measurements up to each row
@@ -59,18 +54,6 @@ class SmoothedStates:
         reach = float(ndtri((1 + level) / 2)) * self.std[state]
         return self.mean[state] - reach, self.mean[state] + reach
 
-    def __str__(self) -> str:
-        lines = [f"{self.experiment}: {len(self.time)} rows smoothed, {self.discretisation}"]
-        for name, mean in self.mean.items():
-            size = np.sqrt(np.mean(self.std[name] ** 2))
-            unit = format_unit(self.units[name])
-            lines.append(f"  {name}: {mean.min():.4g} to {mean.max():.4g} {unit}, standard deviation {size:.2g} {unit}")
-        for name, e in self.innovations.items():
-            lines.append(
-                f"  innovation of {name}: mean {np.nanmean(e):.2g}, standard deviation {np.nanstd(e):.3g} (1 is right)"
-            )
-        return "\n".join(lines)
-
 
 def smooth(
     model: Model | Fit,
@@ -89,8 +72,10 @@ def smooth(
     """
     given = fix_parameters(model, noise, options)
     cost = estimate_initial_state(make_likelihood(given, experiment), given.options)
-    pn, x0 = evaluate_start(cost, 0)
-    found = smooth_states(cost.kalman, cost.records[0], pn, x0, _uncertain(cost))
+    pn, x0 = evaluate_initial_state(cost, 0)
+    found = smooth_states(
+        cost.kalman, cost.records[0], pn, x0, _make_prior_covariance(cost, given.options.policy.initial_state)
+    )
     record, names = cost.records[0], given.model.system.state_names
     spread = np.sqrt(np.maximum(np.diagonal(found.covariance, axis1=1, axis2=2), 0.0))
     before = np.sqrt(np.maximum(np.diagonal(found.filtered_covariance, axis1=1, axis2=2), 0.0))
@@ -109,7 +94,7 @@ def smooth(
     )  # fmt: skip
 
 
-def _uncertain(cost: PredictionErrorObjective) -> np.ndarray | None:
+def _make_prior_covariance(cost: PredictionErrorObjective, policy: InitialStatePolicy) -> np.ndarray | None:
     """A wide covariance (nx, nx) of the first states about their estimate; None where they are declared."""
     v = cost.unknowns.variables
     free = v.free_states
@@ -118,10 +103,12 @@ def _uncertain(cost: PredictionErrorObjective) -> np.ndarray | None:
     n = len(v.which)
     block = slice(n, n + len(free))
     information = cost.evaluate(np.zeros(cost.unknowns.size)).hessian[block, block] / 2
-    scale = np.sqrt(np.maximum(np.diag(information), UNSEEN * max(np.diag(information).max(initial=0.0), 1e-300)))
+    scale = np.sqrt(
+        np.maximum(np.diag(information), UNSEEN_INFORMATION * max(np.diag(information).max(initial=0.0), TINY))
+    )
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    inverse = (vectors / np.maximum(values, UNSEEN)) @ vectors.T / np.outer(scale, scale)
+    inverse = (vectors / np.maximum(values, UNSEEN_INFORMATION)) @ vectors.T / np.outer(scale, scale)
     covariance = np.zeros((len(v.initial.free), len(v.initial.free)))
     reach = v.initial.scale[free]
-    covariance[np.ix_(free, free)] = WIDE * inverse * np.outer(reach, reach)
+    covariance[np.ix_(free, free)] = policy.smoother_prior * inverse * np.outer(reach, reach)
     return covariance

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from greybox.estimation.policy import JoiningPolicy
 from greybox.estimation.problem import EstimationProblem
+from greybox.estimation.strategy import make_strategy
+from greybox.findings import Finding
 from greybox.kernel import Record
 from greybox.optim import TerminationStatus
 from greybox.transcription import DecisionVector, Evaluation
 
-# A free run is that of the segments if it differs by at most this share of the noise.
-SAME = 0.1
-Runs = tuple[tuple[np.ndarray, np.ndarray], ...]
+# Two arrays for each record: outputs and states, or residuals and their Jacobian.
+Runs = Sequence[tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -36,8 +39,8 @@ class SegmentedRun:
 class Solution:
     """The optimum: ``variables`` with ``z = 0`` there, the evaluation, how it ended, and the work it took.
 
-    ``shares`` of the record that were fitted one after the other; ``transcription`` what was used, ``strategy`` says in words what
-    was picked, and why. ``joined`` is None where the model ran freely from each initial state. ``discretisation`` is empty where
+    ``shares`` of the record that were fitted one after the other; ``transcription`` what was used, ``strategy`` what was chosen, and
+    why. ``joined`` is None where the model ran freely from each initial state. ``discretisation`` is empty where
     it is the step of the problem.
     """
 
@@ -51,7 +54,7 @@ class Solution:
     seconds: float
     shares: tuple[float, ...]
     integration_error: np.ndarray
-    strategy: str = ""
+    strategy: Finding = field(default_factory=lambda: make_strategy("single"))
     transcription: str = "single"
     joined: SegmentedRun | None = None
     discretisation: str = ""
@@ -61,17 +64,16 @@ class Solution:
         """How many numbers were estimated."""
         return self.joined.unknowns if self.joined else self.variables.size
 
-    @property
-    def free_run(self) -> bool:
-        """Whether one simulation from each initial state gives the run, to a tenth of the noise."""
+    def is_free_run(self, policy: JoiningPolicy) -> bool:
+        """Whether one simulation from each initial state gives the run, to a share of the noise."""
         if not self.joined:
             return True
-        found, noise = (
+        free, noise = (
             self.problem.shooting(self.variables).simulate(np.zeros(self.variables.size)),
             self.problem.noise.std,
         )
-        away = np.concatenate([(a - b) / noise for (a, _), (b, _) in zip(found, self.joined.runs, strict=True)])
-        return bool(np.all(np.abs(away) < SAME))
+        away = np.concatenate([(a - b) / noise for (a, _), (b, _) in zip(free, self.joined.runs, strict=True)])
+        return bool(np.all(np.abs(away) < policy.free_run_noise_share))
 
     def simulate(self) -> Runs:
         """For each record outputs (N, ny) and states (N, nx) of the model at the optimum."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from greybox.estimation.options import FitOptions, FitProgressCallback
+from greybox.estimation.options import FitOptions, FitProgressCallback, Transcription
 from greybox.estimation.problem import EstimationProblem
 from greybox.estimation.select_transcription import select_transcription
 from greybox.estimation.solution import Solution
@@ -15,10 +15,12 @@ from greybox.estimation.solve_single_shooting import solve_single
 
 __all__ = ["Solution", "solve"]
 
-JOINED = {
-    "multiple": solve_multiple, "collocation-radau": solve_collocation, "collocation-legendre": solve_collocation,
-    "arcs": solve_arcs,
-}  # fmt: skip
+_SEGMENTED = {
+    Transcription.MULTIPLE: solve_multiple,
+    Transcription.COLLOCATION_RADAU: solve_collocation,
+    Transcription.COLLOCATION_LEGENDRE: solve_collocation,
+    Transcription.ARCS: solve_arcs,
+}
 
 
 def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None = None) -> Solution:
@@ -27,7 +29,7 @@ def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCa
     Raises ModelError for a transcription that the model does not allow.
     """
     choice = select_transcription(problem, options)
-    if choice.transcription in JOINED:
-        return JOINED[choice.transcription](choice, options, report)
-    found = solve_single(choice.problem, options, report)
-    return replace(found, strategy=choice.told(found.strategy))
+    if choice.transcription in _SEGMENTED:
+        return _SEGMENTED[Transcription(choice.transcription)](choice, options, report)
+    solution = solve_single(choice.problem, options, report)
+    return replace(solution, strategy=choice.to_strategy(**solution.strategy.values))

@@ -15,18 +15,14 @@ from greybox.estimation.problem import EstimationProblem
 from greybox.estimation.progress_monitor import ProgressMonitor
 from greybox.estimation.select_transcription import TranscriptionChoice
 from greybox.estimation.solution import Runs, SegmentedRun, Solution
-from greybox.estimation.solve_single_shooting import NEGLIGIBLE, NO_RESULT, make_termination_test, solve_single
-from greybox.estimation.step_refinement import HALVINGS, compute_change_over_noise, halve_step, is_too_coarse
+from greybox.estimation.solve_single_shooting import NO_RESULT, make_termination_test, solve_single
+from greybox.estimation.step_refinement import compute_change_over_noise, halve_step, is_too_coarse
 from greybox.estimation.step_size_sensitivity import compute_gauss_newton_step
+from greybox.numerics import TINY
 from greybox.optim import minimise
 from greybox.transcription import DecisionVector, Evaluation, ProjectedShooting, SingleShooting, cut_into_arcs
 from greybox.transcription.arcs import ArcProblem
 from greybox.transcription.projected_initial_states import invert_semidefinite
-
-# Unknowns that a search with other than plain squares can take (its Hessian is dense).
-MOST_UNKNOWNS = 1000
-# Of a record's duration: one sampling interval more than it is still the whole record, and no mistake.
-HAIR = 0.01
 
 
 def solve_arcs(choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None = None) -> Solution:
@@ -37,34 +33,36 @@ def solve_arcs(choice: TranscriptionChoice, options: FitOptions, report: FitProg
     every record.
     """
     whole = choice.problem
-    _check_length(whole, options.arc_length)
+    _check_length(whole, options)
     arcs = cut_into_arcs(_shooting(whole), seconds=options.arc_length)
     problem = replace(whole, records=arcs.shooting.records, variables=arcs.shooting.variables)
     if is_plain_least_squares(problem):
-        solved = _eliminated(problem, arcs.starts_record, options, report)
+        solved = _solve_with_states_eliminated(problem, arcs.starts_record, options, report)
     else:
         _check_number(problem, len(arcs.starts_record), options)
         solved = solve_single(problem, replace(options, progressive=False), report)
     problem = replace(solved.problem, variables=solved.variables)
-    variables = _of_records(whole.variables, solved.variables, arcs.starts_record)
+    variables = _to_whole_records(whole.variables, solved.variables, arcs.starts_record)
     solution = replace(
         solved, problem=replace(whole, step=problem.step, kernel=problem.kernel), variables=variables, transcription="arcs",
-        strategy=choice.told(_told(arcs, options.arc_length)),
+        strategy=choice.to_strategy(
+            arcs=len(arcs.starts_record), arc_length=options.arc_length, whole=bool(all(arcs.starts_record))
+        ),
     )  # fmt: skip
     if not np.isfinite(solved.evaluation.cost):
         return solution
-    rows = _projected(problem)
-    evaluation = _evaluation(solved.evaluation, rows, variables.size)
+    rows = _project_residuals(problem)
+    evaluation = _evaluate(solved.evaluation, rows, variables.size)
     shift = np.zeros(len(variables.which))
     if not problem.step.per_interval:
-        finer = _evaluation(solved.evaluation, _projected(halve_step(problem)), variables.size)
+        finer = _evaluate(solved.evaluation, _project_residuals(halve_step(problem)), variables.size)
         shift = (compute_gauss_newton_step(variables, finer) - compute_gauss_newton_step(variables, evaluation))[
             : len(shift)
         ]
     runs = problem.shooting(problem.variables).simulate(np.zeros(problem.variables.size))
-    own = len(variables.free_states)
-    padded = [(r, np.pad(jacobian, ((0, 0), (0, 0), (0, own)))) for r, jacobian in rows]
-    joined = SegmentedRun(_stitched(runs, arcs), _stitched(padded, arcs), problem.variables.size, shift)
+    states = len(variables.free_states)
+    padded = [(r, np.pad(jacobian, ((0, 0), (0, 0), (0, states)))) for r, jacobian in rows]
+    joined = SegmentedRun(_stitch(runs, arcs), _stitch(padded, arcs), problem.variables.size, shift)
     return replace(solution, joined=joined, evaluation=evaluation)
 
 
@@ -72,16 +70,10 @@ def _shooting(problem: EstimationProblem) -> SingleShooting:
     return SingleShooting(problem.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
 
 
-def _told(arcs: ArcProblem, length: float) -> str:
-    number = len(arcs.starts_record)
-    if all(arcs.starts_record):
-        return f"arcs of {length:g} s, which leave every record whole (what is left is less than half an arc)"
-    return f"{number} arcs of {length:g} s, each from a state of its own"
-
-
-def _check_length(problem: EstimationProblem, length: float) -> None:
+def _check_length(problem: EstimationProblem, options: FitOptions) -> None:
+    length = options.arc_length
     longest = max(float(record.h.sum()) for record in problem.records)
-    if length > longest * (1 + HAIR):
+    if length > longest * (1 + options.policy.joining.length_tolerance):
         raise DataError(
             f"arcs of {length:g} s: the longest record lasts {longest:.6g} s, so no record would be cut; take shorter arcs, or leave"
             " arc_length out (shell: --arc-length)"
@@ -89,28 +81,30 @@ def _check_length(problem: EstimationProblem, length: float) -> None:
 
 
 def _check_number(problem: EstimationProblem, arcs: int, options: FitOptions) -> None:
-    if problem.variables.size > MOST_UNKNOWNS:
+    most = options.policy.joining.most_unknowns
+    if problem.variables.size > most:
         raise ModelError(
             f"arcs of {options.arc_length:g} s: {arcs} of them have {problem.variables.size} unknowns together; with coloured noise,"
-            f" robust loss or priors at most {MOST_UNKNOWNS} are possible: take longer arcs"
+            f" robust loss or priors at most {most} are possible: take longer arcs"
         )
 
 
-def _eliminated(
+def _solve_with_states_eliminated(
     problem: EstimationProblem, starts_record: Sequence[bool], options: FitOptions, report: FitProgressCallback | None
 ) -> Solution:
     """The search over the constants alone; the step is halved until that changes too little to matter."""
     iterations = passes = 0
     seconds, error = 0.0, np.zeros(len(problem.noise.std))
-    for halving in range(HALVINGS + 1):
+    policy = options.policy.step_refinement
+    for halving in range(policy.halvings + 1):
         projected = ProjectedShooting(_shooting(problem))
         if halving == 0:
             projected.carry(starts_record)
         (low, high), zero = projected.bounds(), np.zeros(projected.size)
         first = projected.evaluate(zero)
         outcome = minimise(
-            projected.evaluate, zero, low, high, scale=max(first.cost, 1e-300), first=first, tolerance=options.tolerance,
-            iterations=options.iterations, finished=make_termination_test(low, high, NEGLIGIBLE), thorough=options.thorough,
+            projected.evaluate, zero, low, high, scale=max(first.cost, TINY), first=first, tolerance=options.tolerance,
+            iterations=options.iterations, finished=make_termination_test(low, high, options.policy.convergence), thorough=options.thorough,
             progress=ProgressMonitor(problem, report),
         )  # fmt: skip
         iterations, passes = iterations + outcome.iterations, passes + outcome.evaluations
@@ -120,9 +114,9 @@ def _eliminated(
         problem = replace(problem, variables=projected.variables.moved(projected.full(outcome.z)))
         if problem.step.per_interval:
             break
-        finer, here = halve_step(problem), np.zeros(problem.variables.size)
-        error = compute_change_over_noise(problem, _shooting(problem).simulate(here), _shooting(finer).simulate(here))
-        if options.substeps or halving == HALVINGS or not is_too_coarse(error, problem, value):
+        finer, zero = halve_step(problem), np.zeros(problem.variables.size)
+        error = compute_change_over_noise(problem, _shooting(problem).simulate(zero), _shooting(finer).simulate(zero))
+        if options.substeps or halving == policy.halvings or not is_too_coarse(error, problem, value, policy):
             break
         problem = finer
     return Solution(
@@ -139,35 +133,35 @@ def _eliminated(
     )
 
 
-def _of_records(v: DecisionVector, found: DecisionVector, starts_record: Sequence[bool]) -> DecisionVector:
-    """The variables ``v`` of the whole records with the constants ``found``; each record begins as its first arc does."""
-    guess = found.initial.guess[np.flatnonzero(starts_record)]
-    return replace(v, base=found.base, scale=found.scale, fixed=found.fixed, initial=replace(v.initial, guess=guess))
+def _to_whole_records(v: DecisionVector, fitted: DecisionVector, starts_record: Sequence[bool]) -> DecisionVector:
+    """The variables ``v`` of the whole records with the constants ``fitted``; each record begins as its first arc does."""
+    guess = fitted.initial.guess[np.flatnonzero(starts_record)]
+    return replace(v, base=fitted.base, scale=fitted.scale, fixed=fitted.fixed, initial=replace(v.initial, guess=guess))
 
 
-def _projected(problem: EstimationProblem) -> list[tuple[np.ndarray, np.ndarray]]:
+def _project_residuals(problem: EstimationProblem) -> list[tuple[np.ndarray, np.ndarray]]:
     """Residuals (N, ny) of each arc and their Jacobian (N, ny, nf), its initial state at its best for the constants."""
     n, result = len(problem.variables.which), []
     for r, jacobian in problem.shooting(problem.variables).residuals(np.zeros(problem.variables.size)):
-        there = np.isfinite(r)
-        along, own = jacobian[there][:, :n], jacobian[there][:, n:]
-        slope = -invert_semidefinite(own.T @ own) @ (own.T @ along)
+        measured = np.isfinite(r)
+        along, states = jacobian[measured][:, :n], jacobian[measured][:, n:]
+        slope = -invert_semidefinite(states.T @ states) @ (states.T @ along)
         result.append((r, jacobian[:, :, :n] + jacobian[:, :, n:] @ slope))
     return result
 
 
-def _evaluation(reached: Evaluation, rows: Sequence[tuple[np.ndarray, np.ndarray]], size: int) -> Evaluation:
+def _evaluate(reached: Evaluation, rows: Sequence[tuple[np.ndarray, np.ndarray]], size: int) -> Evaluation:
     """Cost, gradient and Gauss-Newton matrix (size, size) along the constants, initial states eliminated (their rows are zero)."""
     gradient, hessian = np.zeros(size), np.zeros((size, size))
     for r, jacobian in rows:
-        there, n = np.isfinite(r), jacobian.shape[2]
-        slopes = jacobian[there]
-        gradient[:n] += 2 * slopes.T @ r[there]
+        measured, n = np.isfinite(r), jacobian.shape[2]
+        slopes = jacobian[measured]
+        gradient[:n] += 2 * slopes.T @ r[measured]
         hessian[:n, :n] += 2 * slopes.T @ slopes
     return replace(reached, gradient=gradient, hessian=hessian)
 
 
-def _stitched(pieces: Sequence[tuple[np.ndarray, np.ndarray]], arcs: ArcProblem) -> Runs:
+def _stitch(pieces: Sequence[tuple[np.ndarray, np.ndarray]], arcs: ArcProblem) -> Runs:
     """The arcs of each record one after the other."""
     edges = [*np.flatnonzero(arcs.starts_record), len(arcs.starts_record)]
     joined = [[np.concatenate(parts) for parts in zip(*pieces[a:b], strict=True)] for a, b in pairwise(edges)]

@@ -13,7 +13,7 @@ from greybox.estimation.problem import EstimationProblem
 from greybox.estimation.progress_monitor import ProgressMonitor
 from greybox.estimation.select_transcription import TranscriptionChoice, compute_growth_rates
 from greybox.estimation.solution import Runs, SegmentedRun, Solution
-from greybox.estimation.step_refinement import HALVINGS, compute_change_over_noise, is_too_coarse, with_substeps
+from greybox.estimation.step_refinement import compute_change_over_noise, is_too_coarse, with_substeps
 from greybox.optim import MinimisationResult, solve_sparse
 from greybox.transcription import (
     Collocation,
@@ -25,11 +25,11 @@ from greybox.transcription import (
 )
 from greybox.transcription.segments import place_segments
 
-# What changed when an interval was halved changes so many times less when it is halved again: three points are of third order at
-# least, also on stiff equations (Hairer, Wanner, Solving Ordinary Differential Equations II, stage order).
-GAIN = 2.0**3
-POINTS = 3
-TITLES = {"radau": "Radau", "legendre": "Legendre"}
+# Three points are of third order at least, also on stiff equations (Hairer, Wanner, Solving Ordinary Differential Equations II, stage
+# order): halving an interval again changes eight times less than halving it once did.
+_ORDER = 3
+_POINTS = 3
+_TITLES = {"radau": "Radau", "legendre": "Legendre"}
 
 
 @dataclass(frozen=True)
@@ -52,42 +52,42 @@ def solve_collocation(
     The intervals are halved once, to see what that changes, and again until it changes too little to matter. ``substeps`` of
     the options are the elements of an interval, if given.
     """
+    policy = options.policy.step_refinement
     problem, scheme = choice.problem, choice.transcription.removeprefix("collocation-")
     elements = max(options.substeps, 1)
-    at = _solved(problem, *_start(problem), scheme, elements, options, report)
+    at = _solve(problem, *_guess_start(problem), scheme, elements, options, report)
     work = [at]
     error, shift = np.zeros(len(problem.noise.std)), np.zeros(len(problem.variables.which))
-    for _ in range(HALVINGS):
+    for _ in range(policy.halvings):
         if not at.outcome.status.success:
             break
-        finer = _solved(problem, at.variables, at.states, scheme, 2 * elements, options, report)
+        finer = _solve(problem, at.variables, at.states, scheme, 2 * elements, options, report)
         work.append(finer)
         if not finer.outcome.status.success:
             break
-        error = compute_change_over_noise(problem, _runs(problem, at), _runs(problem, finer))
-        shift = _shift(at.variables, finer.variables)
+        error = compute_change_over_noise(problem, _simulate(problem, at), _simulate(problem, finer))
+        shift = _compute_shift(at.variables, finer.variables)
         if options.substeps:
             break
         at, elements = finer, 2 * elements
-        error, shift = error / GAIN, shift / GAIN
-        if not is_too_coarse(error, problem, at.evaluation, POINTS * elements):
+        error, shift = error / 2.0**_ORDER, shift / 2.0**_ORDER
+        if not is_too_coarse(error, problem, at.evaluation, policy, _POINTS * elements):
             break
-    if not problem.step.per_interval:  # for who runs the model freely from here
-        problem = with_substeps(problem, max(problem.step.substeps, POINTS * elements), at.variables.fixed)
-    held = f"; {at.held} samples lie at a bound of a state" if at.held else ""
-    success, title = at.outcome.status.success, TITLES[scheme]
+    if not problem.step.per_interval:  # whoever continues with a free run needs steps as fine as these
+        problem = with_substeps(problem, max(problem.step.substeps, _POINTS * elements), at.variables.fixed)
+    success, title = at.outcome.status.success, _TITLES[scheme]
     solution = Solution(
         problem, at.variables, at.evaluation, at.outcome.status, at.outcome.solver_status,
         sum(w.outcome.iterations for w in work), sum(w.outcome.evaluations for w in work),
         sum(w.outcome.seconds for w in work), (1.0,), error,
-        choice.told(f"direct collocation{held}"), choice.transcription,
-        SegmentedRun(_runs(problem, at), at.rows, at.variables.size, shift) if success else None,
+        choice.to_strategy(held_samples=int(at.held)), choice.transcription,
+        SegmentedRun(_simulate(problem, at), at.rows, at.variables.size, shift) if success else None,
         f"collocation, three {title} points" + (" a sample" if elements == 1 else f" in each of {elements} elements a sample"),
     )  # fmt: skip
     return finish_by_simulation_error(solution, options, report)
 
 
-def _start(problem: EstimationProblem) -> tuple[DecisionVector, list[np.ndarray]]:
+def _guess_start(problem: EstimationProblem) -> tuple[DecisionVector, list[np.ndarray]]:
     """Variables and states along each record to begin with; where no piece of it can be simulated, its first states stay."""
     v = problem.variables
     single = SingleShooting(v, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
@@ -97,7 +97,7 @@ def _start(problem: EstimationProblem) -> tuple[DecisionVector, list[np.ndarray]
     return variables, [np.where(np.isfinite(x), x, v.initial.guess[e]) for e, x in enumerate(states)]
 
 
-def _solved(
+def _solve(
     problem: EstimationProblem, variables: DecisionVector, states: Sequence[np.ndarray], scheme: str, elements: int,
     options: FitOptions, report: FitProgressCallback | None,
 ) -> _Point:  # fmt: skip
@@ -113,7 +113,7 @@ def _solved(
     return _Point(outcome, found.variables, found.states, found.held, *program.linearise(outcome.z))
 
 
-def _runs(problem: EstimationProblem, at: _Point) -> Runs:
+def _simulate(problem: EstimationProblem, at: _Point) -> Runs:
     """Outputs and states at the rows of each record."""
     output, zero = problem.model.system.output_function, np.zeros(at.variables.size)
     runs = []
@@ -123,6 +123,6 @@ def _runs(problem: EstimationProblem, at: _Point) -> Runs:
     return tuple(runs)
 
 
-def _shift(before: DecisionVector, after: DecisionVector) -> np.ndarray:
+def _compute_shift(before: DecisionVector, after: DecisionVector) -> np.ndarray:
     """How far the free constants have moved (nf,), in ``z`` of the second."""
     return (after.base - before.base) / after.spans

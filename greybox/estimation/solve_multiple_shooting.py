@@ -13,7 +13,7 @@ from greybox.estimation.problem import EstimationProblem
 from greybox.estimation.progress_monitor import monitor_progress
 from greybox.estimation.select_transcription import TranscriptionChoice, compute_growth_rates
 from greybox.estimation.solution import SegmentedRun, Solution
-from greybox.estimation.step_refinement import HALVINGS, compute_change_over_noise, halve_step, is_too_coarse
+from greybox.estimation.step_refinement import compute_change_over_noise, halve_step, is_too_coarse
 from greybox.optim import TerminationStatus
 from greybox.transcription import (
     MultipleShooting,
@@ -24,7 +24,7 @@ from greybox.transcription import (
     simulate_segments,
 )
 
-STATUS = {
+_STATUS = {
     MultipleShootingStatus.CONVERGED: TerminationStatus.CONVERGED,
     MultipleShootingStatus.FLAT: TerminationStatus.ACCEPTABLE,
     MultipleShootingStatus.LIMIT: TerminationStatus.ITERATION_LIMIT,
@@ -45,38 +45,42 @@ def solve_multiple(
     rows = [
         choose_segment_rows(growth, r) for growth, r in zip(compute_growth_rates(problem), problem.records, strict=True)
     ]
-    shooting = _shooting(problem, rows)
+    shooting = _make_shooting(problem, rows)
     iterations = passes = 0
     seconds, error = 0.0, np.zeros(len(problem.noise.std))
-    with monitor_progress(problem, report) as watch:
-        for halving in range(HALVINGS + 1):
-            found = shooting.solve(iterations=options.iterations, relax=halving == 0, report=watch)
+    policy = options.policy.step_refinement
+    with monitor_progress(problem, report) as monitor:
+        for halving in range(policy.halvings + 1):
+            result = shooting.solve(iterations=options.iterations, relax=halving == 0, report=monitor)
             iterations, passes, seconds = (
-                iterations + found.iterations,
-                passes + found.evaluations,
-                seconds + found.seconds,
+                iterations + result.iterations,
+                passes + result.evaluations,
+                seconds + result.seconds,
             )
-            if not found.runs or found.end is MultipleShootingStatus.INTERRUPTED or problem.step.per_interval:
+            if not result.runs or result.end is MultipleShootingStatus.INTERRUPTED or problem.step.per_interval:
                 break
-            problem = replace(problem, variables=found.variables)
-            error = _error(problem, shooting.cuts, found)
-            if options.substeps or halving == HALVINGS or not is_too_coarse(error, problem, found.evaluation):
+            problem = replace(problem, variables=result.variables)
+            error = _compute_step_error(problem, shooting.cuts, result)
+            if (
+                options.substeps
+                or halving == policy.halvings
+                or not is_too_coarse(error, problem, result.evaluation, policy)
+            ):
                 break
             problem = halve_step(problem)
-            shooting = _shooting(problem, rows, found.nodes)
-    number = sum(len(n) - 1 for n in found.nodes)
-    segments = "one segment" if number == 1 else f"{number} segments"
+            shooting = _make_shooting(problem, rows, result.nodes)
+    segments = sum(len(n) - 1 for n in result.nodes)
     solution = Solution(
-        problem, found.variables, found.evaluation, STATUS[found.end], "", iterations, passes, seconds, (1.0,), error,
-        choice.told(f"multiple shooting over {segments}"), "multiple",
+        problem, result.variables, result.evaluation, _STATUS[result.end], "", iterations, passes, seconds, (1.0,), error,
+        choice.to_strategy(segments=segments), "multiple",
     )  # fmt: skip
-    if not found.runs:
+    if not result.runs:
         return solution
-    joined = SegmentedRun(found.runs, found.rows, found.variables.size, _shift(problem, rows, found))
+    joined = SegmentedRun(result.runs, result.rows, result.variables.size, _compute_step_shift(problem, rows, result))
     return finish_by_simulation_error(replace(solution, joined=joined), options, report)
 
 
-def _shooting(
+def _make_shooting(
     problem: EstimationProblem, rows: list[int], nodes: Sequence[np.ndarray] | None = None
 ) -> MultipleShooting:
     return MultipleShooting(
@@ -84,20 +88,22 @@ def _shooting(
     )
 
 
-def _error(problem: EstimationProblem, cuts: Sequence[Sequence[int]], found: MultipleShootingResult) -> np.ndarray:
+def _compute_step_error(
+    problem: EstimationProblem, cuts: Sequence[Sequence[int]], result: MultipleShootingResult
+) -> np.ndarray:
     """What half the step changes in the segments, over the noise (ny,)."""
-    finer, z = halve_step(problem), np.zeros(found.variables.size)
-    single = SingleShooting(found.variables, finer.step, finer.kernel, problem.records, 1 / problem.noise.std)
-    runs = [simulate_segments(single, z, e, own, found.nodes[e]) for e, own in enumerate(cuts)]
-    return compute_change_over_noise(problem, found.runs, runs)
+    finer, z = halve_step(problem), np.zeros(result.variables.size)
+    single = SingleShooting(result.variables, finer.step, finer.kernel, problem.records, 1 / problem.noise.std)
+    runs = [simulate_segments(single, z, e, rows, result.nodes[e]) for e, rows in enumerate(cuts)]
+    return compute_change_over_noise(problem, result.runs, runs)
 
 
-def _shift(problem: EstimationProblem, rows: list[int], found: MultipleShootingResult) -> np.ndarray:
+def _compute_step_shift(problem: EstimationProblem, rows: list[int], result: MultipleShootingResult) -> np.ndarray:
     """What half the step changes in the constants (nf,), in ``z``."""
-    if problem.step.per_interval or not len(found.variables.which):
-        return np.zeros(len(found.variables.which))
-    here = replace(problem, variables=found.variables)
+    if problem.step.per_interval or not len(result.variables.which):
+        return np.zeros(len(result.variables.which))
+    at_optimum = replace(problem, variables=result.variables)
     return (
-        _shooting(halve_step(here), rows, found.nodes).gauss_newton_step()
-        - _shooting(here, rows, found.nodes).gauss_newton_step()
+        _make_shooting(halve_step(at_optimum), rows, result.nodes).gauss_newton_step()
+        - _make_shooting(at_optimum, rows, result.nodes).gauss_newton_step()
     )

@@ -7,33 +7,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.estimation.options import FitOptions, FitProgress, FitProgressCallback
+from greybox.estimation.options import FitOptions, FitProgress, FitProgressCallback, Transcription
+from greybox.estimation.policy import ConvergencePolicy
 from greybox.estimation.problem import EstimationProblem
 from greybox.estimation.progressive_horizon import (
-    FOLLOWED,
     choose_first_share,
     choose_next_share,
     compute_explained_share,
     shorten_share,
 )
 from greybox.estimation.solution import Solution
-from greybox.estimation.step_refinement import HALVINGS, refine_step
+from greybox.estimation.step_refinement import refine_step
+from greybox.estimation.strategy import make_strategy
+from greybox.numerics import AT_BOUND, DECREASE_CUTOFF, TINY
 from greybox.optim import IterationCallback, MinimisationResult, TerminationStatus, minimise
 from greybox.transcription import DecisionVector, Evaluation
 
-# While only part of the record is used, positive constants are held by a weak prior: a factor e^2 is one standard deviation.
-PRIOR = 0.25
-# Converged when the next Gauss-Newton step would lower chi-square by less than this (in units of the residual variance): the
-# constants are within 1 % of their standard deviations. Part of the record is only a way to a start: a tenth will do.
-NEGLIGIBLE, NEGLIGIBLE_IN_PART = 1e-4, 1e-2
-# ... or when it would lower the misfit over noise by less than this (data without noise end at rounding errors).
-PERFECT = 1e-7
-# A cost with kinks (dry friction) never meets that rule: enough when so many iterations gained less than this share of it.
-PATIENCE, LITTLE_GAIN = 12, 1e-5
-# A scaled variable this close to its bound, and pushed against it, is held there.
-AT_BOUND = 1e-6
-# Growth of the number of substeps that a fit which is not thorough follows.
-COSTLY = 16
+# Nothing to go on from.
 NO_RESULT = (TerminationStatus.INTERRUPTED, TerminationStatus.NO_START)
 
 
@@ -46,17 +36,18 @@ def solve_single(
         run.grow()
     run.fit(1.0)
     error = np.zeros(len(problem.noise.std))
-    for halving in range(HALVINGS + 1):
+    halvings = options.policy.step_refinement.halvings
+    for halving in range(halvings + 1):
         if run.over:
             break
         better, error = refine_step(run.problem, run.variables, run.evaluation, options)
-        if better is None or halving == HALVINGS or run.costly(better):
+        if better is None or halving == halvings or run.costly(better):
             break
         run.problem, run.known = better, None
         run.fit(1.0)
     return Solution(
         run.problem, run.variables, run.evaluation, run.status, run.word, run.iterations, run.passes, run.seconds,
-        tuple(run.shares), error, _strategy(run.shares),
+        tuple(run.shares), error, make_strategy(Transcription.SINGLE, shares=list(run.shares)),
     )  # fmt: skip
 
 
@@ -68,6 +59,7 @@ class _Run:
 
     def __init__(self, problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None) -> None:
         self.problem, self.options, self.report = problem, options, report
+        self.horizon, self.convergence = options.policy.progressive_horizon, options.policy.convergence
         self.variables, self.first = problem.variables, problem.step.substeps
         self.status, self.word = TerminationStatus.CONVERGED, ""
         self.iterations = self.passes = 0
@@ -82,7 +74,7 @@ class _Run:
 
     def costly(self, better: EstimationProblem) -> bool:
         """Whether one of many candidates has strayed to constants so stiff that to follow it would take all the time."""
-        return not self.options.thorough and better.step.substeps > COSTLY * self.first
+        return not self.options.thorough and better.step.substeps > self.convergence.stiff_growth * self.first
 
     @property
     def evaluation(self) -> Evaluation:
@@ -100,13 +92,13 @@ class _Run:
         """Fit a growing part of the record, until a part foretells the whole."""
         share, outcome = self.begin()
         while outcome is not None and not self.over and share < 1:
-            share, self.known = choose_next_share(self.problem, share, outcome.value, self.measure)
+            share, self.known = choose_next_share(self.problem, share, outcome.value, self.measure, self.horizon)
             if share < 1:
                 outcome = self.fit(share)
 
     def begin(self) -> tuple[float, MinimisationResult | None]:
         """Fit the first part: one so short that it can be followed from these start values, if there is one."""
-        share, start = choose_first_share(self.problem), self.variables
+        share, start = choose_first_share(self.problem, self.horizon), self.variables
         tried: list[tuple[float, float, DecisionVector, MinimisationResult]] = []
         while share < 1:
             self.variables, self.status = start, TerminationStatus.CONVERGED
@@ -115,11 +107,11 @@ class _Run:
                 tried.append(
                     (compute_explained_share(self.problem, outcome.value, share), share, self.variables, outcome)
                 )
-            less = shorten_share(self.problem, share)
+            less = shorten_share(self.problem, share, self.horizon)
             if (
                 self.status is TerminationStatus.INTERRUPTED
                 or less == share
-                or (outcome is not None and tried[-1][0] >= FOLLOWED)
+                or (outcome is not None and tried[-1][0] >= self.horizon.followed_share)
             ):
                 break
             share = less
@@ -142,18 +134,21 @@ class _Run:
         self.shares.append(share)
         variables, start = _rescaled(self.variables, start)
         shooting = self.problem.shooting(variables, share)
-        evaluate, prior = shooting.evaluate, _prior(variables, start) if share < 1 else None
+        evaluate, prior = (
+            shooting.evaluate,
+            _make_weak_prior(variables, start, self.convergence.weak_prior) if share < 1 else None,
+        )
         low, high = variables.bounds()
         outcome = minimise(
             evaluate if prior is None else lambda z: prior(z, evaluate(z)),
             np.zeros(variables.size),
             low,
             high,
-            scale=max(start.cost, 1e-300),
+            scale=max(start.cost, TINY),
             first=start,
             tolerance=self.options.tolerance,
             iterations=self.options.iterations,
-            finished=make_termination_test(low, high, NEGLIGIBLE if share == 1 else NEGLIGIBLE_IN_PART),
+            finished=make_termination_test(low, high, self.convergence, whole=share == 1),
             thorough=self.options.thorough and share == 1,
             progress=self.progress(share),
         )
@@ -177,15 +172,6 @@ class _Run:
         return progress
 
 
-def _strategy(shares: list[float]) -> str:
-    """What was picked, in words."""
-    growing = [share for share in shares if share < 1]
-    if not growing:
-        return "single shooting on the whole record"
-    parts = ", ".join(f"{100 * share:.3g} %" for share in (*growing, 1.0))
-    return f"single shooting on a growing record ({parts})"
-
-
 def _rescaled(variables: DecisionVector, start: Evaluation) -> tuple[DecisionVector, Evaluation]:
     """Variables in which a step of one changes the cost by about itself, and the evaluation along them."""
     curvature = np.diag(start.hessian) / 2
@@ -200,10 +186,12 @@ def _spans(v: DecisionVector) -> np.ndarray:
     return np.concatenate([np.where(v.logarithmic, 1.0, v.scale), states])
 
 
-def _prior(v: DecisionVector, start: Evaluation) -> Callable[[np.ndarray, Evaluation], Evaluation]:
+def _make_weak_prior(
+    v: DecisionVector, start: Evaluation, precision: float
+) -> Callable[[np.ndarray, Evaluation], Evaluation]:
     """Adds to a cost a weak prior on positive constants, in units of the residual variance at the start."""
     held = np.zeros(v.size)
-    held[: len(v.which)] = np.where(v.logarithmic, PRIOR * max(1.0, start.cost / max(start.count, 1)), 0.0)
+    held[: len(v.which)] = np.where(v.logarithmic, precision * max(1.0, start.cost / max(start.count, 1)), 0.0)
 
     def added(z: np.ndarray, e: Evaluation) -> Evaluation:
         return replace(
@@ -214,34 +202,38 @@ def _prior(v: DecisionVector, start: Evaluation) -> Callable[[np.ndarray, Evalua
 
 
 def make_termination_test(
-    low: np.ndarray, high: np.ndarray, negligible: float
+    low: np.ndarray, high: np.ndarray, policy: ConvergencePolicy, *, whole: bool = True
 ) -> Callable[[np.ndarray, Evaluation], TerminationStatus | None]:
-    """Ends a search when a further Gauss-Newton step, off the bounds, would change nothing that matters, or none helps."""
-    costs: list[float] = []
+    """Ends a search when a further Gauss-Newton step, off the bounds, would change nothing that matters, or none helps.
 
-    def enough(z: np.ndarray, e: Evaluation) -> TerminationStatus | None:
+    ``whole``: whether the whole record is used, or a part of it that is only a way to a start.
+    """
+    costs: list[float] = []
+    negligible = policy.negligible_decrease if whole else policy.negligible_decrease_in_part
+
+    def test(z: np.ndarray, e: Evaluation) -> TerminationStatus | None:
         held = (z - low <= AT_BOUND) & (e.gradient > 0) | (high - z <= AT_BOUND) & (e.gradient < 0)
         gradient, hessian = e.gradient, e.hessian
         if held.any():
             gradient, hessian = gradient[~held], hessian[~held][:, ~held]
-        decrease = _promised(gradient, hessian)
-        if decrease <= negligible * e.cost / max(e.count, 1) + PERFECT**2 * e.count:
+        decrease = _predict_decrease(gradient, hessian)
+        if decrease <= negligible * e.cost / max(e.count, 1) + policy.perfect_noise_ratio**2 * e.count:
             return TerminationStatus.CONVERGED
         costs.append(e.cost)
-        flat = len(costs) > PATIENCE and costs[-1 - PATIENCE] - e.cost <= LITTLE_GAIN * e.cost
+        flat = len(costs) > policy.patience and costs[-1 - policy.patience] - e.cost <= policy.little_gain * e.cost
         return TerminationStatus.ACCEPTABLE if flat else None
 
-    return enough
+    return test
 
 
-def _promised(gradient: np.ndarray, hessian: np.ndarray) -> float:
+def _predict_decrease(gradient: np.ndarray, hessian: np.ndarray) -> float:
     """By how much a Gauss-Newton step would lower the cost: ``g' H^-1 g / 2`` over the directions that have a curvature."""
-    scale = np.sqrt(np.maximum(hessian.diagonal(), 1e-300))
+    scale = np.sqrt(np.maximum(hessian.diagonal(), TINY))
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = hessian / scale / scale[:, None]
     if not np.isfinite(scaled).all():  # sensitivities near overflow: anything may still be gained
         return np.inf
     curvature, vectors = np.linalg.eigh(scaled)
-    usable = curvature > 1e-13 * curvature.max(initial=0.0)
+    usable = curvature > DECREASE_CUTOFF * curvature.max(initial=0.0)
     along = vectors.T @ (gradient / scale)
     return 0.5 * float(np.sum(along[usable] ** 2 / curvature[usable]))

@@ -8,23 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.estimation.options import FitOptions
+from greybox.estimation.policy import StepRefinementPolicy
 from greybox.estimation.problem import EstimationProblem
 from greybox.integrators import choose_substeps
 from greybox.integrators.discretisation import IMPLICIT
 from greybox.integrators.exponential_relaxation import find_fast_relaxing_states
 from greybox.transcription import DecisionVector, Evaluation
 
-Run = tuple[np.ndarray, np.ndarray]  # outputs (N, ny) and states (N, nx) of one record
-# The step is halved while that changes an output by more than this share of what is left of it: of the noise (of the misfit, where
-# that is even less), or of a misfit far above the noise.
-OF_NOISE, OF_MISFIT, HALVINGS = 0.1, 0.01, 4
-# A record without any noise leaves nothing but the integrator's own error: then this share of the output's movement is enough.
-OF_MOVEMENT = 1e-7
-# Records of so few steps altogether cost nothing: there the share of the noise is so small that the cost has its first six digits,
-# which a root-mean-square error of a share s of the residual changes by 2 s at most.
-FEW_STEPS, OF_NOISE_THERE = 2000, 1e-6
-# That is looked at over the first quarter of every record, or so many rows: three more simulations of all of it cost too much.
-CHECK_ROWS = 2000
+# Outputs (N, ny) and states (N, nx) of one record.
+Run = tuple[np.ndarray, np.ndarray]
 
 
 def compute_change_over_noise(problem: EstimationProblem, runs: Sequence[Run], finer: Sequence[Run]) -> np.ndarray:
@@ -34,27 +26,35 @@ def compute_change_over_noise(problem: EstimationProblem, runs: Sequence[Run], f
         return np.sqrt(np.mean(change**2, axis=0)) / problem.noise.std
 
 
-def is_too_coarse(error: np.ndarray, problem: EstimationProblem, evaluation: Evaluation, substeps: int = 0) -> bool:
+def is_too_coarse(
+    error: np.ndarray,
+    problem: EstimationProblem,
+    evaluation: Evaluation,
+    policy: StepRefinementPolicy,
+    substeps: int = 0,
+) -> bool:
     """Whether an ``error`` over the noise (ny,), left by the integrator, matters beside noise and misfit.
 
     ``substeps`` of an interval (0: those of the problem's step) tell how much a smaller step would cost.
     """
     ratio = np.sqrt(evaluation.squares / np.maximum(evaluation.counts, 1))
     steps = (substeps or problem.step.substeps) * sum(len(r.h) for r in problem.records)
-    share = (OF_NOISE_THERE, OF_NOISE_THERE) if steps <= FEW_STEPS else (OF_NOISE, OF_MISFIT)
-    allowed = np.maximum(share[0] * np.minimum(ratio, 1.0), share[1] * ratio)
-    allowed = np.maximum(allowed, OF_MOVEMENT * _movement(problem) / problem.noise.std)
+    few = steps <= policy.few_steps
+    noise_share = policy.noise_share_of_few if few else policy.noise_share
+    misfit_share = policy.noise_share_of_few if few else policy.misfit_share
+    allowed = np.maximum(noise_share * np.minimum(ratio, 1.0), misfit_share * ratio)
+    allowed = np.maximum(allowed, policy.movement_share * _compute_output_movement(problem) / problem.noise.std)
     measured = evaluation.counts > 0
     return not np.isfinite(error).all() or bool(np.any((error > allowed)[measured]))
 
 
-def _movement(problem: EstimationProblem) -> np.ndarray:
+def _compute_output_movement(problem: EstimationProblem) -> np.ndarray:
     """Standard deviation of each output as measured (ny,), zero where it was not."""
     y = np.concatenate([r.y for r in problem.records])
-    there = np.isfinite(y)
-    count = np.maximum(there.sum(axis=0), 1)
-    mean = np.where(there, y, 0.0).sum(axis=0) / count
-    return np.sqrt(np.where(there, (y - mean) ** 2, 0.0).sum(axis=0) / count)
+    measured = np.isfinite(y)
+    count = np.maximum(measured.sum(axis=0), 1)
+    mean = np.where(measured, y, 0.0).sum(axis=0) / count
+    return np.sqrt(np.where(measured, (y - mean) ** 2, 0.0).sum(axis=0) / count)
 
 
 def halve_step(problem: EstimationProblem) -> EstimationProblem:
@@ -71,21 +71,23 @@ def refine_step(
     """
     if problem.step.per_interval:
         return None, np.zeros(len(problem.noise.std))
-    z = np.zeros(variables.size)
-    beginning = replace(problem, records=tuple(r.first(max(CHECK_ROWS, len(r.u) // 4)) for r in problem.records))
-    runs = beginning.shooting(variables).simulate(z)
-    needed = _needed(problem, variables, np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs]))
+    policy, z = options.policy.step_refinement, np.zeros(variables.size)
+    first_part = replace(
+        problem, records=tuple(r.first(max(policy.checked_rows, len(r.u) // 4)) for r in problem.records)
+    )
+    runs = first_part.shooting(variables).simulate(z)
+    needed = _find_stable_substeps(problem, variables, np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs]))
     used = problem.step.substeps
-    finer_runs = with_substeps(beginning, 2 * used, variables.fixed).shooting(variables).simulate(z)
+    finer_runs = with_substeps(first_part, 2 * used, variables.fixed).shooting(variables).simulate(z)
     error = compute_change_over_noise(problem, runs, finer_runs)
     if options.substeps:
         return None, error
-    if is_too_coarse(error, problem, evaluation):
+    if is_too_coarse(error, problem, evaluation, policy):
         return with_substeps(problem, max(2 * used, needed), variables.fixed), error
     return (with_substeps(problem, needed, variables.fixed) if needed > used else None), error
 
 
-def _needed(problem: EstimationProblem, variables: DecisionVector, visited: np.ndarray) -> int:
+def _find_stable_substeps(problem: EstimationProblem, variables: DecisionVector, visited: np.ndarray) -> int:
     """Substeps that an explicit method needs at the states ``visited`` (k, nx) to be stable and a little more."""
     system, p = problem.model.system, variables.fixed
     if problem.method in IMPLICIT:

@@ -6,19 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from greybox.estimation.policy import ConvergencePolicy
 from greybox.estimation.solution import Solution
+from greybox.numerics import AT_BOUND, INFORMATION_CUTOFF, TINY
 from greybox.transcription import DecisionVector, Evaluation
 
-# Directions with less than this share of the largest curvature do not move.
-UNDETERMINED = 1e-12
-# The search ends where nothing is left to gain statistically; so many steps more give the constants their digits.
-STEPS, ROBUST_STEPS = 3, 30
-# A variable this close to its bound stays there.
-AT_BOUND = 1e-6
 
-
-def polish_by_gauss_newton(solution: Solution) -> Solution:
-    """``solution`` of free runs after up to three plain Gauss-Newton steps, each kept only if it lowers the cost.
+def polish_by_gauss_newton(solution: Solution, policy: ConvergencePolicy) -> Solution:
+    """``solution`` of free runs after some plain Gauss-Newton steps, each kept only if it lowers the cost.
 
     With a robust loss they are steps of reweighted least squares, each nearer by about the same share: there are more of them.
     """
@@ -26,8 +21,8 @@ def polish_by_gauss_newton(solution: Solution) -> Solution:
     if solution.joined or not solution.status.success or not solution.variables.size:
         return solution
     variables, passes = solution.variables, 0
-    for _ in range(STEPS if problem.loss is None else ROBUST_STEPS):
-        moved = variables.moved(_inside(variables, compute_gauss_newton_step(variables, evaluation)))
+    for _ in range(policy.polishing_steps if problem.loss is None else policy.robust_polishing_steps):
+        moved = variables.moved(_clip_to_bounds(variables, compute_gauss_newton_step(variables, evaluation)))
         after = problem.shooting(moved).evaluate(np.zeros(moved.size))
         passes += 1
         if not after.cost < evaluation.cost:
@@ -64,13 +59,15 @@ def compute_gauss_newton_step(variables: DecisionVector, evaluation: Evaluation)
     for edge in variables.bounds():
         inside &= ~(np.abs(edge) <= AT_BOUND)
     curvature, slope = evaluation.hessian[np.ix_(inside, inside)], evaluation.gradient[inside]
-    scale = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
     step = np.zeros(variables.size)
-    step[inside] = -np.linalg.lstsq(curvature / np.outer(scale, scale), slope / scale, rcond=UNDETERMINED)[0] / scale
+    step[inside] = (
+        -np.linalg.lstsq(curvature / np.outer(scale, scale), slope / scale, rcond=INFORMATION_CUTOFF)[0] / scale
+    )
     return step
 
 
-def _inside(variables: DecisionVector, step: np.ndarray) -> np.ndarray:
+def _clip_to_bounds(variables: DecisionVector, step: np.ndarray) -> np.ndarray:
     """``step`` shortened to the bounds, entry by entry."""
     low, high = variables.bounds()
     return np.clip(step, np.minimum(low, 0.0), np.maximum(high, 0.0))

@@ -8,20 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.errors import DataError
-from greybox.estimation.options import FitOptions, resolve_options
+from greybox.estimation.options import FitOptions, Hessian, Transcription, resolve_options
 from greybox.estimation.problem import EstimationProblem, guess_initial_states, prepare_problem
 from greybox.estimation.robust_estimation import refit_robustly
 from greybox.estimation.select_transcription import select_transcription
 from greybox.estimation.solve import solve
-from greybox.estimation.step_refinement import HALVINGS, refine_step
+from greybox.estimation.step_refinement import refine_step
 from greybox.estimation.traces import compute_misfits, make_traces
 from greybox.experiment import Experiment
 from greybox.model import Model
 from greybox.result import Validation
 from greybox.transcription import DecisionVector
-
-# Rows from which the initial state of a validation record is estimated, if `skip` does not say.
-FIRST_ROWS = 50
 
 
 def validate(
@@ -30,19 +27,48 @@ def validate(
     *,
     noise: Mapping[str, float] | None = None,
     skip: int = 0,
-    beginning: int = 0,
+    initial_rows: int = 0,
     options: FitOptions | None = None,
 ) -> Validation:
-    """Run ``model`` freely over each experiment and measure the error.
+    """Run ``model`` freely over records that were not used to fit it and measure the error; the parameters are kept.
 
-    The initial state is the declared one (``options.at_rest``), or estimated from the first rows: the first ``beginning`` rows, or by
-    default the ``skip`` rows that are left out of the errors, or the first 50. The constants are not touched. An unstable model cannot
-    run freely for long: there the initial state is estimated from the whole record, ``at_rest`` or not, and the run is that of segments
-    that meet. With a robust ``options.loss`` outliers among the first rows do not spoil it.
+    The initial state is the declared one (``options.at_rest``), or estimated from the first rows. An unstable model cannot run freely
+    for long: there the initial state is estimated from the whole record, ``at_rest`` or not, and the run is that of segments that meet.
+    With a robust ``options.loss`` outliers among the first rows do not spoil it.
 
-    Raises DataError for more rows than the shortest record has.
+    Parameters
+    ----------
+    model
+        The model with its fitted values.
+    experiments
+        Validation records.
+    noise
+        Standard deviation by output in the model's units; estimated where it is left out.
+    skip
+        Rows at the beginning of each record that the errors leave out.
+    initial_rows
+        Rows from which the initial state is estimated; 0 takes the ``skip`` rows, or the first 50.
+    options
+        Options of the fit.
+
+    Returns
+    -------
+    Validation
+        Misfit by output, and the runs.
+
+    Raises
+    ------
+    DataError
+        For more rows than the shortest record has.
+
+    Examples
+    --------
+    >>> validate(fit.model, other_record, noise=fit.noise.std).misfit["x"].noise_ratio  # doctest: +SKIP
+    1.02
     """
-    options = replace(resolve_options(options), transcription="automatic", arc_length=0.0, hessian="gauss-newton")
+    options = replace(
+        resolve_options(options), transcription=Transcription.AUTOMATIC, arc_length=0.0, hessian=Hessian.GAUSS_NEWTON
+    )
     frozen = model.fix(*model.values)
     problem = prepare_problem(
         frozen, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, robust=options.robust
@@ -50,32 +76,32 @@ def validate(
     shortest = min(len(r.u) for r in problem.records)
     if skip < 0 or skip >= shortest:
         raise DataError(f"skip: {skip} rows, but the shortest validation record has {shortest}; leave out fewer rows")
-    if beginning < 0 or beginning > shortest:
+    if initial_rows < 0 or initial_rows > shortest:
         raise DataError(
-            f"beginning: {beginning} rows, but the shortest validation record has {shortest}; take fewer rows"
+            f"initial_rows: {initial_rows} rows, but the shortest validation record has {shortest}; take fewer rows"
         )
     choice = select_transcription(problem, replace(options, progressive=False))
     problem = choice.problem
-    if choice.transcription == "multiple":
+    if choice.transcription == Transcription.MULTIPLE:
         conditions = [e.conditions for e in problem.experiments]
         initial = guess_initial_states(frozen, problem.records, False, conditions)
         problem = replace(problem, variables=replace(problem.variables, initial=initial))
-        runs = solve(problem, replace(options, transcription="multiple")).simulate()
+        runs = solve(problem, replace(options, transcription=Transcription.MULTIPLE)).simulate()
     else:
         variables = problem.variables
         if variables.initial.free.any():
-            first = _beginning(problem, beginning or skip or FIRST_ROWS)
-            single = replace(options, transcription="single", progressive=False)
+            first = _cut_to_first_rows(problem, initial_rows or skip or options.policy.initial_state.first_rows)
+            single = replace(options, transcription=Transcription.SINGLE, progressive=False)
             variables = refit_robustly(solve(first, single), single, None).variables
-        problem = _fine_enough(problem, variables, options)
+        problem = _refine_until_fine(problem, variables, options)
         runs = tuple(problem.shooting(variables).simulate(np.zeros(variables.size)))
-    found = make_traces(problem, runs)
-    return Validation(compute_misfits(problem, found, skip), found)
+    traces = make_traces(problem, runs)
+    return Validation(compute_misfits(problem, traces, skip), traces)
 
 
-def _fine_enough(problem: EstimationProblem, variables: DecisionVector, options: FitOptions) -> EstimationProblem:
+def _refine_until_fine(problem: EstimationProblem, variables: DecisionVector, options: FitOptions) -> EstimationProblem:
     """The same problem with a step that is as small for these records as a fit to them would have made it."""
-    for _ in range(HALVINGS):
+    for _ in range(options.policy.step_refinement.halvings):
         evaluation = problem.shooting(variables).evaluate(np.zeros(variables.size))
         smaller, _ = refine_step(problem, variables, evaluation, options)
         if smaller is None:
@@ -84,7 +110,7 @@ def _fine_enough(problem: EstimationProblem, variables: DecisionVector, options:
     return problem
 
 
-def _beginning(problem: EstimationProblem, rows: int) -> EstimationProblem:
+def _cut_to_first_rows(problem: EstimationProblem, rows: int) -> EstimationProblem:
     """The same problem on the first rows only, as many as there are unknown states at least."""
     least = max(rows, 2 * len(problem.model.system.state_names))
     return replace(problem, records=tuple(r.first(min(least, len(r.u))) for r in problem.records), experiments=())

@@ -103,7 +103,7 @@ def analyse_practical_identifiability(
 def list_measured_outputs(problem: EstimationProblem) -> list[str]:
     """Names of the outputs that at least one record has, but for sensors that were left out as dead."""
     names = [o.name for o in problem.model.outputs if any(o.name in e.outputs for e in problem.experiments)]
-    return [name for name in names if name not in problem.still]
+    return [name for name in names if name not in problem.constant_outputs]
 
 
 def analyse_problem(

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.blackbox.findings import BlackBoxFinding
 from greybox.findings import Finding
 from greybox.rendering.registry import register, renders, sentences
-from greybox.result.summary import format_table
+from greybox.rendering.tables import format_table
 
 if TYPE_CHECKING:
     from greybox.blackbox.continuous import ContinuousTransferFunction

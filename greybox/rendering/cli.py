@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from greybox.rendering.registry import register, renders
-from greybox.result.summary import MISFIT_HEADS, format_table, to_misfit_cells
+from greybox.rendering.result import MISFIT_HEADS, to_misfit_cells
+from greybox.rendering.tables import format_table
 
 if TYPE_CHECKING:
     from greybox.cli.answers import CodeAnswer, FitAnswer, LinearAnswer, SimulationAnswer

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from greybox.comparison.findings import ComparisonFinding
 from greybox.findings import Finding
 from greybox.rendering.registry import register, renders, sentences
-from greybox.result.summary import format_number, format_table
+from greybox.rendering.tables import format_number, format_table
 from greybox.units import format_unit
 
 if TYPE_CHECKING:

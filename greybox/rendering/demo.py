@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from greybox.rendering.registry import renders
-from greybox.result.summary import format_table, format_with_std
+from greybox.rendering.tables import format_table, format_with_std
 from greybox.units import format_unit
 
 if TYPE_CHECKING:

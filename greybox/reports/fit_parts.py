@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 
 from greybox.plots.parameters import relative_half_width
+from greybox.rendering.result import to_constant_rows
 from greybox.reports.page import Table, Text, Tone
 from greybox.reports.typography import as_sentence, count_noun, join_names, typeset_number, typeset_unit
 from greybox.result import Fit
-from greybox.result.summary import to_constant_rows
 
 # A misfit up to this many times the noise is called good.
 GOOD = 1.2

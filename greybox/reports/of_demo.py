@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from greybox.rendering import sentences
+from greybox.rendering.result import MISFIT_HEADS, to_misfit_cells
 from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import verdict as fit_verdict
 from greybox.reports.of_comparison import errors, models
@@ -18,7 +19,6 @@ from greybox.reports.provenance import provenance_section
 from greybox.reports.records import records_section
 from greybox.reports.typography import as_sentence, format_number, join_names, typeset_number, typeset_unit
 from greybox.result import Estimate
-from greybox.result.summary import MISFIT_HEADS, to_misfit_cells
 
 if TYPE_CHECKING:
     from greybox.demo import Demo

@@ -16,6 +16,7 @@ from greybox.plots.discovery import (
 )
 from greybox.plots.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.plots.style import PAGE
+from greybox.rendering.result import to_constant_cells
 from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import constants_table
 from greybox.reports.page import Block, FigureBlock, Folded, Heading, Listing, Page, Section, Table, Text, Tone
@@ -29,7 +30,6 @@ from greybox.reports.typography import (
     typeset_number,
     typeset_unit,
 )
-from greybox.result.summary import to_constant_cells
 
 NO_GAP = 1.05  # a misfit up to this many times the noise
 MOST_DRAWN = 8  # judging records with curves

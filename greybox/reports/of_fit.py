@@ -14,6 +14,7 @@ from greybox.plots.style import PAGE
 from greybox.rendering import sentences
 from greybox.rendering.plots import FigureText, phrase
 from greybox.rendering.residuals import name_test
+from greybox.rendering.result import MISFIT_HEADS, to_misfit_cells
 from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_parts import LEADING, constants_table, verdict
 from greybox.reports.page import Block, FigureBlock, Folded, Heading, Listing, Page, Section, Table, Text
@@ -22,7 +23,6 @@ from greybox.reports.records import records_section, signal_units
 from greybox.reports.typography import as_sentence, count_noun, join_names, typeset_number
 from greybox.residuals import ResidualTests, residual_tests
 from greybox.result import Fit, Misfit, Trace
-from greybox.result.summary import MISFIT_HEADS, to_misfit_cells
 
 # Records whose curves stand open on the page, and those that are drawn at all; all are in the tables.
 OPEN, MOST_DRAWN = 2, 20

@@ -27,7 +27,7 @@ def _of_fit(fit: Fit, command: str) -> Iterator[Block]:
     how = [
         ["integration", fit.discretisation.label],
         ["its error", error or "none"],
-        ["search", str(fit.solver.statistics.get("strategy", ""))],
+        ["search", "" if fit.solver.strategy is None else str(fit.solver.strategy)],
         [
             "ended",
             f"{fit.status.replace('_', ' ')} after {count_noun(int(fit.solver.statistics.get('iterations', 0)), 'iteration')}",

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.plots.scaling import typeset_exponents, typeset_unit
-from greybox.result.summary import format_number
+from greybox.rendering.tables import format_number
 
 __all__ = ["as_sentence", "count_noun", "format_number", "format_range", "join_names", "typeset_number", "typeset_unit"]
 

@@ -8,8 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from greybox.estimation.restore import restore_problem
-from greybox.estimation.restore_likelihood import compute_innovation_rows
+from greybox.estimation.restore import compute_innovation_rows, restore_problem
 from greybox.estimation.sandwich import ColumnLayout
 from greybox.noise import AutoRegression, fit_autoregression, join_series
 from greybox.numerics import RANK_CUTOFF

@@ -1,12 +1,13 @@
 """Results as values: a fit, its constants, its misfit; saved and loaded as JSON."""
 
-from greybox.result.fit import (
+from greybox.result.fit import Fit, fit_data, load_fit
+from greybox.result.fit_parts import (
     Estimate,
-    Fit,
     FitConstraints,
     FitDiscretisation,
     FitNoise,
     FitUncertainty,
+    IntervalKind,
     Misfit,
     PredictionReport,
     PriorCheck,
@@ -17,7 +18,7 @@ from greybox.result.fit import (
     Trace,
     Validation,
 )
-from greybox.result.fit_file import fit_data, format_json, load_fit, to_json_data
+from greybox.result.json_data import format_json, to_json_data
 
 __all__ = [
     "Estimate",
@@ -26,6 +27,7 @@ __all__ = [
     "FitDiscretisation",
     "FitNoise",
     "FitUncertainty",
+    "IntervalKind",
     "Misfit",
     "PredictionReport",
     "PriorCheck",

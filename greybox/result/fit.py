@@ -1,7 +1,9 @@
-"""What a fit gives back: constants with intervals, misfit, and what is needed to repeat it."""
+"""A fit as a value, and as a file ``fit.json`` that is written and read without loss."""
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,226 +11,41 @@ from typing import Any
 
 import numpy as np
 
-from greybox.experiment import Experiment
-from greybox.experiment.experiment import Hold
+from greybox.errors import DataError
+from greybox.findings import Finding, Severity
 from greybox.model import Model
+from greybox.model.process_noise import intensity_name
 from greybox.noise.noise_sources import NoiseSource
-from greybox.values import ReadOnly
+from greybox.result.fit_parts import (
+    Estimate,
+    FitConstraints,
+    FitDiscretisation,
+    FitNoise,
+    FitUncertainty,
+    IntervalKind,
+    Misfit,
+    PredictionReport,
+    PriorCheck,
+    Provenance,
+    RobustReport,
+    SolverReport,
+    StartResult,
+    Trace,
+    Validation,
+)
+from greybox.result.json_data import format_json, to_json_data
+from greybox.values import Printable, ReadOnly
 
-# An interval that reaches further than this share of the value determines nothing.
-WIDE = 0.5
+FORMAT = 1
+"""Version of ``fit.json``. Its keys are flat and stay the same from version to version."""
 
-
-@dataclass(frozen=True)
-class Estimate:
-    """One constant: value, standard deviation and 95 % interval in ``unit``.
-
-    ``std`` and ``interval`` are None for a fixed constant, and where the data do not determine it. ``at_bound`` marks a value that
-    was stopped by its bounds.
-    """
-
-    value: float
-    unit: str
-    std: float | None = None
-    interval: tuple[float, float] | None = None
-    fixed: bool = False
-    at_bound: bool = False
-
-    @property
-    def determined(self) -> bool:
-        """Whether it is known, or its 95 % interval stays within 50 % of the value."""
-        if self.interval is None:
-            return self.fixed
-        low, high = self.interval
-        return max(high - self.value, self.value - low) <= WIDE * abs(self.value)
+# Names of options whose key in the file is older, and back.
+_OPTION_KEYS = {"per_experiment": "own"}
+_OPTION_NAMES = {key: name for name, key in _OPTION_KEYS.items()}
 
 
 @dataclass(frozen=True)
-class PriorCheck:
-    """What became of the prior of one constant, ``mean`` and ``std`` in its unit.
-
-    ``moved``: how far the data took the constant from the mean, in standard deviations of the prior. ``learnt``: share of the prior's
-    variance that the data took away, 0 where the prior says all that is known. ``conflict``: by how many standard deviations the
-    prior and the data by themselves disagree (standard normal where both are right); None where the data say nothing.
-    """
-
-    mean: float
-    std: float
-    shift: float
-    variance_reduction: float
-    conflict: float | None
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """Free-run error of one output over the records.
-
-    ``rmse`` in ``unit``; ``best_fit_percent`` is ``100 (1 - ||y - yhat|| / ||y - mean(y)||)``; ``noise_ratio`` is rmse over the noise
-    standard deviation: 1 means that only noise is left. ``samples`` went into it.
-    """
-
-    rmse: float
-    unit: str
-    best_fit_percent: float
-    noise_ratio: float
-    samples: int
-
-
-@dataclass(frozen=True)
-class Trace(ReadOnly):
-    """One record and the model's run over it: ``time`` (N,), measured and simulated outputs by name (N,), its initial state.
-
-    ``inputs`` by name (N,), ``hold`` how they move between samples, and ``conditions`` make it a whole
-    record again, see `experiment`.
-    """
-
-    name: str
-    fingerprint: str
-    time: np.ndarray
-    measured: Mapping[str, np.ndarray]
-    simulated: Mapping[str, np.ndarray]
-    initial_state: Mapping[str, float]
-    inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
-    hold: Hold = "zero"
-    conditions: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def experiment(self) -> Experiment:
-        """The record without the model's run."""
-        return Experiment(self.name, self.time, self.inputs, self.measured, self.hold, conditions=self.conditions)
-
-    def residual(self, output: str) -> np.ndarray:
-        """Measured minus simulated (N,), NaN in gaps."""
-        return self.measured[output] - self.simulated[output]
-
-
-@dataclass(frozen=True)
-class StartResult(ReadOnly):
-    """Where one of several starts ended: the values it began with and those it ended with, misfit over noise, how it ended.
-
-    ``values`` is empty and ``noise_ratio`` infinite where it led nowhere; ``status`` is then the reason.
-    """
-
-    start: Mapping[str, float]
-    values: Mapping[str, float]
-    noise_ratio: float
-    status: str
-    seconds: float = 0.0
-
-
-@dataclass(frozen=True)
-class Validation(ReadOnly):
-    """A model on records that its parameters have not seen: free-run misfit by output, and the runs. Empty where there were none."""
-
-    misfit: Mapping[str, Misfit] = field(default_factory=dict)
-    traces: Sequence[Trace] = ()
-
-    def __bool__(self) -> bool:
-        return bool(self.misfit)
-
-
-@dataclass(frozen=True)
-class FitNoise(ReadOnly):
-    """Measurement noise that a fit weighed its outputs with.
-
-    ``std`` standard deviation of each output in its unit; ``sources`` where each is known from, and ``source`` the same in one line;
-    ``colour`` reflection coefficients of each output's autoregression (none: white, or not known).
-    """
-
-    std: Mapping[str, float]
-    source: str = ""
-    sources: Mapping[str, NoiseSource] = field(default_factory=dict)
-    colour: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class SolverReport(ReadOnly):
-    """How the search ended.
-
-    ``status`` in a word and ``meaning`` in plain words; ``cost`` half the sum of squares at the end; ``statistics`` iterations,
-    passes, seconds, the transcription and the strategy.
-    """
-
-    status: str
-    success: bool
-    status_message: str
-    cost: float
-    statistics: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class FitUncertainty(ReadOnly):
-    """How well the free parameters are known.
-
-    ``free`` their names and ``covariance`` (nf, nf) in that order; ``kind`` says whether it is the ``gauss_newton`` covariance (white
-    residual), the ``sandwich`` that allows for a coloured one, or the ``observed_information`` of a likelihood; ``inflation`` the factor
-    by which the sandwich widens each standard deviation.
-    """
-
-    free: tuple[str, ...]
-    covariance: np.ndarray
-    kind: str = "gauss_newton"
-    inflation: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class FitDiscretisation(ReadOnly):
-    """How the model was integrated, and what that costs in accuracy.
-
-    ``label`` method and substeps; ``error`` rms change of each output over its noise when the step is halved; ``shift`` change of each
-    parameter when the step is halved, in its standard deviations.
-    """
-
-    label: str
-    error: Mapping[str, float] = field(default_factory=dict)
-    shift: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class FitConstraints(ReadOnly):
-    """What was known of the parameters besides their values.
-
-    ``ties`` parameters that others give, by formula, and ``tied`` their values; ``per_experiment`` the values of parameters that each
-    experiment has for itself, parameter -> experiment -> value (`Fit.parameters` holds their mean); ``priors`` what became of each.
-    """
-
-    ties: Mapping[str, str] = field(default_factory=dict)
-    tied: Mapping[str, Estimate] = field(default_factory=dict)
-    per_experiment: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
-    priors: Mapping[str, PriorCheck] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class RobustReport(ReadOnly):
-    """The robust loss of a fit: its ``name`` ("" for least squares), its ``scale`` for each output over the noise, and the share of each
-    output's samples that count as ``outliers``."""
-
-    name: str = ""
-    scale: Mapping[str, float] = field(default_factory=dict)
-    outliers: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class PredictionReport(ReadOnly):
-    """What a fit with process noise adds: the ``process_noise`` intensity on each state, in its unit over sqrt(s), the ``one_step``
-    error, and the ``log_likelihood`` of the innovations. Empty for a free-run fit."""
-
-    process_noise: Mapping[str, float] = field(default_factory=dict)
-    one_step: Mapping[str, Misfit] = field(default_factory=dict)
-    log_likelihood: float | None = None
-
-
-@dataclass(frozen=True)
-class Provenance(ReadOnly):
-    """What repeats a fit: its ``options``, the model's ``equations`` and the ``versions`` of what computed it."""
-
-    options: Mapping[str, Any] = field(default_factory=dict)
-    equations: str = ""
-    versions: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Fit(ReadOnly):
+class Fit(Printable, ReadOnly):
     """A fitted model, read-only throughout.
 
     Attributes
@@ -259,8 +76,8 @@ class Fit(ReadOnly):
         For a model with process noise: its intensities, the one-step error and the likelihood.
     starts
         Where each of several starts ended, best first (`greybox.multistart`).
-    notes
-        What a reader should know before trusting a number.
+    findings
+        What a reader should know before trusting a number, the most important first.
     """
 
     model: Model
@@ -277,7 +94,7 @@ class Fit(ReadOnly):
     robust: RobustReport = field(default_factory=RobustReport)
     prediction: PredictionReport = field(default_factory=PredictionReport)
     starts: Sequence[StartResult] = ()
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     @property
     def success(self) -> bool:
@@ -289,13 +106,247 @@ class Fit(ReadOnly):
         """How the search ended, in a word."""
         return self.solver.status
 
-    def __str__(self) -> str:
-        from greybox.result.summary import format_fit
-
-        return format_fit(self)
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The findings as sentences."""
+        return tuple(map(str, self.findings))
 
     def save(self, path: str | Path) -> Path:
-        """Write ``fit.json``; `greybox.load_fit` reads it back without loss."""
-        from greybox.result.fit_file import save_fit
+        """Write ``fit.json``; `greybox.load_fit` reads it back without loss.
 
+        Parameters
+        ----------
+        path
+            Where to; folders are made.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+        """
         return save_fit(self, path)
+
+
+def save_fit(fit: Fit, path: str | Path) -> Path:
+    """Write ``fit`` to ``path`` (folders are made); numbers that are not finite become null."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(format_json(to_json_data(fit_data(fit))) + "\n", encoding="utf-8")
+    return target
+
+
+def fit_data(fit: Fit) -> dict[str, Any]:
+    """``fit`` under the keys of ``fit.json``, which are flat and stay the same from version to version."""
+    strategy = fit.solver.strategy
+    return {
+        "format": FORMAT,
+        "model": fit.model.name,
+        "effects": [e.name for e in fit.model.effects],
+        "status": fit.solver.status,
+        "success": fit.solver.success,
+        "meaning": fit.solver.status_message,
+        "parameters": fit.parameters,
+        "misfit": fit.misfit,
+        "traces": fit.traces,
+        "free": fit.uncertainty.free,
+        "covariance": fit.uncertainty.covariance,
+        "noise": fit.noise.std,
+        "noise_source": fit.noise.source,
+        "discretisation": fit.discretisation.label,
+        "integration_error": fit.discretisation.error,
+        "cost": fit.solver.cost,
+        "solver": {**fit.solver.statistics, "strategy": "" if strategy is None else str(strategy)},
+        "options": {_OPTION_KEYS.get(name, name): value for name, value in fit.provenance.options.items()},
+        "equations": fit.provenance.equations,
+        "versions": fit.provenance.versions,
+        "notes": fit.notes,
+        "findings": fit.findings,
+        "status_details": fit.solver.details,
+        "search": strategy,
+        "validation": fit.validation.misfit,
+        "validation_traces": fit.validation.traces,
+        "noise_sources": fit.noise.sources,
+        "noise_colour": fit.noise.colour,
+        "interval_kind": fit.uncertainty.kind,
+        "inflation": fit.uncertainty.inflation,
+        "discretisation_shift": fit.discretisation.shift,
+        "tied": fit.constraints.tied,
+        "ties": fit.constraints.ties,
+        "own": fit.constraints.per_experiment,
+        "priors": {name: _prior_data(check) for name, check in fit.constraints.priors.items()},
+        "loss": fit.robust.name,
+        "loss_scale": fit.robust.scale,
+        "outliers": fit.robust.outliers,
+        "ends": fit.starts,
+        "process_noise": fit.prediction.process_noise,
+        "prediction": fit.prediction.one_step,
+        "log_likelihood": fit.prediction.log_likelihood,
+    }
+
+
+def load_fit(path: str | Path, model: Model) -> Fit:
+    """Read a fit that `Fit.save` wrote. ``model`` states its equations (effects included); it gets the fitted values.
+
+    Raises DataError where the file is not a fit, or belongs to another model.
+    """
+    source = Path(path)
+    try:
+        data = json.loads(source.read_text(encoding="utf-8"))
+    except (OSError, json.JSONDecodeError) as error:
+        raise DataError(f"{source}: not a readable fit ({error}); give the fit.json that a fit has written") from error
+    if not isinstance(data, dict) or data.get("format") != FORMAT or "parameters" not in data:
+        raise DataError(
+            f"{source}: not a fit of this program (format {FORMAT}); give the fit.json that a fit has written"
+        )
+    if data["model"] != model.name or data["effects"] != [e.name for e in model.effects]:
+        said = " + ".join([data["model"], *data["effects"]])
+        raise DataError(f"{source}: belongs to the model {said}, not to {model.title}; give that model")
+    parameters = _estimates(data["parameters"])
+    fixed = [n for n, e in parameters.items() if e.fixed]
+    model = _as_fitted(source, _as_pushed(model, data), data)
+    fitted = model.free(*(n for n, e in parameters.items() if not e.fixed)).fix(*fixed)
+    fitted = fitted.start(**{n: e.value for n, e in parameters.items()})
+    get = data.get  # the first files of this format lack some of the keys
+    return Fit(
+        model=fitted,
+        parameters=parameters,
+        misfit=_misfits(data["misfit"]),
+        traces=_traces(data["traces"]),
+        solver=SolverReport(
+            data["status"],
+            data["success"],
+            _number(data["cost"]),
+            {name: value for name, value in data["solver"].items() if name != "strategy"},
+            _finding(data["search"]) if get("search") else None,
+            _findings(get("status_details", ())),
+        ),
+        noise=FitNoise(
+            _numbers(data["noise"]),
+            data["noise_source"],
+            {name: NoiseSource(source) for name, source in get("noise_sources", {}).items()},
+            {n: tuple(k) for n, k in get("noise_colour", {}).items()},
+        ),
+        uncertainty=FitUncertainty(
+            tuple(data["free"]),
+            _array(data["covariance"]).reshape(len(data["free"]), -1),
+            IntervalKind(get("interval_kind", "gauss_newton")),
+            _numbers(get("inflation", {})),
+        ),
+        discretisation=FitDiscretisation(
+            data["discretisation"], _numbers(data["integration_error"]), _numbers(get("discretisation_shift", {}))
+        ),
+        provenance=Provenance(
+            {_OPTION_NAMES.get(key, key): value for key, value in data["options"].items()},
+            data["equations"],
+            data["versions"],
+        ),
+        validation=Validation(_misfits(data["validation"]), _traces(data["validation_traces"])),
+        constraints=FitConstraints(
+            dict(get("ties", {})),
+            _estimates(get("tied", {})),
+            {name: _estimates(each) for name, each in get("own", {}).items()},
+            {name: _prior_check(each) for name, each in get("priors", {}).items()},
+        ),
+        robust=RobustReport(get("loss", ""), _numbers(get("loss_scale", {})), _numbers(get("outliers", {}))),
+        prediction=PredictionReport(
+            _numbers(get("process_noise", {})), _misfits(get("prediction", {})), get("log_likelihood")
+        ),
+        starts=tuple(
+            StartResult(**{**e, "noise_ratio": math.inf if e["noise_ratio"] is None else e["noise_ratio"]})
+            for e in get("ends", ())
+        ),
+        findings=_findings(get("findings", ())),
+    )
+
+
+def _findings(data: Sequence[Mapping[str, Any]]) -> tuple[Finding, ...]:
+    return tuple(map(_finding, data))
+
+
+def _finding(data: Mapping[str, Any]) -> Finding:
+    return Finding(data["code"], Severity(data["severity"]), data["subject"], data["values"])
+
+
+def _prior_data(check: PriorCheck) -> dict[str, float | None]:
+    return {
+        "mean": check.mean,
+        "std": check.std,
+        "moved": check.shift,
+        "learnt": check.variance_reduction,
+        "conflict": check.conflict,
+    }
+
+
+def _prior_check(data: Mapping[str, Any]) -> PriorCheck:
+    return PriorCheck(data["mean"], data["std"], _number(data["moved"]), data["learnt"], data["conflict"])
+
+
+def _as_pushed(model: Model, data: Mapping[str, Any]) -> Model:
+    """``model`` with the process noise of a fit, where it was added to it (`Model.with_process_noise`)."""
+    states = [s for s in data.get("process_noise", {}) if s in model.system.state_names and s not in model.noisy_states]
+    estimated = [s for s in states if intensity_name(s) in data["parameters"] and intensity_name(s) not in model.values]
+    known = {
+        s: data["process_noise"][s] for s in states if s not in estimated and intensity_name(s) not in model.values
+    }
+    return model.with_process_noise(*estimated, **known) if states else model
+
+
+def _as_fitted(source: Path, model: Model, data: Mapping[str, Any]) -> Model:
+    """``model`` with the ties and priors of a fit; a model with other ties is refused with DataError."""
+    ties = dict(data.get("ties", {}))
+    said = {tie.name: tie.formula for tie in model.ties}
+    if said and said != ties:
+        text = ", ".join(f"{name} = {formula}" for name, formula in ties.items()) or "none"
+        raise DataError(f"{source}: has other ties than the model ({text}); give the model without ties, or with these")
+    model = model if said or not ties else model.start(**_known(model, data)).with_ties(ties)
+    # Of a constant that each experiment has for itself the label is 'B (day 1)'.
+    priors = {label.partition(" (")[0]: (c["mean"], c["std"]) for label, c in data.get("priors", {}).items()}
+    return model.prior(**priors) if priors else model
+
+
+def _known(model: Model, data: Mapping[str, Any]) -> dict[str, float]:
+    """The fitted values of the constants that ``model`` has."""
+    return {n: e["value"] for n, e in data["parameters"].items() if n in model.values}
+
+
+def _estimates(data: Mapping[str, dict]) -> dict[str, Estimate]:
+    return {n: Estimate(**{**e, "interval": _pair(e["interval"])}) for n, e in data.items()}
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _numbers(values: Mapping[str, float | None]) -> dict[str, float]:
+    return {name: _number(value) for name, value in values.items()}
+
+
+def _pair(values: list | None) -> tuple[float, float] | None:
+    if values is None:
+        return None
+    low, high = values
+    return (-math.inf if low is None else low, math.inf if high is None else high)
+
+
+def _array(values: list) -> np.ndarray:
+    return np.array(values, dtype=float)  # None becomes NaN
+
+
+def _misfits(data: Mapping[str, dict]) -> dict[str, Misfit]:
+    return {
+        o: Misfit(**{**m, **{k: _number(m[k]) for k in ("rmse", "best_fit_percent", "noise_ratio")}})
+        for o, m in data.items()
+    }
+
+
+def _traces(data: Sequence[dict]) -> tuple[Trace, ...]:
+    def arrays(group: Mapping[str, list]) -> dict[str, np.ndarray]:
+        return {name: _array(values) for name, values in group.items()}
+
+    return tuple(
+        Trace(
+            t["name"], t["fingerprint"], _array(t["time"]), arrays(t["measured"]), arrays(t["simulated"]), t["initial_state"],
+            arrays(t.get("inputs", {})), t.get("hold", "zero"), t.get("conditions", {}),
+        )
+        for t in data
+    )  # fmt: skip

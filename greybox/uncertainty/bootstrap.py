@@ -9,17 +9,13 @@ import numpy as np
 
 from greybox.errors import FitError
 from greybox.estimation.covariance import compute_information
-from greybox.estimation.restore import restore_problem
-from greybox.estimation.restore_likelihood import compute_innovations, restore_likelihood
+from greybox.estimation.prediction_error import compute_innovations
+from greybox.estimation.restore import restore_likelihood, restore_problem
 from greybox.estimation.sandwich import ColumnLayout, estimate_residual_colour
+from greybox.numerics import INFORMATION_CUTOFF, TINY
 from greybox.result import Fit
 from greybox.transcription import DecisionVector
-
-# A block covers this many correlation times of the residual, and at least the cube root of the record (Kunsch 1989).
-CORRELATION_TIMES = 5.0
-LEAST_BLOCKS = 5
-# Directions with less than this share of the largest curvature stay where they are.
-UNDETERMINED = 1e-12
+from greybox.uncertainty.policy import DEFAULT_BOOTSTRAP_POLICY, BootstrapPolicy
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,45 +30,79 @@ class Bootstrap:
 
 
 def bootstrap(
-    fit: Fit, generator: np.random.Generator, *, replicates: int = 1000, block: int | None = None
+    fit: Fit,
+    generator: np.random.Generator,
+    *,
+    replicates: int = 1000,
+    block: int | None = None,
+    policy: BootstrapPolicy = DEFAULT_BOOTSTRAP_POLICY,
 ) -> Bootstrap:
     """Moving-block bootstrap of the residual (Kunsch 1989), each replicate refitted by one Gauss-Newton step from the optimum.
 
-    Blocks of ``block`` rows of the residual, all outputs together, are drawn with replacement from the same record and put in place
-    of the residual; ``J+ r*`` moves the constants and the initial states. One step is the whole refit where the model is nearly
-    linear over the interval, which a `profile` can tell. Priors are drawn anew in each replicate. Of a constant that experiments have
-    for themselves each value counts, as ``B (day 1)``. ``block`` defaults to five correlation times of the residual. The
-    interval is the basic one (reflected percentiles), on the logarithm of positive constants, within their bounds. As every block
-    bootstrap it falls short by some percent where the record is only tens of blocks long.
+    Blocks of the residual, all outputs together, are drawn with replacement from the same record and put in place of the residual;
+    ``J+ r*`` moves the parameters and the initial states. One step is the whole refit where the model is nearly linear over the
+    interval, which a `profile` can tell. Priors are drawn anew in each replicate. The interval is the basic one (reflected
+    percentiles), on the logarithm of positive parameters, within their bounds. As every block bootstrap it falls short by some per
+    cent where the record is only tens of blocks long. Of a fit with process noise the innovations are drawn anew (Stoffer and Wall,
+    JASA 86, 1991), and one step of scoring moves the parameters.
 
-    Of a fit with process noise the innovations are drawn anew (Stoffer and Wall, JASA 86, 1991), and one step of scoring moves the
-    constants.
+    Parameters
+    ----------
+    fit
+        A fit that succeeded, with its inputs.
+    generator
+        Where the draws come from.
+    replicates
+        How many.
+    block
+        Rows of a block; five correlation times of the residual where it is left out.
+    policy
+        How long the blocks are.
 
-    Raises FitError for a fit that did not succeed, or a block that leaves fewer than five to a record.
+    Returns
+    -------
+    Bootstrap
+        Samples (replicates, nf), standard deviations and 95 % intervals. A parameter that each experiment has for itself stands with
+        each of its values, as ``B (day 1)``.
+
+    Raises
+    ------
+    FitError
+        For a fit that did not succeed, or a block that leaves fewer than five to a record.
+
+    Examples
+    --------
+    >>> bootstrap(fit, np.random.default_rng(0)).interval["K"]  # doctest: +SKIP
+    (6987.5, 7012.6)
     """
-    at = _of_predictions(fit) if fit.prediction.process_noise else _of_free_runs(fit)
+    at = _restore_prediction(fit) if fit.prediction.process_noise else _restore_simulation(fit)
     v, size = at.variables, at.layout.size
     shortest = min(len(r) for r, *_ in at.rows)
     if block is None:
         colour = estimate_residual_colour([(r, slopes) for r, slopes, _ in at.rows], size, at.noise_given)
         time = max((t for t, _ in colour.times), default=1.0)
-        block = max(1, min(int(np.ceil(max(CORRELATION_TIMES * time, shortest ** (1 / 3)))), shortest // LEAST_BLOCKS))
-    if not 1 <= block <= shortest // LEAST_BLOCKS:
+        block = max(
+            1,
+            min(
+                int(np.ceil(max(policy.correlation_times * time, shortest ** (1 / 3)))), shortest // policy.least_blocks
+            ),
+        )
+    if not 1 <= block <= shortest // policy.least_blocks:
         raise FitError(
-            f"bootstrap: blocks of {block} rows from a record of {shortest}; give 1 to {shortest // LEAST_BLOCKS} rows"
+            f"bootstrap: blocks of {block} rows from a record of {shortest}; give 1 to {shortest // policy.least_blocks} rows"
         )
     count = sum(int(np.isfinite(r).sum()) for r, *_ in at.rows)
     gradient = np.zeros((replicates, size))
     prior = np.pad(v.penalty(np.zeros(v.size))[2] / 2, (0, size - len(v.which)))
     for e, (r, slopes, loudness) in enumerate(at.rows):
-        gradient[:, at.layout.columns(e)] += _scores(r, slopes, loudness, replicates, block, generator)
+        gradient[:, at.layout.columns(e)] += _draw_scores(r, slopes, loudness, replicates, block, generator)
     gradient *= np.sqrt(count / max(count - size, 1))
     gradient += np.sqrt(prior) * generator.normal(size=gradient.shape)
     inside = np.ones(size, bool)
     inside[: len(v.which)] = ~v.active
     steps = np.zeros((replicates, size))
-    steps[:, inside] = -gradient[:, inside] @ _inverse(at.information[np.ix_(inside, inside)])
-    return _summary(v, steps[:, : len(v.which)], block)
+    steps[:, inside] = -gradient[:, inside] @ _invert(at.information[np.ix_(inside, inside)])
+    return _summarise(v, steps[:, : len(v.which)], block)
 
 
 @dataclass(frozen=True)
@@ -88,7 +118,7 @@ class _Optimum:
     noise_given: bool
 
 
-def _of_free_runs(fit: Fit) -> _Optimum:
+def _restore_simulation(fit: Fit) -> _Optimum:
     problem = restore_problem(fit)
     v = problem.variables
     zero = np.zeros(v.size)
@@ -98,13 +128,13 @@ def _of_free_runs(fit: Fit) -> _Optimum:
     return _Optimum(v, v, [(r, slopes, None) for r, slopes in rows], information, problem.noise.known)
 
 
-def _of_predictions(fit: Fit) -> _Optimum:
+def _restore_prediction(fit: Fit) -> _Optimum:
     cost = restore_likelihood(fit)
-    found = compute_innovations(cost)
-    return _Optimum(cost.unknowns.variables, cost.unknowns, found.rows, found.evaluation.hessian / 2, True)
+    innovations = compute_innovations(cost)
+    return _Optimum(cost.unknowns.variables, cost.unknowns, innovations.rows, innovations.evaluation.hessian / 2, True)
 
 
-def _scores(
+def _draw_scores(
     r: np.ndarray, jacobian: np.ndarray, loudness: np.ndarray | None, replicates: int, block: int, generator: np.random.Generator
 ) -> np.ndarray:  # fmt: skip
     """``J' r*`` (B, L) of residuals made of random blocks of ``r`` (N, ny), each output's mean removed; gaps stay gaps.
@@ -112,14 +142,14 @@ def _scores(
     Of innovations ``J' r* + L'(s^2 - r*^2) / 2``, ``L`` the slopes of the logarithm of their variance and ``s^2`` their mean square.
     """
     n = len(r)
-    there = np.isfinite(r)
-    slopes = np.where(there[:, :, None], jacobian, 0.0).reshape(-1, jacobian.shape[2])
+    measured = np.isfinite(r)
+    slopes = np.where(measured[:, :, None], jacobian, 0.0).reshape(-1, jacobian.shape[2])
     with np.errstate(invalid="ignore"):
-        centred = r - (np.where(there, r, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1))
+        centred = r - (np.where(measured, r, 0.0).sum(axis=0) / np.maximum(measured.sum(axis=0), 1))
     # A gap that falls on a measured row is filled by the block's neighbour: no residual must vanish.
-    filled = _filled(centred)
+    filled = _fill_gaps(centred)
     squares = 0.5 * ((filled**2).mean(axis=0) - filled**2)
-    louder = None if loudness is None else np.where(there[:, :, None], loudness, 0.0).reshape(-1, jacobian.shape[2])
+    louder = None if loudness is None else np.where(measured[:, :, None], loudness, 0.0).reshape(-1, jacobian.shape[2])
     places = np.arange(block)
     result = np.empty((replicates, jacobian.shape[2]))
     for b in range(replicates):
@@ -131,7 +161,7 @@ def _scores(
     return result
 
 
-def _filled(values: np.ndarray) -> np.ndarray:
+def _fill_gaps(values: np.ndarray) -> np.ndarray:
     """Each column's gaps (NaN) filled with the last value before, or the first after."""
     result = values.copy()
     for column in result.T:
@@ -144,14 +174,14 @@ def _filled(values: np.ndarray) -> np.ndarray:
     return result
 
 
-def _inverse(information: np.ndarray) -> np.ndarray:
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    return np.linalg.pinv(information / np.outer(scale, scale), rcond=UNDETERMINED, hermitian=True) / np.outer(
+def _invert(information: np.ndarray) -> np.ndarray:
+    scale = np.sqrt(np.maximum(np.diag(information), TINY))
+    return np.linalg.pinv(information / np.outer(scale, scale), rcond=INFORMATION_CUTOFF, hermitian=True) / np.outer(
         scale, scale
     )
 
 
-def _summary(v: DecisionVector, steps: np.ndarray, block: int) -> Bootstrap:
+def _summarise(v: DecisionVector, steps: np.ndarray, block: int) -> Bootstrap:
     samples, std, interval = np.empty_like(steps), {}, {}
     for k, name in enumerate(v.names):
 

@@ -101,4 +101,4 @@ def test_rows_that_tell_the_initial_state_are_there(found, rig):
     with pytest.raises(
         DataError, match="beginning: 9999 rows, but the shortest validation record has 663; take fewer rows"
     ):
-        validate(found.base.model, rig[1], beginning=9999)
+        validate(found.base.model, rig[1], initial_rows=9999)

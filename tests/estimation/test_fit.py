@@ -10,6 +10,7 @@ import pytest
 from greybox.effects import effect
 from greybox.errors import DataError, FitError, ModelError
 from greybox.estimation import FitOptions, fit, validate
+from greybox.estimation.findings import EstimationCode
 from greybox.experiment import Experiment
 from greybox.experiment.findings import RecordCode
 from greybox.findings import Finding
@@ -20,6 +21,8 @@ from models.emps import emps
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import experiment, linear_record, multisine, solved_record
+from tests.support.explosive import explosive
+from tests.support.findings import codes, find
 
 REST = FitOptions(at_rest=True)
 
@@ -208,8 +211,8 @@ def test_what_the_data_do_not_determine_is_named():
     """From u to x and i six of the seven constants are determined: M, B, K, Kf scale together."""
     data = linear_record(micro_actuator, actuator_input(1), 2.5e-4, noise={"x": 2e-7, "i": 5e-3})
     found = fit(micro_actuator, data, options=REST)
-    note = next(n for n in found.notes if "not determined" in n)
-    assert all(name in note for name in ("M", "B", "K", "Kf")) and "Ra" not in note
+    direction = find(found.findings, EstimationCode.DIRECTION_UNDETERMINED).values["direction"]
+    assert {"M", "B", "K", "Kf"} <= set(direction) and "Ra" not in direction
     assert found.parameters["M"].std is None and found.parameters["Ra"].std < 1e-2 * found.parameters["Ra"].value
 
 
@@ -218,7 +221,7 @@ def test_a_bound_that_stops_a_constant_is_reported():
     data = linear_record(truth, actuator_input(1), 2.5e-4)
     found = fit(truth.start(K=5000).bound(K=(10.0, 5500.0)), data, options=REST)
     assert found.parameters["K"].at_bound and found.parameters["K"].value == 5500.0
-    assert "K" in next(n for n in found.notes if "stopped by a bound" in n)
+    assert "K" in find(found.findings, EstimationCode.STOPPED_BY_BOUND).values["parameters"]
 
 
 def test_a_wrong_model_says_so_beside_its_status():
@@ -229,18 +232,19 @@ def test_a_wrong_model_says_so_beside_its_status():
     assert good.misfit["q"].noise_ratio < 1.1
     bad = fit(emps.fix(M=150.0), data)
     assert bad.success and bad.misfit["q"].noise_ratio > 5
-    assert "times the noise" in bad.solver.status_message
-    assert any("lacks something" in n for n in bad.notes)
-    assert any("correlated" in n for n in bad.notes)
+    (ratio,) = bad.solver.details
+    assert (ratio.code, ratio.subject) == (EstimationCode.MISFIT_RATIO, "q")
+    assert ratio.values["ratio"] == bad.misfit["q"].noise_ratio
+    assert {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.RESIDUAL_CORRELATED} <= codes(bad.findings)
 
 
 def test_a_column_in_another_unit_or_of_the_other_sign_is_no_plant_of_this_model():
     record = linear_record(micro_actuator, actuator_input(3), 2.5e-4, noise={"x": 1e-7, "i": 1e-3}, seed=3)
     free = micro_actuator.fix("M", "Ra")
-    assert not any("do not use" in note for note in fit(free, record).find_fit_issues)
+    assert EstimationCode.MODEL_DOES_NOT_FOLLOW not in codes(fit(free, record).findings)
     for wrong in (1e6, -1.0):
         other = replace(record, outputs={"x": wrong * record.outputs["x"], "i": record.outputs["i"]})
-        assert any("do not use these constants" in note for note in fit(free, other).find_fit_issues)
+        assert EstimationCode.MODEL_DOES_NOT_FOLLOW in codes(fit(free, other).findings)
 
 
 def test_validation_estimates_only_the_initial_state_from_the_first_rows():
@@ -262,21 +266,23 @@ def test_a_fit_is_saved_and_loaded_without_loss(tmp_path):
     found = fit(truth, data, validation=data)
     again = load_fit(found.save(tmp_path / "a" / "fit.json"), truth)
     assert again.model.values == found.model.values
-    for name in found.__dataclass_fields__:
-        if name in ("model", "traces", "validation_traces", "covariance"):
-            continue
+    assert again.validation.misfit == found.validation.misfit and again.uncertainty.kind == found.uncertainty.kind
+    for name in (
+        "parameters",
+        "misfit",
+        "solver",
+        "noise",
+        "discretisation",
+        "provenance",
+        "constraints",
+        "robust",
+        "findings",
+    ):
         assert getattr(again, name) == getattr(found, name), name
     assert np.array_equal(again.uncertainty.covariance, found.uncertainty.covariance, equal_nan=True)
     assert np.array_equal(again.traces[0].simulated["x"], found.traces[0].simulated["x"])
     with pytest.raises(DataError, match="belongs to the model micro_actuator \\+ constant_load, not to micro_actuator"):
         load_fit(tmp_path / "a" / "fit.json", micro_actuator)
-
-
-def explosive():
-    return Model(
-        "explosive", [State("x", "m", 1.0)], [Input("u", "m")], [Output("x", "m")], [Parameter("a", "1/s/m", 50.0, (1e-3, 1e3))],
-        lambda x, u, p: [Balance("growth", "m/s", 1, "x", square=p.a * x.x * x.x)],
-    )  # fmt: skip
 
 
 def test_a_model_that_cannot_be_simulated_from_its_start_says_where():
@@ -285,7 +291,9 @@ def test_a_model_that_cannot_be_simulated_from_its_start_says_where():
     data = experiment(model, t, np.ones((100, 1)), np.cos(t)[:, None])
     found = fit(model, data, options=REST)
     assert not found.success and found.status == "no_start"
-    assert "fails at t = 0 s (row 1)" in found.solver.status_message
+    (failure,) = found.solver.details
+    assert failure.code in (EstimationCode.TERM_NOT_FINITE, EstimationCode.STATES_DIVERGE)
+    assert (failure.values["time"], failure.values["row"]) == (0.0, 1)
     with pytest.raises(FitError, match="cannot be simulated from the start values"):
         fit(model, data, options=REST, raise_on_failure=True)
 
@@ -331,4 +339,5 @@ def test_what_is_odd_about_a_record_stands_in_the_fit():
         replace(data, name=name, findings=(Finding(RecordCode.COLUMNS_IGNORED, values={"columns": ["temp"]}),))
         for name in ("a", "b")
     ]
-    assert fit(truth, odd, options=REST).find_fit_issues[-1] == "a, b: columns ignored: 'temp'"
+    remark = fit(truth, odd, options=REST).findings[-1]
+    assert remark.code == RecordCode.COLUMNS_IGNORED and list(remark.values["records"]) == ["a", "b"]

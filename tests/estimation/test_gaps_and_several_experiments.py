@@ -8,10 +8,12 @@ import pytest
 
 from greybox import FitOptions, fit
 from greybox.check import check
+from greybox.estimation.findings import EstimationCode
 from greybox.plots import draw_residual_tests
 from greybox.residuals import residual_tests, score
 from greybox.uncertainty import bootstrap, profile
 from tests.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, three, with_gaps
+from tests.support.findings import codes, find
 
 PUSHED = MASS.with_process_noise(v=INTENSITY)
 TRUTH = {"B": 0.4, "K": 4.0, "noise_v": INTENSITY}
@@ -43,16 +45,16 @@ def found_on(path):
 @every_path
 def test_constants_and_first_states_come_back(path):
     found = found_on(path)
-    assert found.success, found.status_message
-    for name in found.free:
+    assert found.success, found.solver.status_message
+    for name in found.uncertainty.free:
         stated = found.parameters[name]
         assert abs(stated.value - TRUTH[name]) < 4 * stated.std
         assert stated.interval[0] < TRUTH[name] * 1.2 and stated.interval[1] > TRUTH[name] / 1.2
         assert stated.std < 0.05 * stated.value or name in ("B", "noise_v")
     for trace, start in zip(found.traces, STARTS, strict=True):
         assert [trace.initial_state[n] for n in LEVEL] == pytest.approx(start, abs=0.15)
-    assert (found.interval_kind == "sandwich") == (path == "sandwich")
-    assert not any("not constant" in n for n in found.notes)
+    assert (found.uncertainty.kind == "sandwich") == (path == "sandwich")
+    assert EstimationCode.PARAMETER_NOT_CONSTANT not in codes(found.findings)
 
 
 @pytest.mark.parametrize("path", EXACT)
@@ -85,7 +87,7 @@ def test_constants_of_each_experiment_are_those_of_a_fit_of_it_alone(path):
 def test_profile_and_bootstrap_meet_the_interval(path):
     found = found_on(path)
     again = bootstrap(found, np.random.default_rng(1), replicates=200)
-    for name in found.free:
+    for name in found.uncertainty.free:
         low, high = found.parameters[name].interval
         reach = 0.25 if path == "sandwich" else 0.1
         if name != "noise_v" or path == "estimated process noise":
@@ -131,8 +133,11 @@ def test_a_constant_that_differs_between_such_experiments_is_named(path):
     one, _, whole = three(**special)
     other = 4.4 if path == "free run" else 5.0
     stiff = irregular(record(1, x0=STARTS[1], name="day 2", stiffness=other, **special))
-    note = next(n for n in fit(model, [one, stiff, whole], **told).notes if "not constant" in n)
-    assert "K goes from" in note and "experiment 'day 2'" in note
+    shifts = find(fit(model, [one, stiff, whole], **told).findings, EstimationCode.PARAMETER_NOT_CONSTANT).values[
+        "shifts"
+    ]
+    (shift,) = [s for s in shifts if s["name"] == "K"]
+    assert "experiment:'day 2'" in shift["parts"]
 
 
 def dead(rows):
@@ -154,7 +159,7 @@ def test_a_dead_sensor_beside_a_moving_one_counts_for_nothing(path, rows):
     for n in "BK":
         assert found.parameters[n].value == pytest.approx(alone.parameters[n].value, rel=1e-6)
         assert found.parameters[n].std == pytest.approx(alone.parameters[n].std, rel=1e-4)
-    assert any(n.startswith("left out: v, which reads the same in every row") for n in found.notes)
+    assert find(found.findings, EstimationCode.CONSTANT_OUTPUT_EXCLUDED).values["outputs"] == ["v"]
     assert list(check(MASS, data).noise) == ["x"] and "left out: v" in str(check(MASS, data))
 
 

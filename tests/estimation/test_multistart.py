@@ -6,11 +6,12 @@ import pytest
 from greybox import GreyboxError
 from greybox.errors import ModelError
 from greybox.estimation import FitOptions, multistart
-from greybox.estimation.multistart import describe_starts, draw_starts, group_by_optimum
+from greybox.estimation.multistart import draw_starts, group_by_optimum, summarise_starts
 from greybox.result import StartResult
 from models.emps import emps
 from models.micro_actuator import micro_actuator
-from tests.oracles.independent import linear_record, multisine
+from tests.oracles.independent import experiment, linear_record, multisine
+from tests.support.explosive import explosive
 
 REST = FitOptions(at_rest=True)
 
@@ -19,12 +20,9 @@ def start_results(*ratios):
     return [StartResult({}, {"a": 1.0} if np.isfinite(r) else {}, r, "converged") for r in ratios]
 
 
-def test_the_waterfall_says_how_many_starts_ended_where():
-    assert describe_starts(start_results(1.0, 1.001, 3.4, 1.0, 3.41, 9.0, np.inf)) == (
-        "3 of 7 starts ended at the best optimum (misfit 1 x noise), 2 at a worse one (3.4 x), 1 at a worse one (9 x), 1 led nowhere"
-    )
-    many = describe_starts(start_results(1, 2, 3, 4, 5, 6))
-    assert many.endswith("1 at a worse one (4 x), 2 at still worse ones (from 5 x)")
+def test_starts_are_counted_by_the_optimum_that_they_reach():
+    summary = summarise_starts(start_results(1.0, 1.001, 3.4, 1.0, 3.41, 9.0, np.inf))
+    assert summary.values == {"counts": [3, 2, 1], "ratios": [1.0, 3.4, 9.0], "without_result": 1}
     assert [len(g) for g in group_by_optimum(start_results(1e-9, 1e-5, 0.5))] == [2, 1]  # data without noise
 
 
@@ -55,8 +53,8 @@ def test_every_start_of_the_actuator_ends_at_the_optimum():
     data = linear_record(truth, u, 2.5e-4, noise=noise)
     found = multistart(truth, data, starts=12, seed=2, noise=noise, options=REST, workers=1)
     assert found.best_optimum_count == len(found.start_results) == 12
-    assert found.waterfall.startswith("12 of 12 starts ended at the best optimum (misfit 0.99")
-    assert found.best.notes[0] == found.waterfall and found.waterfall in str(found)
+    assert found.summary.values["counts"] == [12]
+    assert found.best.findings[0] == found.summary and str(found.summary) in str(found)
     for q in truth.free_parameters:
         assert abs(found.best.parameters[q.name].value - q.value) < 4 * found.best.parameters[q.name].std
 
@@ -77,10 +75,8 @@ def test_processes_find_what_one_process_finds():
 
 
 def test_a_model_that_can_be_simulated_from_no_start_says_so():
-    from tests.estimation.test_fit import experiment, explosive
-
     t = np.arange(100) * 0.1
     model = explosive()
     data = experiment(model, t, np.ones((100, 1)), np.cos(t)[:, None])
-    with pytest.raises(GreyboxError, match="none of 3 starts led anywhere"):
+    with pytest.raises(GreyboxError, match="none of 3 starts has a result"):
         multistart(model, data, starts=3, options=REST, workers=1)

@@ -10,12 +10,14 @@ from scipy.optimize import minimize
 import greybox as gb
 from greybox import FitOptions, fit
 from greybox.errors import ModelError
-from greybox.estimation.restore_likelihood import restore_likelihood
+from greybox.estimation.findings import EstimationCode
+from greybox.estimation.restore import restore_likelihood
 from greybox.filtering import KalmanFilter
 from greybox.result import load_fit
 from models.cascaded_tanks import cascaded_tanks
 from tests.filtering.test_kalman_filter import check_slopes, filter_of, tank, tank_record
 from tests.pushed_mass import INTENSITY, LEVEL, MASS, PERIOD, discrete, record, states, three
+from tests.support.findings import codes, find
 
 PUSHED = MASS.with_process_noise("v")
 
@@ -46,7 +48,7 @@ def theirs(data, logarithms, start):
 def test_the_most_likely_constants_are_those_of_statsmodels():
     data, found = record(3, intensity=INTENSITY, x0=[1.0, -0.5]), pushed_fit()
     names = ("B", "K", "noise_v")
-    values = [*(found.parameters[n].value for n in names), *(found.noise[n] for n in LEVEL)]
+    values = [*(found.parameters[n].value for n in names), *(found.noise.std[n] for n in LEVEL)]
     start = [found.traces[0].initial_state[n] for n in LEVEL]
     at = np.append(np.log(values), start)
     assert theirs(data, at[:5], start) == pytest.approx(found.log_likelihood, rel=1e-8)
@@ -57,7 +59,7 @@ def test_the_most_likely_constants_are_those_of_statsmodels():
         return -theirs(data, p[:5], p[5:])
 
     best = minimize(cost, np.array([1.0, -1, 1, -1, 1, -1, 1]), method="BFGS", options={"gtol": 1e-3})
-    assert -best.fun <= found.log_likelihood + 1e-6
+    assert -best.fun <= found.prediction.log_likelihood + 1e-6
     assert best.x == pytest.approx(np.zeros(7), abs=0.02)
     # The covariance: the inverse of the curvature of their likelihood, by central differences of it.
     curvature, e = np.empty((7, 7)), np.eye(7) * 0.1
@@ -126,7 +128,7 @@ def test_where_nothing_pushes_it_is_the_free_run_fit():
     assert -2 * found.prediction.log_likelihood == pytest.approx(free.solver.cost + constant, rel=1e-9)
     low, high = found.parameters["noise_v"].interval
     assert low == 0 and 0 < high < 0.02
-    assert any("lacks nothing that these records show" in n for n in found.notes)
+    assert EstimationCode.PROCESS_NOISE_ZERO in codes(found.findings)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -140,13 +142,13 @@ def test_what_does_not_push_is_found_not_to_whatever_the_noise(seed):
 def test_what_pushes_is_told_with_its_size():
     found = pushed_fit()
     low, high = found.parameters["noise_v"].interval
-    assert low < INTENSITY < high and found.process_noise["v"] == found.parameters["noise_v"].value
-    note = next(n for n in found.notes if n.startswith("process noise on v"))
-    assert "clearly above zero" in note and "'force'" in note
-    assert found.prediction["v"].rmse < 0.7 * found.misfit["v"].rmse
+    assert low < INTENSITY < high and found.prediction.process_noise["v"] == found.parameters["noise_v"].value
+    values = find(found.findings, EstimationCode.PROCESS_NOISE_SIGNIFICANT).values
+    assert values["states"] == ["v"] and values["balances"] == ["force"]
+    assert found.prediction.one_step["v"].rmse < 0.7 * found.misfit["v"].rmse
     # The force in N that the intensity stands for: M q / sqrt(h).
-    size = found.process_noise["v"] / np.sqrt(PERIOD)
-    assert f"{size:.3g} N averaged over a sample of 0.1 s" in note
+    size = found.prediction.process_noise["v"] / np.sqrt(PERIOD)
+    assert values["sizes"] == [{"size": pytest.approx(size), "unit": "N"}] and values["period"] == pytest.approx(0.1)
 
 
 def test_the_likelihood_stays_bounded_where_a_sensor_could_be_perfect():
@@ -172,7 +174,7 @@ def test_slopes_hold_where_the_first_states_are_unknown(kind):
 def test_the_extended_filter_finds_a_leak_and_a_gust():
     model, data = tank_record(rows=150, seed=4)
     found = fit(tank().start(c=0.07), data)
-    assert found.success and "extended" in found.solver.statistics["strategy"]
+    assert found.success and not found.solver.strategy.values["exact"]
     for name, truth in (("c", 0.05), ("gust", 0.003)):
         assert abs(found.parameters[name].value - truth) < 4 * found.parameters[name].std
     assert model.name == found.model.name
@@ -212,11 +214,11 @@ def test_it_is_saved_and_read_back(tmp_path):
     found = pushed_fit()
     again = load_fit(found.save(tmp_path / "fit.json"), MASS)
     assert (
-        again.prediction.process_noise == found.process_noise
-        and again.prediction.log_likelihood == found.log_likelihood
+        again.prediction.process_noise == found.prediction.process_noise
+        and again.prediction.log_likelihood == found.prediction.log_likelihood
     )
     assert again.prediction == found.prediction
-    assert restore_likelihood(again).cost() == pytest.approx(-2 * found.log_likelihood, rel=1e-12)
+    assert restore_likelihood(again).cost() == pytest.approx(-2 * found.prediction.log_likelihood, rel=1e-12)
 
 
 @pytest.mark.parametrize(

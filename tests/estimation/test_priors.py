@@ -5,10 +5,12 @@ import pytest
 
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, fit, load_fit
 from greybox.errors import ModelError
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.problem import prepare_problem
 from greybox.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
+from tests.support.findings import find
 
 LEVEL = {"x": 2e-7, "i": 5e-3}
 REST = FitOptions(at_rest=True)
@@ -87,7 +89,7 @@ def test_agreement_with_the_data_is_judged_by_what_they_say_alone():
     assert check.conflict == pytest.approx((alone[0] - 1.5) / np.hypot(0.05, np.sqrt(spread[0, 0])), rel=1e-5)
     assert check.variance_reduction == pytest.approx(1 - covariance[0, 0] / 0.05**2, rel=1e-5)
     assert abs(check.conflict) > 3 > abs(found.constraints.priors["b"].conflict)
-    assert any("the prior of a and the data disagree by" in n for n in found.notes)
+    assert find(found.findings, EstimationCode.PRIOR_CONFLICT).subject == "a"
 
 
 def test_conflicts_are_standard_normal_where_both_are_right():
@@ -114,7 +116,7 @@ def test_a_weighed_mass_closes_the_scale_of_the_actuator():
     assert abs(k.value - 5895.5) < 3 * k.std
     check = found.constraints.priors["M"]
     assert check.conflict is None and check.variance_reduction < 1e-3 and abs(check.shift) < 1e-3
-    assert any(n.startswith("held by its prior: M") for n in found.notes)
+    assert find(found.findings, EstimationCode.HELD_BY_PRIOR).values["parameters"] == ["M"]
     assert "told by the data" in str(found) and "prior 0.0101 +- 0.0001" in str(free.prior(M=(0.0101, 0.0001)))
 
 

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 
 from greybox import FitOptions, fit, load_fit, validate
 from greybox.errors import ModelError
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.problem import prepare_problem
 from greybox.experiment import Experiment
 from greybox.noise import estimate_noise, estimate_noise_from_differences
@@ -18,6 +19,7 @@ from greybox.transcription.robust_shooting import RobustShooting
 from greybox.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
+from tests.support.findings import codes, find
 from tests.uncertainty.test_intervals import REST, SATURATION, TIMES, VALUES
 
 TRUTH = micro_actuator.fix("M", "Ra")
@@ -129,10 +131,10 @@ def test_outliers_that_ruin_least_squares_leave_a_robust_fit_alone(text):
         assert max(away(plain, clean).values(), key=abs) != 0
     assert max(worst) < 3.5 and min(worst_plain) > 5, (worst, worst_plain)
     assert 1.0 < np.mean(width) < 1.2
-    assert any("robust loss" in n and "count as outliers" in n for n in found.notes)
-    assert "outliers aside" in found.solver.status_message
-    assert not any("exceeds the noise" in n for n in found.notes)
-    assert any("exceeds the noise" in n for n in plain.notes)
+    assert find(found.findings, EstimationCode.ROBUST_LOSS_OUTLIERS).values["shares"]
+    assert find(found.solver.details, EstimationCode.MISFIT_RATIO).values["without_outliers"]
+    assert EstimationCode.MISFIT_ABOVE_NOISE not in codes(found.findings)
+    assert EstimationCode.MISFIT_ABOVE_NOISE in codes(plain.findings)
 
 
 def test_without_outliers_it_costs_a_few_percent():
@@ -195,8 +197,8 @@ def test_the_tests_of_the_residual_see_past_the_outliers_but_name_them():
 
 def test_a_model_that_lacks_something_has_no_outliers_but_a_misfit():
     found = fit(TRUTH.fix(Ra=9.5), record(5), noise=LEVEL, options=FitOptions(loss="huber"))
-    assert found.robust.scale["i"] > 3 and "times the noise in" in found.solver.status_message
-    assert any("exceeds the noise" in n for n in found.notes)
+    assert found.robust.scale["i"] > 3 and found.solver.details[0].values["ratio"] > 3
+    assert EstimationCode.MISFIT_ABOVE_NOISE in codes(found.findings)
 
 
 def test_it_is_saved_and_repeated(tmp_path):

@@ -3,12 +3,13 @@
 import casadi as ca
 import numpy as np
 
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.problem import prepare_problem
-from greybox.estimation.simulation_failure import describe_simulation_failure
+from greybox.estimation.simulation_failure import locate_simulation_failure
 from greybox.model import Balance, Model
 from greybox.model.signals import Input, Output, Parameter, State
-from tests.estimation.test_fit import explosive
 from tests.oracles.independent import experiment
+from tests.support.explosive import explosive
 
 
 def tank(start=1.0, output=None, bounds=(-np.inf, np.inf)):
@@ -20,44 +21,52 @@ def tank(start=1.0, output=None, bounds=(-np.inf, np.inf)):
     )  # fmt: skip
 
 
-def told(model, rows=200):
+def failure_of(model, rows=200):
+    """What failed in a run of ``model``, and where its evaluation failed."""
     time = np.arange(rows) * 0.1
     data = experiment(model, time, np.full((rows, 1), 0.1), np.ones((rows, 1)))
     problem = prepare_problem(model, data, {"level": 0.1}, at_rest=True, method="rk4", substeps=1)
     failed = problem.shooting(problem.variables).evaluate(np.zeros(problem.variables.size)).failed
-    return describe_simulation_failure(problem, problem.variables, *failed), failed
+    return locate_simulation_failure(problem, problem.variables, *failed), failed
+
+
+def point(failure):
+    return {q["name"]: float(q["value"]) for q in failure.values["point"]}
 
 
 def test_the_term_that_is_not_a_number_is_named_with_time_and_state():
-    text, (_, sample) = told(tank())
-    assert "in the balance 'volume' the term 'outflow'" in text and "sqrt" in text and "is nan m/s" in text
-    assert f"t = {(sample - 1) * 0.1:.6g} s" in text
-    assert "level = -" in text and "pump = 0.1 m/s" in text
+    failure, (_, sample) = failure_of(tank())
+    values = failure.values
+    assert (failure.code, failure.subject) == (EstimationCode.TERM_NOT_FINITE, "outflow")
+    assert (values["kind"], values["balance"], values["value"]) == ("term", "volume", "nan")
+    assert "sqrt" in values["formula"] and values["time"] == (sample - 1) * 0.1
+    assert point(failure)["level"] < 0 and point(failure)["pump"] == 0.1
 
 
-def test_a_start_that_is_impossible_is_found_in_the_first_row():
-    text, _ = told(tank(start=-1.0))
-    assert "t = 0 s (row 1)" in text and "'outflow'" in text and "level = -1 m" in text
+def test_an_impossible_start_is_found_in_the_first_row():
+    failure, _ = failure_of(tank(start=-1.0))
+    assert (failure.values["time"], failure.values["row"], failure.subject) == (0.0, 1, "outflow")
+    assert point(failure)["level"] == -1.0
 
 
 def test_an_output_that_is_not_a_number_is_named():
-    text, _ = told(tank(output=lambda x, u, p: ca.sqrt((x.level - p.edge) * x.level)))
-    assert "the output 'level' (sqrt" in text and "is nan m" in text
+    failure, _ = failure_of(tank(output=lambda x, u, p: ca.sqrt((x.level - p.edge) * x.level)))
+    assert (failure.values["kind"], failure.subject, failure.values["value"]) == ("output", "level", "nan")
 
 
-def test_states_that_run_away_are_named():
+def test_states_that_diverge_are_named():
     model = explosive()
     data = experiment(model, np.arange(100) * 0.1, np.ones((100, 1)), np.ones((100, 1)))
     problem = prepare_problem(model, data, {"x": 0.1}, at_rest=True, method="rk4", substeps=1)
     failed = problem.shooting(problem.variables).evaluate(np.zeros(problem.variables.size)).failed
-    text = describe_simulation_failure(problem, problem.variables, *failed)
-    assert "experiment 1 fails at t =" in text and ("run away" in text or "'square'" in text)
+    failure = locate_simulation_failure(problem, problem.variables, *failed)
+    assert failure.values["experiment"] == 1
+    assert failure.code == EstimationCode.STATES_DIVERGE or failure.subject == "square"
 
 
-def test_a_sensitivity_alone_that_is_not_finite_is_told_apart():
+def test_a_sensitivity_alone_that_is_not_finite_is_a_finding_of_its_own():
     model = tank()
     data = experiment(model, np.arange(20) * 0.01, np.zeros((20, 1)), np.ones((20, 1)))
     problem = prepare_problem(model, data, {"level": 0.1}, at_rest=True, method="rk4", substeps=1)
-    assert "its slope along the constants is not finite" in describe_simulation_failure(
-        problem, problem.variables, 0, 20
-    )
+    failure = locate_simulation_failure(problem, problem.variables, 0, 20)
+    assert failure.code == EstimationCode.SENSITIVITY_NOT_FINITE and failure.values["experiment"] == 1

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from greybox import Experiment, FitOptions, fit
-from greybox.result.summary import format_with_std, make_formatter
-from greybox.signals import multisine
-from greybox.simulation import simulate
+from greybox.rendering.tables import format_with_std, make_formatter
+from greybox.simulation import multisine, simulate
 from models.silverbox import silverbox
 
 

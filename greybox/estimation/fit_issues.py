@@ -1,0 +1,320 @@
+"""What a reader should know before trusting a fit, as findings: failures, bounds, open directions, misfit above the noise, priors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.estimation.covariance import LikelihoodCovariance, ParameterCovariance
+from greybox.estimation.findings import EstimationCode
+from greybox.estimation.likelihood_search import LikelihoodOptimum
+from greybox.estimation.parameter_constancy import ParameterShift
+from greybox.estimation.policy import EstimationPolicy
+from greybox.estimation.problem import EstimationProblem
+from greybox.estimation.process_noise_tests import ProcessNoiseTest
+from greybox.estimation.robust_estimation import compute_noise_ratios
+from greybox.estimation.simulation_failure import locate_simulation_failure
+from greybox.estimation.solution import Solution
+from greybox.experiment import Experiment, collect_record_findings
+from greybox.experiment.findings import is_sensor_fault
+from greybox.findings import Finding, Severity
+from greybox.model import Model
+from greybox.noise.noise_sources import NoiseSource
+from greybox.result import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
+from greybox.transcription import DecisionVector
+
+
+def find_status_details(solution: Solution, misfit: Mapping[str, Misfit]) -> tuple[Finding, ...]:
+    """Why a run broke off, or the largest misfit over noise: a wrong model converges too."""
+    if solution.evaluation.failed:
+        return (locate_simulation_failure(solution.problem, solution.variables, *solution.evaluation.failed),)
+    if not misfit:
+        return ()
+    ratios = compute_noise_ratios(solution, misfit)
+    worst = max(ratios, key=lambda name: ratios[name])
+    values = {"ratio": ratios[worst], "without_outliers": bool(solution.problem.loss)}
+    return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values),)
+
+
+def find_likelihood_status_details(
+    optimum: LikelihoodOptimum, one_step: Mapping[str, Misfit], free_run: Mapping[str, Misfit]
+) -> tuple[Finding, ...]:
+    """Why the filter broke off, or the largest error one step ahead with that of the free run beside it."""
+    if optimum.evaluation.failed:
+        experiment = optimum.evaluation.failed[0] + 1
+        return (Finding(EstimationCode.FILTER_NOT_FINITE, Severity.ERROR, "", {"experiment": experiment}),)
+    if not one_step:
+        return ()
+    worst = max(one_step, key=lambda name: one_step[name].noise_ratio)
+    values = {"one_step": one_step[worst].noise_ratio, "free_run": free_run[worst].noise_ratio}
+    return (Finding(EstimationCode.PREDICTION_RATIO, Severity.NOTE, worst, values),)
+
+
+def find_fit_issues(
+    solution: Solution,
+    covariance: ParameterCovariance,
+    estimates: Mapping[str, Estimate],
+    misfit: Mapping[str, Misfit],
+    traces: Sequence[Trace],
+    shifts: Sequence[ParameterShift],
+    step_shift: np.ndarray,
+    policy: EstimationPolicy,
+) -> tuple[Finding, ...]:
+    """Findings about a fit by simulation error, the most important first.
+
+    ``shifts``: parameters that are not constant; ``step_shift`` (nf,): change of each free parameter with half the step, in its
+    standard deviations.
+    """
+    limits = policy.reporting
+    result = list(_find_other_plant(misfit, policy))
+    result += _find_undetermined_directions(covariance)
+    at_bound = [name for name, e in estimates.items() if e.at_bound]
+    wide = [n for n, e in estimates.items() if e.std is not None and not e.at_bound and not e.determined]
+    result += _list_parameters(EstimationCode.STOPPED_BY_BOUND, at_bound)
+    result += _list_parameters(EstimationCode.PARAMETER_UNDETERMINED, wide)
+    result += _find_excess_misfit(solution, misfit, policy)
+    result += _find_shifts(shifts, limits.listed_shifts)
+    correlated = [
+        n
+        for n, m in misfit.items()
+        if m.noise_ratio > limits.least_noise_ratio and compute_lag_one_correlation(traces, n) > limits.correlation
+    ]
+    inflation = covariance.inflation
+    if (
+        covariance.kind == IntervalKind.SANDWICH
+        and correlated
+        and inflation is not None
+        and np.isfinite(inflation).any()
+    ):
+        values = {"outputs": correlated, "inflation": float(np.nanmax(inflation))}
+        result.append(Finding(EstimationCode.RESIDUAL_CORRELATED, Severity.NOTE, "", values))
+    error = dict(zip((o.name for o in solution.problem.model.outputs), solution.integration_error, strict=True))
+    coarse = [
+        n
+        for n, m in misfit.items()
+        if error[n] > limits.integration_error and error[n] > limits.integration_share * m.noise_ratio
+    ]
+    if coarse:
+        result.append(Finding(EstimationCode.INTEGRATION_TOO_COARSE, Severity.WARNING, "", {"outputs": coarse}))
+    result += _find_step_shifts(_find_moved_by_step(solution.variables, covariance, step_shift, policy))
+    return tuple(result)
+
+
+def find_likelihood_issues(
+    model: Model,
+    problem: EstimationProblem,
+    covariance: LikelihoodCovariance,
+    estimates: Mapping[str, Estimate],
+    intensities: Sequence[ProcessNoiseTest],
+    step_shift: Mapping[str, float],
+    shifts: Sequence[ParameterShift],
+    policy: EstimationPolicy,
+) -> tuple[Finding, ...]:
+    """Findings about a fit by prediction error, the most important first; ``model`` has the fitted values."""
+    result = _find_undetermined_directions(covariance.constants)
+    tested = [i.name for i in intensities]
+    zero = [i.name for i in intensities if i.value == 0]
+    at_bound = [name for name, e in estimates.items() if e.at_bound and name not in zero]
+    wide = [n for n, e in estimates.items() if e.std is not None and not (e.at_bound or e.determined or n in tested)]
+    result += _list_parameters(EstimationCode.STOPPED_BY_BOUND, at_bound)
+    result += _list_parameters(EstimationCode.PARAMETER_UNDETERMINED, wide)
+    result += _find_shifts(shifts, policy.reporting.listed_shifts)
+    result += [_judge_process_noise(model, problem, i, estimates[i.name]) for i in intensities]
+    inflation = covariance.constants.inflation
+    if covariance.constants.kind == IntervalKind.SANDWICH and inflation is not None and np.isfinite(inflation).any():
+        values = {"inflation": float(np.nanmax(inflation))}
+        result.append(Finding(EstimationCode.INNOVATIONS_CORRELATED, Severity.WARNING, "", values))
+    if problem.noise.coloured:
+        result.append(Finding(EstimationCode.NOISE_COLOUR_IGNORED))
+    result += _find_step_shifts({n: s for n, s in step_shift.items() if s > policy.reporting.step_shift})
+    return tuple(result)
+
+
+def find_option_issues(
+    problem: EstimationProblem,
+    tied: Mapping[str, Estimate],
+    per_experiment: Mapping[str, Mapping[str, Estimate]],
+    priors: Mapping[str, PriorCheck],
+    robust: RobustReport,
+    policy: EstimationPolicy,
+) -> tuple[Finding, ...]:
+    """Findings about what was asked of a fit: priors, parameters of each experiment, ties, a robust loss, excluded outputs."""
+    limits = policy.reporting
+    result = [
+        Finding(EstimationCode.PRIOR_CONFLICT, Severity.WARNING, name, {"deviations": abs(check.conflict)})
+        for name, check in priors.items()
+        if check.conflict is not None and abs(check.conflict) > limits.prior_conflict
+    ]
+    held = [name for name, check in priors.items() if check.variance_reduction < limits.prior_variance_reduction]
+    result += _list_parameters(EstimationCode.HELD_BY_PRIOR, held, Severity.NOTE)
+    for name, e in tied.items():
+        low, high = next(q.bounds for q in problem.model.stated_parameters if q.name == name)
+        if not low <= e.value <= high:
+            values = {"value": e.value, "unit": e.unit, "low": f"{low:g}", "high": f"{high:g}"}
+            result.append(Finding(EstimationCode.TIED_OUTSIDE_BOUNDS, Severity.WARNING, name, values))
+    result += _list_parameters(EstimationCode.MEAN_OF_EXPERIMENTS, list(per_experiment), Severity.NOTE)
+    if robust.name:
+        shares = {name: share for name, share in robust.outliers.items() if share > 0}
+        values = {"loss": robust.name, "shares": shares}
+        result.append(Finding(EstimationCode.ROBUST_LOSS_OUTLIERS, Severity.NOTE, "", values))
+        many = [name for name, share in robust.outliers.items() if share > limits.outlier_share]
+        if many:
+            result.append(Finding(EstimationCode.TOO_MANY_OUTLIERS, Severity.WARNING, "", {"outputs": many}))
+    return (*result, *find_excluded_outputs(problem))
+
+
+def find_excluded_outputs(problem: EstimationProblem) -> tuple[Finding, ...]:
+    """Outputs that read the same in every row and were left out."""
+    if not problem.constant_outputs:
+        return ()
+    values = {"outputs": list(problem.constant_outputs)}
+    return (Finding(EstimationCode.CONSTANT_OUTPUT_EXCLUDED, Severity.WARNING, "", values),)
+
+
+def find_validation_issues(
+    misfit: Mapping[str, Misfit], validation: Mapping[str, Misfit], policy: EstimationPolicy
+) -> tuple[Finding, ...]:
+    """Outputs whose error is clearly larger on records that were not fitted."""
+    return tuple(
+        Finding(EstimationCode.VALIDATION_ERROR_LARGER, Severity.WARNING, name, {"ratio": m.rmse / misfit[name].rmse})
+        for name, m in validation.items()
+        if name in misfit
+        and m.noise_ratio > policy.excess.noise_ratio
+        and m.rmse > policy.reporting.validation_ratio * misfit[name].rmse
+    )
+
+
+def add_record_findings(findings: Iterable[Finding], experiments: Sequence[Experiment]) -> tuple[Finding, ...]:
+    """``findings`` of a fit and those of its records: first what casts doubt on a measurement, then the rest."""
+    records = collect_record_findings(experiments)
+    faults = [finding for finding in records if is_sensor_fault(finding)]
+    return (*faults, *findings, *(finding for finding in records if not is_sensor_fault(finding)))
+
+
+def compute_lag_one_correlation(traces: Sequence[Trace], output: str) -> float:
+    """Correlation of one output's residual with the sample before, over all records."""
+    products, squares = 0.0, 0.0
+    for trace in traces:
+        if output in trace.measured:
+            r = trace.residual(output)
+            pair = np.isfinite(r[1:]) & np.isfinite(r[:-1])
+            products += float(r[1:][pair] @ r[:-1][pair])
+            squares += float(r[np.isfinite(r)] @ r[np.isfinite(r)])
+    return products / squares if squares > 0 else 0.0
+
+
+def find_driven_balances(model: Model, name: str) -> dict[str, tuple[str, str, float]]:
+    """States that the intensity ``name`` drives -> their balance, its unit, and storage times intensity, in that unit times sqrt(s)."""
+    system = model.system
+    p = list(model.values.values())
+    at = ca.Function("at", [system.x, system.u, system.p], [system.storages, system.diffusion])
+    x0 = system.start_function(p)[0]
+    storages, sizes = (np.asarray(v).ravel() for v in at(x0, np.zeros(system.u.numel()), p))
+    balances = {b.state: b for b in system.balances}
+    driven = {}
+    for k, state in enumerate(system.state_names):
+        if name in {s.name() for s in ca.symvar(system.diffusion[k])}:
+            balance = balances[state]
+            driven[state] = balance.name, balance.unit, float(abs(storages[k]) * sizes[k])
+    return driven
+
+
+def _list_parameters(code: str, names: Sequence[str], severity: Severity = Severity.WARNING) -> list[Finding]:
+    return [Finding(code, severity, "", {"parameters": list(names)})] if names else []
+
+
+def _find_other_plant(misfit: Mapping[str, Misfit], policy: EstimationPolicy) -> list[Finding]:
+    """Outputs of which the model follows little: then its constants mean nothing."""
+    limits = policy.reporting
+    lost = {
+        n: max(m.best_fit_percent, 0.0)
+        for n, m in misfit.items()
+        if m.best_fit_percent < limits.followed_percent and m.noise_ratio > limits.far_noise_ratio
+    }
+    return [Finding(EstimationCode.MODEL_DOES_NOT_FOLLOW, Severity.ERROR, "", {"best_fit": lost})] if lost else []
+
+
+def _find_undetermined_directions(covariance: ParameterCovariance) -> list[Finding]:
+    return [
+        Finding(EstimationCode.DIRECTION_UNDETERMINED, Severity.WARNING, "", {"direction": dict(direction)})
+        for direction in covariance.open_directions
+    ]
+
+
+def _find_excess_misfit(solution: Solution, misfit: Mapping[str, Misfit], policy: EstimationPolicy) -> list[Finding]:
+    """Misfit above the noise; what it means depends on how the noise is known."""
+    ratios = compute_noise_ratios(solution, misfit)
+    louder = {n: ratio for n, ratio in ratios.items() if ratio > policy.excess.noise_ratio}
+    if not louder:
+        return []
+    sources = solution.problem.noise.sources
+    uncertain = all(
+        sources.get(n) is NoiseSource.DIFFERENCES and ratio < policy.excess.difference_noise_ratio
+        for n, ratio in louder.items()
+    )
+    code = EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE if uncertain else EstimationCode.MISFIT_ABOVE_NOISE
+    return [Finding(code, Severity.WARNING, "", {"ratios": louder})]
+
+
+def _find_shifts(shifts: Sequence[ParameterShift], listed: int) -> list[Finding]:
+    if not shifts:
+        return []
+    values: list[dict[str, Any]] = [
+        {
+            "name": s.name,
+            "unit": s.unit,
+            "before": s.before,
+            "after": s.after,
+            "deviations": s.deviations,
+            "parts": list(s.parts),
+        }
+        for s in shifts[:listed]
+    ]
+    return [Finding(EstimationCode.PARAMETER_NOT_CONSTANT, Severity.WARNING, "", {"shifts": values})]
+
+
+def _find_step_shifts(shifts: Mapping[str, float]) -> list[Finding]:
+    if not shifts:
+        return []
+    return [Finding(EstimationCode.STEP_MOVES_PARAMETERS, Severity.WARNING, "", {"shifts": dict(shifts)})]
+
+
+def _find_moved_by_step(
+    variables: DecisionVector, covariance: ParameterCovariance, shift: np.ndarray, policy: EstimationPolicy
+) -> dict[str, float]:
+    """Parameters that half the step moves by too much of their standard deviation, and by how much of it."""
+    limits = policy.reporting
+    deviations = np.sqrt(np.diag(covariance.covariance))
+    known = np.isfinite(deviations) & np.isfinite(shift)
+    change = np.where(known, shift, 0.0) * np.where(known, deviations, 0.0)
+    moved = known & (shift > limits.step_shift) & (change > limits.last_digit * np.abs(variables.base))
+    return {variables.names[k]: float(shift[k]) for k in np.flatnonzero(moved)}
+
+
+def _judge_process_noise(
+    model: Model, problem: EstimationProblem, test: ProcessNoiseTest, estimate: Estimate
+) -> Finding:
+    """One intensity: where it acts, how sure it is, and what it means."""
+    driven = find_driven_balances(model, test.name)
+    values: dict[str, Any] = {
+        "states": list(driven),
+        "balances": list(dict.fromkeys(balance for balance, _, _ in driven.values())),
+        "unit": estimate.unit,
+        "upper_limit": None if test.limits is None else test.limits[1],
+    }
+    if test.value == 0:
+        return Finding(EstimationCode.PROCESS_NOISE_ZERO, Severity.NOTE, test.name, values)
+    if not test.significant:
+        values["p_value"] = test.p_value
+        return Finding(EstimationCode.PROCESS_NOISE_NOT_SIGNIFICANT, Severity.NOTE, test.name, values)
+    period = float(np.median(np.concatenate([r.h for r in problem.records])) * problem.records[0].every)
+    values |= {
+        "intensity": estimate.value,
+        "ratio": test.ratio,
+        "period": period,
+        "sizes": [{"size": size / float(np.sqrt(period)), "unit": unit} for _, unit, size in driven.values()],
+    }
+    return Finding(EstimationCode.PROCESS_NOISE_SIGNIFICANT, Severity.WARNING, test.name, values)

@@ -1,0 +1,384 @@
+"""The numbers that steer decisions of an estimation, each with its meaning, unit and reason.
+
+`EstimationPolicy` holds one policy for each decision; `greybox.estimation.FitOptions` carries it into a fit, and the result keeps it
+with the options. A decision number changes by ``replace``::
+
+    FitOptions(policy=EstimationPolicy(reporting=ReportingPolicy(prior_conflict=2.0)))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from scipy.special import chdtri
+
+
+@dataclass(frozen=True)
+class ConvergencePolicy:
+    """When a search by simulation error has converged, and how its last digits are found."""
+
+    negligible_decrease: float = 1e-4
+    """Predicted decrease of chi-square, in units of the residual variance, below which a search over the whole record has converged:
+    the parameters are within 1 % of their standard deviations."""
+
+    negligible_decrease_in_part: float = 1e-2
+    """The same over part of a record, which is only a way to a start: a tenth of a standard deviation will do."""
+
+    perfect_noise_ratio: float = 1e-7
+    """A predicted decrease of the misfit over noise below this is negligible too: data without noise end at rounding errors."""
+
+    patience: int = 12
+    """Iterations over which the gain is looked at. A cost with kinks (dry friction) never meets the rules above."""
+
+    little_gain: float = 1e-5
+    """A search ends as acceptable when it gained less than this share of its cost within its patience."""
+
+    polishing_steps: int = 3
+    """Gauss-Newton steps after the search, which ends where nothing is left to gain statistically: they give the parameters their
+    last digits."""
+
+    robust_polishing_steps: int = 30
+    """The same with a robust loss, where each step of reweighted least squares is nearer by about the same share."""
+
+    weak_prior: float = 0.25
+    """Precision of the prior on the logarithm of positive parameters while only part of the record is used: a factor e^2 is one
+    standard deviation."""
+
+    stiff_growth: int = 16
+    """Growth of the number of substeps that a fit which is not thorough follows: candidates that stray to stiff parameters would take
+    all the time."""
+
+
+@dataclass(frozen=True)
+class StepRefinementPolicy:
+    """How small the integration step has to be at the optimum."""
+
+    noise_share: float = 0.1
+    """Change of an output with half the step that is allowed, over its noise (or its misfit where that is even less)."""
+
+    misfit_share: float = 0.01
+    """The same over a misfit far above the noise."""
+
+    movement_share: float = 1e-7
+    """The same over the output's standard deviation: a record without any noise leaves nothing but the integrator's own error."""
+
+    few_steps: int = 2000
+    """Records of so few steps altogether cost nothing, and get the share below."""
+
+    noise_share_of_few: float = 1e-6
+    """Allowed change over noise and misfit of records of few steps. An error of a share s of the residual changes the cost by 2 s at
+    most, so the cost has its first six digits."""
+
+    halvings: int = 4
+    """Times the step is halved at most."""
+
+    checked_rows: int = 2000
+    """The change is looked at over the first quarter of every record, or so many rows: three more simulations of all of it cost too
+    much."""
+
+
+@dataclass(frozen=True)
+class ProgressiveHorizonPolicy:
+    """How much of a record is fitted first, and how much more next."""
+
+    time_constants: float = 2.0
+    """The first part holds so many of the slowest time constants: over them a start that is far off cannot run out of step."""
+
+    movement: float = 0.1
+    """It holds this share of an output's range as well, so that there is something to fit."""
+
+    least_rows: int = 60
+    """Rows of the first part at least."""
+
+    rows_per_unknown: int = 5
+    """Rows of the first part for each unknown at least."""
+
+    inspected_rows: int = 2000
+    """Rows of a record at which movement and sampling time are looked at."""
+
+    growth: tuple[float, ...] = (10.0, 4.0, 2.0, 1.4)
+    """The record grows by the first of these factors with which the model foretells the longer part."""
+
+    surprise: float = 3.0
+    """A longer part is foretold if the misfit grows at most so many times (of the noise at least)."""
+
+    foretold_share: float = 0.8
+    """It is foretold as well where the model still follows this share of the outputs' movement."""
+
+    almost_whole: float = 0.5
+    """From this share of the record on the next part is the whole."""
+
+    followed_share: float = 0.5
+    """A first part of whose movement less than this can be followed is too long for that start."""
+
+    shrink: float = 3.0
+    """It is shortened by this factor."""
+
+    least_shrink: float = 1.2
+    """A part less than so many times the shortest one is not shortened."""
+
+
+@dataclass(frozen=True)
+class JoiningPolicy:
+    """When a run of segments, arcs or collocation points counts as a free run."""
+
+    free_run_noise_share: float = 0.1
+    """A free run from the initial states is that of the segments if it differs by at most this share of the noise anywhere."""
+
+    cost_ratio: float = 1.1
+    """A free run follows the joined one if its cost is at most so many times as large ..."""
+
+    perfect_noise_ratio: float = 1e-3
+    """... or larger by this misfit over noise squared for each sample."""
+
+    most_unknowns: int = 1000
+    """Unknowns of a fit by arcs with coloured noise, robust loss or priors at most: its Hessian is dense."""
+
+    length_tolerance: float = 0.01
+    """Arcs longer than the longest record by at most this share are the whole record, and no mistake."""
+
+
+@dataclass(frozen=True)
+class RobustPolicy:
+    """How a fit with a robust loss finds the scale of its residual."""
+
+    settled_scale: float = 0.02
+    """The scale stands still when it changes by less than this share from fit to fit."""
+
+    rounds: int = 5
+    """Fits with a new scale at most."""
+
+    least_scale: float = 0.3
+    """Lower limit of the scale over an estimated noise, which outliers may have made so much too large; less is rounding."""
+
+
+@dataclass(frozen=True)
+class IntervalPolicy:
+    """How intervals allow for a coloured residual, and how the observed information is computed."""
+
+    least_samples: int = 50
+    """A residual of fewer samples shows no colour that could be told from chance: it counts as white."""
+
+    correlation_times: float = 5.0
+    """The kernel estimate of the scores' covariance looks so many correlation times back."""
+
+    record_share: float = 0.125
+    """It looks back over this share of a record at most."""
+
+    difference_share: float = 1e-2
+    """The gradient of a likelihood is differenced over this share of a standard deviation either way."""
+
+    longest_difference: float = 1e-2
+    """The same at most, in the scaled unknowns."""
+
+
+@dataclass(frozen=True)
+class ExcessPolicy:
+    """From which misfit over noise a residual is more than noise."""
+
+    noise_ratio: float = 1.3
+    """For noise that was measured or given: above the scatter of an estimated level."""
+
+    difference_noise_ratio: float = 10.0
+    """For noise told by differences of the records alone, which may be coloured and that much too small."""
+
+
+@dataclass(frozen=True)
+class ConstancyPolicy:
+    """When parameters that differ between parts of the data count as not constant."""
+
+    least_deviations: float = 3.0
+    """Standard deviations apart from which a shift counts."""
+
+    false_alarm_rate: float = 0.01
+    """Rate of false alarms over all comparisons of a fit."""
+
+    least_noise_ratio: float = 0.1
+    """A residual below this share of the noise is rounding or integration error, which is not random."""
+
+    residuals_per_unknown: int = 10
+    """Parts with fewer residuals for each unknown say nothing."""
+
+    motion_windows: int = 50
+    """Small and large motion are told apart in so many windows of a record ..."""
+
+    correlation_times: float = 5.0
+    """... over so many correlation times of the residual at least ..."""
+
+    motion_ratio: float = 1.5
+    """... if the upper quarter of the motion is so many times as large as the lower."""
+
+
+@dataclass(frozen=True)
+class LikelihoodSearchPolicy:
+    """When the search for the most likely parameters of a model with process noise has converged."""
+
+    negligible_decrease: float = 1e-6
+    """Predicted decrease of -2 log L below which a search has converged: a thousandth of a standard deviation, squared."""
+
+    last_digits: float = 1e-12
+    """The same for the scoring steps after it, so that the parameters have their digits."""
+
+    patience: int = 12
+    """Iterations over which the gain is looked at: a filter of a model with dry friction is not smooth everywhere."""
+
+    little_gain: float = 1e-2
+    """A search ends as acceptable when -2 log L fell by less than this within its patience."""
+
+    scoring_steps: int = 10
+    """Steps of Fisher scoring at most."""
+
+    halvings: int = 6
+    """Times each step is halved at most until it lowers the cost."""
+
+    least_noise: float = 1e-4
+    """The noise of an output is not followed below this share of what the records' differences say."""
+
+    greatest_noise: float = 25.0
+    """Nor above its start times the exponential of this."""
+
+
+@dataclass(frozen=True)
+class ProcessNoisePolicy:
+    """From which intensities of process noise a search starts, and when there is none."""
+
+    start_decades: float = 6.0
+    """Start values reach so many decades below the intensity that would explain every movement of a state by chance."""
+
+    start_spacing: float = 0.5
+    """Decades between two start values."""
+
+    floor: float = 1e-8
+    """An intensity below this share of the one that explains every movement counts as zero."""
+
+    negligible_decrease: float = 0.1
+    """Zero does as well where it costs less than this in -2 log L."""
+
+    limit_level: float = 0.1
+    """Two-sided level of the chi-square point of an upper limit: one-sided 95 %, as the ratio is zero in half of all cases without any
+    process noise."""
+
+    significance: float = 0.01
+    """Level at which an intensity counts as clearly above zero."""
+
+    limit_growth: float = 2.0
+    """Factor between two trials on the way to an upper limit."""
+
+    limit_steps: int = 40
+    """Trials at most."""
+
+    limit_tolerance: float = 0.02
+    """The limit is found to this share of the likelihood ratio."""
+
+    stated_noise_reach: float = 5.0
+    """An estimated noise level whose 95 % interval reaches further than a factor e to this is stated without interval."""
+
+    @property
+    def limit_ratio(self) -> float:
+        """Likelihood ratio at an upper limit."""
+        return float(chdtri(1, self.limit_level))
+
+
+@dataclass(frozen=True)
+class InitialStatePolicy:
+    """How first states are estimated where the parameters are known."""
+
+    first_rows: int = 50
+    """Rows from which they are estimated where the rest of the record is to be predicted or judged."""
+
+    smoother_prior: float = 1e4
+    """Variance of the first states' prior for a smoother, over what the record says of them: all but a ten-thousandth of the smoothed
+    variance is left to the record."""
+
+
+@dataclass(frozen=True)
+class ReportingPolicy:
+    """What is worth a finding."""
+
+    validation_ratio: float = 1.5
+    """Error on validation records over that on the fitted ones from which the difference wants an explanation."""
+
+    correlation: float = 0.3
+    """Sample-to-sample correlation of the residual."""
+
+    least_noise_ratio: float = 0.1
+    """Misfit over noise below which there is no residual to speak of."""
+
+    followed_percent: float = 50.0
+    """A model that follows less than this per cent of an output (best fit) ..."""
+
+    far_noise_ratio: float = 3.0
+    """... with a misfit so many times the noise describes another plant."""
+
+    listed_shifts: int = 3
+    """Parameters that are not constant are listed up to this number."""
+
+    step_shift: float = 0.1
+    """Share of a standard deviation that half the integration step may shift a parameter."""
+
+    last_digit: float = 1e-6
+    """Nobody asks for more digits of a parameter than this share of its value."""
+
+    integration_error: float = 0.1
+    """Integration error over the noise ..."""
+
+    integration_share: float = 0.01
+    """... and over the misfit."""
+
+    prior_conflict: float = 2.6
+    """Standard deviations by which a prior and the data disagree: one in a hundred where both are right."""
+
+    prior_variance_reduction: float = 0.2
+    """Share of the prior's variance that the data took away; below it the prior holds the parameter."""
+
+    outlier_share: float = 0.2
+    """Share of a sensor's samples that may be outliers; more are no outliers."""
+
+
+@dataclass(frozen=True)
+class MultistartPolicy:
+    """Which ends of several starts are the same optimum."""
+
+    same_cost: float = 0.01
+    """Difference of two costs over the smaller one."""
+
+    same_noise_ratio: float = 1e-3
+    """Or difference of two misfits over noise."""
+
+
+@dataclass(frozen=True)
+class EstimationPolicy:
+    """All decision numbers of an estimation; see the class of each field."""
+
+    convergence: ConvergencePolicy = field(default_factory=ConvergencePolicy)
+    step_refinement: StepRefinementPolicy = field(default_factory=StepRefinementPolicy)
+    progressive_horizon: ProgressiveHorizonPolicy = field(default_factory=ProgressiveHorizonPolicy)
+    joining: JoiningPolicy = field(default_factory=JoiningPolicy)
+    robust: RobustPolicy = field(default_factory=RobustPolicy)
+    intervals: IntervalPolicy = field(default_factory=IntervalPolicy)
+    excess: ExcessPolicy = field(default_factory=ExcessPolicy)
+    constancy: ConstancyPolicy = field(default_factory=ConstancyPolicy)
+    likelihood_search: LikelihoodSearchPolicy = field(default_factory=LikelihoodSearchPolicy)
+    process_noise: ProcessNoisePolicy = field(default_factory=ProcessNoisePolicy)
+    initial_state: InitialStatePolicy = field(default_factory=InitialStatePolicy)
+    reporting: ReportingPolicy = field(default_factory=ReportingPolicy)
+    multistart: MultistartPolicy = field(default_factory=MultistartPolicy)
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Mapping[str, Any]]) -> EstimationPolicy:
+        """The policy that a result has stored; what an older result lacks is the default."""
+        restored = {}
+        for group in fields(cls):
+            kind = group.default_factory
+            known = {f.name for f in fields(kind)}  # type: ignore[arg-type]
+            values = {
+                n: tuple(v) if isinstance(v, list) else v for n, v in data.get(group.name, {}).items() if n in known
+            }
+            restored[group.name] = kind(**values)  # type: ignore[operator]
+        return cls(**restored)
+
+
+DEFAULT_POLICY = EstimationPolicy()
+"""What every estimation uses unless it is given another policy."""

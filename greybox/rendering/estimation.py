@@ -1,0 +1,334 @@
+"""Sentences about fits: how a search ended, what the parameters and the residual say, what was asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from greybox.estimation.findings import EstimationCode
+from greybox.findings import Finding
+from greybox.rendering.registry import register, renders, sentences
+from greybox.rendering.tables import format_shares
+from greybox.units import format_unit
+
+if TYPE_CHECKING:
+    from greybox.estimation import MultiStartResult, SmoothedStates
+    from greybox.result import SolverReport
+
+LONGEST_FORMULA = 80  # characters that are worth showing
+
+STATUS = {
+    "converged": "converged",
+    "kink": "converged at a kink of the cost (dry friction has kinks): no small step in any direction lowers the cost",
+    "acceptable": "converged to a looser tolerance: the last digits may move",
+    "iteration_limit": "stopped at the iteration limit before it converged",
+    "interrupted": "interrupted: this is the best point so far",
+    "stuck": "no further progress: the search ended without meeting the convergence test",
+    "no_start": "the model cannot be simulated from the start values",
+    "failed": "the solver failed",
+}
+CAUSES = {
+    "no_start": (
+        "start values far from physical ones",
+        "an unstable model over a long record",
+        "a missing bound (for example a level below zero)",
+    ),
+    "iteration_limit": (
+        "parameters that the data do not determine: fix one",
+        "start values far off: give others with start",
+        "too few iterations",
+    ),
+    "stuck": (
+        "parameters that the data do not determine: fix one",
+        "an effect that is not smooth in its parameters",
+        "bounds that exclude the optimum",
+    ),
+    "failed": (
+        "start values far from physical ones",
+        "an unstable model over a long record",
+        "bounds that exclude the optimum",
+    ),
+}
+PARTS = {
+    "first_half": "the first half of the record",
+    "second_half": "the second half of the record",
+    "small_motion": "small motion",
+    "large_motion": "large motion",
+}
+
+
+@renders("SolverReport")
+def write_status(report: SolverReport) -> str:
+    """How a search ended, with its likely causes if it failed, and what its residual says."""
+    text = STATUS.get(report.status, report.status)
+    if report.status in CAUSES:
+        causes = "; ".join(f"({k + 1}) {cause}" for k, cause in enumerate(CAUSES[report.status]))
+        text += f". Likely causes, most likely first: {causes}"
+    for finding, words in zip(report.details, sentences(report.details), strict=True):
+        ratio = finding.code in (EstimationCode.MISFIT_RATIO, EstimationCode.PREDICTION_RATIO)
+        text += f"; {words}" if ratio else f". {words}"
+    return text
+
+
+def write_direction(direction: dict[str, float]) -> str:
+    """An undetermined direction: ``Kf, La, Ra can change together ...``."""
+    names = list(direction)
+    if len(names) == 1:
+        return f"{names[0]} has no influence on the measured outputs"
+    return f"{', '.join(names)} can change together without changing the outputs: fix one of them, or measure another output"
+
+
+def _write_misfit_ratio(finding: Finding) -> str:
+    outliers = ", outliers excluded" if finding.values["without_outliers"] else ""
+    return f"misfit {finding.values['ratio']:.3g} times the noise in {finding.subject}{outliers}"
+
+
+def _write_term_not_finite(finding: Finding) -> str:
+    v = finding.values
+    if v["kind"] == "start":
+        what = f"the initial value of state {v['name']!r} is {v['value']}"
+    else:
+        named = {
+            "term": f"in balance {v['balance']!r} the term {v['name']!r}",
+            "storage": f"in balance {v['balance']!r} one over the storage",
+            "output": f"the output {v['name']!r}",
+        }[v["kind"]]
+        formula = f" ({v['formula']})" if len(v["formula"]) <= LONGEST_FORMULA else ""
+        what = f"{named}{formula} is {v['value']} {v['unit']}".rstrip()
+    return f"{_write_place(finding)}: {what}, at {_write_point(finding)}"
+
+
+def _write_place(finding: Finding) -> str:
+    v = finding.values
+    return f"The simulation of experiment {v['experiment']} fails at t = {v['time']:.6g} s (row {v['row']})"
+
+
+def _write_point(finding: Finding) -> str:
+    return ", ".join(f"{q['name']} = {q['value']} {q['unit']}".rstrip() for q in finding.values["point"])
+
+
+def _write_other_plant(finding: Finding) -> str:
+    listed = ", ".join(f"{percent:.2g} % of {name}" for name, percent in finding.values["best_fit"].items())
+    return (
+        f"the model follows only {listed} (best fit; 100 % is a perfect fit): do not use these parameters. Check the units and signs"
+        " of the columns, the fixed parameters, and whether this is the right model"
+    )
+
+
+def _write_part(label: str) -> str:
+    kind, _, subject = label.partition(":")
+    if kind == "experiment":
+        return f"experiment {subject}"
+    return PARTS[kind].replace("half of the record", "half of the record" if subject == "1" else "half of each record")
+
+
+def _write_shifts(finding: Finding) -> str:
+    shifts = "; ".join(
+        f"{s['name']} goes from {s['before']:.4g} to {s['after']:.4g} {s['unit']} between {_write_part(s['parts'][0])} and"
+        f" {_write_part(s['parts'][1])}, {s['deviations']:.2g} standard deviations of the noise"
+        for s in finding.values["shifts"]
+    )
+    return f"not constant: {shifts}; it makes up for an effect that the model lacks, or the plant changes"
+
+
+def _write_residual_correlated(finding: Finding) -> str:
+    v = finding.values
+    return (
+        f"the residual of {', '.join(v['outputs'])} is correlated from sample to sample: the intervals allow for it and are up to"
+        f" {v['inflation']:.2g} times as wide as for white noise"
+    )
+
+
+def _write_step_shifts(finding: Finding) -> str:
+    shifts = ", ".join(f"{name} by {shift:.2g}" for name, shift in finding.values["shifts"].items())
+    return (
+        "with half the integration step the parameters change by more than a tenth of their standard deviation"
+        f" ({shifts} standard deviations): increase the number of substeps"
+    )
+
+
+def _write_held_by_prior(finding: Finding) -> str:
+    names = finding.values["parameters"]
+    return f"held by {'its prior' if len(names) == 1 else 'their priors'}: {', '.join(names)}; the data add little or nothing"
+
+
+def _write_tied_outside(finding: Finding) -> str:
+    v, unit = finding.values, format_unit(finding.values["unit"])
+    return f"{finding.subject}, which is tied, ends outside its bounds: {v['value']:.5g} {unit}, bounds [{v['low']}, {v['high']}] {unit}"
+
+
+def _write_outliers(finding: Finding) -> str:
+    shares = finding.values["shares"]
+    counted = f"{format_shares(shares)} count as outliers" if shares else "no sample counts as an outlier"
+    return f"robust loss ({finding.values['loss']}): {counted}"
+
+
+def _write_excluded(finding: Finding) -> str:
+    names = finding.values["outputs"]
+    reads, noise = ("reads", "its noise") if len(names) == 1 else ("read", "their noise")
+    return (
+        f"left out: {', '.join(names)}, which {reads} the same in every row and may be dead; {noise} cannot be estimated, and the"
+        " sensor counts only if its noise is given"
+    )
+
+
+def _write_process_noise(finding: Finding) -> str:
+    v = finding.values
+    unit = format_unit(v["unit"])
+    balances = " and ".join(f"the balance {b!r}" for b in v["balances"])
+    where = f"process noise on {', '.join(v['states'])}"
+    upper = "" if v["upper_limit"] is None else f"; below {v['upper_limit']:.3g} {unit} at 95 %"
+    if finding.code == EstimationCode.PROCESS_NOISE_ZERO:
+        return f"{where} ({finding.subject}): none; these records show nothing missing in {balances}{upper}"
+    if finding.code == EstimationCode.PROCESS_NOISE_NOT_SIGNIFICANT:
+        return (
+            f"{where} ({finding.subject}): not significant (p = {v['p_value']:.2g}); these records show nothing missing in"
+            f" {balances} for certain{upper}"
+        )
+    sizes = " and ".join(
+        f"{s['size']:.3g} {format_unit(s['unit'])} averaged over a sample of {v['period']:.3g} s" for s in v["sizes"]
+    )
+    return (
+        f"{where} ({finding.subject} = {v['intensity']:.3g} {unit}) is clearly above zero (likelihood ratio {v['ratio']:.3g}):"
+        f" {balances} lacks something, or a random disturbance acts there, as large as {sizes}"
+    )
+
+
+def _write_starts(finding: Finding) -> str:
+    """``18 of 20 starts ended at the best optimum (misfit 1.00 x noise), 2 at a worse one (3.4 x)``."""
+    counts, ratios, nowhere = finding.values["counts"], finding.values["ratios"], finding.values["without_result"]
+    total = sum(counts) + nowhere
+    parts = [f"{counts[0]} of {total} starts ended at the best optimum (misfit {ratios[0]:.3g} x noise)"]
+    parts += [f"{n} at a worse one ({ratio:.3g} x)" for n, ratio in zip(counts[1:4], ratios[1:4], strict=True)]
+    if len(counts) > 4:
+        parts.append(f"{sum(counts[4:])} at still worse ones (from {ratios[4]:.3g} x)")
+    return ", ".join([*parts, f"{nowhere} without a result"] if nowhere else parts)
+
+
+def _write_strategy(finding: Finding) -> str:
+    """What was searched, how it was completed, and why it was chosen."""
+    v = finding.values
+    text = _write_transcription(finding.subject, v)
+    text += {
+        "free_run": "; then by a free run from there, as the noise or the cost requires",
+        "white_noise": (
+            "; the noise is taken as white, since a free run does not follow this plant; the intervals allow for its colour"
+        ),
+    }.get(v.get("completion", ""), "")
+    if "reason" not in v:
+        return text
+    return f"{text}; chosen because {v['reason']}" if v["reason"] else f"{text}, as requested"
+
+
+def _write_transcription(name: str, v: Mapping[str, Any]) -> str:
+    if name == "single":
+        parts = ", ".join(f"{100 * share:.3g} %" for share in (*(s for s in v["shares"] if s < 1), 1.0))
+        growing = any(share < 1 for share in v["shares"])
+        return f"single shooting on a growing record ({parts})" if growing else "single shooting on the whole record"
+    if name == "multiple":
+        segments = "one segment" if v["segments"] == 1 else f"{v['segments']} segments"
+        return f"multiple shooting over {segments}"
+    if name == "arcs":
+        if v["whole"]:
+            return f"arcs of {v['arc_length']:g} s, which leave every record whole (less than half an arc is left)"
+        return f"{v['arcs']} arcs of {v['arc_length']:g} s, each with its own initial state"
+    if name == "prediction":
+        kind = "exact" if v["exact"] else "extended"
+        return f"prediction error through the {kind} Kalman filter, started at the free-run fit or the start values"
+    held = f"; {v['held_samples']} samples lie at a bound of a state" if v["held_samples"] else ""
+    return f"direct collocation{held}"
+
+
+register(
+    {
+        EstimationCode.MISFIT_RATIO: _write_misfit_ratio,
+        EstimationCode.PREDICTION_RATIO: (
+            "error {one_step:.3g} times the noise in {subject} one step ahead, {free_run:.3g} times in a free run"
+        ),
+        EstimationCode.FILTER_NOT_FINITE: "The filter of experiment {experiment} is no longer finite",
+        EstimationCode.TERM_NOT_FINITE: _write_term_not_finite,
+        EstimationCode.STATES_DIVERGE: lambda f: (
+            f"{_write_place(f)}: every term is finite there, but the states diverge; {f.subject!r} is largest, at {_write_point(f)}"
+        ),
+        EstimationCode.SENSITIVITY_NOT_FINITE: (
+            "The simulation of experiment {experiment} succeeds, but its sensitivity to the parameters is not finite: a term has an"
+            " infinite slope, as sqrt has at 0; give the state behind it a bound, or write the term without it"
+        ),
+        EstimationCode.SEARCH_STRATEGY: _write_strategy,
+        EstimationCode.MODEL_DOES_NOT_FOLLOW: _write_other_plant,
+        EstimationCode.DIRECTION_UNDETERMINED: lambda f: (
+            f"not determined by these data: {write_direction(f.values['direction'])}"
+        ),
+        EstimationCode.STOPPED_BY_BOUND: lambda f: (
+            f"stopped by a bound: {', '.join(f.values['parameters'])}; widen the bound, or the model needs another effect there"
+        ),
+        EstimationCode.PARAMETER_UNDETERMINED: lambda f: (
+            f"not determined (the 95 % interval exceeds half the value): {', '.join(f.values['parameters'])}"
+        ),
+        EstimationCode.MISFIT_ABOVE_NOISE: (
+            "the misfit exceeds the noise: the model lacks something, and the parameters may make up for it"
+        ),
+        EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE: (
+            "the misfit exceeds the noise estimated from differences of the records: the model lacks something, or the noise is"
+            " coloured (a quiet record shows which)"
+        ),
+        EstimationCode.PARAMETER_NOT_CONSTANT: _write_shifts,
+        EstimationCode.RESIDUAL_CORRELATED: _write_residual_correlated,
+        EstimationCode.INNOVATIONS_CORRELATED: (
+            "the innovations are correlated from sample to sample: the model or its noise still lacks something; the intervals allow"
+            " for it and are up to {inflation:.2g} times as wide as for white innovations"
+        ),
+        EstimationCode.INTEGRATION_TOO_COARSE: lambda f: (
+            f"integration error above a tenth of the noise in {', '.join(f.values['outputs'])}: increase the number of substeps"
+        ),
+        EstimationCode.STEP_MOVES_PARAMETERS: _write_step_shifts,
+        EstimationCode.VALIDATION_ERROR_LARGER: (
+            "the error in {subject} is {ratio:.1f} times that on the fitted records: a free run accumulates small errors of force and"
+            " offset, most of all if the plant integrates, and parameters differ from day to day; validate on shorter records as well"
+        ),
+        EstimationCode.PRIOR_CONFLICT: (
+            "the prior of {subject} and the data disagree by {deviations:.2g} standard deviations: one of them, or the model, is wrong"
+        ),
+        EstimationCode.HELD_BY_PRIOR: _write_held_by_prior,
+        EstimationCode.TIED_OUTSIDE_BOUNDS: _write_tied_outside,
+        EstimationCode.MEAN_OF_EXPERIMENTS: lambda f: (
+            f"each experiment has a value of its own for {', '.join(f.values['parameters'])}: the fitted model holds the mean, which"
+            " a validation uses"
+        ),
+        EstimationCode.ROBUST_LOSS_OUTLIERS: _write_outliers,
+        EstimationCode.TOO_MANY_OUTLIERS: lambda f: (
+            f"too many samples of {', '.join(f.values['outputs'])} count as outliers: the model lacks something, or the noise is larger"
+        ),
+        EstimationCode.CONSTANT_OUTPUT_EXCLUDED: _write_excluded,
+        EstimationCode.PROCESS_NOISE_ZERO: _write_process_noise,
+        EstimationCode.PROCESS_NOISE_NOT_SIGNIFICANT: _write_process_noise,
+        EstimationCode.PROCESS_NOISE_SIGNIFICANT: _write_process_noise,
+        EstimationCode.NOISE_COLOUR_IGNORED: (
+            "the noise is known to be coloured; a fit with process noise takes it as white"
+        ),
+        EstimationCode.STARTS: _write_starts,
+    }
+)
+
+
+@renders("MultiStartResult")
+def write_multistart(result: MultiStartResult) -> str:
+    """Where the starts ended, then the best fit."""
+    return f"{result.summary}\n{result.best}"
+
+
+@renders("SmoothedStates")
+def write_smoothed_states(states: SmoothedStates) -> str:
+    """Range and standard deviation of each state, mean and standard deviation of each innovation."""
+    lines = [f"{states.experiment}: {len(states.time)} rows smoothed, {states.discretisation}"]
+    for name, mean in states.mean.items():
+        size = np.sqrt(np.mean(states.std[name] ** 2))
+        unit = format_unit(states.units[name])
+        lines.append(f"  {name}: {mean.min():.4g} to {mean.max():.4g} {unit}, standard deviation {size:.2g} {unit}")
+    for name, e in states.innovations.items():
+        lines.append(
+            f"  innovation of {name}: mean {np.nanmean(e):.2g}, standard deviation {np.nanstd(e):.3g} (1 is correct)"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,110 @@
+"""A fit in plain text: what a person reads first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from greybox.rendering.registry import renders, sentences
+from greybox.rendering.tables import format_number, format_table, format_with_std, make_formatter
+from greybox.units import format_unit
+
+if TYPE_CHECKING:
+    from greybox.result import Estimate, Fit, Misfit
+
+MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
+
+
+@renders("Fit")
+def write_fit(fit: Fit) -> str:
+    """Status beside misfit over noise, the parameters with intervals, the misfit by output, and what to know before trusting them."""
+    lines = [f"{fit.model.title}: {fit.solver}", ""]
+    lines += format_table(["constant", "value", "95 % interval", "unit", ""], to_constant_rows(fit))
+    if fit.constraints.priors:
+        lines += ["", *_write_priors(fit)]
+    lines += ["", *_write_misfits("misfit (free run)", fit.misfit)]
+    if fit.prediction.one_step:
+        lines += ["", *_write_misfits("prediction (1 step ahead)", fit.prediction.one_step)]
+    if fit.validation:
+        lines += ["", *_write_misfits("on validation records (free run)", fit.validation.misfit)]
+    intervals = _write_interval_kind(fit)
+    if intervals:
+        lines += ["", f"intervals: {intervals}"]
+    lines += ["", f"noise: {fit.noise.source}", f"discretisation: {fit.discretisation.label}{_write_step_error(fit)}"]
+    if fit.solver.strategy is not None:
+        lines.append(f"search: {fit.solver.strategy}")
+    lines += [f"note: {note}" for note in sentences(fit.findings)]
+    return "\n".join(lines)
+
+
+def _write_interval_kind(fit: Fit) -> str:
+    sandwich = fit.uncertainty.kind == "sandwich"
+    if fit.prediction.process_noise and not sandwich:
+        return "information of the likelihood, the innovations are white"
+    if sandwich and fit.uncertainty.inflation:
+        widest = max(fit.uncertainty.inflation.values(), default=1.0)
+        return f"they allow for the residual's colour, widened up to {widest:.3g} times"
+    if any(e.std is not None for e in fit.parameters.values()):
+        return "Gauss-Newton covariance, the residual is white"
+    return ""
+
+
+def _write_step_error(fit: Fit) -> str:
+    """What is left of the integrator's error; nothing where the discretisation is exact."""
+    error = max((e for e in fit.discretisation.error.values() if math.isfinite(e)), default=0.0)
+    shift = max((s for s in fit.discretisation.shift.values() if math.isfinite(s)), default=0.0)
+    if not error and not shift:
+        return ""
+    return f"; error {error:.2g} x noise, half the step changes no constant by more than {shift:.2g} std"
+
+
+def to_constant_rows(fit: Fit) -> list[list[str]]:
+    """Rows of the table of parameters: each one, its values in experiments that have their own, then those that are tied."""
+    rows = []
+    for name, e in fit.parameters.items():
+        rows.append(to_constant_cells(name, e))
+        if name in fit.constraints.per_experiment:
+            rows[-1][-1] = "mean"
+            each = fit.constraints.per_experiment[name].items()
+            rows += [to_constant_cells(f"{name} ({title})", estimate) for title, estimate in each]
+    for name, e in fit.constraints.tied.items():
+        rows.append(to_constant_cells(name, e))
+        rows[-1][-1] = f"= {fit.constraints.ties[name]}"
+    return rows
+
+
+def to_constant_cells(name: str, e: Estimate) -> list[str]:
+    """Name, value, interval, unit and remark of one parameter, as tables show them."""
+    if e.fixed:
+        return [name, format_number(e.value, 7), "", format_unit(e.unit), "fixed"]
+    remark = "at its bound" if e.at_bound else ""
+    if e.std is None or e.interval is None:
+        limits = "" if e.interval is None else f"[{format_number(e.interval[0], 3)}, {format_number(e.interval[1], 3)}]"
+        return [name, format_number(e.value), limits, format_unit(e.unit), remark or "not determined by these data"]
+    if not remark and not e.determined:
+        remark = "not determined: interval over 50 %"
+    low, high = map(make_formatter(e.value, e.std), e.interval)
+    return [name, format_with_std(e.value, e.std), f"[{low}, {high}]", format_unit(e.unit), remark]
+
+
+def to_misfit_cells(m: Misfit) -> list[str]:
+    """rmse, best fit and rmse over noise, as tables show them."""
+    return [
+        f"{format_number(m.rmse, 4)} {format_unit(m.unit)}".rstrip(),
+        f"{m.best_fit_percent:.2f} %",
+        f"{format_number(m.noise_ratio, 4)} x noise",
+    ]
+
+
+def _write_priors(fit: Fit) -> list[str]:
+    rows = []
+    for name, c in fit.constraints.priors.items():
+        conflict = "" if c.conflict is None else f"{format_number(abs(c.conflict), 2)} std"
+        reduction = f"{100 * c.variance_reduction:.3g} %"
+        rows.append([name, format_with_std(c.mean, c.std), f"{format_number(c.shift, 2)} std", reduction, conflict])
+    return format_table(["prior", "known before", "moved by", "told by the data", "disagreement"], rows)
+
+
+def _write_misfits(title: str, misfit: Mapping[str, Misfit]) -> list[str]:
+    return format_table([title, *MISFIT_HEADS], [[name, *to_misfit_cells(m)] for name, m in misfit.items()])
