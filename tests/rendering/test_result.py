@@ -9,7 +9,8 @@ import pytest
 
 from greybox import Experiment, FitOptions, fit
 from greybox.rendering.tables import format_with_std, make_formatter
-from greybox.simulation import multisine, simulate
+from greybox.signals import multisine
+from greybox.simulation import simulate
 from models.silverbox import silverbox
 
 
