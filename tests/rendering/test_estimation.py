@@ -129,7 +129,8 @@ GOLDEN = [
     ),
     (
         "residual_correlated", "", {"outputs": ["x"], "inflation": 3.0},
-        "the residual of x is correlated from sample to sample: the intervals allow for it and are up to 3 times as wide as for white noise",
+        "the residual of x is correlated from sample to sample: the intervals allow for it and are up to 3 times as wide as for white"
+        " noise",
     ),
     (
         "innovations_correlated", "", {"inflation": 3.0},
