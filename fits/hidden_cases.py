@@ -1,9 +1,9 @@
 """Cases with a hidden effect: a rig drawn at random, its records from the twin, and what a user would say about it.
 
-A case is the plain rig plus nothing, one or two effects of the catalogue, an effect that the catalogue does not have, or a
-relative of one whose form differs. How strong an effect is comes from how far it moves the outputs: between a few and two
-hundred times the noise, before any constant has adapted. What is left of that after the plain model has been refitted is
-another matter (a spring swallows nearly all of a slow creep), so some effects cannot be seen; a study has to say which.
+A case is the plain rig plus nothing, one or two effects of the catalogue, an effect that the catalogue does not have, a relative of one
+whose form differs, or something that no entry of the catalogue comes near. How strong an effect is comes from how far it moves the
+outputs: between a few and two hundred times the noise, before any constant has adapted. What is left of that after the plain model has
+been refitted is another matter (a spring swallows nearly all of a slow creep), so some effects cannot be seen; a study has to say which.
 """
 
 from __future__ import annotations
@@ -92,6 +92,21 @@ OUTSIDE = {
     "micro_actuator": ("cogging", "end_stop", "mains_hum"),
     "pneumatic_cylinder": ("cogging", "end_stop", "spool_play"),
 }
+# Effects that no entry of the catalogue comes near; see `fits.rig_twins`.
+_FOREIGN = (
+    "power_damping",
+    "resting_friction",
+    "random_disturbance",
+    "magnet",
+    "ishlinskii_spring",
+    "thermal_drive",
+    "second_clock",
+    "sensor_on_change",
+    "coarse_drive",
+    "gain_by_sign",
+    "gain_ripple",
+)
+FOREIGN = {"micro_actuator": _FOREIGN, "pneumatic_cylinder": _FOREIGN}
 # A relative, and the names that are right for it.
 FAMILY: Mapping[str, tuple[str, ...]] = {
     "creep_spectrum": ("viscoelastic_creep", "creep_three_branches"),
@@ -112,7 +127,7 @@ RELATIVES = {
         "creeping_friction",
     ),
 }
-KINDS = ("single", "pair", "complete", "outside", "relative")
+KINDS = ("single", "pair", "complete", "outside", "relative", "foreign")
 
 
 @dataclass(frozen=True)
@@ -207,7 +222,7 @@ def _drawn(rig: str, kind: str, rng: np.random.Generator) -> tuple[str, ...]:
         return ()
     if kind == "pair":
         return tuple(PAIRS[rig][rng.integers(len(PAIRS[rig]))])
-    among = {"single": SINGLES, "outside": OUTSIDE, "relative": RELATIVES}[kind][rig]
+    among = {"single": SINGLES, "outside": OUTSIDE, "relative": RELATIVES, "foreign": FOREIGN}[kind][rig]
     return (among[rng.integers(len(among))],)
 
 
@@ -291,6 +306,21 @@ def _shape(rig: str, name: str, span: Mapping[str, float], rng: np.random.Genera
         "cubic_damping": {"B3": force / v**3},
         "soft_saturation": {"u_max": 3 * u},
         "soft_dead_zone": {"d": 0.3 * u},
+        "power_damping": {"c": force / v**0.6},
+        "resting_friction": {"Fc": 0.3 * force, "dF": 0.7 * force, "tau": log(0.05, 2.0), "slip": 0.05 * x},
+        "random_disturbance": {
+            "F": force,
+            "f": log(2, 60) if micro else log(0.1, 2),
+            "seed": float(rng.integers(10**6)),
+        },
+        "magnet": {"F": force, "x0": rng.uniform(-0.6, 0.6) * x, "w": rng.uniform(0.1, 0.4) * x},
+        "ishlinskii_spring": {"k": force / x, "width": rng.uniform(0.2, 0.8) * x},
+        "thermal_drive": {"F": force, "per_speed": 2 / v, "tau": log(0.1, 2) if micro else log(1, 20)},
+        "second_clock": {"rate": 0.01},
+        "sensor_on_change": {"d": 0.1 * x},
+        "coarse_drive": {"q": 0.3 * u},
+        "gain_by_sign": {"g": 0.5},
+        "gain_ripple": {"m": 0.5, "f": log(20, 300) if micro else log(0.3, 5)},
     }
     return {key: float(value) for key, value in draw[name].items()}
 
@@ -304,6 +334,7 @@ STRENGTH: Mapping[str, tuple[str, ...]] = {
     "end_stop": ("kc",),
     "choked_flow": (),
     "position_dependent_volume": ("scale",),
+    "resting_friction": ("Fc", "dF"),
 }
 INVERSE = ("eddy_current", "soft_saturation")
 

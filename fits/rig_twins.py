@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import copysign, exp, pi, sin, sqrt, tanh
 
+import numpy as np
+
 BISECTIONS = 60
 # States that an effect brings along, and what they are at rest.
 STATES = {
@@ -24,10 +26,14 @@ STATES = {
     "valve_lag": ["spool"],
     "sensor_lag": ["shown"],
     "creep_spectrum": ["crept1", "crept2", "crept3"],
+    "resting_friction": ["rest"],
+    "random_disturbance": ["w1", "w2"],
+    "thermal_drive": ["warmth"],
 }
-DRY = {"coulomb_friction", "stribeck_friction", "asymmetric_friction"}
+DRY = {"coulomb_friction", "stribeck_friction", "asymmetric_friction", "resting_friction"}
 # Relaxation times of a creep with a spectrum, in units of the middle one; each branch has a third of the stiffness.
 SPECTRUM = (0.2, 1.0, 5.0)
+PLAYS = 4  # elements of a rate-independent hysteresis, each with another width
 
 
 def clip(value, low, high):
@@ -48,6 +54,10 @@ class Rig:
         self.at = {name: k for k, name in enumerate(self.names)}
         self.held = None  # play: where the sensor stands
         self.spool = 0.0  # play of the spool: what reaches the valve
+        self.plays = [0.0] * PLAYS  # one position for each element of a Prandtl-Ishlinskii operator
+        self.rested = 0.0  # how far friction has grown when the body last came to rest, 0 to 1
+        self.sent = 0.0  # what a sensor that sends on change last sent
+        self.disturbance = np.random.default_rng(0)
         self.sticks = bool(set(effects) & DRY)
         self.now = 0.0
 
@@ -57,6 +67,10 @@ class Rig:
         late = round(self.e.get("transport_delay", {"delay": 0.0})["delay"] / h)
         x = [*self.start_values(), *([0.0] * (len(self.names) - len(self.own)))]
         self.held = x[0]
+        if "random_disturbance" in self.e:  # another one for each record
+            self.disturbance = np.random.default_rng(
+                [int(self.e["random_disturbance"]["seed"]), round(1e9 * sum(map(abs, u)))]
+            )
         rows = []
         for n in range(len(u) * fine):
             now = n - late
@@ -68,7 +82,18 @@ class Rig:
             if "backlash" in self.e:
                 gap = self.e["backlash"]["gap"]
                 self.held = clip(self.held, x[0] - gap, x[0] + gap)
+            self.remember(x, h)
         return rows
+
+    def remember(self, x, h):
+        """After a step: what has a memory that is no state of a differential equation."""
+        if "ishlinskii_spring" in self.e:
+            width = self.e["ishlinskii_spring"]["width"]
+            for k in range(PLAYS):
+                half = width * (k + 1) / PLAYS
+                self.plays[k] = clip(self.plays[k], x[0] - half, x[0] + half)
+        if "random_disturbance" in self.e:  # white noise held for a step drives a filter of second order
+            x[self.at["w2"]] += self.e["random_disturbance"]["F"] * sqrt(h) * float(self.disturbance.normal())
 
     def acting(self, u):
         """What the signal path makes of the input."""
@@ -87,6 +112,14 @@ class Rig:
         if "spool_play" in self.e:
             h = self.e["spool_play"]["h"]
             u = self.spool = clip(self.spool, u - h, u + h)
+        if "gain_by_sign" in self.e and u < 0:
+            u *= 1 - self.e["gain_by_sign"]["g"]
+        if "coarse_drive" in self.e:
+            q = self.e["coarse_drive"]["q"]
+            u = q * round(u / q)
+        if "gain_ripple" in self.e:
+            f = self.e["gain_ripple"]
+            u *= 1 + f["m"] * sin(2 * pi * f["f"] * self.now)
         return u
 
     def shown(self, t, x):
@@ -97,6 +130,12 @@ class Rig:
             return x[self.at["shown"]]
         if "backlash" in self.e:
             return self.held
+        if "sensor_on_change" in self.e:
+            if abs(x[0] - self.sent) > self.e["sensor_on_change"]["d"]:
+                self.sent = x[0]
+            return self.sent
+        if "second_clock" in self.e:  # to first order the position a growing time ago
+            return x[0] - self.e["second_clock"]["rate"] * t * x[1]
         return x[0]
 
     def levels(self, v, direction):
@@ -106,6 +145,9 @@ class Rig:
         if "stribeck_friction" in self.e:
             f = self.e["stribeck_friction"]
             return f["Fc"] + (f["Fs"] - f["Fc"]) * exp(-((v / f["vs"]) ** 2)), f["Fs"]
+        if "resting_friction" in self.e:  # what it holds grows with the time of rest
+            f = self.e["resting_friction"]
+            return f["Fc"], f["Fc"] + f["dF"] * self.rested
         level = self.e["asymmetric_friction"]["Fp" if direction > 0 else "Fm"]
         return level, level
 
@@ -160,6 +202,27 @@ class Rig:
             total -= e["cubic_damping"]["B3"] * v**3
         if "creeping_friction" in e:
             total -= e["creeping_friction"]["Fc"] * tanh(v / e["creeping_friction"]["vr"])
+        if "power_damping" in e:
+            total -= copysign(e["power_damping"]["c"] * abs(v) ** 0.6, v)
+        if "magnet" in e:
+            f = e["magnet"]
+            total -= f["F"] * exp(-(((s - f["x0"]) / f["w"]) ** 2))
+        if "ishlinskii_spring" in e:
+            total -= e["ishlinskii_spring"]["k"] * sum(s - play for play in self.plays) / PLAYS
+        if "resting_friction" in e:
+            f = e["resting_friction"]
+            d[self.at["rest"]] = (
+                (1 - x[self.at["rest"]]) / f["tau"] if v == 0 else -x[self.at["rest"]] * abs(v) / f["slip"]
+            )
+        if "random_disturbance" in e:
+            w = 2 * pi * e["random_disturbance"]["f"]
+            z1, z2 = self.at["w1"], self.at["w2"]
+            d[z1], d[z2] = w * x[z2], -w * x[z1] - w * x[z2]
+            total += x[z1] * sqrt(w)
+        if "thermal_drive" in e:  # work done warms the drive, and the warm drive pushes one way
+            f = e["thermal_drive"]
+            d[self.at["warmth"]] = (abs(v) * f["per_speed"] - x[self.at["warmth"]]) / f["tau"]
+            total += f["F"] * x[self.at["warmth"]]
         if "creep_spectrum" in e:
             f = e["creep_spectrum"]
             for share, name in zip(SPECTRUM, STATES["creep_spectrum"], strict=True):
@@ -206,6 +269,7 @@ class Rig:
         return x[1] * direction > 0 if direction else self.leaving(x, u) == 0
 
     def leaving(self, x, u):
+        self.rested = x[self.at["rest"]] if "resting_friction" in self.e else 0.0
         force = self.smooth(x, u)[1]
         way = copysign(1.0, force)
         return 0.0 if abs(force) <= self.levels(0.0, way)[1] else way

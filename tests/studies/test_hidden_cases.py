@@ -1,0 +1,33 @@
+"""The cases of the study: what is hidden shows in the records, in every record anew where it is random."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fits.hidden_cases import FOREIGN, PERIOD, make
+from fits.rig_twins import simulate
+
+
+@pytest.mark.parametrize("rig", FOREIGN)
+@pytest.mark.parametrize("effect", FOREIGN["micro_actuator"])
+def test_an_effect_that_the_catalogue_does_not_have_moves_the_records(rig: str, effect: str) -> None:
+    case = make(3, "foreign", rows=80, effects=(effect,), rig=rig)
+    moved = []
+    for record in (case.estimation, case.validation):
+        u = record.inputs["u"]
+        with_effect = np.array(simulate(rig, case.base, case.effects, u, PERIOD[rig], 20))
+        without = np.array(simulate(rig, case.base, {}, u, PERIOD[rig], 20))
+        assert np.isfinite(with_effect).all()
+        moved.append((with_effect - without)[:, 0])
+    assert all(np.abs(change).max() > 0 for change in moved)
+
+
+def test_a_random_disturbance_is_another_one_in_each_record() -> None:
+    case = make(3, "foreign", rows=80, effects=("random_disturbance",), rig="micro_actuator")
+    silence = np.zeros(80)
+    records = [silence + 1e-3, silence + 2e-3]
+    runs = [np.array(simulate(case.model, case.base, case.effects, u, 2.5e-4, 20))[:, 0] for u in records]
+    plain = [np.array(simulate(case.model, case.base, {}, u, 2.5e-4, 20))[:, 0] for u in records]
+    first, second = (run - base for run, base in zip(runs, plain, strict=True))
+    assert np.corrcoef(first, second)[0, 1] < 0.99
