@@ -69,7 +69,7 @@ def closed_loop(rig: Rig, made: Design, moves: Moves, noise: float, seed: int = 
     target = moves.reference(period)
     shaken = noise * np.random.default_rng(seed).standard_normal(len(target))
     hand, path = Hand(made, moves.band), moves.path(period)
-    state: list[float] = [*rig.start_values(), *([0.0] * (len(rig.names) - len(rig.own)))]
+    state: list[float] = [*rig.start_values(), *([0.0] * (len(rig.names) - len(rig.native_states)))]
     rows, u = np.empty((len(target), 3)), 0.0
     for k, wanted in enumerate(path):
         position = rig.outputs(k * period, state, rig.acting(u))[0]

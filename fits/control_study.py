@@ -200,6 +200,8 @@ def spread_of(setting: Setting, best: gb.Fit, designs: Mapping[str, Design]) -> 
 def effects_of(fit: gb.Fit, values: Mapping[str, float]) -> Effects:
     """The effects of a fit's model as a rig takes them, with these ``values`` of its constants."""
     return {
-        bound.effect.name: {own.name: values[bound.own[own.name]] for own in bound.effect.parameters}
+        bound.effect.name: {
+            parameter.name: values[bound.model_names[parameter.name]] for parameter in bound.effect.parameters
+        }
         for bound in fit.model.bound_effects
     }

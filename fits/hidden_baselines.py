@@ -42,12 +42,12 @@ def by_correlation(base: gb.Fit, plain: gb.Model, case: Case) -> str:
     best, name = 0.0, ""
     for effect in applicable_effects(base.model, scales):
         model = base.model + effect
-        own = next(b.model_names for b in model.bound_effects)
+        model_names = next(b.model_names for b in model.bound_effects)
         grid = effect.grid(scales) if effect.grid else {}
         start = {q: sorted(values)[len(values) // 2] for q, values in grid.items()}
         start |= dict(effect.probe(scales)) if effect.probe else {}
-        low_high = {q: model.parameter(own[q]).bounds for q in start}
-        values = {own[q]: float(np.clip(v, *low_high[q])) for q, v in start.items()}
+        low_high = {q: model.parameter(model_names[q]).bounds for q in start}
+        values = {model_names[q]: float(np.clip(v, *low_high[q])) for q, v in start.items()}
         moved = gb.simulate(model.start(**values), trace.experiment)
         response = np.concatenate([(moved.outputs[o] - run.outputs[o]) / case.sigma[o] for o in outputs])
         size = float(np.linalg.norm(response))

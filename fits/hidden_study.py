@@ -129,7 +129,7 @@ def _misfit(case: Case, bench: DiscoveryProblem, scales: Scales, names: Sequence
         model = model + tailor_to_record(gb.effect(name), scales)
     truth = {n: v for n, v in case.base.items() if n in model.values}
     for bound in model.bound_effects:
-        truth |= {bound.own[n]: v for n, v in case.effects[bound.effect.name].items()}
+        truth |= {bound.model_names[n]: v for n, v in case.effects[bound.effect.name].items()}
     trial = bench.best(model, [truth, model.values])
     extended = model if trial is None else trial.model
     seen = gb.validate(extended, case.validation, noise=case.sigma, options=bench.options)

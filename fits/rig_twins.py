@@ -46,11 +46,11 @@ Effects = Mapping[str, Mapping[str, float]]
 class Rig:
     """A rig with ``base`` constants and ``effects`` {name: {parameter: value}}; ``run`` gives its outputs."""
 
-    own = ()
+    native_states = ()
 
     def __init__(self, base, effects):
         self.base, self.e = base, effects
-        self.names = [*self.own, *(s for name in effects for s in STATES.get(name, []))]
+        self.names = [*self.native_states, *(s for name in effects for s in STATES.get(name, []))]
         self.at = {name: k for k, name in enumerate(self.names)}
         self.held = None  # play: where the sensor stands
         self.spool = 0.0  # play of the spool: what reaches the valve
@@ -65,7 +65,7 @@ class Rig:
         """Rows of outputs for the inputs ``u`` (N,), ``fine`` steps a sample; a delay must be a whole number of them."""
         h = period / fine
         late = round(self.e.get("transport_delay", {"delay": 0.0})["delay"] / h)
-        x = [*self.start_values(), *([0.0] * (len(self.names) - len(self.own)))]
+        x = [*self.start_values(), *([0.0] * (len(self.names) - len(self.native_states)))]
         self.held = x[0]
         if "random_disturbance" in self.e:  # another one for each record
             self.disturbance = np.random.default_rng(
@@ -288,7 +288,7 @@ class Rig:
 class Actuator(Rig):
     """M v' = Kf i - B v - K x, La i' = u - Ra i - Kv v; outputs x, i."""
 
-    own = ("x", "v", "i")
+    native_states = ("x", "v", "i")
 
     @property
     def mass(self):
@@ -332,7 +332,7 @@ class Actuator(Rig):
 class Cylinder(Rig):
     """p_a' = G u - (P_S A/V) v, p_b' = -(that), M v' = A (p_a - p_b) - M f_v v; outputs s, p_a, p_b."""
 
-    own = ("s", "v", "p_a", "p_b")
+    native_states = ("s", "v", "p_a", "p_b")
 
     @property
     def mass(self):
