@@ -13,14 +13,25 @@ from greybox.model.process_noise import intensity_unit
 from greybox.units import format_unit
 
 Line = Callable[[str, str, str], str]  # name, unit, text -> one line of the equations
-WIDTH = 110  # longer balances are written one term a line
 
 
-def equations_text(model: Model) -> str:
+def equations_text(model: Model, width: int = 110) -> str:
     """The equations of a model: one balance after the other, each term above its name, then inputs and outputs.
 
-    Effects are written out: an added term stands under the effect's name, a changed input, output or parameter shows
-    as what stands in its place.
+    Effects are written out: an added term stands under the effect's name, a changed input, output or parameter shows as what stands in
+    its place.
+
+    Parameters
+    ----------
+    model
+        The model.
+    width
+        In characters: a longer balance is written one term a line.
+
+    Returns
+    -------
+    str
+        Lines with name, unit and equation.
     """
     system = model.system
     heads = [(b.name, _bracketed(b.unit)) for b in system.balances]
@@ -41,7 +52,7 @@ def equations_text(model: Model) -> str:
 
     lines = []
     for balance, head in zip(system.balances, heads, strict=False):
-        first, *rest = _balance(balance, WIDTH - indent)
+        first, *rest = _balance(balance, width - indent)
         lines += [line(*head, first), *(" " * indent + text for text in rest)]
     for d in sticking:
         unit = next(b.unit for b in system.balances if b.name == d.balance)
@@ -64,11 +75,11 @@ def equations_text(model: Model) -> str:
             f"{i.name} {_bracketed(i.unit)}" + f" delayed by {delays[k]}" * bool(delays[k])
             for k, i in enumerate(model.inputs)
         ]
-        lines += _listed(line, "inputs", inputs, WIDTH - indent)
+        lines += _listed(line, "inputs", inputs, width - indent)
     measured = [
         f"{o.name} {_bracketed(o.unit)} = {expression_text(system.outputs[k])}" for k, o in enumerate(model.outputs)
     ]
-    lines += _listed(line, "outputs", measured, WIDTH - indent)
+    lines += _listed(line, "outputs", measured, width - indent)
     return "\n".join(lines)
 
 

@@ -12,19 +12,29 @@ from greybox.errors import DataError, ModelError, nearest
 from greybox.model.signals import NamedValues
 from greybox.units import format_unit
 
-SHOWN = 5  # rows named in a message before "and 40 more"
-
 
 @dataclass(frozen=True)
 class Rule:
-    """Something that must hold, beyond the bounds of one constant: ``margin`` is positive where it does.
+    """Something that must hold beyond the bounds of one parameter: of several parameters together, or of a measured output.
 
-    Without ``output`` it concerns the constants, ``margin(p)`` is a number in ``unit`` and the rule is checked whenever
-    a model is made: ``Rule("supply above ambient", "Pa", lambda p: p.P_S - p.P_a, "give P_S in absolute pressure")``.
+    Parameters
+    ----------
+    name
+        What must hold, as the message says it.
+    unit
+        Of the margin.
+    margin
+        Positive where the rule holds. Without an output ``margin(p)`` is a number, and the rule is checked whenever a model is made. With
+        one ``margin(value, p)`` takes and returns arrays (N,), and the rule is checked against records; gaps (NaN) pass.
+    remedy
+        What to do where it is broken.
+    output
+        Name of the measured output that it is about; empty for a rule about parameters.
 
-    With ``output`` it concerns that measured signal, ``margin(value, p)`` takes and returns arrays (N,), and the rule
-    is checked against records: ``Rule("piston within its stroke", "m", lambda s, p: p.stroke / 2 - abs(s), ..., "s")``.
-    Gaps (NaN) pass. ``remedy`` says what to do.
+    Examples
+    --------
+    >>> absolute = Rule("supply above ambient", "Pa", lambda p: p.P_S - p.P_a, "give P_S in absolute pressure")
+    >>> inside = Rule("piston within its stroke", "m", lambda s, p: p.stroke / 2 - abs(s), "check the zero of the sensor", "s")
     """
 
     name: str
@@ -35,20 +45,23 @@ class Rule:
 
 
 def check_constants(title: str, rules: Sequence[Rule], p: NamedValues) -> None:
-    """Refuse constants that break a rule: ModelError with every broken one, the values it speaks of and the remedy."""
+    """Refuse parameters that break a rule: ModelError with every broken one, the values it speaks of and the remedy."""
     broken = []
     for rule in rules:
         if rule.output:
             continue
-        seen = _Seen(p)
-        margin = float(rule.margin(seen))
+        recorder = _AccessRecorder(p)
+        margin = float(rule.margin(recorder))
         if not margin > 0:
-            broken.append(f"{rule.name}: {seen.said} {_missed(margin, rule.unit)}; {rule.remedy}")
+            missed = f"({margin:.4g} {format_unit(rule.unit)}, must be above 0)"
+            broken.append(f"{rule.name}: {recorder.listing} {missed}; {rule.remedy}")
     if broken:
         raise ModelError(f"model {title!r} breaks a rule: {'; '.join(broken)}")
 
 
-def check_measured(title: str, rules: Sequence[Rule], measured: Mapping[str, np.ndarray], p: NamedValues) -> None:
+def check_measured(
+    title: str, rules: Sequence[Rule], measured: Mapping[str, np.ndarray], p: NamedValues, rows_shown: int = 5
+) -> None:
     """Refuse measured signals, name -> (N,), that break a rule: DataError with rows, worst value and the remedy."""
     broken = []
     for rule in rules:
@@ -60,8 +73,8 @@ def check_measured(title: str, rules: Sequence[Rule], measured: Mapping[str, np.
             rows = np.flatnonzero(~(margin > 0) & np.isfinite(value))
         if len(rows):
             worst = rows[np.argmin(margin[rows])]
-            shown = ", ".join(str(row + 1) for row in rows[:SHOWN])
-            rest = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
+            shown = ", ".join(str(row + 1) for row in rows[:rows_shown])
+            rest = f" and {len(rows) - rows_shown} more" if len(rows) > rows_shown else ""
             broken.append(
                 f"output {rule.output!r} breaks the rule '{rule.name}' at row{'s' * (len(rows) > 1)} {shown}{rest}"
                 f" (row {worst + 1}: {value[worst]:.6g} {format_unit(rule.unit)}); {rule.remedy}"
@@ -79,20 +92,17 @@ def check_outputs_known(title: str, rules: Sequence[Rule], outputs: Sequence[str
             )
 
 
-def _missed(margin: float, unit: str) -> str:
-    return f"({margin:.4g} {format_unit(unit)}, must be above 0)"
-
-
-class _Seen:
-    """Constants that remember which of them a rule asked for, so that the message can name them."""
+class _AccessRecorder:
+    """Parameters that remember which of them a rule asked for, so that the message can name them."""
 
     def __init__(self, p: NamedValues) -> None:
-        self._p, self._asked = p, dict[str, float]()
+        self._p, self._values = p, dict[str, float]()
 
     def __getattr__(self, name: str) -> float:
-        self._asked[name] = float(self._p[name])
-        return self._asked[name]
+        self._values[name] = float(self._p[name])
+        return self._values[name]
 
     @property
-    def said(self) -> str:
-        return ", ".join(f"{name} = {value:.6g}" for name, value in self._asked.items())
+    def listing(self) -> str:
+        """``P_S = 5e5, P_a = 6e5``."""
+        return ", ".join(f"{name} = {value:.6g}" for name, value in self._values.items())

@@ -6,16 +6,19 @@ from collections.abc import Iterator
 
 import casadi as ca
 
-from greybox.expressions.latex import expression_latex, symbol_latex
+from greybox.expressions.latex import LATEX, expression_latex, symbol_latex
+from greybox.expressions.operations import Binding
 from greybox.model import Balance, Model
-from greybox.model.equations import equations_text as in_text
+from greybox.model.equations import equations_text
 from greybox.reports.page import Equation, Equations
 from greybox.units import format_unit
 
 
 def typeset_equations(model: Model) -> Equations:
     """The equations of ``model`` with every effect written out, and the same as text."""
-    return Equations([*_balances(model), *_standstill(model), *_updates(model), *_outputs(model)], in_text(model))
+    return Equations(
+        [*_balances(model), *_standstill(model), *_updates(model), *_outputs(model)], equations_text(model)
+    )
 
 
 def _balances(model: Model) -> Iterator[Equation]:
@@ -25,21 +28,17 @@ def _balances(model: Model) -> Iterator[Equation]:
 
 def _storage(balance: Balance) -> str:
     rate = rf"\frac{{\mathrm{{d}}{symbol_latex(balance.state)}}}{{\mathrm{{d}}t}}"
-    factor = expression_latex(balance.storage)
-    if factor == "1":
-        return rate
-    return (rf"\left({factor}\right)" if " + " in factor or " - " in factor else factor) + rf"\,{rate}"
+    factor = LATEX.write(balance.storage)
+    return rate if factor.text == "1" else rf"{factor.within(Binding.NEGATION, LATEX.brackets)}\,{rate}"
 
 
 def _terms(balance: Balance) -> str:
     """The terms with their names below."""
     text = ""
     for name, value in balance.terms.items():
-        term = expression_latex(value)
-        minus = term.startswith("-") and " + " not in term and " - " not in term[1:]
-        sign = "-" if minus else ("+" if text else "")
-        body = term.removeprefix("-") if minus else term
-        text += rf" {sign} \underset{{\text{{{_words(name)}}}}}{{{body}}}"
+        term = LATEX.write(value)
+        sign = "-" if term.opposite else ("+" if text else "")
+        text += rf" {sign} \underset{{\text{{{_words(name)}}}}}{{{term.opposite or term.text}}}"
     return text.strip()
 
 

@@ -13,9 +13,29 @@ from greybox.units.symbols import has_zero_point, parse_unit, registry
 
 
 def unit_converter(source: str, target: str) -> Callable[[Any], np.ndarray]:
-    """The function that turns numbers in ``source`` into numbers in ``target``, zero points (degC to K) included.
+    """The function that turns numbers in one unit into numbers in another, zero points (degC to K) included.
 
-    Raises UnitError when the two measure different things, ModelError for an unknown unit.
+    Parameters
+    ----------
+    source, target
+        Units as text: ``kPa``, ``N*s/m``, ``degC``.
+
+    Returns
+    -------
+    callable
+        Takes numbers or an array in ``source`` and returns an array of the same shape in ``target``.
+
+    Raises
+    ------
+    UnitError
+        When the two measure different things.
+    ModelError
+        For an unknown unit.
+
+    Examples
+    --------
+    >>> float(unit_converter("kPa", "Pa")(2.0))
+    2000.0
     """
     if has_zero_point(source) or has_zero_point(target):
         return _by_pint(source, target)
@@ -27,7 +47,7 @@ def unit_converter(source: str, target: str) -> Callable[[Any], np.ndarray]:
 
 
 def convert(values: Any, source: str, target: str) -> np.ndarray:
-    """``values`` in ``source`` as numbers in ``target``; errors as for `unit_converter`."""
+    """``values`` in the unit ``source`` as an array in the unit ``target``; errors as for `unit_converter`."""
     return unit_converter(source, target)(values)
 
 

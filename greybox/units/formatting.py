@@ -22,7 +22,11 @@ DERIVED = ("N", "Pa", "V", "W", "ohm", "H", "F")
 
 @lru_cache(maxsize=4096)
 def format_unit(unit: str) -> str:
-    """The unit as a person writes it: ``(N)/(m)**3`` is N/m^3, ``(V)/(A)`` is ohm; what is tidy already stays."""
+    """The unit as a person writes it, in the symbols that it was written with.
+
+    >>> format_unit("(N)/(m)**3"), format_unit("(V)/(A)"), format_unit("N*s/m")
+    ('N/m^3', 'ohm', 'N*s/m')
+    """
     if unit.strip() in ("", "-"):
         return unit.strip()
     factor, powers = parse_powers(unit)
@@ -35,7 +39,11 @@ def format_unit(unit: str) -> str:
 
 
 def unit_name(unit: Unit, known: Iterable[str] = ()) -> str:
-    """What a person calls a computed unit: one of ``known``, else ``N``, ``Pa/s``, ``1000 N``; ``1`` for none."""
+    """What a person calls a computed unit: one of the ``known`` texts, else the shortest product of usual units; ``1`` for none.
+
+    >>> unit_name(parse_unit("kg*m/s^2")), unit_name(parse_unit("kN")), unit_name(parse_unit("m/m"))
+    ('N', '1000 N', '1')
+    """
     for text in known:
         if text and parse_unit(text) == unit:
             return format_unit(text)

@@ -104,8 +104,8 @@ def _expect(tokens: list[str], token: str) -> None:
 
 def format_powers(factor: float, powers: Powers, digits: int = 6) -> str:
     """``N*s/m``, ``m^3/(s*Pa)``, ``1000 N``, ``1/s``: the text of a unit, in the order of ``powers``."""
-    above = [_raised(s, e) for s, e in powers.items() if e > 0]
-    below = [_raised(s, -e) for s, e in powers.items() if e < 0]
+    above = [_power_text(s, e) for s, e in powers.items() if e > 0]
+    below = [_power_text(s, -e) for s, e in powers.items() if e < 0]
     number = [f"{factor:.{digits}g}"] if factor != 1 or not above else []
     text = " ".join([*number, *(["*".join(above)] if above else [])])
     if not below:
@@ -113,7 +113,7 @@ def format_powers(factor: float, powers: Powers, digits: int = 6) -> str:
     return f"{text}/({'*'.join(below)})" if len(below) > 1 else f"{text}/{below[0]}"
 
 
-def _raised(symbol: str, exponent: float) -> str:
+def _power_text(symbol: str, exponent: float) -> str:
     if exponent == 1:
         return symbol
     short = f"{exponent:.4g}"

@@ -66,10 +66,28 @@ RUN_TOGETHER = {"Nm": "N*m", "Ns": "N*s", "Vs": "V*s", "As": "A*s", "Nms": "N*m*
 
 @lru_cache(maxsize=4096)
 def parse_unit(unit: str) -> Unit:
-    """The unit that a text such as ``N*s/m``, ``kPa``, ``m^3/(s*Pa)`` or ``V**0.5/s`` stands for; ``''`` and ``-``: 1.
+    """The unit that a text stands for.
 
-    Raises ModelError for a text that is no unit, and for one with a zero point of its own (degC), which no equation
-    can hold.
+    Parameters
+    ----------
+    unit
+        Symbols with ``*``, ``/``, ``^`` or ``**`` and brackets: ``N*s/m``, ``kPa``, ``m^3/(s*Pa)``, ``V**0.5/s``. ``''`` and ``-`` are a
+        plain number.
+
+    Returns
+    -------
+    Unit
+        Its factor to SI and its dimensions.
+
+    Raises
+    ------
+    ModelError
+        For a text that is no unit, and for one with a zero point of its own (degC), which no equation can hold.
+
+    Examples
+    --------
+    >>> parse_unit("N*s/m") == parse_unit("kg/s")
+    True
     """
     factor, powers = parse_powers(unit)
     offset = [symbol for symbol in powers if _symbol(symbol, unit)[1]]

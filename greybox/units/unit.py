@@ -11,8 +11,17 @@ Dimensions = tuple[tuple[str, float], ...]
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """``factor`` times a product of SI base units; ``dimensions`` are their (symbol, exponent), sorted, without zeros.
+    """The value of a unit: a factor times a product of SI base units.
 
+    Parameters
+    ----------
+    factor
+        What one of this unit is worth in SI units.
+    dimensions
+        The base units as (symbol, exponent), sorted by symbol, without zeros.
+
+    Notes
+    -----
     Two units are equal when their dimensions are the same and their factors agree within 1e-9.
     """
 
