@@ -27,9 +27,6 @@ import cloudpickle
 from greybox.errors import GreyboxError
 from greybox.model import Model
 
-# A job whose worker died is tried once more, and then alone: only a job that kills its own worker is given up.
-TRIES = 2
-WAKE = 0.5  # seconds between looks at the jobs, so that Ctrl-C is heard
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -42,7 +39,22 @@ class JobResult:
     seconds: float = 0.0
 
 
-JobProgressCallback = Callable[[int, int], None]  # (jobs finished, jobs)
+JobProgressCallback = Callable[[int, int], None]
+"""Called with the jobs that are finished and all jobs."""
+
+
+@dataclass(frozen=True)
+class RetryPolicy:
+    """What happens to a job whose worker dies, and how often jobs are looked at."""
+
+    tries: int = 2
+    """A job whose worker died is tried once more, and then alone: only a job that kills its own worker is given up."""
+
+    wake_seconds: float = 0.5
+    """Seconds between looks at the jobs, so that Ctrl-C is heard."""
+
+
+RETRY_POLICY = RetryPolicy()
 
 
 def run_jobs(
@@ -58,7 +70,7 @@ def run_jobs(
 
     ``executor``: where to run, for example ``Client.get_executor()`` of Dask; None for processes of this machine, ``workers`` of
     them (0: one for each core; with one the jobs run right here). An exception in a job is its result. A worker that dies
-    loses nothing that is finished: its job is tried again, see `TRIES`. ``report`` is called after each job.
+    loses nothing that is finished: its job is tried again, see `RetryPolicy`. ``report`` is called after each job.
     """
     workers = min(workers or count_cores(), max(len(items), 1))
     book = _Book(job, common, items, report)
@@ -116,7 +128,7 @@ class _Book:
     def locally(self, workers: int) -> None:
         """Local processes; a pool that broke is replaced, and who was in it twice runs alone."""
         while pending := self.open:
-            suspects = [k for k in pending if self.tries[k] >= TRIES]
+            suspects = [k for k in pending if self.tries[k] >= RETRY_POLICY.tries]
             group = suspects[:1] or pending
             with ProcessPoolExecutor(1 if suspects else workers, multiprocessing.get_context("spawn")) as pool:
                 broken = self.submit(pool, group)
@@ -130,7 +142,7 @@ class _Book:
         while pending := self.open:
             if self.submit(executor, pending):
                 for k in self.open:
-                    if self.tries[k] >= TRIES:
+                    if self.tries[k] >= RETRY_POLICY.tries:
                         self.enter(k, JobResult(error="its worker died, or the executor broke"))
 
     def submit(self, executor: Executor, group: Sequence[int]) -> bool:
@@ -146,7 +158,7 @@ class _Book:
                     self.tries[k] += 1
                     lost = True
             while waiting:
-                finished, _ = wait(waiting, timeout=WAKE, return_when=FIRST_COMPLETED)
+                finished, _ = wait(waiting, timeout=RETRY_POLICY.wake_seconds, return_when=FIRST_COMPLETED)
                 for future in finished:
                     k = waiting.pop(future)
                     self.tries[k] += 1

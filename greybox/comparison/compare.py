@@ -207,7 +207,7 @@ def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> Com
         values = {"status": str(model.status), "status_message": model.solver.status_message}
         findings.append(Finding(ComparisonFinding.FIT_FAILED, Severity.ERROR, named.name, values))
     if filter_predictor:
-        values = {"filter": filter_predictor.correction.words}
+        values = {"filter": str(filter_predictor.correction)}
         findings.append(Finding(ComparisonFinding.PREDICTION_FILTER, subject=named.name, values=values))
     parameters = len(plant.free_parameters)
     return _assemble_entry(

@@ -113,11 +113,12 @@ def compute_information(variables: DecisionVector, rows: Runs) -> np.ndarray:
 def invert_information(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The inverse, zero along directions without information; these directions (n, k), scaled; and the scale (n,) of each entry."""
     scale = np.sqrt(np.maximum(np.diag(information), TINY))
-    told = (
-        np.diag(information) > 0
-    )  # a run that has left all bounds may say less than nothing of a constant, by rounding
+    # A run that has left all bounds may hold negative information on a parameter, by rounding.
+    informed = np.diag(information) > 0
     values, vectors = np.linalg.eigh(
-        np.divide(information, np.outer(scale, scale), where=np.outer(told, told), out=np.zeros_like(information))
+        np.divide(
+            information, np.outer(scale, scale), where=np.outer(informed, informed), out=np.zeros_like(information)
+        )
     )
     weak = values <= INFORMATION_CUTOFF * max(values.max(initial=0.0), 1.0)
     inverse = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
@@ -252,8 +253,8 @@ def compute_observed_information(optimum: LikelihoodOptimum, policy: IntervalPol
     for k in np.flatnonzero(steps):
         step = np.zeros(u.size)
         step[k] = min(steps[k], policy.longest_difference)
-        own = [int(k - n) // each] if n <= k < u.variables.size else None
-        whole[k] = (cost.gradient(step, own) - cost.gradient(-step, own)) / (4 * step[k])
+        concerned = [int(k - n) // each] if n <= k < u.variables.size else None
+        whole[k] = (cost.gradient(step, concerned) - cost.gradient(-step, concerned)) / (4 * step[k])
     places = np.arange(n)
     whole[places, places] += u.variables.penalty(np.zeros(u.variables.size))[2] / 2
     return _symmetrise(whole)

@@ -1,4 +1,4 @@
-"""`fit`: a model and records in, constants with intervals out."""
+"""`fit`: a model and records in, parameters with intervals out."""
 
 from __future__ import annotations
 
@@ -70,41 +70,70 @@ def fit(
     report: FitProgressCallback | None = None,
     raise_on_failure: bool = False,
 ) -> Fit:
-    """Fit the free constants of ``model`` to one or more experiments.
+    """Fit the free parameters of a model to one or more experiments.
 
-    Minimises the sum of squared free-run errors, each output over its noise standard deviation,
-    ``sum ((y - yhat) / noise)^2``, over the free constants and each experiment's initial state, with IPOPT and a Gauss-Newton
-    Hessian. ``model`` is not changed; `Fit.model` carries the fitted values.
+    Minimises the sum of squared free-run errors, each output over its noise standard deviation, ``sum ((y - yhat) / noise)^2``, over
+    the free parameters and each experiment's initial state, with IPOPT and a Gauss-Newton Hessian. A model with process noise
+    (`State`) is fitted by its likelihood through a Kalman filter instead. Priors of parameters (`Model.prior`) are weighed as
+    measurements. The parameters start at the values of ``model`` (`Model.start`), each record's estimated initial state at the declared
+    values, or at the first readings of an output that is a state.
 
-    ``noise``: standard deviation by output, in the model's units (or a `NoiseModel` that is known already). Outputs left out are
-    estimated, in this order of trust: from ``quiet`` (records with the input at rest and the same columns), from repetition in the
-    records (a periodic input, several experiments with the same input), from high-order differences. A quiet record and repetition
-    also tell the noise's colour: then residual and sensitivities are whitened by its autoregression, which is maximum likelihood for
-    such noise. ``colour``: ``known`` does that where the colour is known; ``residual`` takes it from the residual of a first fit
-    where it is not (right only if the model lacks nothing); ``white`` never does. Where the residual stays coloured the
-    intervals allow for it (`Fit.interval_kind`).
+    Parameters
+    ----------
+    model
+        The model; it is not changed.
+    experiments
+        Estimation records.
+    noise
+        Standard deviation by output in the model's units, or a `NoiseModel` that is known already. Outputs left out are estimated, in
+        this order of trust: from ``quiet`` records, from repetition in the records (a periodic input, several experiments with the same
+        input), from high-order differences. Quiet records and repetition show the noise's colour as well: then residual and
+        sensitivities are whitened by its autoregression, which is maximum likelihood for such noise.
+    quiet
+        Records with the input at rest and the same columns: they show the noise alone.
+    colour
+        ``known`` whitens where the colour of the noise is known; ``residual`` takes it from the residual of a first fit where it is not
+        (right only if the model lacks nothing); ``white`` never whitens. Where the residual stays coloured the intervals allow for it
+        (`FitUncertainty.kind`).
+    validation
+        Records that are only judged, see `validate`.
+    skip
+        Rows at the beginning of each validation record that the errors leave out.
+    per_experiment
+        Parameters of which each experiment has a value of its own, ``per_experiment=["B"]``. `FitConstraints.per_experiment` has them
+        all, `Fit.parameters` and the fitted model their mean, which a validation uses.
+    initial
+        Initial states to start from: one mapping from state to value for each experiment, in their order; states left out start as
+        without it. To start where a former fit ended, ``[t.initial_state for t in former.traces]`` together with
+        ``FitOptions(progressive=False)``.
+    options
+        Discretisation, transcription, robust loss and more.
+    report
+        Called with a `FitProgress` as the fit goes on.
+    raise_on_failure
+        Raise FitError if the fit does not succeed, instead of returning a fit whose ``success`` is False.
 
-    ``own``: constants of which each experiment has a value of its own (``own=["B"]``): `Fit.own` has them all, ``parameters`` and the
-    fitted model their mean, which is what a validation uses. Priors of constants (`Model.prior`) are weighed as measurements.
-    ``options.loss`` makes the fit robust against outliers; the noise is then estimated so that they do not pass for it.
-    The constants begin at the values of ``model`` (`Model.start`), each record's estimated initial state at the declared values, or at
-    the first readings of an output that is a state. ``initial`` begins it elsewhere: one mapping from state to value for each
-    experiment, in their order; states left out begin as without it. Where a former fit ended: ``fit(former.model, experiments,
-    initial=[t.initial_state for t in former.traces])``, with ``FitOptions(progressive=False)`` so that nothing leads away from there.
-    A model with process noise (`State`) is fitted by its likelihood through a Kalman filter instead (`Fit.process_noise`).
-    ``validation``: records that are only judged (`validate`), without their first ``skip`` rows. ``report`` is called as the
-    fit goes on. ``raise_on_failure`` raises FitError where the fit does not succeed.
+    Returns
+    -------
+    Fit
+        The fitted model, parameters with 95 % intervals, misfit, runs, and what to know before trusting them.
 
-    Raises DataError and ModelError for records, or initial states, that do not go with the model.
+    Raises
+    ------
+    DataError, ModelError
+        For records, or initial states, that do not go with the model.
+    FitError
+        With ``raise_on_failure``.
+
+    Examples
+    --------
+    >>> result = fit(micro_actuator.fix("M", "Ra"), record)  # doctest: +SKIP
+    >>> result.parameters["K"].interval  # doctest: +SKIP
+    (5895.26, 5895.67)
     """
     options = resolve_options(options)
-    options = replace(
-        options,
-        per_experiment=(
-            *options.per_experiment,
-            *((per_experiment,) if isinstance(per_experiment, str) else per_experiment),
-        ),
-    )
+    names = (per_experiment,) if isinstance(per_experiment, str) else per_experiment
+    options = replace(options, per_experiment=(*options.per_experiment, *names))
     if colour not in list(ColourTreatment):
         raise ModelError(f"unknown colour {colour!r}; {nearest(colour, list(map(str, ColourTreatment)))}")
     judges = to_experiments(validation) if validation else ()  # refused before the work is done, and not after it
@@ -116,9 +145,17 @@ def fit(
         result = fit_by_prediction(model, experiments, noise, quiet, options, report, initial)
         return _add_validation(result, judges, skip, options, raise_on_failure)
     problem = prepare_problem(
-        model, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, quiet=quiet,
-        per_experiment=options.per_experiment, robust=options.robust, initial=initial,
-    )  # fmt: skip
+        model,
+        experiments,
+        noise,
+        at_rest=options.at_rest,
+        method=options.method,
+        substeps=options.substeps,
+        quiet=quiet,
+        per_experiment=options.per_experiment,
+        robust=options.robust,
+        initial=initial,
+    )
     if not problem.step.per_interval:
         refuse_long_time_gaps(judges)
     if colour == ColourTreatment.WHITE:
@@ -240,9 +277,15 @@ def _to_fit(model: Model, solution: Solution, options: FitOptions) -> Fit:
 
 def _collect_statistics(solution: Solution, policy: JoiningPolicy) -> dict[str, object]:
     return {
-        "optimiser": "IPOPT", "ipopt_status": solution.solver_status, "iterations": solution.iterations,
-        "passes": solution.evaluations, "seconds": solution.seconds, "record_shares": list(solution.shares),
-        "transcription": solution.transcription, "free_run": solution.is_free_run(policy),
+        "optimiser": "IPOPT",
+        "ipopt_status": solution.solver_status,
+        "iterations": solution.iterations,
+        "passes": solution.evaluations,
+        "seconds": solution.seconds,
+        "record_shares": list(solution.shares),
+        "transcription": solution.transcription,
+        "free_run": solution.is_free_run(policy),
         "method": solution.problem.method,
-        "kernel": solution.problem.kernel.name, "substeps": solution.problem.step.substeps,
-    }  # fmt: skip
+        "kernel": solution.problem.kernel.name,
+        "substeps": solution.problem.step.substeps,
+    }

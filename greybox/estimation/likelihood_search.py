@@ -58,9 +58,17 @@ def maximise_likelihood(
             report(FitProgress(1, 1, iteration, 1.0))
 
     outcome = minimise(
-        cost.evaluate, np.zeros(cost.unknowns.size), low, high, scale=float(max(begin.count, 1)), tolerance=options.tolerance,
-        iterations=options.iterations, finished=finished, thorough=False, progress=progress,
-    )  # fmt: skip
+        cost.evaluate,
+        np.zeros(cost.unknowns.size),
+        low,
+        high,
+        scale=float(max(begin.count, 1)),
+        tolerance=options.tolerance,
+        iterations=options.iterations,
+        finished=finished,
+        thorough=False,
+        progress=progress,
+    )
     polished, status = (
         fisher_scoring(cost.at(cost.unknowns.moved(outcome.z)), policy, policy.last_digits),
         outcome.status,
@@ -68,9 +76,14 @@ def maximise_likelihood(
     if polished.status.success and not status.success and status is not TerminationStatus.INTERRUPTED:
         status = TerminationStatus.CONVERGED
     return LikelihoodOptimum(
-        polished.cost, polished.evaluation, status, outcome.solver_status, outcome.iterations,
-        outcome.evaluations + 1 + polished.evaluations, outcome.seconds,
-    )  # fmt: skip
+        polished.cost,
+        polished.evaluation,
+        status,
+        outcome.solver_status,
+        outcome.iterations,
+        outcome.evaluations + 1 + polished.evaluations,
+        outcome.seconds,
+    )
 
 
 def fisher_scoring(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
@@ -28,6 +29,7 @@ from greybox.model import Model
 from greybox.noise import AutoRegression, NoiseModel, fit_autoregression, join_series
 from greybox.numerics import TINY
 from greybox.result import Fit
+from greybox.values import Printable
 
 
 @dataclass(frozen=True)
@@ -68,9 +70,14 @@ def make_likelihood(
     options = given.options
     model = given.model if free else given.model.fix(*given.model.values)
     problem = prepare_problem(
-        model, experiments, given.noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps,
+        model,
+        experiments,
+        given.noise,
+        at_rest=options.at_rest,
+        method=options.method,
+        substeps=options.substeps,
         per_experiment=options.per_experiment if free else (),
-    )  # fmt: skip
+    )
     kalman = KalmanFilter.of(model.system, problem.step, known_start=not problem.variables.initial.free.any())
     unknowns = make_likelihood_unknowns(problem, problem.variables, options.policy.likelihood_search)
     return PredictionErrorObjective(unknowns, kalman, problem.records)
@@ -87,17 +94,35 @@ def estimate_initial_state(
     return cost.at(optimum.cost.unknowns)
 
 
+class CorrectionKind(StrEnum):
+    """How measurements correct a run."""
+
+    KALMAN_FILTER = "kalman_filter"
+    """Through the states, by the process noise of the model."""
+
+    ESTIMATED_KALMAN_FILTER = "estimated_kalman_filter"
+    """Through the states, by process noise that was estimated."""
+
+    AUTOREGRESSION = "autoregression"
+    """By the autoregression of each output's error."""
+
+    NONE_WHITE = "none_white"
+    """Not at all: the error of the free run is white."""
+
+    NONE_ZERO = "none_zero"
+    """Not at all: the process noise of the model is zero."""
+
+
 @dataclass(frozen=True)
-class PredictionCorrection:
+class PredictionCorrection(Printable):
     """How measurements correct a run: through the states of ``model``, where that has process noise, or by the autoregression
     ``colours`` of each output's error; by nothing where there is neither. ``noise``: what the sensors are taken to have, by output.
-    ``words`` say which it is.
     """
 
     model: Model
     noise: Mapping[str, float]
+    kind: CorrectionKind
     colours: Mapping[str, AutoRegression] = field(default_factory=dict)
-    words: str = ""
 
 
 def identify_correction(given: FixedParameterModel, experiments: Sequence[Experiment]) -> PredictionCorrection:
@@ -112,42 +137,41 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
     frozen = given.model.fix(*given.model.values)
     if frozen.noisy_states:
         cost = estimate_initial_state(make_likelihood(given, experiments), given.options)
-        return PredictionCorrection(
-            frozen, _levels(frozen, cost.unknowns.level, cost.records), words=describe_filter(frozen)
-        )
+        levels = _name_levels(frozen, cost.unknowns.level, cost.records)
+        return PredictionCorrection(frozen, levels, CorrectionKind.KALMAN_FILTER)
     options = given.options
     problem = prepare_problem(
         frozen, experiments, given.noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps
     )
-    levels, runs = _levels(frozen, problem.noise.std, problem.records), solve(problem, options).simulate()
+    levels, runs = _name_levels(frozen, problem.noise.std, problem.records), solve(problem, options).simulate()
     errors = [r.samples(r.y - y) for r, (y, _) in zip(problem.records, runs, strict=True)]
     series = {o.name: join_series([e[:, j] for e in errors]) for j, o in enumerate(frozen.outputs)}
     colours = {name: fit_autoregression(s) for name, s in series.items() if np.isfinite(s).any()}
     if not any(colour.order for colour in colours.values()):
-        return PredictionCorrection(frozen, levels, words="none: the error of the free run is white")
+        return PredictionCorrection(frozen, levels, CorrectionKind.NONE_WHITE)
     states = find_correctable_states(frozen)
-    likely = maximum_likelihood_estimate(frozen.with_process_noise(*states), experiments, given.noise, (), options)
-    if likely.optimum.status.success and _of_states(likely) < sum(_of_colour(series[n], c) for n, c in colours.items()):
-        return _by_states(frozen, states, likely)
-    orders = ", ".join(f"{name} AR({colour.order})" for name, colour in colours.items() if colour.order)
-    words = f"autoregression of the free run's error ({orders})"
-    return PredictionCorrection(frozen, levels, colours, words)
+    estimate = maximum_likelihood_estimate(frozen.with_process_noise(*states), experiments, given.noise, (), options)
+    colour_score = sum(_score_colour(series[name], colour) for name, colour in colours.items())
+    if estimate.optimum.status.success and _score_states(estimate) < colour_score:
+        return _correct_by_states(frozen, states, estimate)
+    return PredictionCorrection(frozen, levels, CorrectionKind.AUTOREGRESSION, colours)
 
 
-def describe_filter(model: Model) -> str:
-    """The filter of a model with known process noise, in words; of one whose intensities are all zero there is none."""
-    states = model.noisy_states
-    return f"Kalman filter, process noise on {', '.join(states)}" if states else "none: the process noise is zero"
+def classify_filter(model: Model) -> CorrectionKind:
+    """The correction by known process noise; none where all intensities are zero."""
+    return CorrectionKind.KALMAN_FILTER if model.noisy_states else CorrectionKind.NONE_ZERO
 
 
-def _by_states(frozen: Model, states: Sequence[str], likely: MaximumLikelihoodEstimate) -> PredictionCorrection:
-    variables = likely.optimum.cost.unknowns.variables
-    found = dict(zip((q.name for q in variables.model.all_parameters), variables.fixed.tolist(), strict=True))
+def _correct_by_states(
+    frozen: Model, states: Sequence[str], estimate: MaximumLikelihoodEstimate
+) -> PredictionCorrection:
+    cost = estimate.optimum.cost
+    variables = cost.unknowns.variables
+    values = dict(zip((q.name for q in variables.model.all_parameters), variables.fixed.tolist(), strict=True))
     model = frozen.with_process_noise(*states)
-    model = model.fix(**{name: found[name] for name in likely.names})
-    words = f"Kalman filter, process noise estimated on {', '.join(model.noisy_states)}"
-    cost = likely.optimum.cost
-    return PredictionCorrection(model, _levels(model, cost.unknowns.level, cost.records), words=words)
+    model = model.fix(**{name: values[name] for name in estimate.names})
+    levels = _name_levels(model, cost.unknowns.level, cost.records)
+    return PredictionCorrection(model, levels, CorrectionKind.ESTIMATED_KALMAN_FILTER)
 
 
 def find_correctable_states(model: Model) -> tuple[str, ...]:
@@ -158,20 +182,20 @@ def find_correctable_states(model: Model) -> tuple[str, ...]:
     return tuple(name for name in moved if name not in by_definition) or tuple(moved)
 
 
-def _levels(model: Model, level: np.ndarray, records: Sequence[Record]) -> dict[str, float]:
+def _name_levels(model: Model, level: np.ndarray, records: Sequence[Record]) -> dict[str, float]:
     """Noise of the outputs that were measured."""
     seen = [j for j in range(len(level)) if any(np.isfinite(r.y[:, j]).any() for r in records)]
     return {model.outputs[j].name: float(level[j]) for j in seen}
 
 
-def _of_states(likely: MaximumLikelihoodEstimate) -> float:
+def _score_states(estimate: MaximumLikelihoodEstimate) -> float:
     """``-2 log L`` of the filter, and what its intensities and noise levels cost."""
-    unknowns, evaluation = likely.optimum.cost.unknowns, likely.optimum.evaluation
+    unknowns, evaluation = estimate.optimum.cost.unknowns, estimate.optimum.evaluation
     numbers = len(unknowns.variables.which) + int(unknowns.estimated.sum())
     return evaluation.cost + numbers * float(np.log(max(evaluation.count, 1)))
 
 
-def _of_colour(series: np.ndarray, colour: AutoRegression) -> float:
+def _score_colour(series: np.ndarray, colour: AutoRegression) -> float:
     """``-2 log L`` of an output's errors (N,) as an autoregression, and what its numbers cost."""
     count = int(np.isfinite(series).sum())
     variance = float(np.nanmean(series**2)) * colour.innovation_variance
@@ -198,30 +222,46 @@ class Predictor:
     def predict(
         self, experiment: Experiment, steps: int = 1, *, initial: InitialState | None = None
     ) -> dict[str, np.ndarray]:
-        """Outputs by name (N,): row ``k`` from the inputs, and from the measurements up to row ``k - steps``.
+        """Predict the outputs of a record: row ``k`` from the inputs, and from the measurements up to row ``k - steps``.
 
-        The first ``steps`` rows are those of the free run. ``initial``: the first states by name; None estimates them from the first
-        50 rows (or takes the declared ones, with ``options.at_rest``). Raises DataError for steps below one.
+        Parameters
+        ----------
+        experiment
+            The record.
+        steps
+            How many samples ahead; the first ``steps`` rows are those of the free run.
+        initial
+            First states by name; None estimates them from the first 50 rows (or takes the declared ones, with ``options.at_rest``).
+
+        Returns
+        -------
+        dict
+            Outputs by name (N,).
+
+        Raises
+        ------
+        DataError
+            For steps below one.
         """
         _check_steps(steps)
-        cost = self._begun(experiment, initial)
+        cost = self._prepare(experiment, initial)
         names = [o.name for o in self.correction.model.outputs]
         if self.correction.model.noisy_states:
-            return _named(names, predict_ahead(cost, steps)[0])
+            return _name_outputs(names, predict_ahead(cost, steps)[0])
         record = cost.records[0]
         free, seen = record.samples(compute_free_runs(cost)[0][0]), record.samples(record.y)
         for j, name in enumerate(names):
             if name in self.correction.colours:
                 free[:, j] += self.correction.colours[name].predict(seen[:, j] - free[:, j], steps)
-        return _named(names, free)
+        return _name_outputs(names, free)
 
     def simulate(self, experiment: Experiment, *, initial: InitialState | None = None) -> dict[str, np.ndarray]:
         """Outputs by name (N,) of the free run; ``initial`` as for `predict`."""
-        cost = self._begun(experiment, initial)
+        cost = self._prepare(experiment, initial)
         names = [o.name for o in self.correction.model.outputs]
-        return _named(names, cost.records[0].samples(compute_free_runs(cost)[0][0]))
+        return _name_outputs(names, cost.records[0].samples(compute_free_runs(cost)[0][0]))
 
-    def _begun(self, experiment: Experiment, initial: InitialState | None) -> PredictionErrorObjective:
+    def _prepare(self, experiment: Experiment, initial: InitialState | None) -> PredictionErrorObjective:
         model = self.correction.model
         given = FixedParameterModel(model, self.correction.noise, self.options)
         if initial is None:
@@ -242,66 +282,110 @@ class Predictor:
 
 
 def predictor(
-    given: Model | Fit,
+    model: Model | Fit,
     experiments: Experiment | Sequence[Experiment] = (),
     *,
     noise: Mapping[str, float] | NoiseModel | None = None,
     options: FitOptions | None = None,
 ) -> Predictor:
-    """A `Predictor` of a model or a fit.
+    """Make a model or a fit ready to predict any record some samples ahead.
 
-    Of a model with process noise it is the Kalman filter. Any other model is corrected as ``experiments`` say (None: those of the
-    fit), see `greybox.estimation.predictor.identify_correction`; its constants stay. Judge it on other records than
-    those. With a
-    model that lacks nothing there is nothing to correct, and the prediction is the free run. ``noise`` of the sensors by output; None
-    takes that of the fit, or finds the most likely one.
+    For a model with process noise it is the Kalman filter. Any other model is corrected as the records say
+    (`greybox.estimation.predictor.identify_correction`); its parameters stay. Judge it on other records than those. With a model that
+    lacks nothing there is nothing to correct, and the prediction is the free run.
 
-    Raises DataError where there are no records to tell the correction.
+    Parameters
+    ----------
+    model
+        A model, or a fit.
+    experiments
+        Records that tell the correction; left out, those of the fit.
+    noise
+        Standard deviation by output in the model's units; None takes that of the fit, or finds the most likely one.
+    options
+        Discretisation and treatment of the first states; None takes those of the fit.
+
+    Returns
+    -------
+    Predictor
+        With ``predict`` and ``simulate``.
+
+    Raises
+    ------
+    DataError
+        If there are no records to tell the correction.
+
+    Examples
+    --------
+    >>> predictor(fit).predict(other_record, steps=5)["x"]  # doctest: +SKIP
     """
-    found = fix_parameters(given, noise, options)
+    known = fix_parameters(model, noise, options)
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
-    if isinstance(given, Fit):
-        if given.model.noisy_states and noise is None and not group:
-            frozen = given.model.fix(*given.model.values)
-            return Predictor(
-                PredictionCorrection(frozen, given.noise.std, words=describe_filter(frozen)), found.options
-            )
-        if not given.model.noisy_states and noise is None:
-            # What was not told by anybody the filter finds together with the process noise.
-            told = {
-                n: v
-                for n, v in given.noise.std.items()
-                if n in given.noise.sources and given.noise.sources[n].is_independent
-            }
-            found = replace(found, noise=told)
-        group = group or tuple(t.experiment for t in given.traces)
+    if isinstance(model, Fit):
+        if model.model.noisy_states and noise is None and not group:
+            frozen = model.model.fix(*model.model.values)
+            correction = PredictionCorrection(frozen, model.noise.std, classify_filter(frozen))
+            return Predictor(correction, known.options)
+        if not model.model.noisy_states and noise is None:
+            # Noise that is not known independently is estimated together with the process noise.
+            sources = model.noise.sources
+            independent = {n: v for n, v in model.noise.std.items() if n in sources and sources[n].is_independent}
+            known = replace(known, noise=independent)
+        group = group or tuple(t.experiment for t in model.traces)
     if not group:
         raise DataError("predictor: no record tells how to correct the model; give experiments, or a fit")
-    return Predictor(identify_correction(found, group), found.options)
+    return Predictor(identify_correction(known, group), known.options)
 
 
 def predict(
-    given: Model | Fit | PredictingModel,
+    model: Model | Fit | PredictingModel,
     experiment: Experiment,
     *,
     steps: int = 1,
     noise: Mapping[str, float] | NoiseModel | None = None,
     options: FitOptions | None = None,
 ) -> dict[str, np.ndarray]:
-    """Outputs by name (N,) of ``experiment``, each row predicted from the measurements up to ``steps`` rows before it.
+    """Predict the outputs of a record some samples ahead of the measurements.
 
-    ``given``: a fit or a model, as `predictor` makes them ready (a model that has no process noise is corrected as ``experiment`` itself
-    says: a few numbers are fitted to it, the constants are not), or anything with a ``predict`` of its own, such as a black-box model.
-    Several records, or several ``steps``, are cheaper through one `predictor`. Raises DataError for steps below one.
+    Several records, or several ``steps``, are cheaper through one `predictor`.
+
+    Parameters
+    ----------
+    model
+        A fit or a model, as `predictor` makes them ready (a model without process noise is corrected as ``experiment`` itself says: a few
+        numbers are fitted to it, the parameters are not), or anything with a ``predict`` of its own, such as a black-box model.
+    experiment
+        The record.
+    steps
+        How many samples ahead.
+    noise
+        Standard deviation by output in the model's units; None takes that of the fit, or finds the most likely one.
+    options
+        Discretisation and treatment of the first states; None takes those of the fit.
+
+    Returns
+    -------
+    dict
+        Outputs by name (N,), each row predicted from the measurements up to ``steps`` rows before it.
+
+    Raises
+    ------
+    DataError
+        For steps below one.
+    ModelError
+        For something that cannot predict.
+
+    Examples
+    --------
+    >>> predict(fit, record, steps=5)["x"]  # doctest: +SKIP
     """
     _check_steps(steps)
-    if isinstance(given, Fit | Model):
-        return predictor(given, () if isinstance(given, Fit) else experiment, noise=noise, options=options).predict(
-            experiment, steps
-        )
-    if not hasattr(given, "predict"):
-        raise ModelError(f"{given!r} cannot predict; give a Model, a Fit, or a model with a predict method")
-    return dict(given.predict(experiment, steps=steps))
+    if isinstance(model, Fit | Model):
+        records = () if isinstance(model, Fit) else experiment
+        return predictor(model, records, noise=noise, options=options).predict(experiment, steps)
+    if not hasattr(model, "predict"):
+        raise ModelError(f"{model!r} cannot predict; give a Model, a Fit, or a model with a predict method")
+    return dict(model.predict(experiment, steps=steps))
 
 
 def _check_steps(steps: int) -> None:
@@ -309,5 +393,5 @@ def _check_steps(steps: int) -> None:
         raise DataError(f"steps ahead: {steps}; give a whole number from 1")
 
 
-def _named(names: Sequence[str], y: np.ndarray) -> dict[str, np.ndarray]:
+def _name_outputs(names: Sequence[str], y: np.ndarray) -> dict[str, np.ndarray]:
     return {name: y[:, j] for j, name in enumerate(names)}

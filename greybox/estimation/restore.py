@@ -49,12 +49,7 @@ def restore_problem(
     Raises FitError for a fit that did not succeed, that was saved without its inputs, or whose run is not a free one (arcs, or
     the segments of an unstable plant).
     """
-    if not fit.success:
-        raise FitError(
-            f"fit of {fit.model.title}: {fit.solver.status_message}; intervals need a fit that has succeeded"
-        )
-    if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
-        raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
+    _check_fit(fit, "intervals need")
     if not has_free_run(fit):
         raise FitError(
             f"fit of {fit.model.title}: its run is not a free one ({fit.solver.statistics['transcription']}), and what is"
@@ -65,19 +60,35 @@ def restore_problem(
     for e, values in (held or {}).items():
         records[e] = replace(records[e], conditions={**records[e].conditions, **values})
     problem = prepare_problem(
-        model or fit.model, records, restore_noise(fit), at_rest=options.at_rest, method=options.method,
-        substeps=options.substeps, per_experiment=options.per_experiment,
-    )  # fmt: skip
-    each = {
-        f"{name} ({title})": e.value
-        for name, found in fit.constraints.per_experiment.items()
-        for title, e in found.items()
-    }
-    variables = problem.variables.at(each)
+        model or fit.model,
+        records,
+        restore_noise(fit),
+        at_rest=options.at_rest,
+        method=options.method,
+        substeps=options.substeps,
+        per_experiment=options.per_experiment,
+    )
+    variables = problem.variables.at(_label_experiment_values(fit))
     problem = replace(problem, loss=restore_loss(fit))
     start = np.array([[t.initial_state[name] for name in problem.model.system.state_names] for t in fit.traces])
     initial = replace(variables.initial, guess=start)
     return replace(problem, variables=replace(variables, initial=initial))
+
+
+def _check_fit(fit: Fit, what: str) -> None:
+    if not fit.success:
+        raise FitError(f"fit of {fit.model.title}: {fit.solver.status_message}; {what} a fit that has succeeded")
+    if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
+        raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
+
+
+def _label_experiment_values(fit: Fit) -> dict[str, float]:
+    """Values of the parameters that each experiment has for itself, by their labels ``B (day 1)``."""
+    return {
+        f"{name} ({title})": estimate.value
+        for name, estimates in fit.constraints.per_experiment.items()
+        for title, estimate in estimates.items()
+    }
 
 
 def restore_loss(fit: Fit) -> RobustLoss | None:
@@ -103,12 +114,7 @@ def restore_likelihood(fit: Fit) -> PredictionErrorObjective:
 
     Raises FitError for a fit that did not succeed, or was saved without its inputs.
     """
-    if not fit.success:
-        raise FitError(
-            f"fit of {fit.model.title}: {fit.solver.status_message}; its innovations need a fit that has succeeded"
-        )
-    if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
-        raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
+    _check_fit(fit, "its innovations need")
     saved = FitOptions.from_data(fit.provenance.options)
     options = replace(
         saved,
@@ -124,12 +130,7 @@ def restore_likelihood(fit: Fit) -> PredictionErrorObjective:
     )
     v = cost.unknowns.variables
     start = np.array([[t.initial_state[name] for name in fit.model.system.state_names] for t in fit.traces])
-    per_experiment = {
-        f"{name} ({title})": e.value
-        for name, found in fit.constraints.per_experiment.items()
-        for title, e in found.items()
-    }
-    variables = replace(v.at(per_experiment), initial=replace(v.initial, guess=start))
+    variables = replace(v.at(_label_experiment_values(fit)), initial=replace(v.initial, guess=start))
     return cost.at(replace(cost.unknowns, variables=variables))
 
 

@@ -62,23 +62,46 @@ def smooth(
     noise: Mapping[str, float] | NoiseModel | None = None,
     options: FitOptions | None = None,
 ) -> SmoothedStates:
-    """The states of ``model``, or of a fit, during ``experiment``, at its present constants: Kalman filter and fixed-interval smoother.
+    """States during a record given all of its measurements: Kalman filter and fixed-interval smoother, the parameters as they are.
 
-    Without process noise on any state (`State`) they are those of the free run. ``noise``: standard deviation by output; None takes
-    that of the fit, or finds the most likely one. The first states are unknown and found from the record, unless ``options.at_rest``
-    declares them. The bands allow for noise of process and sensors, and for the first states; not for the constants.
+    Without process noise on any state (`State`) they are those of the free run. The first states are unknown and estimated from the
+    record, unless ``options.at_rest`` declares them. The bands allow for noise of process and sensors, and for the first states; not
+    for the parameters.
 
-    Raises DataError and ModelError for a record that does not go with the model.
+    Parameters
+    ----------
+    model
+        A model, or a fit.
+    experiment
+        The record.
+    noise
+        Standard deviation by output in the model's units; None takes that of the fit, or finds the most likely one.
+    options
+        Discretisation and treatment of the first states; None takes those of the fit.
+
+    Returns
+    -------
+    SmoothedStates
+        Mean and standard deviation (N,) of each state, the same from the filter alone, and the innovations.
+
+    Raises
+    ------
+    DataError, ModelError
+        For a record that does not go with the model.
+
+    Examples
+    --------
+    >>> low, high = smooth(fit, record).band("v")  # doctest: +SKIP
     """
     given = fix_parameters(model, noise, options)
     cost = estimate_initial_state(make_likelihood(given, experiment), given.options)
     pn, x0 = evaluate_initial_state(cost, 0)
-    found = smooth_states(
+    smoothed = smooth_states(
         cost.kalman, cost.records[0], pn, x0, _make_prior_covariance(cost, given.options.policy.initial_state)
     )
     record, names = cost.records[0], given.model.system.state_names
-    spread = np.sqrt(np.maximum(np.diagonal(found.covariance, axis1=1, axis2=2), 0.0))
-    before = np.sqrt(np.maximum(np.diagonal(found.filtered_covariance, axis1=1, axis2=2), 0.0))
+    spread = np.sqrt(np.maximum(np.diagonal(smoothed.covariance, axis1=1, axis2=2), 0.0))
+    before = np.sqrt(np.maximum(np.diagonal(smoothed.filtered_covariance, axis1=1, axis2=2), 0.0))
 
     def by_state(values: np.ndarray) -> dict[str, np.ndarray]:
         return {name: record.samples(values)[:, k] for k, name in enumerate(names)}
@@ -86,12 +109,19 @@ def smooth(
     measured = [(j, o) for j, o in enumerate(given.model.outputs) if np.isfinite(record.y[:, j]).any()]
     innovations = record.samples(cost.innovations()[0])
     return SmoothedStates(
-        experiment.name, experiment.time, by_state(found.mean), by_state(spread), by_state(found.filtered), by_state(before),
-        {o.name: innovations[:, j] for j, o in measured}, -0.5 * cost.cost(),
-        {o.name: float(cost.unknowns.level[j]) for j, o in measured},
-        {name: value for name, value in given.model.noise_intensities.items() if value},
-        {s.name: s.unit for s in given.model.all_states}, cost.kalman.whole.label,
-    )  # fmt: skip
+        experiment=experiment.name,
+        time=experiment.time,
+        mean=by_state(smoothed.mean),
+        std=by_state(spread),
+        filtered=by_state(smoothed.filtered),
+        filtered_std=by_state(before),
+        innovations={o.name: innovations[:, j] for j, o in measured},
+        log_likelihood=-0.5 * cost.cost(),
+        noise={o.name: float(cost.unknowns.level[j]) for j, o in measured},
+        process_noise={name: value for name, value in given.model.noise_intensities.items() if value},
+        units={s.name: s.unit for s in given.model.all_states},
+        discretisation=cost.kalman.whole.label,
+    )
 
 
 def _make_prior_covariance(cost: PredictionErrorObjective, policy: InitialStatePolicy) -> np.ndarray | None:

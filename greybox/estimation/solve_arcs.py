@@ -44,11 +44,14 @@ def solve_arcs(choice: TranscriptionChoice, options: FitOptions, report: FitProg
     problem = replace(solved.problem, variables=solved.variables)
     variables = _to_whole_records(whole.variables, solved.variables, arcs.starts_record)
     solution = replace(
-        solved, problem=replace(whole, step=problem.step, kernel=problem.kernel), variables=variables, transcription="arcs",
+        solved,
+        problem=replace(whole, step=problem.step, kernel=problem.kernel),
+        variables=variables,
+        transcription="arcs",
         strategy=choice.to_strategy(
             arcs=len(arcs.starts_record), arc_length=options.arc_length, whole=bool(all(arcs.starts_record))
         ),
-    )  # fmt: skip
+    )
     if not np.isfinite(solved.evaluation.cost):
         return solution
     rows = _project_residuals(problem)
@@ -103,10 +106,18 @@ def _solve_with_states_eliminated(
         (low, high), zero = projected.bounds(), np.zeros(projected.size)
         first = projected.evaluate(zero)
         outcome = minimise(
-            projected.evaluate, zero, low, high, scale=max(first.cost, TINY), first=first, tolerance=options.tolerance,
-            iterations=options.iterations, finished=make_termination_test(low, high, options.policy.convergence), thorough=options.thorough,
+            projected.evaluate,
+            zero,
+            low,
+            high,
+            scale=max(first.cost, TINY),
+            first=first,
+            tolerance=options.tolerance,
+            iterations=options.iterations,
+            finished=make_termination_test(low, high, options.policy.convergence),
+            thorough=options.thorough,
             progress=ProgressMonitor(problem, report),
-        )  # fmt: skip
+        )
         iterations, passes = iterations + outcome.iterations, passes + outcome.evaluations
         value, seconds = outcome.value or first, seconds + outcome.seconds
         if outcome.status in NO_RESULT:

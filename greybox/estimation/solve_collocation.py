@@ -77,13 +77,22 @@ def solve_collocation(
         problem = with_substeps(problem, max(problem.step.substeps, _POINTS * elements), at.variables.fixed)
     success, title = at.outcome.status.success, _TITLES[scheme]
     solution = Solution(
-        problem, at.variables, at.evaluation, at.outcome.status, at.outcome.solver_status,
-        sum(w.outcome.iterations for w in work), sum(w.outcome.evaluations for w in work),
-        sum(w.outcome.seconds for w in work), (1.0,), error,
-        choice.to_strategy(held_samples=int(at.held)), choice.transcription,
+        problem,
+        at.variables,
+        at.evaluation,
+        at.outcome.status,
+        at.outcome.solver_status,
+        sum(w.outcome.iterations for w in work),
+        sum(w.outcome.evaluations for w in work),
+        sum(w.outcome.seconds for w in work),
+        (1.0,),
+        error,
+        choice.to_strategy(held_samples=int(at.held)),
+        choice.transcription,
         SegmentedRun(_simulate(problem, at), at.rows, at.variables.size, shift) if success else None,
-        f"collocation, three {title} points" + (" a sample" if elements == 1 else f" in each of {elements} elements a sample"),
-    )  # fmt: skip
+        f"collocation, three {title} points"
+        + (" a sample" if elements == 1 else f" in each of {elements} elements a sample"),
+    )
     return finish_by_simulation_error(solution, options, report)
 
 
@@ -98,19 +107,24 @@ def _guess_start(problem: EstimationProblem) -> tuple[DecisionVector, list[np.nd
 
 
 def _solve(
-    problem: EstimationProblem, variables: DecisionVector, states: Sequence[np.ndarray], scheme: str, elements: int,
-    options: FitOptions, report: FitProgressCallback | None,
-) -> _Point:  # fmt: skip
+    problem: EstimationProblem,
+    variables: DecisionVector,
+    states: Sequence[np.ndarray],
+    scheme: str,
+    elements: int,
+    options: FitOptions,
+    report: FitProgressCallback | None,
+) -> _Point:
     records, weight = problem.records, 1 / problem.noise.std
     program = Collocation(variables, records, weight, states, scheme=scheme, elements=elements, hessian=options.hessian)
     outcome = solve_sparse(
         **program.problem(), iterations=options.iterations, progress=ProgressMonitor(problem, report)
     )
-    found = program.found(outcome.z)
+    point = program.found(outcome.z)
     if not outcome.status.success:
-        free = SingleShooting(found.variables, problem.step, problem.kernel, records, weight)
-        return _Point(outcome, found.variables, found.states, found.held, free.evaluate(np.zeros(variables.size)), ())
-    return _Point(outcome, found.variables, found.states, found.held, *program.linearise(outcome.z))
+        free = SingleShooting(point.variables, problem.step, problem.kernel, records, weight)
+        return _Point(outcome, point.variables, point.states, point.held, free.evaluate(np.zeros(variables.size)), ())
+    return _Point(outcome, point.variables, point.states, point.held, *program.linearise(outcome.z))
 
 
 def _simulate(problem: EstimationProblem, at: _Point) -> Runs:

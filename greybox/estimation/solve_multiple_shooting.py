@@ -71,9 +71,19 @@ def solve_multiple(
             shooting = _make_shooting(problem, rows, result.nodes)
     segments = sum(len(n) - 1 for n in result.nodes)
     solution = Solution(
-        problem, result.variables, result.evaluation, _STATUS[result.end], "", iterations, passes, seconds, (1.0,), error,
-        choice.to_strategy(segments=segments), "multiple",
-    )  # fmt: skip
+        problem,
+        result.variables,
+        result.evaluation,
+        _STATUS[result.end],
+        "",
+        iterations,
+        passes,
+        seconds,
+        (1.0,),
+        error,
+        choice.to_strategy(segments=segments),
+        "multiple",
+    )
     if not result.runs:
         return solution
     joined = SegmentedRun(result.runs, result.rows, result.variables.size, _compute_step_shift(problem, rows, result))

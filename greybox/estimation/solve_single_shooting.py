@@ -46,9 +46,18 @@ def solve_single(
         run.problem, run.known = better, None
         run.fit(1.0)
     return Solution(
-        run.problem, run.variables, run.evaluation, run.status, run.word, run.iterations, run.passes, run.seconds,
-        tuple(run.shares), error, make_strategy(Transcription.SINGLE, shares=list(run.shares)),
-    )  # fmt: skip
+        run.problem,
+        run.variables,
+        run.evaluation,
+        run.status,
+        run.word,
+        run.iterations,
+        run.passes,
+        run.seconds,
+        tuple(run.shares),
+        error,
+        make_strategy(Transcription.SINGLE, shares=list(run.shares)),
+    )
 
 
 class _Run:

@@ -22,28 +22,35 @@ def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.
         inputs = {i.name: given[:, j] for j, i in enumerate(problem.model.inputs)}
         result.append(
             Trace(
-                experiment.name, experiment.fingerprint, experiment.time, measured, simulated, start, inputs, experiment.hold,
+                experiment.name,
+                experiment.fingerprint,
+                experiment.time,
+                measured,
+                simulated,
+                start,
+                inputs,
+                experiment.hold,
                 dict(experiment.conditions),
             )
-        )  # fmt: skip
+        )
     return tuple(result)
 
 
-def compute_misfits(problem: EstimationProblem, found: Sequence[Trace], skip: int = 0) -> dict[str, Misfit]:
+def compute_misfits(problem: EstimationProblem, traces: Sequence[Trace], skip: int = 0) -> dict[str, Misfit]:
     """Free-run error of each output over all records, their first ``skip`` rows left out."""
     noise = {o.name: problem.noise.std[j] for j, o in enumerate(problem.model.outputs)}
     units = {o.name: o.unit for o in problem.model.outputs}
     return {
-        name: compute_misfit(found, name, units[name], noise[name], skip)
+        name: compute_misfit(traces, name, units[name], noise[name], skip)
         for name in noise
-        if any(name in t.measured for t in found)
+        if any(name in trace.measured for trace in traces)
     }
 
 
-def compute_misfit(found: Sequence[Trace], output: str, unit: str, noise: float, skip: int = 0) -> Misfit:
+def compute_misfit(traces: Sequence[Trace], output: str, unit: str, noise: float, skip: int = 0) -> Misfit:
     """Error of one output over the records that have it."""
     errors, movements = [], []
-    for trace in found:
+    for trace in traces:
         if output in trace.measured:
             residual, measured = trace.residual(output)[skip:], trace.measured[output][skip:]
             usable = np.isfinite(measured)

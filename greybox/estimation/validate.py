@@ -71,8 +71,14 @@ def validate(
     )
     frozen = model.fix(*model.values)
     problem = prepare_problem(
-        frozen, experiments, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps, robust=options.robust
-    )  # fmt: skip
+        frozen,
+        experiments,
+        noise,
+        at_rest=options.at_rest,
+        method=options.method,
+        substeps=options.substeps,
+        robust=options.robust,
+    )
     shortest = min(len(r.u) for r in problem.records)
     if skip < 0 or skip >= shortest:
         raise DataError(f"skip: {skip} rows, but the shortest validation record has {shortest}; leave out fewer rows")

@@ -12,7 +12,12 @@ import numpy as np
 def read_versions() -> dict[str, str]:
     """Versions of what computed a result."""
     try:
-        own = version("greybox-sysid")
+        greybox_version = version("greybox-sysid")
     except PackageNotFoundError:
-        own = "not installed"
-    return {"greybox": own, "casadi": ca.__version__, "numpy": np.__version__, "python": platform.python_version()}
+        greybox_version = "not installed"
+    return {
+        "greybox": greybox_version,
+        "casadi": ca.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }

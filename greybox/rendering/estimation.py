@@ -15,6 +15,7 @@ from greybox.units import format_unit
 
 if TYPE_CHECKING:
     from greybox.estimation import MultiStartResult, SmoothedStates
+    from greybox.estimation.predictor import PredictionCorrection
     from greybox.result import SolverReport
 
 LONGEST_FORMULA = 80  # characters that are worth showing
@@ -332,3 +333,17 @@ def write_smoothed_states(states: SmoothedStates) -> str:
             f"  innovation of {name}: mean {np.nanmean(e):.2g}, standard deviation {np.nanstd(e):.3g} (1 is correct)"
         )
     return "\n".join(lines)
+
+
+@renders("PredictionCorrection")
+def write_correction(correction: PredictionCorrection) -> str:
+    """How measurements correct a prediction."""
+    if correction.kind == "none_white":
+        return "none: the error of the free run is white"
+    if correction.kind == "none_zero":
+        return "none: the process noise is zero"
+    if correction.kind == "autoregression":
+        orders = ", ".join(f"{name} AR({c.order})" for name, c in correction.colours.items() if c.order)
+        return f"autoregression of the free run's error ({orders})"
+    estimated = " estimated" if correction.kind == "estimated_kalman_filter" else ""
+    return f"Kalman filter, process noise{estimated} on {', '.join(correction.model.noisy_states)}"

@@ -91,7 +91,7 @@ def score(
     )
     traces = model.traces if isinstance(model, Fit) and not group else [None] * len(judged)
     runs = [_run_record(ready, e, steps, trace) for e, trace in zip(judged, traces, strict=True)]
-    correction = ready.correction.words if isinstance(ready, Predictor) else "its own noise model"
+    correction = str(ready.correction) if isinstance(ready, Predictor) else "its own noise model"
     units = {o.name: o.unit for o in model.model.outputs} if isinstance(model, Fit) else _units(ready)
     outputs = {}
     for name in dict.fromkeys(n for free, _ in runs for n in free):

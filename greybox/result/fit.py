@@ -185,9 +185,29 @@ def fit_data(fit: Fit) -> dict[str, Any]:
 
 
 def load_fit(path: str | Path, model: Model) -> Fit:
-    """Read a fit that `Fit.save` wrote. ``model`` states its equations (effects included); it gets the fitted values.
+    """Read a fit that `Fit.save` wrote.
 
-    Raises DataError where the file is not a fit, or belongs to another model.
+    Parameters
+    ----------
+    path
+        The ``fit.json``.
+    model
+        States the equations, effects included; it gets the fitted values.
+
+    Returns
+    -------
+    Fit
+        The fit as it was saved.
+
+    Raises
+    ------
+    DataError
+        If the file is not a fit, or belongs to another model.
+
+    Examples
+    --------
+    >>> load_fit("results/fit.json", micro_actuator).parameters["K"].value  # doctest: +SKIP
+    5895.47
     """
     source = Path(path)
     try:
@@ -199,11 +219,11 @@ def load_fit(path: str | Path, model: Model) -> Fit:
             f"{source}: not a fit of this program (format {FORMAT}); give the fit.json that a fit has written"
         )
     if data["model"] != model.name or data["effects"] != [e.name for e in model.effects]:
-        said = " + ".join([data["model"], *data["effects"]])
-        raise DataError(f"{source}: belongs to the model {said}, not to {model.title}; give that model")
+        title = " + ".join([data["model"], *data["effects"]])
+        raise DataError(f"{source}: belongs to the model {title}, not to {model.title}; give that model")
     parameters = _estimates(data["parameters"])
     fixed = [n for n, e in parameters.items() if e.fixed]
-    model = _as_fitted(source, _as_pushed(model, data), data)
+    model = _restore_constraints(source, _restore_process_noise(model, data), data)
     fitted = model.free(*(n for n, e in parameters.items() if not e.fixed)).fix(*fixed)
     fitted = fitted.start(**{n: e.value for n, e in parameters.items()})
     get = data.get  # the first files of this format lack some of the keys
@@ -281,7 +301,7 @@ def _prior_check(data: Mapping[str, Any]) -> PriorCheck:
     return PriorCheck(data["mean"], data["std"], _number(data["moved"]), data["learnt"], data["conflict"])
 
 
-def _as_pushed(model: Model, data: Mapping[str, Any]) -> Model:
+def _restore_process_noise(model: Model, data: Mapping[str, Any]) -> Model:
     """``model`` with the process noise of a fit, where it was added to it (`Model.with_process_noise`)."""
     states = [s for s in data.get("process_noise", {}) if s in model.system.state_names and s not in model.noisy_states]
     estimated = [s for s in states if intensity_name(s) in data["parameters"] and intensity_name(s) not in model.values]
@@ -291,14 +311,14 @@ def _as_pushed(model: Model, data: Mapping[str, Any]) -> Model:
     return model.with_process_noise(*estimated, **known) if states else model
 
 
-def _as_fitted(source: Path, model: Model, data: Mapping[str, Any]) -> Model:
+def _restore_constraints(source: Path, model: Model, data: Mapping[str, Any]) -> Model:
     """``model`` with the ties and priors of a fit; a model with other ties is refused with DataError."""
     ties = dict(data.get("ties", {}))
-    said = {tie.name: tie.formula for tie in model.ties}
-    if said and said != ties:
+    stated = {tie.name: tie.formula for tie in model.ties}
+    if stated and stated != ties:
         text = ", ".join(f"{name} = {formula}" for name, formula in ties.items()) or "none"
         raise DataError(f"{source}: has other ties than the model ({text}); give the model without ties, or with these")
-    model = model if said or not ties else model.start(**_known(model, data)).with_ties(ties)
+    model = model if stated or not ties else model.start(**_known(model, data)).with_ties(ties)
     # Of a constant that each experiment has for itself the label is 'B (day 1)'.
     priors = {label.partition(" (")[0]: (c["mean"], c["std"]) for label, c in data.get("priors", {}).items()}
     return model.prior(**priors) if priors else model
@@ -345,8 +365,15 @@ def _traces(data: Sequence[dict]) -> tuple[Trace, ...]:
 
     return tuple(
         Trace(
-            t["name"], t["fingerprint"], _array(t["time"]), arrays(t["measured"]), arrays(t["simulated"]), t["initial_state"],
-            arrays(t.get("inputs", {})), t.get("hold", "zero"), t.get("conditions", {}),
+            t["name"],
+            t["fingerprint"],
+            _array(t["time"]),
+            arrays(t["measured"]),
+            arrays(t["simulated"]),
+            t["initial_state"],
+            arrays(t.get("inputs", {})),
+            t.get("hold", "zero"),
+            t.get("conditions", {}),
         )
         for t in data
-    )  # fmt: skip
+    )

@@ -135,8 +135,13 @@ def _restore_prediction(fit: Fit) -> _Optimum:
 
 
 def _draw_scores(
-    r: np.ndarray, jacobian: np.ndarray, loudness: np.ndarray | None, replicates: int, block: int, generator: np.random.Generator
-) -> np.ndarray:  # fmt: skip
+    r: np.ndarray,
+    jacobian: np.ndarray,
+    loudness: np.ndarray | None,
+    replicates: int,
+    block: int,
+    generator: np.random.Generator,
+) -> np.ndarray:
     """``J' r*`` (B, L) of residuals made of random blocks of ``r`` (N, ny), each output's mean removed; gaps stay gaps.
 
     Of innovations ``J' r* + L'(s^2 - r*^2) / 2``, ``L`` the slopes of the logarithm of their variance and ``s^2`` their mean square.
@@ -186,8 +191,8 @@ def _summarise(v: DecisionVector, steps: np.ndarray, block: int) -> Bootstrap:
     for k, name in enumerate(v.names):
 
         def place(step: np.ndarray, k: int = k) -> np.ndarray:
-            there = v.base[k] * np.exp(np.clip(step, -300, 300)) if v.logarithmic[k] else v.base[k] + v.scale[k] * step
-            return np.clip(there, v.low[k], v.high[k])
+            linear, factor = v.base[k] + v.scale[k] * step, np.exp(np.clip(step, -300, 300))
+            return np.clip(v.base[k] * factor if v.logarithmic[k] else linear, v.low[k], v.high[k])
 
         samples[:, k] = place(steps[:, k])
         std[name] = float(samples[:, k].std(ddof=1))

@@ -51,7 +51,7 @@ def test_the_most_likely_constants_are_those_of_statsmodels():
     values = [*(found.parameters[n].value for n in names), *(found.noise.std[n] for n in LEVEL)]
     start = [found.traces[0].initial_state[n] for n in LEVEL]
     at = np.append(np.log(values), start)
-    assert theirs(data, at[:5], start) == pytest.approx(found.log_likelihood, rel=1e-8)
+    assert theirs(data, at[:5], start) == pytest.approx(found.prediction.log_likelihood, rel=1e-8)
     scale = np.append(np.full(5, 0.05), [0.01, 0.02])
 
     def cost(step):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 
 from greybox.estimation.findings import EstimationCode
+from greybox.estimation.predictor import CorrectionKind, PredictionCorrection
 from greybox.findings import Finding
+from greybox.noise import AutoRegression
 from greybox.result import SolverReport
 
 POINT = [{"name": "level", "value": "-0.1", "unit": "m"}, {"name": "pump", "value": "0.1", "unit": "m/s"}]
@@ -228,3 +230,24 @@ def test_a_status_names_its_likely_causes_and_the_misfit() -> None:
         " (2) an unstable model over a long record; (3) a missing bound (for example a level below zero)."
         " The filter of experiment 1 is no longer finite"
     )
+
+
+class Line:
+    """What a correction needs of its model."""
+
+    noisy_states = ("v",)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("none_white", "none: the error of the free run is white"),
+        ("none_zero", "none: the process noise is zero"),
+        ("autoregression", "autoregression of the free run's error (x AR(1))"),
+        ("kalman_filter", "Kalman filter, process noise on v"),
+        ("estimated_kalman_filter", "Kalman filter, process noise estimated on v"),
+    ],
+)
+def test_a_correction_says_how_it_corrects(kind: str, text: str) -> None:
+    colours = {"x": AutoRegression((0.5,)), "y": AutoRegression()}
+    assert str(PredictionCorrection(Line(), {}, CorrectionKind(kind), colours)) == text
