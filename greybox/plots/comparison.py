@@ -23,7 +23,7 @@ from greybox.plots.figure import (
     Thinning,
     bar_axis,
 )
-from greybox.plots.limits import LIMITS
+from greybox.plots.policy import DRAWING
 from greybox.plots.records import TIME
 from greybox.plots.scaling import root_mean_square, scale_to_prefix
 from greybox.rendering.plots import FigureText, phrase
@@ -91,7 +91,7 @@ def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figu
             )
             for n, run in reversed(runs.items())
         ]  # fmt: skip
-        reach = LIMITS.typical_errors * factor * max(typical[np.isfinite(typical)], default=1.0) or 1.0
+        reach = DRAWING.typical_errors * factor * max(typical[np.isfinite(typical)], default=1.0) or 1.0
         axis = Axis(f"error of {output}", unit, limits=(-reach, reach))
         panels.append(Panel(output, tuple(curves), TIME, axis))
     return Figure(name, tuple(panels), phrase(FigureText.MODEL_RESIDUALS, record), _error_sizes(comparison, record))
@@ -138,7 +138,7 @@ def _error_sizes(comparison: Comparison, record: str) -> tuple[Finding, ...]:
 
 def _error_size(run: ComparisonRun) -> float:
     """Root mean square error; NaN where the run leaves all bounds."""
-    if not (np.abs(run.simulated) < LIMITS.overflow).all():
+    if not (np.abs(run.simulated) < DRAWING.overflow).all():
         return np.nan
     return _usable(root_mean_square(run.measured - run.simulated))
 
@@ -146,11 +146,11 @@ def _error_size(run: ComparisonRun) -> float:
 def _cut(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """A run (N,) without what lies far outside the measured signal."""
     low, high = np.nanmin(measured), np.nanmax(measured)
-    reach = LIMITS.ranges_from_measured * (high - low) or 1.0
+    reach = DRAWING.ranges_from_measured * (high - low) or 1.0
     inside = np.isfinite(values) & (values > low - reach) & (values < high + reach)
     return np.where(inside, values, np.nan)
 
 
 def _usable(error: float) -> float:
     """An error that can be drawn: NaN where a run left all bounds, and where it is exact."""
-    return error if np.isfinite(error) and 0 < error < LIMITS.overflow else np.nan
+    return error if np.isfinite(error) and 0 < error < DRAWING.overflow else np.nan

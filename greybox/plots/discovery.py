@@ -7,6 +7,7 @@ import numpy as np
 from greybox.discovery import (
     Discovery,
     EffectSignal,
+    HoldoutError,
     ResidualLocalisation,
     Surrogate,
     estimate_residual_spectrum,
@@ -28,7 +29,7 @@ from greybox.plots.figure import (
     Series,
     bar_axis,
 )
-from greybox.plots.limits import LIMITS
+from greybox.plots.policy import DRAWING
 from greybox.plots.records import FREQUENCY, TIME
 from greybox.plots.scaling import root_mean_square, scale_to_prefix, typeset_exponents
 from greybox.rendering.plots import FigureText, phrase
@@ -60,6 +61,11 @@ def plot_holdout_error(discovery: Discovery) -> Figure:
             )
         )  # fmt: skip
     return Figure("gap", tuple(panels), phrase(FigureText.ERRORS_BEFORE_AFTER), tuple(description))
+
+
+def explained_share(error: HoldoutError) -> float | None:
+    """Share of the error above the noise that the effects explain; None where the plain model leaves only noise."""
+    return error.explained_fraction if error.before > DRAWING.nothing_missing * error.floor else None
 
 
 def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:
@@ -141,13 +147,13 @@ def plot_misfit_windows(localisation: ResidualLocalisation) -> Figure | None:
         return None
     panels = []
     for record in dict.fromkeys(w.record for w in windows):
-        own = [w for w in windows if w.record == record]
+        of_record = [w for w in windows if w.record == record]
         bars = Bars(
-            np.array([(w.start + w.end) / 2 for w in own]),
-            np.array([w.misfit for w in own]),
-            [Role.BASELINE] * len(own),
-            width=np.array([0.95 * (w.end - w.start) for w in own]),
-            remarks=[f"{100 * w.share:.1f} % of all misfit" for w in own],
+            np.array([(w.start + w.end) / 2 for w in of_record]),
+            np.array([w.misfit for w in of_record]),
+            [Role.BASELINE] * len(of_record),
+            width=np.array([0.95 * (w.end - w.start) for w in of_record]),
+            remarks=[f"{100 * w.share:.1f} % of all misfit" for w in of_record],
         )
         panels.append(Panel(record, (bars,), TIME, Axis("misfit / noise"), height=Height.LOW))
     worst = max(windows, key=lambda w: w.share)
@@ -159,7 +165,7 @@ def plot_misfit_windows(localisation: ResidualLocalisation) -> Figure | None:
 
 def plot_candidates(discovery: Discovery) -> Figure | None:
     """Misfit over noise of the best candidates on the records that they were fitted to; None where there are none."""
-    shown = discovery.ranking[: LIMITS.candidates]
+    shown = discovery.ranking[: DRAWING.candidates]
     if not shown:
         return None
     chosen = {effect.name for effect in discovery.best.model.effects}
@@ -177,7 +183,12 @@ def plot_candidates(discovery: Discovery) -> Figure | None:
     series = (Reference(1.0, upright=True, dash=Dash.DOTTED), bars)
     panel = Panel("candidates", series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY)
     description = phrase(FigureText.CANDIDATE_MISFITS, misfits=dict(zip(names, misfits.tolist(), strict=True)))
-    return Figure("candidates", (panel,), phrase(FigureText.CANDIDATES, rivals=bool(rivals)), (description,))
+    return Figure(
+        "candidates",
+        (panel,),
+        phrase(FigureText.CANDIDATES, chosen=Role.EXTENDED in roles, rivals=Role.RIVAL in roles),
+        (description,),
+    )
 
 
 def plot_average_spectra(discovery: Discovery) -> Figure:

@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from greybox.findings import Finding
-from greybox.plots.limits import LIMITS
+from greybox.plots.policy import DRAWING
 
 
 class Role(StrEnum):
@@ -334,10 +334,10 @@ def bar_axis(name: str, unit: str, lengths: np.ndarray) -> Axis:
     """
     known = lengths[np.isfinite(lengths) & (lengths > 0)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (1.0, 1.0)
-    if high <= LIMITS.log_from * low:
-        return Axis(name, unit, limits=(0.0, (1 + LIMITS.room_for_text) * high))
+    if high <= DRAWING.log_from * low:
+        return Axis(name, unit, limits=(0.0, (1 + DRAWING.room_for_text) * high))
     decades = np.log10(high / low)
-    return Axis(name, unit, Scale.LOG, (low / 10 ** (0.15 * decades), high * 10 ** (LIMITS.room_for_text * decades)))
+    return Axis(name, unit, Scale.LOG, (low / 10 ** (0.15 * decades), high * 10 ** (DRAWING.room_for_text * decades)))
 
 
 def _between(series: Series, low: float, high: float) -> Series:

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.export import Linearisation, ModelFamily
 from greybox.plots.figure import Area, Axis, Curve, Dash, Figure, Height, Panel, Points, Role, Scale, Series, Symbol
-from greybox.plots.limits import LIMITS
+from greybox.plots.policy import DRAWING
 from greybox.plots.records import FREQUENCY
 from greybox.plots.scaling import typeset_unit
 from greybox.rendering.plots import FigureText, phrase
@@ -18,10 +18,10 @@ def response_frequencies(linear: Linearisation) -> np.ndarray:
     speeds = np.abs(np.log(poles) / linear.dt) if linear.dt else np.abs(poles)
     speeds = speeds[np.isfinite(speeds) & (speeds > 1e-9)]
     low, high = (float(speeds.min()), float(speeds.max())) if len(speeds) else (1.0, 1.0)
-    reach = LIMITS.beyond_poles
+    reach = DRAWING.beyond_poles
     high = min(high * reach, 0.999 * np.pi / linear.dt) if linear.dt else high * reach
     peaks = np.concatenate([s * np.linspace(0.9, 1.1, 81) for s in np.unique(speeds)]) if len(speeds) else np.array([])
-    grid = np.concatenate([np.geomspace(min(low / reach, high / 10), high, LIMITS.frequencies), peaks])
+    grid = np.concatenate([np.geomspace(min(low / reach, high / 10), high, DRAWING.frequencies), peaks])
     return np.unique(grid[grid <= high])
 
 

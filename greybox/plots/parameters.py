@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.findings import Finding
 from greybox.plots.figure import Axis, Figure, Heatmap, Height, Panel, Points, Role, Scale
-from greybox.plots.limits import LIMITS
+from greybox.plots.policy import DRAWING
 from greybox.rendering.plots import FigureText, phrase
 from greybox.result import Estimate, Fit
 
@@ -49,7 +49,7 @@ def plot_correlation(fit: Fit) -> Figure | None:
     panel = Panel(
         "correlation", (heatmap,), category, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY
     )
-    description = strongly_correlated_pairs(fit) or (phrase(FigureText.NO_CORRELATION, limit=LIMITS.correlated),)
+    description = strongly_correlated_pairs(fit) or (phrase(FigureText.NO_CORRELATION, limit=DRAWING.correlated),)
     return Figure("correlation", (panel,), phrase(FigureText.CORRELATION), tuple(description))
 
 
@@ -67,7 +67,7 @@ def strongly_correlated_pairs(fit: Fit) -> tuple[Finding, ...]:
         (abs(rho[i, j]), i, j)
         for i in range(len(names))
         for j in range(i)
-        if np.isfinite(rho[i, j]) and abs(rho[i, j]) > LIMITS.correlated
+        if np.isfinite(rho[i, j]) and abs(rho[i, j]) > DRAWING.correlated
     ]
     return tuple(
         phrase(FigureText.CORRELATED, first=names[j], second=names[i], correlation=float(rho[i, j]))

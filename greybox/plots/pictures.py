@@ -14,6 +14,7 @@ from greybox.discovery import Discovery, EffectSignal
 from greybox.findings import Finding
 from greybox.plots.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.plots.discovery import (
+    explained_share,
     plot_average_spectra,
     plot_candidates,
     plot_effect_signal,
@@ -21,7 +22,7 @@ from greybox.plots.discovery import (
     plot_surrogate,
 )
 from greybox.plots.figure import Axis, Bars, Curve, Dash, Panel, Reference, Role, Scale
-from greybox.plots.limits import LIMITS
+from greybox.plots.policy import DRAWING
 from greybox.plots.records import (
     liveliest_window,
     plot_residual,
@@ -221,7 +222,12 @@ def discovery_sheets(discovery: Discovery) -> list[Sheet]:
     sheets.append(_before_after_sheet(discovery))
     candidates = plot_candidates(discovery)
     if candidates is not None:
-        heading = phrase(FigureText.CANDIDATES_HEADING, verdict=discovery.verdict, rivals=bool(discovery.alternatives))
+        heading = phrase(
+            FigureText.CANDIDATES_HEADING,
+            verdict=discovery.verdict,
+            chosen=bool(discovery.best.model.effects),
+            rivals=bool(discovery.alternatives),
+        )
         height = 1.5 + 0.3 * len(candidates.panels[0].categories)
         sheets.append(Sheet("candidates", (Cell(candidates.panels[0], 0),), heading, (8.5, height)))
     return [*sheets, _holdout_error_sheet(discovery)]
@@ -229,7 +235,7 @@ def discovery_sheets(discovery: Discovery) -> list[Sheet]:
 
 def _effect_signal_sheet(signal: EffectSignal) -> Sheet:
     against, in_time = plot_effect_signal(signal, "missing").panels
-    shown = min(len(signal.time), LIMITS.signal_in_time)
+    shown = min(len(signal.time), DRAWING.signal_in_time)
     window = (float(signal.time[0]), float(signal.time[shown - 1]))
     heading = phrase(
         FigureText.EFFECT_SIGNAL_HEADING, signal.effect, explained=signal.explained, record=signal.record
@@ -259,9 +265,7 @@ def _holdout_error_sheet(discovery: Discovery) -> Sheet:
     figure = plot_holdout_error(discovery)
     rows, bars = len(figure.panels), len(figure.panels[0].categories)
     titles = {
-        output: phrase(
-            FigureText.EXPLAINED_TITLE, output, explained=error.explained_fraction, before=error.before / error.floor
-        )
+        output: phrase(FigureText.EXPLAINED_TITLE, output, explained=explained_share(error))
         for output, error in discovery.gap.items()
     }
     cells = tuple(Cell(panel, k, titles=(titles[panel.name],)) for k, panel in enumerate(figure.panels))

@@ -23,7 +23,7 @@ from greybox.plots.figure import (
     Series,
     Thinning,
 )
-from greybox.plots.limits import LIMITS
+from greybox.plots.policy import DRAWING
 from greybox.plots.scaling import root_mean_square, scale_to_prefix, value_range
 from greybox.plots.spectrum import amplitude_density, uniform_sampling_time
 from greybox.rendering.plots import FigureText, phrase
@@ -219,7 +219,7 @@ def record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, Misfit]:
 
 def liveliest_window(time: np.ndarray, values: np.ndarray) -> tuple[float, float] | None:
     """From when to when ``values`` (N,) lie furthest from their mean, for a closer look; None where the record is short."""
-    rows = LIMITS.closer_look
+    rows = DRAWING.closer_look
     if len(time) <= 2 * rows:
         return None
     deviation = np.abs(np.where(np.isfinite(values), values, np.nan) - np.nanmean(values))
@@ -252,7 +252,7 @@ def _spectrum(time: np.ndarray, residual: np.ndarray, step: float, role: Role, l
     """The spectrum of a residual (N,), with the residual itself where a page is to take it anew."""
     even = uniform_sampling_time(time)
     signal = None
-    if follows and even is not None and len(time) <= LIMITS.signal_on_page:
+    if follows and even is not None and len(time) <= DRAWING.signal_on_page:
         signal = SampledSignal(follows, float(time[0]), even, residual)
     frequency, density = amplitude_density(residual, step)
     return Curve(frequency, density, role, label, 1.0, thinning=Thinning.PEAKS, signal=signal)
@@ -261,6 +261,6 @@ def _spectrum(time: np.ndarray, residual: np.ndarray, step: float, role: Role, l
 def _robust_limits(residual: np.ndarray, band: float) -> tuple[float, float]:
     """The residual's range, not blown up by a single outlier, and never less than the noise band."""
     known = residual[np.isfinite(residual)]
-    largest = float(np.quantile(np.abs(known), LIMITS.shown_share)) if len(known) else 0.0
+    largest = float(np.quantile(np.abs(known), DRAWING.shown_share)) if len(known) else 0.0
     reach = 1.1 * max(1.2 * band, largest)
     return (-reach, reach) if reach > 0 else (-1.0, 1.0)

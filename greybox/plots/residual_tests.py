@@ -25,13 +25,11 @@ from greybox.plots.figure import (
     Symbol,
     Thinning,
 )
-from greybox.plots.limits import LIMITS
+from greybox.plots.policy import DRAWING
 from greybox.plots.thinning import choose_evenly
 from greybox.rendering.plots import FigureText, phrase
 from greybox.rendering.residuals import name_test
 from greybox.residuals import ResidualSeries, ResidualTest, ResidualTestKind, ResidualTests
-
-CONFIDENCE = 0.95
 
 
 def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> Figure:
@@ -41,18 +39,19 @@ def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> Figure:
     band that the residual's own colour widens; the residual against a normal one; its mean and spread along the records. Above each
     stands what its tests say.
     """
-    series, own = tests.residuals[output], [t for t in tests.tests if t.output == output]
+    series = tests.residuals[output]
+    of_output = [t for t in tests.tests if t.output == output]
     moving = [u for u, records in series.inputs.items() if any(np.ptp(record) > 0 for record in records)]
     panels = (
-        _autocorrelation(series, _of_kind(own, ResidualTestKind.WHITENESS)),
+        _autocorrelation(series, _of_kind(of_output, ResidualTestKind.WHITENESS)),
         *(
             _input_correlation(
-                series, u, [t for t in _of_kind(own, ResidualTestKind.INPUT_INDEPENDENCE) if t.input == u]
+                series, u, [t for t in _of_kind(of_output, ResidualTestKind.INPUT_INDEPENDENCE) if t.input == u]
             )
             for u in moving
         ),
-        _normal_plot(series, _of_kind(own, ResidualTestKind.NORMALITY)),
-        _along_records(series, _of_kind(own, ResidualTestKind.EQUAL_VARIANCE, ResidualTestKind.EQUAL_MEAN)),
+        _normal_plot(series, _of_kind(of_output, ResidualTestKind.NORMALITY)),
+        _along_records(series, _of_kind(of_output, ResidualTestKind.EQUAL_VARIANCE, ResidualTestKind.EQUAL_MEAN)),
     )
     return Figure(
         name,
@@ -92,17 +91,17 @@ def _of_kind(tests: Sequence[ResidualTest], *kinds: ResidualTestKind) -> list[Re
 
 
 def _autocorrelation(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
-    rho, count = cross_correlation(series.series, series.series, LIMITS.lags)
+    rho, count = cross_correlation(series.series, series.series, DRAWING.lags)
     band = float(_quantile() / np.sqrt(max(count, 1)))
-    lags = np.arange(1, LIMITS.lags + 1)
+    lags = np.arange(1, DRAWING.lags + 1)
     return _correlation_panel("autocorrelation", lags, rho[1:], band, Axis("lag", "samples"), tests)
 
 
 def _input_correlation(series: ResidualSeries, name: str, tests: Sequence[ResidualTest]) -> Panel:
     inputs = series.inputs[name]
-    after, count = cross_correlation(inputs, series.series, LIMITS.input_lags)
-    before, _ = cross_correlation(series.series, inputs, LIMITS.input_lags)
-    lags = np.arange(-LIMITS.input_lags, LIMITS.input_lags + 1)
+    after, count = cross_correlation(inputs, series.series, DRAWING.input_lags)
+    before, _ = cross_correlation(series.series, inputs, DRAWING.input_lags)
+    lags = np.arange(-DRAWING.input_lags, DRAWING.input_lags + 1)
     values = np.concatenate([before[:0:-1], after])
     axis = Axis(f"lag of the residual behind {name}", "samples")
     return _correlation_panel(
@@ -123,7 +122,7 @@ def _normal_plot(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel
     values = np.concatenate(series.raw)
     values = np.sort(values[np.isfinite(values)])
     (expected, ordered), (slope, middle, _) = probplot(values)
-    shown, ends = choose_evenly(len(values), LIMITS.normal_points), expected[[0, -1]]
+    shown, ends = choose_evenly(len(values), DRAWING.normal_points), expected[[0, -1]]
     drawn = (
         Points(expected[shown], ordered[shown], Role.RESIDUAL, size=4.0),
         Curve(ends, middle + slope * ends, Role.SIMULATED, "normal distribution"),
@@ -142,7 +141,7 @@ def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Pan
     for time, residual in zip(series.time, series.series, strict=True):
         since = start + time - time[0]
         behind.append(Curve(since, residual, Role.BAND, width=0.9, thinning=Thinning.ENVELOPE))
-        count = max(2, round(LIMITS.parts * len(residual) / len(every)))
+        count = max(2, round(DRAWING.parts * len(residual) / len(every)))
         edges = np.linspace(0, len(residual), count + 1).astype(int)
         stretches = [np.flatnonzero(np.isfinite(residual[a:b])) + a for a, b in pairwise(edges)]
         stretches = [rows for rows in stretches if len(rows) > 1]
@@ -155,7 +154,7 @@ def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Pan
         ]
         start = float(since[-1])
     lines = (Reference(0.0, width=0.6), Reference(total, width=0.6, dash=Dash.DASHED))
-    reach = 1.15 * max(float(np.nanquantile(np.abs(every), LIMITS.residual_share)), total)
+    reach = 1.15 * max(float(np.nanquantile(np.abs(every), DRAWING.residual_share)), total)
     time_axis = Axis("time of all records" if len(series.time) > 1 else "time", "s")
     axis = Axis("residual / noise", limits=(-reach, reach))
     return Panel("mean and spread", (*behind, *lines, *front), time_axis, axis, _titles(tests))
@@ -178,7 +177,7 @@ def _titles(tests: Sequence[ResidualTest]) -> tuple[Finding, ...]:
 
 def _band(inputs: Sequence[np.ndarray], colour: AutoRegression, count: int) -> float:
     """95 % band of the correlation with an input: ``1.96 sqrt(sum rho_r rho_u / N)``, both colours allowed for (Bartlett)."""
-    lags = min(max(len(u) for u in inputs) - 1, LIMITS.band_lags)
+    lags = min(max(len(u) for u in inputs) - 1, DRAWING.band_lags)
     of_input, _ = cross_correlation(inputs, inputs, lags)
     of_residual = colour.autocorrelation(lags + 1)
     both = max(1.0 + 2 * float(of_input[1:] @ of_residual[1:]), 1.0 / max(count, 1))
@@ -186,4 +185,4 @@ def _band(inputs: Sequence[np.ndarray], colour: AutoRegression, count: int) -> f
 
 
 def _quantile() -> float:
-    return float(norm.ppf((1 + CONFIDENCE) / 2))
+    return float(norm.ppf((1 + DRAWING.confidence) / 2))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-# Relative to the mean; sampling clocks in files are rounded.
-UNEVEN = 1e-3
+from greybox.plots.policy import DRAWING
 
 
 def amplitude_density(values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -38,5 +37,5 @@ def amplitude_density(values: np.ndarray, step: float) -> tuple[np.ndarray, np.n
 def uniform_sampling_time(time: np.ndarray) -> float | None:
     """Seconds between rows, None where they are not evenly spaced."""
     steps = np.diff(time)
-    even = len(steps) > 0 and float(np.ptp(steps)) < UNEVEN * float(steps.mean())
+    even = len(steps) > 0 and float(np.ptp(steps)) < DRAWING.uneven * float(steps.mean())
     return float(steps.mean()) if even else None

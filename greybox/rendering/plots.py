@@ -132,9 +132,15 @@ def _poles(f: Finding) -> str:
     return f"Poles at {'; '.join(places)}"
 
 
+def _colours(f: Finding) -> str:
+    named = {"chosen": "green: chosen", "rivals": "orange: explains the records as well"}
+    shown = "; ".join(text for key, text in named.items() if f.values[key])
+    return f" {shown[0].upper()}{shown[1:]}." if shown else ""
+
+
 def _explained(f: Finding) -> str:
     v = f.values
-    if v["before"] <= 1.02:
+    if v["explained"] is None:
         return f"{f.subject}: the plain model leaves only noise"
     return f"{f.subject}: {100 * v['explained']:.1f} % of the excess error explained"
 
@@ -180,9 +186,7 @@ TEMPLATES: Mapping[str, Template] = {
     ),
     FigureText.MISFIT_WINDOWS: "Misfit of the plain model along each record.",
     FigureText.CANDIDATES: lambda f: (
-        "Candidates, best first by Schwarz's criterion. Green: the chosen one"
-        + ("; orange: explains the records as well" if f.values["rivals"] else "")
-        + ". Numbers: how far the criterion is above the best."
+        f"Candidates, best first by Schwarz's criterion.{_colours(f)} Numbers: how far the criterion is above the best."
     ),
     FigureText.AVERAGE_SPECTRA: "Averaged spectra of the error on the validation records, before and after.",
     FigureText.MODEL_ERRORS: (
@@ -213,9 +217,7 @@ TEMPLATES: Mapping[str, Template] = {
         f"Unknown effect: a {f.subject} explains {100 * min(f.values['explained'], 1.0):.0f} % of the excess error"
     ),
     FigureText.CANDIDATES_HEADING: lambda f: (
-        f"Candidates ({f.values['verdict']}); green: chosen"
-        + ("; orange: explains the records as well" if f.values["rivals"] else "")
-        + "; numbers: criterion above the best"
+        f"Candidates ({f.values['verdict']}).{_colours(f)} Numbers: criterion above the best"
     ),
     FigureText.BEFORE_AFTER_HEADING: "{subject}: error on the validation records; extended: {extended}",
     FigureText.HOLDOUT_HEADING: "Rms error of the free run on the validation records",

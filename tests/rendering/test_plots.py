@@ -57,13 +57,13 @@ GOLDEN = [
     ),
     (phrase(T.MISFIT_WINDOWS), "Misfit of the plain model along each record."),
     (
-        phrase(T.CANDIDATES, rivals=False),
-        "Candidates, best first by Schwarz's criterion. Green: the chosen one. Numbers: how far the criterion is above the best.",
+        phrase(T.CANDIDATES, chosen=False, rivals=False),
+        "Candidates, best first by Schwarz's criterion. Numbers: how far the criterion is above the best.",
     ),
     (
-        phrase(T.CANDIDATES, rivals=True),
-        "Candidates, best first by Schwarz's criterion. Green: the chosen one; orange: explains the records as well. Numbers: how far"
-        " the criterion is above the best.",
+        phrase(T.CANDIDATES, chosen=True, rivals=True),
+        "Candidates, best first by Schwarz's criterion. Green: chosen; orange: explains the records as well. Numbers: how far the"
+        " criterion is above the best.",
     ),
     (phrase(T.AVERAGE_SPECTRA), "Averaged spectra of the error on the validation records, before and after."),
     (
@@ -90,8 +90,8 @@ GOLDEN = [
         "Unknown effect: a curve over x explains 82 % of the excess error",
     ),
     (
-        phrase(T.CANDIDATES_HEADING, verdict="named", rivals=True),
-        "Candidates (named); green: chosen; orange: explains the records as well; numbers: criterion above the best",
+        phrase(T.CANDIDATES_HEADING, verdict="named", chosen=True, rivals=False),
+        "Candidates (named). Green: chosen. Numbers: criterion above the best",
     ),
     (
         phrase(T.BEFORE_AFTER_HEADING, "rig", extended="rig + creep"),
@@ -107,8 +107,8 @@ GOLDEN = [
     (phrase(T.CLOSER_LOOK), "closer look"),
     (phrase(T.FREE_RUN), "free run"),
     (phrase(T.ERROR_BARS), "bar: free run, with best fit"),
-    (phrase(T.EXPLAINED_TITLE, "x", explained=0.5, before=3.0), "x: 50.0 % of the excess error explained"),
-    (phrase(T.EXPLAINED_TITLE, "x", explained=-9.0, before=1.01), "x: the plain model leaves only noise"),
+    (phrase(T.EXPLAINED_TITLE, "x", explained=0.5), "x: 50.0 % of the excess error explained"),
+    (phrase(T.EXPLAINED_TITLE, "x", explained=None), "x: the plain model leaves only noise"),
     (phrase(T.UNSEEN_RUN, "x"), "x: free run on a record not used for the fit"),
     (phrase(T.WHAT_IS_LEFT), "residual"),
     (phrase(T.MISFIT_OF_EACH), "misfit (1: only noise is left)"),

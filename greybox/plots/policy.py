@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class DrawingLimits:
+class DrawingPolicy:
     """How much figures show, and from where on they show it otherwise."""
 
     closer_look: int = 200
@@ -42,6 +42,9 @@ class DrawingLimits:
     signal_in_time: int = 150
     """Values of an effect's signal that a picture shows over time."""
 
+    nothing_missing: float = 1.05
+    """Up to so many times the noise a model leaves nothing to explain."""
+
     correlated: float = 0.95
     """Parameters correlated more than this are called out: the records tell their ratio or product better than each."""
 
@@ -60,8 +63,14 @@ class DrawingLimits:
     normal_points: int = 2000
     """Points of a plot against the normal distribution."""
 
+    confidence: float = 0.95
+    """Of the band around the correlations of a residual that is white."""
+
     residual_share: float = 0.998
     """Share of a normalised residual within the limits of its axis."""
+
+    uneven: float = 1e-3
+    """Relative variation of the sampling time from which a record is not evenly sampled: clocks in files are rounded."""
 
     frequencies: int = 500
     """Of a frequency response."""
@@ -70,4 +79,4 @@ class DrawingLimits:
     """A frequency response reaches from the slowest pole divided by this to the fastest one times this."""
 
 
-LIMITS = DrawingLimits()
+DRAWING = DrawingPolicy()
