@@ -20,7 +20,7 @@ from greybox.errors import DataError, GreyboxError, ModelError
 
 if TYPE_CHECKING:
     from greybox.export import Linearisation, ModelFamily
-    from greybox.reports.of_export import Export
+    from greybox.reports.export_page import Export
     from greybox.result import Fit
 
 
@@ -172,7 +172,7 @@ def _linear(
     from greybox.export import linearise, sample_family
     from greybox.export.linear_files import write_control, write_json, write_mat, write_npz
     from greybox.export.plant import to_plant
-    from greybox.reports.of_export import Export
+    from greybox.reports.export_page import Export
 
     whole: Linearisation = linearise(fit, at, dt=dt, method=method.value, delay=delay)
     linear = whole.minimal() if minimal else whole
@@ -198,7 +198,7 @@ def _linear(
 def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -> tuple[CodeAnswer, Export]:
     from greybox.export import to_c, to_fmu, to_modelica, to_python
     from greybox.export.plant import to_plant
-    from greybox.reports.of_export import Export
+    from greybox.reports.export_page import Export
 
     for text in to_plant(fit).notes:
         print_note(f"warning: {text}")

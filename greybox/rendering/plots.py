@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Any
 
 from greybox.findings import Finding
+from greybox.rendering.english import phrase
 from greybox.rendering.registry import Template, register
+
+__all__ = ["TEMPLATES", "FigureText", "phrase"]
 
 
 class FigureText(StrEnum):
@@ -81,11 +83,6 @@ class FigureText(StrEnum):
     MODEL_RESIDUAL_SIZES = "described_model_residuals"
     GAIN_RANGE = "described_gain"
     POLE_PLACES = "described_poles"
-
-
-def phrase(code: str, subject: str = "", **values: Any) -> Finding:
-    """A sentence as data: the code of its template and the values that go into it."""
-    return Finding(code, subject=subject, values=values)
 
 
 def _quantity(value: float, unit: str, digits: int = 3) -> str:

@@ -10,13 +10,13 @@ from greybox.expressions.latex import LATEX, expression_latex, symbol_latex
 from greybox.expressions.operations import Binding
 from greybox.model import Balance, Model
 from greybox.model.equations import equations_text
-from greybox.reports.page import Equation, Equations
+from greybox.reports.page import Equation, EquationList
 from greybox.units import format_unit
 
 
-def typeset_equations(model: Model) -> Equations:
+def typeset_equations(model: Model) -> EquationList:
     """The equations of ``model`` with every effect written out, and the same as text."""
-    return Equations(
+    return EquationList(
         [*_balances(model), *_standstill(model), *_updates(model), *_outputs(model)], equations_text(model)
     )
 

@@ -1,47 +1,61 @@
-"""A page as a value: sections of text, tables, equations and figures, in the order in which they are read."""
+"""A page as a value: sections of text, tables, equations and figures, in the order in which they are read.
+
+Texts are findings, whose sentences stand in `greybox.rendering`, or strings that come from elsewhere.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from enum import StrEnum
+from typing import TypeAlias
 
+from greybox.findings import Finding
 from greybox.plots.figure import Figure
 from greybox.plots.style import PAGE
 
-Tone = Literal["good", "caution", "bad", "plain"]
+Text: TypeAlias = Finding | str
+
+
+class Tone(StrEnum):
+    """The colour at the edge of a text; the words say the same without the colour."""
+
+    GOOD = "good"
+    CAUTION = "caution"
+    BAD = "bad"
+    PLAIN = "plain"
 
 
 @dataclass(frozen=True)
-class Text:
-    """Paragraphs in plain words. ``tone`` colours the edge of a verdict; the words say the same without the colour."""
+class Paragraphs:
+    """Sentences, each a paragraph."""
 
-    paragraphs: Sequence[str]
-    tone: Tone = "plain"
+    items: Sequence[Text]
+    tone: Tone = Tone.PLAIN
 
 
 @dataclass(frozen=True)
-class Heading:
+class Subheading:
     """A heading within a section."""
 
-    title: str
+    title: Text
 
 
 @dataclass(frozen=True)
-class Listing:
+class BulletList:
     """Short statements, one below the other."""
 
-    items: Sequence[str]
+    items: Sequence[Text]
 
 
 @dataclass(frozen=True)
-class Table:
+class PageTable:
     """``rows`` of cells as text below ``head``; ``caption`` says what it shows. The first cell of a row names the row."""
 
-    caption: str
+    caption: Text
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
-    note: str = ""
+    note: Text = ""
 
 
 @dataclass(frozen=True)
@@ -54,7 +68,7 @@ class Equation:
 
 
 @dataclass(frozen=True)
-class Equations:
+class EquationList:
     """Equations below one another, and the same as plain text for those who copy it."""
 
     items: Sequence[Equation]
@@ -84,39 +98,43 @@ class FigureBlock:
 
 
 @dataclass(frozen=True)
-class Code:
+class CodeBlock:
     """Text to copy: a command, a listing."""
 
     text: str
-    title: str = ""
+    title: Text = ""
 
 
 @dataclass(frozen=True)
-class Folded:
+class Details:
     """Blocks that open on request."""
 
-    summary: str
+    summary: Text
     blocks: Sequence[Block]
 
 
-Block: TypeAlias = "Text | Heading | Listing | Table | Equations | FigureBlock | Code | Folded"
+Block: TypeAlias = "Paragraphs | Subheading | BulletList | PageTable | EquationList | FigureBlock | CodeBlock | Details"
 
 
 @dataclass(frozen=True)
 class Section:
-    """A heading and what stands below it. ``name`` is its address within the page."""
+    """Blocks below a heading. ``name`` is its address within the page; its title is the text of the code ``section_<name>``."""
 
     name: str
-    title: str
     blocks: Sequence[Block]
+
+    @property
+    def title(self) -> Finding:
+        """What stands above it."""
+        return Finding(f"section_{self.name}")
 
 
 @dataclass(frozen=True)
 class Page:
-    """A report: ``title``, the ``question`` it answers, the ``verdict`` in plain words, then the evidence."""
+    """A report: its title, the ``question`` it answers, the ``verdict``, then the evidence."""
 
-    title: str
-    question: str
-    verdict: Text
+    title: Text
+    question: Text
+    verdict: Paragraphs
     sections: Sequence[Section]
     kind: str = "report"

@@ -5,41 +5,47 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from greybox.reports.page import Block, Code, Folded, Section, Table
-from greybox.reports.typography import count_noun, join_names
+from greybox.estimation.versions import read_versions
+from greybox.rendering.english import count_noun, join_names, phrase
+from greybox.rendering.reports import PageText
+from greybox.reports.page import Block, CodeBlock, Details, PageTable, Section, Text
 from greybox.result import Fit
 
 
-def provenance_section(fit: Fit, command: str) -> Section:
-    """What is needed to get the numbers of ``fit`` again."""
-    return Section("repeat", "How to repeat it", list(_of_fit(fit, command)))
+def provenance_section(command: str, versions: Mapping[str, Any] | None = None) -> Section:
+    """The command and the versions: those of now, or those that were noted."""
+    table = name_value_table(phrase(PageText.VERSIONS), read_versions() if versions is None else versions)
+    return Section("repeat", [*_command(command), table])
 
 
-def command_block(command: str) -> Iterator[Block]:
-    """The command as it was typed, if it was."""
+def fit_provenance_section(fit: Fit, command: str) -> Section:
+    """What is needed to get the numbers of a fit again."""
+    return Section("repeat", list(_of_fit(fit, command)))
+
+
+def _command(command: str) -> Iterator[Block]:
     if command:
-        yield Code(command, "In the shell")
+        yield CodeBlock(command, phrase(PageText.COMMAND))
 
 
 def _of_fit(fit: Fit, command: str) -> Iterator[Block]:
-    yield from command_block(command)
-    error = join_names([f"{e:.2g} of the noise in {o}" for o, e in fit.discretisation.error.items() if e])
-    how = [
-        ["integration", fit.discretisation.label],
+    yield from _command(command)
+    error = join_names([f"{e:.2g} of the noise in {output}" for output, e in fit.discretisation.error.items() if e])
+    iterations = count_noun(int(fit.solver.statistics.get("iterations", 0)), "iteration")
+    rows = [
+        ["discretisation", fit.discretisation.label],
         ["its error", error or "none"],
         ["search", "" if fit.solver.strategy is None else str(fit.solver.strategy)],
-        [
-            "ended",
-            f"{fit.status.replace('_', ' ')} after {count_noun(int(fit.solver.statistics.get('iterations', 0)), 'iteration')}",
-        ],
+        ["ended", f"{fit.status.replace('_', ' ')} after {iterations}"],
     ]
-    yield Table("How it was computed", ["what", "how"], [row for row in how if row[1]])
-    yield Folded(
-        "Options and versions",
-        [name_value_table("Options", fit.provenance.options), name_value_table("Versions", fit.provenance.versions)],
-    )
+    yield PageTable(phrase(PageText.COMPUTATION), ["what", "how"], [row for row in rows if row[1]])
+    tables = [
+        name_value_table(phrase(PageText.OPTIONS), fit.provenance.options),
+        name_value_table(phrase(PageText.VERSIONS), fit.provenance.versions),
+    ]
+    yield Details(phrase(PageText.OPTIONS_AND_VERSIONS), tables)
 
 
-def name_value_table(title: str, values: Mapping[str, Any]) -> Table:
+def name_value_table(title: Text, values: Mapping[str, Any]) -> PageTable:
     """Names and values as a table."""
-    return Table(title, ["name", "value"], [[str(k), "" if v is None else str(v)] for k, v in values.items()])
+    return PageTable(title, ["name", "value"], [[str(k), "" if v is None else str(v)] for k, v in values.items()])

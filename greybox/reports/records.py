@@ -8,27 +8,35 @@ import numpy as np
 
 from greybox.model import Model
 from greybox.plots.scaling import scale_to_prefix
-from greybox.reports.page import Section, Table
-from greybox.reports.typography import as_sentence, format_range, join_names
+from greybox.rendering.english import join_names, phrase
+from greybox.rendering.reports import PageText
+from greybox.reports.page import PageTable, Section
+from greybox.reports.typography import format_range
 from greybox.result import Fit, Trace
 
 HEAD = ["record", "use", "rows", "duration", "sampling time", "missing values", "fingerprint"]
 
 
-def records_section(fitted: Sequence[Trace], judging: Sequence[Trace], fit: Fit) -> Section:
+def records_section(fitted: Sequence[Trace], validation: Sequence[Trace], fit: Fit) -> Section:
     """Names, lengths, gaps and fingerprints of the records, and what their columns hold."""
-    rows = [*(_record(t, "fitted") for t in fitted), *(_record(t, "judged by") for t in judging)]
-    noise = as_sentence(f"noise: {fit.noise.source}")
-    return Section("data", "The data", [Table("Records", HEAD, rows, noise), _signals([*fitted, *judging], fit)])
+    rows = [*(_record(t, "fitted") for t in fitted), *(_record(t, "validation") for t in validation)]
+    note = phrase(PageText.NOISE_SOURCE, source=fit.noise.source)
+    records = PageTable(phrase(PageText.RECORDS), HEAD, rows, note)
+    return Section("data", [records, _signals([*fitted, *validation], fit)])
 
 
 def _record(trace: Trace, use: str) -> list[str]:
     missing = {name: int(np.isnan(v).sum()) for name, v in trace.measured.items()}
     gaps = join_names([f"{count} of {name}" for name, count in missing.items() if count])
     return [
-        trace.name, use, str(len(trace.time)), f"{trace.time[-1] - trace.time[0]:.6g} s", format_sampling_time(trace.time), gaps or "none",
+        trace.name,
+        use,
+        str(len(trace.time)),
+        f"{trace.time[-1] - trace.time[0]:.6g} s",
+        format_sampling_time(trace.time),
+        gaps or "none",
         trace.fingerprint[:12],
-    ]  # fmt: skip
+    ]
 
 
 def format_sampling_time(time: np.ndarray) -> str:
@@ -45,7 +53,7 @@ def signal_units(model: Model) -> dict[str, str]:
     return {o.name: o.unit for o in model.outputs} | {i.name: i.unit for i in model.inputs}
 
 
-def _signals(traces: Sequence[Trace], fit: Fit) -> Table:
+def _signals(traces: Sequence[Trace], fit: Fit) -> PageTable:
     rows = []
     for use, signals in (("input", fit.model.inputs), ("measured", fit.model.outputs)):
         for signal in signals:
@@ -53,8 +61,8 @@ def _signals(traces: Sequence[Trace], fit: Fit) -> Table:
             values = [np.asarray(g[signal.name]) for g in groups if signal.name in g]
             std = fit.noise.std.get(signal.name) if use == "measured" else None
             every = np.concatenate(values) if values else np.array([])
-            factor, text = scale_to_prefix(signal.unit, every)
-            known = f"{factor * std:.3g} {text}" if std is not None and np.isfinite(std) else ""
-            reach = f"{format_range(factor * every)} {text}" if values else "not recorded"
-            rows.append([signal.name, use, reach, known])
-    return Table("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)
+            factor, unit = scale_to_prefix(signal.unit, every)
+            noise = f"{factor * std:.3g} {unit}" if std is not None and np.isfinite(std) else ""
+            limits = f"{format_range(factor * every)} {unit}" if values else "not recorded"
+            rows.append([signal.name, use, limits, noise])
+    return PageTable(phrase(PageText.SIGNALS), ["signal", "use", "from … to", "noise (std)"], rows)

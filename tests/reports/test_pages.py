@@ -21,9 +21,10 @@ from greybox.check import check
 from greybox.cli.app import app
 from greybox.plots.figure import Axis, Curve, Figure, Panel, Role
 from greybox.rendering.plots import FigureText, phrase
-from greybox.reports import page_of, write
+from greybox.reports import build_page, write_page
+from greybox.reports.html import render_page
 from greybox.reports.page import FigureBlock, Page, Section, Text
-from greybox.reports.render import LARGEST, render
+from greybox.reports.policy import REPORT
 from greybox.residuals import residual_tests
 from models.micro_actuator import micro_actuator
 
@@ -71,10 +72,10 @@ class Outline(HTMLParser):
 
 
 def test_the_verdict_of_a_good_fit_comes_first_and_in_plain_words(good: gb.Fit) -> None:
-    page = page_of(good, command="greybox fit micro_actuator bench.csv")
+    page = build_page(good, command="greybox fit micro_actuator bench.csv")
     assert page.verdict.tone == "good"
     assert page.verdict.paragraphs[0].startswith("The model explains the fitted records")
-    html = render(page)
+    html = render_page(page)
     for text in ("40 of x", "N s/m", "± ", "greybox fit micro_actuator bench.csv", good.traces[0].fingerprint[:12]):
         assert text in html
     assert [s.name for s in page.sections] == ["constants", "misfit", "residual", "model", "data", "repeat"]
@@ -84,21 +85,21 @@ def test_a_fit_that_failed_says_so_and_tests_nothing() -> None:
     far = micro_actuator.fix("M", "Ra").start(K=3000.0, B=2.0)
     failed = gb.fit(far, bench(), options=gb.FitOptions(iterations=1, progressive=False))
     assert not failed.success
-    page = page_of(failed)
+    page = build_page(failed)
     assert page.verdict.tone == "bad"
     assert page.verdict.paragraphs[0].startswith("This fit did not succeed")
-    html = render(page)
+    html = render_page(page)
     assert "tests of its residual would say nothing" in html
     assert "an alarm" not in html
     many = replace(failed, notes=tuple(f"remark number {k} of five" for k in range(5)))
-    assert [render(page_of(many)).count(f"emark number {k} of five") for k in range(5)] == [1] * 5
+    assert [render_page(build_page(many)).count(f"emark number {k} of five") for k in range(5)] == [1] * 5
 
 
 def test_what_would_determine_the_open_constants_stands_beside_them(good: gb.Fit) -> None:
     found = gb.fit(micro_actuator, bench(), noise={"x": 2e-7, "i": 5e-3}, options=gb.FitOptions(progressive=False))
-    html = render(page_of(found))
+    html = render_page(build_page(found))
     assert "What would determine the rest" in html and "Fix one of M, B, K, Kf" in html
-    assert "What would determine the rest" not in render(page_of(good))
+    assert "What would determine the rest" not in render_page(build_page(good))
 
 
 def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
@@ -107,10 +108,10 @@ def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
     dead["i"][400:] = dead["i"][400]
     record = gb.Experiment.from_arrays(sound.time, sound.inputs, dead, name="bench")
     found = check(micro_actuator.fix("M", "Ra"), record, noise={"x": 2e-7, "i": 5e-3})
-    page = page_of(found)
+    page = build_page(found)
     assert page.verdict.tone == "caution"
     assert page.verdict.paragraphs[0].startswith("Record bench: output 'i' stays at exactly")
-    html = render(page)
+    html = render_page(page)
     assert html.count("stays at exactly") == 1
     assert "Record bench: output &#39;x&#39; has 40 gaps" in html
     assert found.as_dict()["records"][0]["notes"] == list(map(str, record.findings))
@@ -119,7 +120,7 @@ def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
 def test_errors_further_ahead_stand_on_the_page_of_a_comparison(good: gb.Fit) -> None:
     other = bench(400)
     compared = gb.compare([good, gb.blackbox.arx(other, output="x", na=2, nb=2, nk=1)], other, steps=[7])
-    html = render(page_of(compared, known=["bench.csv: output 'x' has 40 gaps"]))
+    html = render_page(build_page(compared, known=["bench.csv: output 'x' has 40 gaps"]))
     assert "Record bench.csv: output &#39;x&#39; has 40 gaps." in html
     assert "7 samples ahead (rms)" in html
     ahead = compared["arx"].validation["x"].ahead_rmse[7]
@@ -131,12 +132,12 @@ def test_errors_further_ahead_stand_on_the_page_of_a_comparison(good: gb.Fit) ->
 def test_pages_are_whole_offline_and_can_be_read_aloud(kind: str, good: gb.Fit) -> None:
     run = gb.simulate(micro_actuator, {"time": 1e-3 * np.arange(50), "u": np.ones(50)})
     page = {
-        "fit": lambda: page_of(good),
-        "check": lambda: page_of(check(micro_actuator)),
-        "simulation": lambda: page_of(run, model=micro_actuator),
-        "linear model": lambda: page_of(gb.linearise(good)),
+        "fit": lambda: build_page(good),
+        "check": lambda: build_page(check(micro_actuator)),
+        "simulation": lambda: build_page(run, model=micro_actuator),
+        "linear model": lambda: build_page(gb.linearise(good)),
     }[kind]()
-    found = Outline(render(page))
+    found = Outline(render_page(page))
     assert found.headings[0] == 1 and found.headings.count(1) == 1
     assert all(b - a <= 1 for a, b in pairwise(found.headings))
     assert not [name for name, count in Counter(found.ids).items() if count > 1]
@@ -155,8 +156,10 @@ def test_text_from_files_stays_text(good: gb.Fit, tmp_path: Path) -> None:
         notes=(HOSTILE,),
         noise=replace(good.noise, source=HOSTILE),
     )
-    html = write(page_of(named, command=f"greybox fit '{HOSTILE}'"), tmp_path / "page.html").read_text(encoding="utf-8")
-    plain = Outline(render(page_of(good)))
+    html = write_page(build_page(named, command=f"greybox fit '{HOSTILE}'"), tmp_path / "page.html").read_text(
+        encoding="utf-8"
+    )
+    plain = Outline(render_page(build_page(good)))
     found = Outline(html)
     assert found.tags["script"] == plain.tags["script"]
     assert found.tags["img"] == 0
@@ -167,7 +170,7 @@ def test_text_in_figures_ends_no_script_and_is_no_markup() -> None:
     curve = Curve(np.arange(2.0), np.arange(2.0), Role.MEASURED, HOSTILE)
     panel = Panel(HOSTILE, (curve,), Axis(HOSTILE, HOSTILE), Axis(HOSTILE))
     figure = FigureBlock(Figure("a", (panel,), phrase(FigureText.RUN, HOSTILE), (phrase(FigureText.INPUTS, HOSTILE),)))
-    html = render(Page(HOSTILE, HOSTILE, Text([HOSTILE]), [Section("s", HOSTILE, [figure])], HOSTILE))
+    html = render_page(Page(HOSTILE, HOSTILE, Text([HOSTILE]), [Section("s", HOSTILE, [figure])], HOSTILE))
     found = Outline(html)
     assert (found.tags["img"], found.tags["script"]) == (0, 3)
     data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', html)[1])
@@ -188,8 +191,8 @@ def test_many_long_records_make_a_page_that_can_be_mailed(good: gb.Fit) -> None:
         one, time=time, measured=tiled(one.measured), simulated=tiled(one.simulated), inputs=tiled(one.inputs)
     )
     many = replace(good, traces=[replace(long, name=f"r{k}") for k in range(24)])
-    html = render(page_of(many, tests=residual_tests(good)))
-    assert len(html.encode()) < LARGEST
+    html = render_page(build_page(many, tests=residual_tests(good)))
+    assert len(html.encode()) < REPORT.largest_page
     assert "4 more records are in the tables" in html
 
 
@@ -197,7 +200,7 @@ def test_numbers_travel_in_six_digits_and_gaps_as_gaps() -> None:
     given = np.array([0.1234567891, -1.987654321e-9, 12345678.9, 0.0, np.nan, np.inf])
     panel = Panel("x", (Curve(np.arange(6.0), given, Role.MEASURED),), Axis("time", "s"), Axis("x"))
     figure = FigureBlock(Figure("a", (panel,), phrase(FigureText.PHASE)))
-    html = render(Page("t", "q", Text(["v"]), [Section("s", "S", [figure])]))
+    html = render_page(Page("t", "q", Text(["v"]), [Section("s", "S", [figure])]))
     assert '"y":[0.123457,-1.98765e-09,12345700.0,0.0,null,null]' in html
 
 

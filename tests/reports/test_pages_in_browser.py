@@ -13,7 +13,7 @@ import pytest
 import greybox as gb
 from greybox.check import check
 from greybox.comparison import compare
-from greybox.reports import page_of, write
+from greybox.reports import build_page, write_page
 from models.micro_actuator import micro_actuator
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
@@ -60,7 +60,9 @@ def good_fit():
 
 @pytest.fixture(scope="module")
 def report(good_fit, tmp_path_factory) -> Path:
-    return write(page_of(good_fit, command=f"greybox fit {HOSTILE}"), tmp_path_factory.mktemp("report") / "fit.html")
+    return write_page(
+        build_page(good_fit, command=f"greybox fit {HOSTILE}"), tmp_path_factory.mktemp("report") / "fit.html"
+    )
 
 
 @pytest.fixture(scope="module")

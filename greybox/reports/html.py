@@ -22,31 +22,32 @@ from greybox.errors import DataError
 from greybox.findings import Finding
 from greybox.plots.plotly_backend import css_variable, height_on_page, to_plotly
 from greybox.plots.style import PALETTE
-from greybox.rendering import sentences
-from greybox.reports.page import Block, FigureBlock, Folded, Page
-from greybox.reports.typography import as_sentence, typeset_number
+from greybox.rendering import sentence
+from greybox.rendering.english import as_sentence
+from greybox.reports.page import Block, Details, FigureBlock, Page, Text
+from greybox.reports.policy import REPORT
+from greybox.reports.typography import typeset_number
 
-LARGEST = 6_000_000  # bytes of a page: what an e-mail still carries
-PACKING = 1  # of Plotly: higher levels save 200 kB and cost a quarter of a second on every page
 MARKUP = {"hovertemplate"}  # templates hold markup of ours, and what they hold of others is escaped already
-DIGITS = 6  # significant digits of a number in a figure
 
 
-def render(page: Page) -> str:
+def render_page(page: Page) -> str:
     """The page as HTML. Raises DataError where it would be larger than 6 MB."""
     html = _environment().get_template("page.html").render(
         page=page, style=_style(), script=_inside("page.js"), plotly=_plotly() if _drawn(page) else ""
     )  # fmt: skip
-    if len(html.encode()) > LARGEST:
-        raise DataError(f"the report {page.title!r} is larger than {LARGEST / 1e6:.0f} MB; give fewer records")
+    if len(html.encode()) > REPORT.largest_page:
+        raise DataError(
+            f"the report {label(page.title)!r} is larger than {REPORT.largest_page / 1e6:.0f} MB; give fewer records"
+        )
     return html
 
 
-def write(page: Page, path: str | Path) -> Path:
+def write_page(page: Page, path: str | Path) -> Path:
     """Write the page to ``path`` (folders are made) and return it."""
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(render(page), encoding="utf-8")
+    target.write_text(render_page(page), encoding="utf-8")
     return target
 
 
@@ -55,7 +56,7 @@ def _drawn(page: Page) -> bool:
 
 
 def _has_figure(block: Block) -> bool:
-    return isinstance(block, FigureBlock) or (isinstance(block, Folded) and any(map(_has_figure, block.blocks)))
+    return isinstance(block, FigureBlock) or (isinstance(block, Details) and any(map(_has_figure, block.blocks)))
 
 
 @cache
@@ -65,7 +66,7 @@ def _environment() -> Environment:
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.filters |= {"mathml": mathml, "data": embedded, "kind": lambda block: type(block).__name__.lower()}
-    environment.filters |= {"height": height_on_page, "say": say}
+    environment.filters |= {"height": height_on_page, "say": say, "label": label}
     return environment
 
 
@@ -88,10 +89,15 @@ def embedded(block: FigureBlock) -> Markup:
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
-def say(findings: Finding | Sequence[Finding]) -> str:
-    """Findings as sentences, with numbers as print has them."""
-    group = [findings] if isinstance(findings, Finding) else findings
-    return " ".join(as_sentence(typeset_number(text)) for text in sentences(group))
+def say(texts: Text | Sequence[Text]) -> str:
+    """Texts as sentences, with numbers as print has them; strings as they are."""
+    group = [texts] if isinstance(texts, (Finding, str)) else texts
+    return " ".join(as_sentence(label(text)) if isinstance(text, Finding) else text for text in group)
+
+
+def label(text: Text) -> str:
+    """A text that is no sentence: a title, a caption of a table."""
+    return typeset_number(sentence(text)) if isinstance(text, Finding) else text
 
 
 def _style() -> Markup:
@@ -115,7 +121,7 @@ def _plain(value: Any, *, shown: bool = False) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(v, shown=shown) for v in value]
     if isinstance(value, (float, np.floating)):
-        return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
+        return float(f"{value:.{REPORT.digits}g}") if np.isfinite(value) else None
     return int(value) if isinstance(value, np.integer) else value
 
 
@@ -123,10 +129,10 @@ def _short(values: np.ndarray) -> list[float | None]:
     """Numbers (N,) in six digits, as short in JSON as they can be."""
     known = np.isfinite(values)
     sizes = np.abs(np.where(known & (values != 0), values, 1.0))
-    places = np.clip(DIGITS - 1 - np.floor(np.log10(sizes)), -300, 300)
+    places = np.clip(REPORT.digits - 1 - np.floor(np.log10(sizes)), -300, 300)
     factors = 10.0 ** np.abs(places)
     rounded = np.where(places >= 0, np.rint(values * factors) / factors, np.rint(values / factors) * factors)
-    return [v if there else None for v, there in zip(rounded.tolist(), known.tolist(), strict=True)]
+    return [v if is_known else None for v, is_known in zip(rounded.tolist(), known.tolist(), strict=True)]
 
 
 def _inside(name: str) -> Markup:
@@ -141,4 +147,4 @@ def _plotly() -> Markup:
     if home is None or not home.submodule_search_locations:
         raise DataError("a page with figures needs plotly, which is not installed; pip install plotly")
     script = Path(home.submodule_search_locations[0], "package_data", "plotly.min.js").read_bytes()
-    return Markup(b64encode(gzip.compress(script, PACKING, mtime=0)).decode())
+    return Markup(b64encode(gzip.compress(script, REPORT.compression, mtime=0)).decode())

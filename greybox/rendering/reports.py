@@ -1,0 +1,392 @@
+"""Titles, questions, verdicts and notes of the pages that `greybox.report` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+
+from greybox.findings import Finding
+from greybox.rendering.english import count_noun, join_names
+from greybox.rendering.registry import Template, register
+
+
+class PageText(StrEnum):
+    """What pages say, page by page; what several of them say comes first."""
+
+    LINEAR_VERDICT = "page_linear_verdict"
+    RECORD = "page_record"
+    RECORD_USE = "page_record_use"
+    RECORDS = "page_records"
+    SIGNALS = "page_signals"
+    NOISE_SOURCE = "page_noise_source"
+    NOT_DRAWN = "page_not_drawn"
+    STATEMENT = "page_statement"
+    ABOUT = "page_about"
+    COMMAND = "page_command"
+    COMPUTATION = "page_computation"
+    OPTIONS = "page_options"
+    VERSIONS = "page_versions"
+    OPTIONS_AND_VERSIONS = "page_options_and_versions"
+
+    FIT_TITLE = "page_fit_title"
+    FIT_QUESTION = "page_fit_question"
+    FIT_FAILED = "page_fit_failed"
+    FIT_NUMBERS_OF_FAILURE = "page_fit_numbers_of_failure"
+    RESIDUAL_IS_NOISE = "page_residual_is_noise"
+    RESIDUAL_EXCEEDS_NOISE = "page_residual_exceeds_noise"
+    NOISE_UNKNOWN = "page_noise_unknown"
+    NOTHING_FITTED = "page_nothing_fitted"
+    PARAMETERS_DETERMINED = "page_parameters_determined"
+    PARAMETERS_OPEN = "page_parameters_open"
+    VALIDATED = "page_validated"
+    NOT_VALIDATED = "page_not_validated"
+    PARAMETERS = "page_parameters"
+    INTERVALS_SANDWICH = "page_intervals_sandwich"
+    INTERVALS_LIKELIHOOD = "page_intervals_likelihood"
+    INTERVALS_GAUSS_NEWTON = "page_intervals_gauss_newton"
+    WOULD_DETERMINE = "page_would_determine"
+    MOVE_TOGETHER = "page_move_together"
+    MISFIT_FITTED = "page_misfit_fitted"
+    MISFIT_ONE_STEP = "page_misfit_one_step"
+    MISFIT_VALIDATION = "page_misfit_validation"
+    MISFIT_BY_RECORD = "page_misfit_by_record"
+    FIT_NOT_TESTED = "page_fit_not_tested"
+    STATES_NOT_TESTED = "page_states_not_tested"
+    TESTS_ALARM = "page_tests_alarm"
+    TESTS_CLEAR = "page_tests_clear"
+    TESTS = "page_tests"
+    TESTS_NOTE = "page_tests_note"
+
+    CHECK_TITLE = "page_check_title"
+    CHECK_QUESTION = "page_check_question"
+    CHECK_DOUBT = "page_check_doubt"
+    CHECK_COMPLETE = "page_check_complete"
+    CHECK_OPEN = "page_check_open"
+    CHECK_REMEDY = "page_check_remedy"
+    CHECK_PRECISION = "page_check_precision"
+    CHECK_COMBINATIONS = "page_check_combinations"
+    CHECK_DETERMINED = "page_check_determined"
+    CHECK_UNDETERMINED = "page_check_undetermined"
+    CHECK_REMEDIES = "page_check_remedies"
+    CHECK_ASSUMED = "page_check_assumed"
+    CHECK_NOISE = "page_check_noise"
+
+    COMPARISON_TITLE = "page_comparison_title"
+    COMPARISON_QUESTION = "page_comparison_question"
+    COMPARISON_VALIDATION = "page_comparison_validation"
+    COMPARISON_TRAINING = "page_comparison_training"
+    COMPARISON_ERRORS = "page_comparison_errors"
+    COMPARISON_LEGEND = "page_comparison_legend"
+    COMPARISON_MODELS = "page_comparison_models"
+    COMPARISON_MODELS_NOTE = "page_comparison_models_note"
+    COMPARISON_SKIP = "page_comparison_skip"
+
+    DISCOVERY_TITLE = "page_discovery_title"
+    DISCOVERY_QUESTION = "page_discovery_question"
+    DISCOVERY_COMPLETE = "page_discovery_complete"
+    DISCOVERY_NAMED = "page_discovery_named"
+    DISCOVERY_AMBIGUOUS = "page_discovery_ambiguous"
+    DISCOVERY_UNKNOWN = "page_discovery_unknown"
+    DISCOVERY_EFFECT = "page_discovery_effect"
+    DISCOVERY_NEXT = "page_discovery_next"
+    DISCOVERY_ERRORS = "page_discovery_errors"
+    DISCOVERY_PATH = "page_discovery_path"
+    DISCOVERY_SITES = "page_discovery_sites"
+    DISCOVERY_SITES_NOTE = "page_discovery_sites_note"
+    DISCOVERY_RIVAL = "page_discovery_rival"
+    DISCOVERY_ALL_CANDIDATES = "page_discovery_all_candidates"
+    DISCOVERY_CANDIDATES = "page_discovery_candidates"
+    DISCOVERY_CANDIDATES_NOTE = "page_discovery_candidates_note"
+    DISCOVERY_PARAMETERS = "page_discovery_parameters"
+    DISCOVERY_REFINEMENT = "page_discovery_refinement"
+
+    DEMO_TITLE = "page_demo_title"
+    DEMO_QUESTION = "page_demo_question"
+    DEMO_PLAIN = "page_demo_plain"
+    DEMO_TRUTH = "page_demo_truth"
+    DEMO_PARAMETERS = "page_demo_parameters"
+
+    EXPORT_TITLE = "page_export_title"
+    EXPORT_QUESTION = "page_export_question"
+    EXPORT_VERDICT = "page_export_verdict"
+    EXPORT_WRITTEN = "page_export_written"
+    EXPORT_OF_FAILED_FIT = "page_export_of_failed_fit"
+    EXPORT_FILES = "page_export_files"
+    EXPORT_CONTENT = "page_export_content"
+
+    LINEAR_TITLE = "page_linear_title"
+    LINEAR_QUESTION = "page_linear_question"
+    LINEAR_POINT = "page_linear_point"
+    LINEAR_POLES = "page_linear_poles"
+    LINEAR_CHANNELS = "page_linear_channels"
+    LINEAR_FAMILY = "page_linear_family"
+    LINEAR_MATRIX = "page_linear_matrix"
+    LINEAR_DIGITS = "page_linear_digits"
+    LINEAR_OPERATING_POINT = "page_linear_operating_point"
+    LINEAR_DELAYS = "page_linear_delays"
+    LINEAR_PARAMETERS = "page_linear_parameters"
+
+    SIMULATION_TITLE = "page_simulation_title"
+    SIMULATION_QUESTION = "page_simulation_question"
+    SIMULATION_OVERFLOW = "page_simulation_overflow"
+    SIMULATION_RUN = "page_simulation_run"
+    SIMULATION_NOISE = "page_simulation_noise"
+    SIMULATION_RANGES = "page_simulation_ranges"
+    SIMULATION_PARAMETERS = "page_simulation_parameters"
+
+
+SECTIONS: Mapping[str, str] = {
+    "section_behaviour": "Behaviour",
+    "section_candidates": "Candidates",
+    "section_data": "Data",
+    "section_errors": "Errors",
+    "section_expected": "What the records can determine",
+    "section_extended": "The extended model",
+    "section_files": "Files",
+    "section_fit": "The fit",
+    "section_further": "Further effects",
+    "section_gap": "Error before and after",
+    "section_localisation": "Where, when and as a function of what",
+    "section_matrices": "Matrices",
+    "section_misfit": "Measured and simulated",
+    "section_missing": "The missing signal",
+    "section_model": "The model",
+    "section_models": "Models",
+    "section_parameters": "Parameters",
+    "section_parameters-before-after": "Parameters before and after",
+    "section_physics": "The physical models",
+    "section_plain": "The model as it was",
+    "section_point": "Operating point and parameters",
+    "section_repeat": "How to repeat it",
+    "section_residual": "Tests of the residual",
+    "section_run": "The run",
+    "section_runs": "Runs",
+    "section_structure": "What any record could determine",
+    "section_truth": "Parameters beside the truth",
+}
+"""Titles of sections: ``section_`` and the name of the section."""
+
+
+def _ratios(f: Finding) -> str:
+    """``1.02 times the noise in x and 0.98 times the noise in i``."""
+    return join_names([f"{ratio:.3g} times the noise in {name}" for name, ratio in f.values["ratios"].items()])
+
+
+def _fit_question(f: Finding) -> str:
+    v = f.values
+    fixed = f" {join_names(v['fixed'])} {'is' if len(v['fixed']) == 1 else 'are'} fixed." if v["fixed"] else ""
+    return (
+        f"Which values of {join_names(v['free']) or 'its parameters'} make the model follow {count_noun(v['records'], 'record')}"
+        f" ({count_noun(v['rows'], 'row')})?{fixed}"
+    )
+
+
+def _determined(f: Finding) -> str:
+    free, width = f.values["free"], f.values["widest"]
+    limit = "" if width is None else f" to ± {width:.2g} % or better"
+    if len(free) == 1:
+        return f"{free[0]} is determined{limit} (95 % confidence)."
+    return f"All {len(free)} fitted parameters are determined{limit} (95 % confidence)."
+
+
+def _alarms(f: Finding) -> str:
+    alarms, count = f.values["alarms"], f.values["tests"]
+    return f"{alarms} of {count} tests {'raises' if alarms == 1 else 'raise'} an alarm: the residual is not only noise."
+
+
+def _comparison_question(f: Finding) -> str:
+    records = (
+        "records that no model was fitted to" if f.values["validation"] else "the records that they were fitted to"
+    )
+    models = count_noun(f.values["models"], "model")
+    return f"Does the physics pay? {models} of {join_names(f.values['outputs'])}, judged on the same rows of {records}."
+
+
+def _effect(f: Finding) -> str:
+    look_alike = "The nearest look-alike is " if f.values["look_alike"] else ""
+    return f"{look_alike}{f.subject} ({f.values['site']}): {join_names(f.values['parameters'])}."
+
+
+def _simulation_run(f: Finding) -> str:
+    v = f.values
+    return (
+        f"Free run over {count_noun(v['rows'], 'row')}, {v['duration']:.4g} s, sampled every {v['sampling_time']}; integrated by"
+        f" {v['discretisation']}."
+    )
+
+
+def _linear_verdict(f: Finding) -> str:
+    kind = f"sampled every {f.values['dt']:g} s ({f.values['method']})" if f.values["dt"] else "continuous"
+    return f"A {kind} linear model with {count_noun(f.values['states'], 'state')}; it is {f.values['stability']}."
+
+
+TEMPLATES: Mapping[str, Template] = {
+    PageText.RECORD: "Record {subject}",
+    PageText.RECORD_USE: lambda f: f"{'Validation' if f.values['validation'] else 'Fitted'} record {f.subject}",
+    PageText.RECORDS: "Records",
+    PageText.SIGNALS: "Signals over all records",
+    PageText.NOISE_SOURCE: "Noise: {source}",
+    PageText.NOT_DRAWN: lambda f: (
+        f"The tables include {count_noun(f.values['records'], 'more record')} that {'is' if f.values['records'] == 1 else 'are'} not drawn."
+    ),
+    PageText.STATEMENT: "{text}",
+    PageText.ABOUT: "{subject}: {text}",
+    PageText.COMMAND: "In the shell",
+    PageText.COMPUTATION: "How it was computed",
+    PageText.OPTIONS: "Options",
+    PageText.VERSIONS: "Versions",
+    PageText.OPTIONS_AND_VERSIONS: "Options and versions",
+    # The page of a fit
+    PageText.FIT_TITLE: "Fit of {subject}",
+    PageText.FIT_QUESTION: _fit_question,
+    PageText.FIT_FAILED: "The fit did not succeed: {reason}.",
+    PageText.FIT_NUMBERS_OF_FAILURE: (
+        "The numbers below are where the search stopped. Use them to find the reason, not as results."
+    ),
+    PageText.RESIDUAL_IS_NOISE: lambda f: f"The model explains the fitted records: the residual is {_ratios(f)}.",
+    PageText.RESIDUAL_EXCEEDS_NOISE: lambda f: (
+        f"The model does not explain the fitted records: the residual is {_ratios(f)}. Either the model lacks an effect, which"
+        " `greybox discover` searches for, or the noise is larger than assumed."
+    ),
+    PageText.NOISE_UNKNOWN: "The noise is not known, so the misfit cannot be judged.",
+    PageText.NOTHING_FITTED: "No parameter was fitted.",
+    PageText.PARAMETERS_DETERMINED: _determined,
+    PageText.PARAMETERS_OPEN: lambda f: (
+        f"The records do not determine {join_names(f.values['open'])}: the 95 % interval reaches further than half the value."
+    ),
+    PageText.VALIDATED: lambda f: (
+        f"On {count_noun(f.values['records'], 'validation record')} the residual is {_ratios(f)}."
+    ),
+    PageText.NOT_VALIDATED: "The fit was not validated. A second record would show whether the parameters hold there.",
+    PageText.PARAMETERS: "Parameters with standard deviations and 95 % intervals",
+    PageText.INTERVALS_SANDWICH: (
+        "The residual is not white. The intervals allow for its colour, which widened them up to {widening:.3g} times."
+    ),
+    PageText.INTERVALS_LIKELIHOOD: "The intervals are from the information matrix of the likelihood; the innovations are white.",
+    PageText.INTERVALS_GAUSS_NEWTON: "The intervals are from the Gauss-Newton covariance; the residual is white.",
+    PageText.WOULD_DETERMINE: "What would determine the rest",
+    PageText.MOVE_TOGETHER: "Correlation of the fitted parameters",
+    PageText.MISFIT_FITTED: "Free run on the fitted records",
+    PageText.MISFIT_ONE_STEP: "Prediction one sample ahead on the fitted records",
+    PageText.MISFIT_VALIDATION: "Free run on the validation records",
+    PageText.MISFIT_BY_RECORD: "Record by record",
+    PageText.FIT_NOT_TESTED: "The fit did not succeed, so its residual was not tested.",
+    PageText.STATES_NOT_TESTED: (
+        "The residual was not tested: states that are estimated anew along the record absorb what the model lacks."
+    ),
+    PageText.TESTS_ALARM: _alarms,
+    PageText.TESTS_CLEAR: "None of {tests} tests raises an alarm: the residual looks like noise.",
+    PageText.TESTS: "Tests of the residual",
+    PageText.TESTS_NOTE: "Each test raises a false alarm (p below {level:g}) in one good fit of a hundred.",
+    # The page of a check
+    PageText.CHECK_TITLE: "Check of {subject}",
+    PageText.CHECK_QUESTION: lambda f: (
+        f"Can {join_names(f.values['free']) or 'the parameters'} be determined? Checked before anything is fitted."
+    ),
+    PageText.CHECK_DOUBT: "The check has no answer: {reason}",
+    PageText.CHECK_COMPLETE: lambda f: (
+        f"{'A record such as this one determines' if f.values['assumed'] else 'These records determine'} every free parameter, if the"
+        " model is right."
+    ),
+    PageText.CHECK_OPEN: lambda f: (
+        f"{'A record such as this one does' if f.values['assumed'] else 'These records do'} not determine {join_names(f.values['open'])}."
+    ),
+    PageText.CHECK_REMEDY: "Remedy: {text}.",
+    PageText.CHECK_PRECISION: "Standard deviations to expect of a fit near the start values, if the model is right",
+    PageText.CHECK_COMBINATIONS: "Combinations that the records determine",
+    PageText.CHECK_DETERMINED: "Determined by any record",
+    PageText.CHECK_UNDETERMINED: "Not determined by any record",
+    PageText.CHECK_REMEDIES: "Remedies",
+    PageText.CHECK_ASSUMED: "No records were given. The check uses a simulated one: {text}",
+    PageText.CHECK_NOISE: lambda f: f"Noise: {join_names(f.values['sizes'])}; {f.values['source']}",
+    # The page of a comparison
+    PageText.COMPARISON_TITLE: "Grey boxes and black boxes side by side",
+    PageText.COMPARISON_QUESTION: _comparison_question,
+    PageText.COMPARISON_VALIDATION: "On the validation records",
+    PageText.COMPARISON_TRAINING: "On the fitted records",
+    PageText.COMPARISON_ERRORS: lambda f: (
+        f"{f.subject}, {'validation' if f.values['validation'] else 'fitted'} records"
+    ),
+    PageText.COMPARISON_LEGEND: "Click a name in the legend to hide that model; double-click to show it alone.",
+    PageText.COMPARISON_MODELS: "Models",
+    PageText.COMPARISON_MODELS_NOTE: (
+        "Numbers: fitted parameters or coefficients. BIC: of the free run on the fitted records; lower is better."
+    ),
+    PageText.COMPARISON_SKIP: "The first {rows} rows of each judging record do not count.",
+    # The page of a discovery
+    PageText.DISCOVERY_TITLE: "Effects that {subject} lacks",
+    PageText.DISCOVERY_QUESTION: "Which effect, if any, does {subject} lack?",
+    PageText.DISCOVERY_COMPLETE: "No effect is missing.",
+    PageText.DISCOVERY_NAMED: "An effect is missing, and the records name it.",
+    PageText.DISCOVERY_AMBIGUOUS: "An effect is missing; the records agree with more than one.",
+    PageText.DISCOVERY_UNKNOWN: "An effect is missing that the catalogue does not explain.",
+    PageText.DISCOVERY_EFFECT: _effect,
+    PageText.DISCOVERY_NEXT: "Next step: {text}",
+    PageText.DISCOVERY_ERRORS: "Rms error of the free run on the validation records",
+    PageText.DISCOVERY_PATH: "Misfit on the estimation records, one effect after the other",
+    PageText.DISCOVERY_SITES: "Sites, likeliest first",
+    PageText.DISCOVERY_SITES_NOTE: (
+        "These sensors cannot distinguish the sites of one set. Gain: how much the signal raises the log-likelihood."
+    ),
+    PageText.DISCOVERY_RIVAL: "{subject} explains the records as well.",
+    PageText.DISCOVERY_ALL_CANDIDATES: lambda f: f"All {count_noun(f.values['count'], 'candidate')}",
+    PageText.DISCOVERY_CANDIDATES: "Candidates",
+    PageText.DISCOVERY_CANDIDATES_NOTE: (
+        "Behind: how far Schwarz's criterion is above that of the best candidate; 10 and more are decisive."
+    ),
+    PageText.DISCOVERY_PARAMETERS: "Parameters: those of the plain model absorb part of what it lacks",
+    PageText.DISCOVERY_REFINEMENT: "Further effects, each with the share of the rms misfit that it removes",
+    # The page of the demonstration
+    PageText.DEMO_TITLE: "A rig that hides an effect: from the first fit to the controller",
+    PageText.DEMO_QUESTION: (
+        "A simulated micro-motion actuator has an effect that its model lacks. Does the program notice, does it name the effect, and does"
+        " that pay?"
+    ),
+    PageText.DEMO_PLAIN: "The residual of the plain model in {subject} is {ratio:.3g} times the noise.",
+    PageText.DEMO_TRUTH: lambda f: (
+        f"The fit meets every parameter of the rig within {f.values['deviation']:.1f} standard deviations: {join_names(f.values['names'])}."
+    ),
+    PageText.DEMO_PARAMETERS: "Start values, estimates and true values",
+    # The page of an export
+    PageText.EXPORT_TITLE: "{subject} as {kind}",
+    PageText.EXPORT_QUESTION: "The fitted model {subject}, to run outside this program.",
+    PageText.EXPORT_VERDICT: "The nonlinear model with the fitted parameters, as {kind}.",
+    PageText.EXPORT_WRITTEN: lambda f: (
+        f"{count_noun(len(f.values['files']), 'file')} written: {', '.join(f.values['files'])}."
+    ),
+    PageText.EXPORT_OF_FAILED_FIT: "The fit behind it did not succeed: do not use it.",
+    PageText.EXPORT_FILES: "Files",
+    PageText.EXPORT_CONTENT: "Content of {subject}",
+    # The page of a linear model
+    PageText.LINEAR_TITLE: "{subject} as a linear model",
+    PageText.LINEAR_QUESTION: lambda f: (
+        f"How do small deviations of {join_names(f.values['inputs']) or 'nothing'} change {join_names(f.values['outputs']) or 'nothing'}?"
+        " For the design of a controller."
+    ),
+    PageText.LINEAR_VERDICT: _linear_verdict,
+    PageText.LINEAR_POINT: lambda f: f"It holds for small deviations from {join_names(f.values['point'])}.",
+    PageText.LINEAR_POLES: lambda f: "Poles (z)" if f.values["sampled"] else "Poles",
+    PageText.LINEAR_CHANNELS: "Channel by channel",
+    PageText.LINEAR_FAMILY: lambda f: (
+        f"{count_noun(f.values['models'], 'model')} drawn from the covariance of the parameters (seed {f.values['seed']}) show the"
+        " uncertainty."
+    ),
+    PageText.LINEAR_MATRIX: "Matrix {subject}: effect of the columns on the rows",
+    PageText.LINEAR_DIGITS: "All digits, to copy",
+    PageText.LINEAR_OPERATING_POINT: "Operating point",
+    PageText.LINEAR_DELAYS: "Delays that the matrices do not include",
+    PageText.LINEAR_PARAMETERS: "Parameters of the model",
+    # The page of a simulation
+    PageText.SIMULATION_TITLE: "Simulation of {subject}",
+    PageText.SIMULATION_QUESTION: lambda f: (
+        f"How does {f.subject} respond to {join_names(f.values['inputs']) or 'no input'}?"
+    ),
+    PageText.SIMULATION_OVERFLOW: "The run overflows {time:.4g} s after its start; nothing follows.",
+    PageText.SIMULATION_RUN: _simulation_run,
+    PageText.SIMULATION_NOISE: "The written outputs have white noise added: {sizes}.",
+    PageText.SIMULATION_RANGES: "Ranges of the signals",
+    PageText.SIMULATION_PARAMETERS: "Parameters of this run",
+    **SECTIONS,
+}
+
+register(TEMPLATES)

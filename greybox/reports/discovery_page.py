@@ -1,0 +1,237 @@
+"""The page of a discovery: what is missing, how sure that is, and the error before and after."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from greybox.discovery import Discovery, HoldoutError, Refinement
+from greybox.plots.discovery import (
+    explained_share,
+    plot_candidates,
+    plot_effect_signal,
+    plot_holdout_error,
+    plot_misfit_windows,
+    plot_surrogate,
+    plot_unexplained_signal,
+)
+from greybox.plots.records import plot_residuals_before_after, plot_spectra_before_after
+from greybox.plots.style import PAGE
+from greybox.rendering.english import phrase
+from greybox.rendering.reports import PageText
+from greybox.rendering.result import to_constant_cells
+from greybox.reports.equations import typeset_equations
+from greybox.reports.fit_blocks import parameters_table, statements
+from greybox.reports.page import (
+    Block,
+    BulletList,
+    Details,
+    FigureBlock,
+    Page,
+    PageTable,
+    Paragraphs,
+    Section,
+    Subheading,
+    Text,
+    Tone,
+)  # fmt: skip
+from greybox.reports.policy import REPORT
+from greybox.reports.provenance import fit_provenance_section
+from greybox.reports.records import records_section, signal_units
+from greybox.reports.typography import format_number, typeset_number, typeset_unit
+
+ANSWERS = {
+    "complete": (PageText.DISCOVERY_COMPLETE, Tone.GOOD),
+    "named": (PageText.DISCOVERY_NAMED, Tone.GOOD),
+    "ambiguous": (PageText.DISCOVERY_AMBIGUOUS, Tone.CAUTION),
+    "unknown": (PageText.DISCOVERY_UNKNOWN, Tone.CAUTION),
+}
+
+
+def build_discovery_page(discovery: Discovery, *, command: str = "") -> Page:
+    """The page of a discovery; ``command`` is what was typed."""
+    best, plain = discovery.best, discovery.base.model.title
+    sections = [
+        *discovery_sections(discovery),
+        Section("parameters-before-after", [_parameters_before_after(discovery)]),
+        Section("extended" if best.model.effects else "model", [typeset_equations(best.model)]),
+        records_section([*best.traces], [*best.validation.traces], best),
+        fit_provenance_section(best, command),
+    ]
+    title, question = phrase(PageText.DISCOVERY_TITLE, plain), phrase(PageText.DISCOVERY_QUESTION, plain)
+    return Page(title, question, discovery_verdict(discovery), sections, "discovery")
+
+
+def discovery_verdict(discovery: Discovery) -> Paragraphs:
+    """The answer, the summary, the effects with their parameters, the next steps and the findings."""
+    answer, tone = ANSWERS[discovery.verdict]
+    items: list[Text] = [phrase(answer), *statements([discovery.story])]
+    for effect in discovery.effects if discovery.verdict != "complete" else []:
+        values = [
+            f"{name} = {format_number(c['value'])}{_std(c['std'])} {typeset_unit(c['unit'])}".rstrip()
+            for name, c in effect["parameters"].items()
+        ]
+        look_alike = discovery.verdict == "unknown"
+        items.append(
+            phrase(
+                PageText.DISCOVERY_EFFECT, effect["name"], site=effect["site"], parameters=values, look_alike=look_alike
+            )
+        )
+    items += [phrase(PageText.DISCOVERY_NEXT, text=str(step)) for step in discovery.next_steps]
+    return Paragraphs([*items, *statements(discovery.notes)], tone)
+
+
+def _std(std: float | None) -> str:
+    return f" +- {std:.2g}" if std else ""
+
+
+def discovery_sections(discovery: Discovery) -> Iterator[Section]:
+    """The error before and after, the missing signal, where and when, the candidates."""
+    yield Section("gap", list(_holdout(discovery)))
+    signals: list[Block] = [
+        FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.missing)
+    ]
+    if discovery.surrogate is not None:
+        signals += [
+            Paragraphs(statements([str(discovery.surrogate)])),
+            FigureBlock(plot_surrogate(discovery.surrogate)),
+        ]
+    if signals:
+        yield Section("missing", signals)
+    if discovery.refinement is not None:
+        yield Section("further", list(_refinement(discovery.refinement)))
+    if discovery.look.missing:
+        yield Section("localisation", list(_localisation(discovery)))
+    if discovery.ranking:
+        yield Section("candidates", list(_candidates(discovery)))
+
+
+def _holdout(discovery: Discovery) -> Iterator[Block]:
+    yield FigureBlock(plot_holdout_error(discovery))
+    rows = [
+        [
+            output,
+            *(typeset_number(f"{v:.4g} {typeset_unit(e.unit)}".rstrip()) for v in (e.before, e.after, e.floor)),
+            _explained(e),
+        ]
+        for output, e in discovery.gap.items()
+    ]
+    head = ["output", "plain model", extended_name(discovery), "noise", "excess explained"]
+    yield PageTable(phrase(PageText.DISCOVERY_ERRORS), head, rows)
+    path = selection_path(discovery)
+    if len(path) > 2:
+        steps = [[name, typeset_number(f"{misfit:.4g} × noise")] for name, misfit in path]
+        yield PageTable(phrase(PageText.DISCOVERY_PATH), ["model", "misfit"], steps)
+    pairs = list(zip(discovery.base.validation.traces, discovery.best.validation.traces, strict=False))
+    pairs = pairs[: REPORT.records_of_discovery]
+    stretches = PAGE.stretches(sum(4 * len(before.measured) for before, _ in pairs))
+    for k, (before, after) in enumerate(pairs):
+        shared = before, after, signal_units(discovery.base.model), discovery.best.noise.std
+        residuals = plot_residuals_before_after(*shared, f"left-{k}", extended_name(discovery))
+        spectra = plot_spectra_before_after(*shared, f"spectra-{k}", extended_name(discovery), follows=residuals.name)
+        together = f"judged-{k}"
+        figures = [
+            FigureBlock(residuals, stretches, group=together, switch=together),
+            FigureBlock(spectra, stretches, switch=together),
+        ]
+        title = phrase(PageText.RECORD, before.name)
+        yield from [Subheading(title), *figures] if k < REPORT.open_records else [Details(title, figures)]
+
+
+def _explained(error: HoldoutError) -> str:
+    share = explained_share(error)
+    if share is None:
+        return "no excess"
+    return f"{100 * share:.1f} %" if share > 0 else "error grew"
+
+
+def selection_path(discovery: Discovery) -> list[tuple[str, float]]:
+    """The models on the way to the best one, one effect after the other, with their misfit over noise where they were fitted."""
+    wanted = {e.name for e in discovery.best.model.effects}
+    path = [("plain model", max((m.noise_ratio for m in discovery.base.misfit.values()), default=math.nan))]
+    held: set[str] = set()
+    while held != wanted:
+        nearer = [r for r in discovery.ranking if held < set(r.effects) <= wanted and len(r.effects) == len(held) + 1]
+        if not nearer:
+            break
+        step = min(nearer, key=lambda r: r.misfit)
+        added = set(step.effects) - held
+        held |= added
+        path.append((f"+ {', '.join(sorted(added))}", step.misfit))
+    return path
+
+
+def extended_name(discovery: Discovery) -> str:
+    """What to call the extended model."""
+    return "nearest look-alike" if discovery.verdict == "unknown" else "extended model"
+
+
+def _refinement(refinement: Refinement) -> Iterator[Block]:
+    """The effects beyond the answer, and what they leave."""
+    yield Paragraphs(statements([refinement.story]))
+    if not refinement.steps:
+        return
+    rows = [
+        [s.name, _percent(s.fitted), _percent(s.held_out), ", ".join(f"{n} {_percent(v)}" for n, v in s.alike.items())]
+        for s in refinement.steps
+    ]
+    head = ["effect", "on the estimation records", "on the validation records", "nearly as well"]
+    yield PageTable(phrase(PageText.DISCOVERY_REFINEMENT), head, rows)
+    yield parameters_table(refinement.fit)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _localisation(discovery: Discovery) -> Iterator[Block]:
+    localisation = discovery.look
+    yield BulletList(statements(line.strip() for line in str(localisation).splitlines()))
+    unexplained = plot_unexplained_signal(localisation)
+    if unexplained is not None:
+        yield FigureBlock(unexplained)
+    sets = {name: k + 1 for k, group in enumerate(localisation.sets) for name in group}
+    rows = [
+        [
+            str(s),
+            str(sets[str(s)]),
+            typeset_number(f"{s.gain:.4g}"),
+            typeset_number(f"{s.size:.3g} {typeset_unit(s.unit)}".rstrip()),
+        ]
+        for s in localisation.sites
+    ]
+    if rows:
+        head = ["site", "set", "gain", "signal (rms)"]
+        yield PageTable(phrase(PageText.DISCOVERY_SITES), head, rows, phrase(PageText.DISCOVERY_SITES_NOTE))
+    windows = plot_misfit_windows(localisation)
+    if windows is not None:
+        yield FigureBlock(windows)
+
+
+def _candidates(discovery: Discovery) -> Iterator[Block]:
+    figure = plot_candidates(discovery)
+    if figure is not None:
+        yield FigureBlock(figure)
+    if discovery.alternatives:
+        yield BulletList([phrase(PageText.DISCOVERY_RIVAL, " + ".join(names)) for names in discovery.alternatives])
+    rows = [
+        [" + ".join(r.effects), typeset_number(f"{r.misfit:.4g} × noise"), typeset_number(f"{r.behind:.4g}")]
+        for r in discovery.ranking
+    ]
+    note = phrase(PageText.DISCOVERY_CANDIDATES_NOTE)
+    table = PageTable(phrase(PageText.DISCOVERY_CANDIDATES), ["effects", "misfit", "behind"], rows, note)
+    yield Details(phrase(PageText.DISCOVERY_ALL_CANDIDATES, count=len(rows)), [table])
+
+
+def _parameters_before_after(discovery: Discovery) -> PageTable:
+    """Each parameter with the plain model and with the extended one."""
+    if not discovery.best.model.effects:
+        return parameters_table(discovery.best)
+    rows = []
+    for name, e in discovery.best.parameters.items():
+        plain = discovery.base.parameters.get(name)
+        _, after, limits, _, remark = map(typeset_number, to_constant_cells(name, e))
+        before = typeset_number(to_constant_cells(name, plain)[1]) if plain is not None else "–"
+        rows.append([name, before, after, limits, typeset_unit(e.unit), remark])
+    head = ["parameter", "plain model", extended_name(discovery), "95 % interval", "unit", "remark"]
+    return PageTable(phrase(PageText.DISCOVERY_PARAMETERS), head, rows)

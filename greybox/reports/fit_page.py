@@ -1,0 +1,198 @@
+"""The page of a fit: what came out, whether to believe it, what it was made from, how to repeat it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from greybox.estimation.restore import has_free_run
+from greybox.findings import Finding
+from greybox.identifiability import recommend_after_fit
+from greybox.plots.parameters import plot_correlation, plot_intervals, relative_half_widths, strongly_correlated_pairs
+from greybox.plots.policy import DRAWING
+from greybox.plots.records import plot_inputs, plot_residual, plot_run, plot_spectrum, record_misfits
+from greybox.plots.residual_tests import plot_residual_tests
+from greybox.plots.style import PAGE
+from greybox.rendering.english import phrase
+from greybox.rendering.plots import FigureText
+from greybox.rendering.reports import PageText
+from greybox.rendering.residuals import name_test
+from greybox.rendering.result import MISFIT_HEADS, to_misfit_cells
+from greybox.reports.equations import typeset_equations
+from greybox.reports.fit_blocks import fit_verdict, parameters_table, statements
+from greybox.reports.page import (
+    Block,
+    BulletList,
+    Details,
+    FigureBlock,
+    Page,
+    PageTable,
+    Paragraphs,
+    Section,
+    Subheading,
+    Text,
+    Tone,
+)  # fmt: skip
+from greybox.reports.policy import REPORT
+from greybox.reports.provenance import fit_provenance_section
+from greybox.reports.records import records_section, signal_units
+from greybox.reports.typography import typeset_number
+from greybox.residuals import ResidualTests, residual_tests
+from greybox.result import Fit, Misfit, Trace
+
+
+@dataclass(frozen=True)
+class RecordRun:
+    """A model's run over one record, for validation or fitted; the first ``skip`` rows do not count."""
+
+    trace: Trace
+    validation: bool
+    skip: int = 0
+
+    @property
+    def title(self) -> Finding:
+        """``Validation record b``."""
+        return phrase(PageText.RECORD_USE, self.trace.name, validation=self.validation)
+
+
+def build_fit_page(fit: Fit, *, command: str = "", tests: ResidualTests | None = None, skip: int = 0) -> Page:
+    """The page of a fit.
+
+    Parameters
+    ----------
+    fit
+        The result of `greybox.fit`.
+    command
+        What was typed, for repeating it.
+    tests
+        Those of the residual; made here where left out.
+    skip
+        Rows at the start of validation records that do not count.
+    """
+    sections = [
+        Section("parameters", list(_parameters(fit))),
+        Section("misfit", list(_misfit(fit, skip))),
+        Section("residual", list(_residual(fit, tests))),
+        Section("model", [typeset_equations(fit.model)]),
+        records_section([*fit.traces], [*fit.validation.traces], fit),
+        fit_provenance_section(fit, command),
+    ]
+    question = phrase(
+        PageText.FIT_QUESTION,
+        free=list(fit.uncertainty.free),
+        records=len(fit.traces),
+        rows=sum(len(t.time) for t in fit.traces),
+        fixed=[name for name, e in fit.parameters.items() if e.fixed],
+    )
+    return Page(phrase(PageText.FIT_TITLE, fit.model.title), question, fit_verdict(fit), sections, "fit")
+
+
+def _parameters(fit: Fit) -> Iterator[Block]:
+    yield parameters_table(fit, _interval_note(fit))
+    recommendations = recommend_after_fit(fit)
+    if recommendations:
+        yield Subheading(phrase(PageText.WOULD_DETERMINE))
+        yield BulletList(statements(recommendations))
+    intervals = plot_intervals(relative_half_widths(fit), phrase(FigureText.INTERVALS))
+    if intervals is not None:
+        yield FigureBlock(intervals)
+    correlation = plot_correlation(fit)
+    if correlation is not None:
+        pairs = strongly_correlated_pairs(fit)
+        if pairs:
+            yield BulletList(pairs)
+        yield Details(phrase(PageText.MOVE_TOGETHER), [FigureBlock(correlation)])
+
+
+def _interval_note(fit: Fit) -> Text:
+    if not fit.uncertainty.free:
+        return ""
+    if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
+        return phrase(PageText.INTERVALS_SANDWICH, widening=max(fit.uncertainty.inflation.values()))
+    likelihood = bool(fit.prediction.process_noise)
+    return phrase(PageText.INTERVALS_LIKELIHOOD if likelihood else PageText.INTERVALS_GAUSS_NEWTON)
+
+
+def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
+    yield misfit_table(phrase(PageText.MISFIT_FITTED), fit.misfit)
+    if fit.prediction.one_step:
+        yield misfit_table(phrase(PageText.MISFIT_ONE_STEP), fit.prediction.one_step)
+    if fit.validation:
+        yield misfit_table(phrase(PageText.MISFIT_VALIDATION), fit.validation.misfit)
+    runs = [RecordRun(t, False) for t in fit.traces] + [RecordRun(t, True, skip) for t in fit.validation.traces]
+    if len(runs) > 2:
+        yield _by_record(fit, runs)
+    drawn = runs[: REPORT.records_of_fit]
+    stretches = PAGE.stretches(sum(3 * len(r.trace.measured) + len(r.trace.inputs) for r in drawn))
+    signals = sum(len(r.trace.measured) * min(len(r.trace.time), DRAWING.signal_on_page) for r in drawn)
+    for k, run in enumerate(drawn):
+        blocks = _record_figures(fit, run.trace, k, stretches, follow=signals <= DRAWING.all_signals_on_page)
+        first_for_validation = run.validation and not runs[k - 1].validation
+        if k < REPORT.open_records or first_for_validation:
+            yield Subheading(run.title)
+            yield from blocks
+        else:
+            yield Details(run.title, blocks)
+    if len(runs) > len(drawn):
+        yield Paragraphs([phrase(PageText.NOT_DRAWN, records=len(runs) - len(drawn))])
+
+
+def _record_figures(fit: Fit, trace: Trace, k: int, stretches: int, *, follow: bool) -> list[Block]:
+    """Run, residual, spectrum and inputs of one record, which zoom together and switch their outputs together."""
+    units, noise, together = signal_units(fit.model), fit.noise.std, f"{k}"
+    residual = plot_residual(trace, units, noise, f"residual-{k}")
+    spectrum = plot_spectrum(trace, units, noise, f"spectrum-{k}", follows=residual.name if follow else "")
+    inputs = plot_inputs(trace, units, f"inputs-{k}")
+    blocks: list[Block] = [
+        FigureBlock(plot_run(trace, units, f"run-{k}"), stretches, group=together, switch=together),
+        FigureBlock(residual, stretches, group=together, switch=together),
+        FigureBlock(spectrum, stretches, switch=together),
+    ]
+    return blocks if inputs is None else [*blocks, FigureBlock(inputs, stretches, group=together)]
+
+
+def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> PageTable:
+    rows = [
+        [run.trace.name, "validation" if run.validation else "fitted", output, *map(typeset_number, to_misfit_cells(m))]
+        for run in runs
+        for output, m in record_misfits(fit, run.trace, run.skip).items()
+    ]
+    return PageTable(phrase(PageText.MISFIT_BY_RECORD), ["record", "use", "output", *MISFIT_HEADS], rows)
+
+
+def misfit_table(title: Text, misfit: Mapping[str, Misfit]) -> PageTable:
+    """Misfits by output as a table."""
+    rows = [[name, *map(typeset_number, to_misfit_cells(m))] for name, m in misfit.items()]
+    return PageTable(title, ["output", *MISFIT_HEADS], rows)
+
+
+def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
+    # The verdict of a fit that failed has the first ones already.
+    findings = fit.findings if fit.success else fit.findings[REPORT.leading_findings :]
+    if findings:
+        yield BulletList(findings)
+    if not fit.success:
+        yield Paragraphs([phrase(PageText.FIT_NOT_TESTED)], Tone.CAUTION)
+        return
+    if not (has_free_run(fit) or fit.prediction.process_noise):
+        yield Paragraphs([phrase(PageText.STATES_NOT_TESTED)], Tone.CAUTION)
+        return
+    tests = tests or residual_tests(fit)
+    if tests.alarms:
+        alarms = phrase(PageText.TESTS_ALARM, alarms=len(tests.alarms), tests=len(tests.tests))
+        yield Paragraphs([alarms], Tone.CAUTION)
+    else:
+        yield Paragraphs([phrase(PageText.TESTS_CLEAR, tests=len(tests.tests))], Tone.GOOD)
+    rows = [
+        [
+            f"{t.output}: {name_test(t)}",
+            f"alarm: {t}" if t.alarm else str(t),
+            typeset_number(f"{t.p_value:.2g}"),
+            typeset_number(f"{t.statistic:.4g}"),
+        ]
+        for t in tests.tests
+    ]
+    head = ["test", "result", "p", "statistic"]
+    yield PageTable(phrase(PageText.TESTS), head, rows, phrase(PageText.TESTS_NOTE, level=tests.policy.alarm_level))
+    for output in tests.residuals:
+        yield FigureBlock(plot_residual_tests(tests, output, f"tests-{output}"))

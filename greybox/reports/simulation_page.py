@@ -1,0 +1,91 @@
+"""The page of a simulation: what the model did, and what it was driven by."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from greybox.errors import ModelError
+from greybox.model import Model
+from greybox.plots.figure import Role
+from greybox.plots.records import plot_signals
+from greybox.plots.scaling import scale_to_prefix
+from greybox.plots.style import PAGE
+from greybox.rendering.english import phrase
+from greybox.rendering.plots import FigureText
+from greybox.rendering.reports import PageText
+from greybox.reports.equations import typeset_equations
+from greybox.reports.page import Block, FigureBlock, Page, PageTable, Paragraphs, Section, Tone
+from greybox.reports.provenance import provenance_section
+from greybox.reports.records import format_sampling_time, signal_units
+from greybox.reports.typography import format_number, format_range, typeset_number, typeset_unit
+from greybox.simulation import Simulation
+
+
+def build_simulation_page(run: Simulation, *, model: Model | None = None, command: str = "", noise: str = "") -> Page:
+    """The page of a simulation.
+
+    Parameters
+    ----------
+    run
+        The result of `greybox.simulate`.
+    model
+        What ran.
+    command
+        What was typed, for repeating it.
+    noise
+        The standard deviations of the noise that was added to the outputs that were written.
+
+    Raises
+    ------
+    ModelError
+        Without the model.
+    """
+    if model is None:
+        raise ModelError("report of a simulation: which model ran? give model=")
+    units = signal_units(model) | {s.name: s.unit for s in model.all_states}
+    stretches = PAGE.stretches(len(run.inputs) + len(run.outputs) + len(run.states))
+    groups = (
+        ("outputs", run.outputs, FigureText.SIMULATED_OUTPUTS, Role.OUTPUT),
+        ("inputs", run.inputs, FigureText.SIMULATED_INPUTS, Role.INPUT),
+        ("states", run.states, FigureText.SIMULATED_STATES, Role.STATE),
+    )
+    figures: list[Block] = [
+        FigureBlock(plot_signals(name, run.time, signals, units, role, phrase(caption)), stretches, group="run")
+        for name, signals, caption, role in groups
+        if signals
+    ]
+    sections = [
+        Section("run", [*figures, _ranges(run, units)]),
+        Section("model", [_parameters(model), typeset_equations(model)]),
+        provenance_section(command),
+    ]
+    question = phrase(PageText.SIMULATION_QUESTION, model.title, inputs=list(run.inputs))
+    title = phrase(PageText.SIMULATION_TITLE, model.title)
+    return Page(title, question, _verdict(run, noise), sections, "simulation")
+
+
+def _verdict(run: Simulation, noise: str) -> Paragraphs:
+    if run.overflow is not None:
+        return Paragraphs([phrase(PageText.SIMULATION_OVERFLOW, time=run.overflow)], Tone.BAD)
+    free_run = phrase(
+        PageText.SIMULATION_RUN,
+        rows=len(run.time),
+        duration=float(run.time[-1] - run.time[0]),
+        sampling_time=format_sampling_time(run.time),
+        discretisation=run.discretisation,
+    )
+    return Paragraphs([free_run, *([phrase(PageText.SIMULATION_NOISE, sizes=noise)] if noise else [])], Tone.GOOD)
+
+
+def _ranges(run: Simulation, units: dict[str, str]) -> PageTable:
+    rows = []
+    for kind, group in (("input", run.inputs), ("output", run.outputs), ("state", run.states)):
+        for name, values in group.items():
+            factor, unit = scale_to_prefix(units[name], np.asarray(values))
+            rows.append([name, kind, f"{format_range(factor * np.asarray(values))} {unit}"])
+    return PageTable(phrase(PageText.SIMULATION_RANGES), ["signal", "kind", "from … to"], rows)
+
+
+def _parameters(model: Model) -> PageTable:
+    rows = [[q.name, typeset_number(format_number(q.value, 7)), typeset_unit(q.unit)] for q in model.all_parameters]
+    return PageTable(phrase(PageText.SIMULATION_PARAMETERS), ["parameter", "value", "unit"], rows)
