@@ -16,6 +16,7 @@ class PageText(StrEnum):
     LINEAR_VERDICT = "page_linear_verdict"
     RECORD = "page_record"
     RECORD_USE = "page_record_use"
+    RECORD_FINDING = "page_record_finding"
     RECORDS = "page_records"
     SIGNALS = "page_signals"
     NOISE_SOURCE = "page_noise_source"
@@ -223,6 +224,7 @@ def _linear_verdict(f: Finding) -> str:
 TEMPLATES: Mapping[str, Template] = {
     PageText.RECORD: "Record {subject}",
     PageText.RECORD_USE: lambda f: f"{'Validation' if f.values['validation'] else 'Fitted'} record {f.subject}",
+    PageText.RECORD_FINDING: "Record {text}",
     PageText.RECORDS: "Records",
     PageText.SIGNALS: "Signals over all records",
     PageText.NOISE_SOURCE: "Noise: {source}",

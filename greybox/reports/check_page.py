@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from greybox.check import ModelCheck
 from greybox.experiment import Experiment, collect_record_findings
 from greybox.experiment.findings import is_sensor_fault
+from greybox.findings import Finding
 from greybox.identifiability import ExpectedPrecision
 from greybox.plots.parameters import plot_intervals
 from greybox.plots.records import plot_inputs, plot_outputs
@@ -50,7 +51,8 @@ def build_check_page(check: ModelCheck, *, command: str = "") -> Page:
 
 
 def _verdict(check: ModelCheck) -> Paragraphs:
-    faults = list(filter(is_sensor_fault, collect_record_findings(check.experiments)))
+    findings = collect_record_findings(check.experiments)
+    faults = [_about_record(finding) for finding in findings if is_sensor_fault(finding)]
     answer = _answer(check)
     tone = Tone.CAUTION if faults and answer.tone is Tone.GOOD else answer.tone
     return Paragraphs([*faults, *answer.items], tone)
@@ -141,7 +143,7 @@ def _data(check: ModelCheck) -> Iterator[Block]:
     # Sensor faults stand in the verdict.
     findings = [finding for finding in collect_record_findings(check.experiments) if not is_sensor_fault(finding)]
     if findings:
-        yield BulletList(findings)
+        yield BulletList(list(map(_about_record, findings)))
     if not check.assumed:
         lines = dict.fromkeys(line for e in check.practical.excitation for line in str(e).splitlines())
         yield BulletList(statements(lines))
@@ -152,6 +154,10 @@ def _data(check: ModelCheck) -> Iterator[Block]:
         figures = plot_outputs(e, units, f"outputs-{k}"), plot_inputs(e, units, f"inputs-{k}")
         blocks = [FigureBlock(f, stretches, group=f"{k}") for f in figures if f is not None]
         yield from blocks if k < REPORT.open_records else [Details(phrase(PageText.RECORD, e.name), blocks)]
+
+
+def _about_record(finding: Finding) -> Finding:
+    return phrase(PageText.RECORD_FINDING, text=str(finding))
 
 
 def _record(e: Experiment) -> list[str]:

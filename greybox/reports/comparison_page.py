@@ -13,7 +13,7 @@ from greybox.rendering import sentence
 from greybox.rendering.english import phrase
 from greybox.rendering.reports import PageText
 from greybox.reports.equations import typeset_equations
-from greybox.reports.fit_blocks import parameters_table, statements
+from greybox.reports.fit_blocks import parameters_table
 from greybox.reports.page import (
     Block,
     BulletList,
@@ -141,7 +141,7 @@ def _runs(comparison: Comparison) -> Iterator[Block]:
     stretches = PAGE.stretches(len(drawn) * curves)
     yield Paragraphs([phrase(PageText.COMPARISON_LEGEND)])
     for k, record in enumerate(drawn):
-        figures = [
+        figures: list[Block] = [
             FigureBlock(plot(comparison, record, f"{name}-{k}"), stretches, group=f"{k}", switch=f"{k}")
             for name, plot in (("runs", plot_model_runs), ("errors-over-time", plot_model_residuals))
         ]
@@ -195,4 +195,7 @@ def _data(comparison: Comparison, fingerprints: Mapping[str, str], known: Sequen
             rows.append([record, use, *length, fingerprints.get(record, "")[:12]])
     note = phrase(PageText.COMPARISON_SKIP, rows=comparison.skip) if comparison.skip else ""
     table = PageTable(phrase(PageText.RECORDS), ["record", "use", "rows", "duration", "fingerprint"], rows, note)
-    return Section("data", [table, *([BulletList(statements(known))] if known else [])])
+    return Section(
+        "data",
+        [table, *([BulletList([phrase(PageText.RECORD_FINDING, text=str(text)) for text in known])] if known else [])],
+    )

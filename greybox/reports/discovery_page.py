@@ -130,7 +130,7 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
         residuals = plot_residuals_before_after(*shared, f"left-{k}", extended_name(discovery))
         spectra = plot_spectra_before_after(*shared, f"spectra-{k}", extended_name(discovery), follows=residuals.name)
         together = f"judged-{k}"
-        figures = [
+        figures: list[Block] = [
             FigureBlock(residuals, stretches, group=together, switch=together),
             FigureBlock(spectra, stretches, switch=together),
         ]

@@ -20,10 +20,12 @@ import greybox as gb
 from greybox.check import check
 from greybox.cli.app import app
 from greybox.plots.figure import Axis, Curve, Figure, Panel, Role
-from greybox.rendering.plots import FigureText, phrase
+from greybox.rendering.english import phrase
+from greybox.rendering.plots import FigureText
+from greybox.rendering.reports import PageText
 from greybox.reports import build_page, write_page
 from greybox.reports.html import render_page
-from greybox.reports.page import FigureBlock, Page, Section, Text
+from greybox.reports.page import FigureBlock, Page, Paragraphs, Section, Subheading
 from greybox.reports.policy import REPORT
 from greybox.residuals import residual_tests
 from models.micro_actuator import micro_actuator
@@ -45,6 +47,11 @@ def bench(rows: int = 500) -> gb.Experiment:
 def good() -> gb.Fit:
     known = micro_actuator.fix("M", "Ra", "Kf", "Kv")
     return gb.fit(known, bench(), noise={"x": 2e-7, "i": 5e-3}, options=gb.FitOptions(progressive=False))
+
+
+def codes(page: Page) -> list[str]:
+    """What the verdict of a page says."""
+    return [item.code for item in page.verdict.items]
 
 
 class Outline(HTMLParser):
@@ -74,11 +81,11 @@ class Outline(HTMLParser):
 def test_the_verdict_of_a_good_fit_comes_first_and_in_plain_words(good: gb.Fit) -> None:
     page = build_page(good, command="greybox fit micro_actuator bench.csv")
     assert page.verdict.tone == "good"
-    assert page.verdict.paragraphs[0].startswith("The model explains the fitted records")
+    assert codes(page) == [PageText.RESIDUAL_IS_NOISE, PageText.PARAMETERS_DETERMINED, PageText.NOT_VALIDATED]
     html = render_page(page)
     for text in ("40 of x", "N s/m", "± ", "greybox fit micro_actuator bench.csv", good.traces[0].fingerprint[:12]):
         assert text in html
-    assert [s.name for s in page.sections] == ["constants", "misfit", "residual", "model", "data", "repeat"]
+    assert [s.name for s in page.sections] == ["parameters", "misfit", "residual", "model", "data", "repeat"]
 
 
 def test_a_fit_that_failed_says_so_and_tests_nothing() -> None:
@@ -87,19 +94,21 @@ def test_a_fit_that_failed_says_so_and_tests_nothing() -> None:
     assert not failed.success
     page = build_page(failed)
     assert page.verdict.tone == "bad"
-    assert page.verdict.paragraphs[0].startswith("This fit did not succeed")
-    html = render_page(page)
-    assert "tests of its residual would say nothing" in html
-    assert "an alarm" not in html
-    many = replace(failed, notes=tuple(f"remark number {k} of five" for k in range(5)))
-    assert [render_page(build_page(many)).count(f"emark number {k} of five") for k in range(5)] == [1] * 5
+    assert codes(page)[:2] == [PageText.FIT_FAILED, PageText.FIT_NUMBERS_OF_FAILURE]
+    (residual,) = (s for s in page.sections if s.name == "residual")
+    assert residual.blocks[-1].items[0].code == PageText.FIT_NOT_TESTED
+    findings = tuple(phrase(PageText.STATEMENT, text=f"remark number {k} of five") for k in range(5))
+    html = render_page(build_page(replace(failed, findings=findings)))
+    assert [html.count(f"emark number {k} of five") for k in range(5)] == [1] * 5
 
 
 def test_what_would_determine_the_open_constants_stands_beside_them(good: gb.Fit) -> None:
     found = gb.fit(micro_actuator, bench(), noise={"x": 2e-7, "i": 5e-3}, options=gb.FitOptions(progressive=False))
-    html = render_page(build_page(found))
-    assert "What would determine the rest" in html and "Fix one of M, B, K, Kf" in html
-    assert "What would determine the rest" not in render_page(build_page(good))
+    headings = [
+        [b.title.code for b in build_page(fit).sections[0].blocks if isinstance(b, Subheading)] for fit in (found, good)
+    ]
+    assert headings == [[PageText.WOULD_DETERMINE], []]
+    assert "Fix one of M, B, K, Kf" in render_page(build_page(found))
 
 
 def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
@@ -110,7 +119,7 @@ def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
     found = check(micro_actuator.fix("M", "Ra"), record, noise={"x": 2e-7, "i": 5e-3})
     page = build_page(found)
     assert page.verdict.tone == "caution"
-    assert page.verdict.paragraphs[0].startswith("Record bench: output 'i' stays at exactly")
+    assert codes(page)[0] == PageText.RECORD_FINDING
     html = render_page(page)
     assert html.count("stays at exactly") == 1
     assert "Record bench: output &#39;x&#39; has 40 gaps" in html
@@ -153,7 +162,7 @@ def test_text_from_files_stays_text(good: gb.Fit, tmp_path: Path) -> None:
     named = replace(
         good,
         traces=[replace(good.traces[0], name=HOSTILE)],
-        notes=(HOSTILE,),
+        findings=(phrase(PageText.STATEMENT, text=HOSTILE),),
         noise=replace(good.noise, source=HOSTILE),
     )
     html = write_page(build_page(named, command=f"greybox fit '{HOSTILE}'"), tmp_path / "page.html").read_text(
@@ -170,7 +179,7 @@ def test_text_in_figures_ends_no_script_and_is_no_markup() -> None:
     curve = Curve(np.arange(2.0), np.arange(2.0), Role.MEASURED, HOSTILE)
     panel = Panel(HOSTILE, (curve,), Axis(HOSTILE, HOSTILE), Axis(HOSTILE))
     figure = FigureBlock(Figure("a", (panel,), phrase(FigureText.RUN, HOSTILE), (phrase(FigureText.INPUTS, HOSTILE),)))
-    html = render_page(Page(HOSTILE, HOSTILE, Text([HOSTILE]), [Section("s", HOSTILE, [figure])], HOSTILE))
+    html = render_page(Page(HOSTILE, HOSTILE, Paragraphs([HOSTILE]), [Section("data", [figure])], HOSTILE))
     found = Outline(html)
     assert (found.tags["img"], found.tags["script"]) == (0, 3)
     data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', html)[1])
@@ -193,14 +202,14 @@ def test_many_long_records_make_a_page_that_can_be_mailed(good: gb.Fit) -> None:
     many = replace(good, traces=[replace(long, name=f"r{k}") for k in range(24)])
     html = render_page(build_page(many, tests=residual_tests(good)))
     assert len(html.encode()) < REPORT.largest_page
-    assert "4 more records are in the tables" in html
+    assert "The tables include 4 more records that are not drawn." in html
 
 
 def test_numbers_travel_in_six_digits_and_gaps_as_gaps() -> None:
     given = np.array([0.1234567891, -1.987654321e-9, 12345678.9, 0.0, np.nan, np.inf])
     panel = Panel("x", (Curve(np.arange(6.0), given, Role.MEASURED),), Axis("time", "s"), Axis("x"))
     figure = FigureBlock(Figure("a", (panel,), phrase(FigureText.PHASE)))
-    html = render_page(Page("t", "q", Text(["v"]), [Section("s", "S", [figure])]))
+    html = render_page(Page("t", "q", Paragraphs(["v"]), [Section("data", [figure])]))
     assert '"y":[0.123457,-1.98765e-09,12345700.0,0.0,null,null]' in html
 
 
@@ -239,4 +248,4 @@ def test_commands_leave_their_page_and_say_where(tmp_path: Path, monkeypatch: py
     CliRunner().invoke(app, ["simulate", "micro_actuator", *pace, "--output", "bare.csv", "--no-report"])
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bare.csv", "out", "run.csv", "run.html"]
     CliRunner().invoke(app, ["simulate", "micro_actuator", *pace, "--noise", "x=2e-7", "--output", "run.csv"])
-    assert "White noise was added to what was written: x 2·10⁻⁷ m." in Path("run.html").read_text(encoding="utf-8")
+    assert "The written outputs have white noise added: x 2·10⁻⁷ m." in Path("run.html").read_text(encoding="utf-8")
