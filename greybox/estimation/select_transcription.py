@@ -15,17 +15,19 @@ from greybox.transcription import estimate_error_growth, propose_transcription
 
 @dataclass(frozen=True)
 class TranscriptionChoice:
-    """A transcription (`Transcription` without ``automatic``), why it was chosen ("" where it was asked for), and the problem with the
+    """A transcription (`Transcription` without ``automatic``), why it was chosen (None where it was asked for), and the problem with the
     steps that go with it.
     """
 
     transcription: str
-    reason: str
+    reason: Finding | None
     problem: EstimationProblem
 
     def to_strategy(self, **values: object) -> Finding:
         """The strategy with what the search was made of."""
-        return make_strategy(self.transcription, reason=self.reason, **values)
+        code = "" if self.reason is None else str(self.reason.code)
+        reason_values = {} if self.reason is None else dict(self.reason.values)
+        return make_strategy(self.transcription, reason=code, reason_values=reason_values, **values)
 
 
 def select_transcription(problem: EstimationProblem, options: FitOptions) -> TranscriptionChoice:
@@ -38,9 +40,9 @@ def select_transcription(problem: EstimationProblem, options: FitOptions) -> Tra
     if proposal.implicit and options.method == "automatic" and not options.substeps:
         problem = replace(problem, method="radau").with_step(0, _start_parameters(problem))
     if options.arc_length:
-        return TranscriptionChoice(Transcription.ARCS, "", problem)
+        return TranscriptionChoice(Transcription.ARCS, None, problem)
     if options.transcription != Transcription.AUTOMATIC:
-        return TranscriptionChoice(options.transcription, "", problem)
+        return TranscriptionChoice(options.transcription, None, problem)
     name = "collocation-radau" if proposal.transcription == "collocation" else proposal.transcription
     return TranscriptionChoice(name, proposal.reason, problem)
 

@@ -30,6 +30,7 @@ from greybox.transcription import (
     split_into_arcs,
 )
 from greybox.transcription.arcs import place_cuts
+from greybox.transcription.findings import TranscriptionReason
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator
@@ -209,8 +210,9 @@ def test_an_unstable_plant_is_fitted_by_multiple_shooting_where_single_shooting_
     p = problem(truth.start(g_l=12.0, d=0.5, b=3.2), balanced(truth, 401, 0.01, {"a": 1e-3}), {"a": 1e-3}, False, 4)
     alone = solve(p, FitOptions(substeps=4, progressive=False, transcription="single"))
     assert alone.evaluation.cost > 100 * 401
-    name, reason, _ = propose_transcription(truth.system, p.variables.fixed, p.records[0])
-    assert name == "multiple" and "unstable" in reason
+    proposal = propose_transcription(truth.system, p.variables.fixed, p.records[0])
+    assert proposal.transcription == "multiple"
+    assert proposal.reason.code == TranscriptionReason.UNSTABLE
     growth = estimate_error_growth(truth.system, p.variables.fixed, p.records[0])
     assert np.sqrt(12) * 0.8 < growth < np.sqrt(12)
     found = lifted(p, choose_segment_rows(growth, p.records[0])).solve()
@@ -288,14 +290,12 @@ def test_a_stiff_plant_is_picked_for_implicit_steps_or_for_collocation_and_fitte
         DiscretisationPolicy().max_implicit_states - 1: ("collocation", False),
     }.items():
         larger = stiff(line)
-        name, reason, implicit = propose_transcription(
-            larger.system,
-            p,
-            prepare_problem(larger, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1).records[0],
-        )
-        assert (name, implicit) == expected
-        assert "stiff: the fastest mode moves within 2e-05 s" in reason
-        assert ("implicit ones" if implicit else "Radau points") in reason
+        prepared = prepare_problem(larger, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1)
+        transcription, reason, implicit = propose_transcription(larger.system, p, prepared.records[0])
+        assert (transcription, implicit) == expected
+        assert reason.values["fastest"] == pytest.approx(2e-5, rel=0.05)
+        code = TranscriptionReason.STIFF_IMPLICIT if implicit else TranscriptionReason.STIFF_COLLOCATION
+        assert reason.code == code
     start = model.start(a=3.0, c=0.2)
     prepared = prepare_problem(start, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1)
     program = Collocation(prepared.variables, prepared.records, np.array([1e4]), [np.column_stack([u, np.array(y)])])
@@ -404,14 +404,16 @@ def test_short_arcs_forget_a_drift_that_spoils_the_long_run():
     assert outcome.cost < 0.2 * p.shooting(whole).evaluate(np.zeros(whole.size)).cost
 
 
-def test_the_choice_of_a_transcription_is_said_in_words(pneumatic):
+def test_a_transcription_is_proposed_with_its_reason(pneumatic):
     u = multisine(np.random.default_rng(1), 400, 2.5e-4, 5, 800, 3.0)
     p = problem(micro_actuator, linear_record(micro_actuator, u, 2.5e-4), None, True)
     assert propose_transcription(micro_actuator.system, values(micro_actuator), p.records[0])[0] == "single"
     truth, start, data, noise, rest, _ = pneumatic
     q = problem(start, data, noise, rest)
-    name, reason, _ = propose_transcription(truth.system, values(truth), q.records[0])
-    assert name == "multiple" and "integrating" in reason and "times its slowest other mode" in reason
+    proposal = propose_transcription(truth.system, values(truth), q.records[0])
+    assert proposal.transcription == "multiple"
+    assert proposal.reason.code == TranscriptionReason.INTEGRATING_SEGMENTS
+    assert proposal.reason.values["time_constants"] > 50
     assert propose_transcription(truth.system, values(truth), q.records[0].first(50))[0] == "single"
 
 

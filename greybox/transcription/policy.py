@@ -1,0 +1,164 @@
+"""Numbers that steer how records become an optimisation problem: which one, how long segments are, when a search has converged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TranscriptionPolicy:
+    """Which transcription suits a model and its record."""
+
+    linearisation_points: int = 9
+    """Points along the record in which the equations are linearised."""
+
+    growth_points: int = 1000
+    """Points along the record from which the growth of errors is computed, where one of the first points is unstable."""
+
+    max_error_growth: float = 20.0
+    """Factor by which errors may grow over the record. Beyond it a free run loses the constants."""
+
+    forgotten_share: float = 0.03
+    """A mode that forgets less than this share of its state over the record counts as an integrator."""
+
+    long_run: float = 50.0
+    """Time constants of the slowest other mode after which an integrator's drift leaves the data."""
+
+    max_explicit_substeps: float = 32
+    """Explicit substeps a sample beyond which a model counts as stiff."""
+
+    explicit_step: float = 0.5
+    """``|h lambda|`` of an explicit substep in that count, as in `DiscretisationPolicy.eigenvalue_step`."""
+
+    max_collocation_samples: int = 10_000
+    """Samples up to which collocation is chosen: its program grows with the record, by some tens of kilobytes a sample."""
+
+
+@dataclass(frozen=True)
+class SegmentPolicy:
+    """How long the segments of a record are."""
+
+    max_growth: float = 5.0
+    """Factor by which an error may grow over one segment of an unstable plant."""
+
+    max_segments: int = 50
+    """Segments of a record, unless the growth of errors asks for more."""
+
+    usual_rows: int = 20
+    """Fewest samples of a segment, unless the growth of errors asks for shorter ones."""
+
+    least_rows: int = 8
+    """Fewest samples of a segment in any case: its first states are estimated from them."""
+
+    least_arc_rows: int = 3
+    """Fewest samples of an arc whose length was asked for."""
+
+
+@dataclass(frozen=True)
+class MultipleShootingPolicy:
+    """When a search over segments has converged, and which steps it takes."""
+
+    negligible_decrease: float = 1e-6
+    """Converged when a further step would lower chi-square by less than this many residual variances ..."""
+
+    negligible_ratio: float = 1e-7
+    """... or the misfit over noise by less than this: data without noise end at rounding errors."""
+
+    continuity: float = 1e-7
+    """Largest gap between segments of a converged solution, as a share of each state's range."""
+
+    step_lengths: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1, 0.03)
+    """Shares of a step that are tried in turn, until the cost or the gaps come down."""
+
+    dampings: tuple[float, ...] = (0.0, 1e-2, 1.0, 1e2)
+    """Dampings, as shares of the curvature, that are tried in turn with all step lengths."""
+
+    filter_margin: float = 1e-3
+    """Share of the gaps by which a step has to be better than every point before it, in the gaps or in the cost."""
+
+    rounding_slack: float = 1e4
+    """Where no step helps any more, a point that meets the convergence test this many times less strictly is an optimum to within
+    rounding errors."""
+
+    patience: int = 8
+    """Iterations after which a search that gains next to nothing counts as flat."""
+
+    little_gain: float = 1e-5
+    """Share of the cost that counts as next to nothing over ``patience`` iterations."""
+
+
+@dataclass(frozen=True)
+class RelaxationPolicy:
+    """How the constants are first fitted to segments that need not meet; the result is only a start."""
+
+    max_log_step: float = 1.5
+    """A step changes a positive constant by at most a factor ``e^1.5``."""
+
+    enough_gain: float = 1e-2
+    """A step that gains less than this share of the cost is the last one."""
+
+    max_steps: int = 15
+    """Steps at most."""
+
+    dampings: tuple[float, ...] = (0.0, 1e-2, 1.0, 1e2)
+    """Dampings, as shares of the curvature, that are tried in turn until the cost falls."""
+
+    prior_weight: float = 0.25
+    """Short segments may leave a constant open, so positive ones are held weakly: a factor ``e^2`` is one standard deviation."""
+
+
+@dataclass(frozen=True)
+class ProjectionPolicy:
+    """How well the initial state of each record is found for the constants of the moment."""
+
+    negligible_decrease: float = 1e-8
+    """Found when a further step would lower chi-square by less than this many residual variances ..."""
+
+    negligible_ratio: float = 1e-8
+    """... or the misfit over noise by less than this: data without noise end at rounding errors."""
+
+    max_steps: int = 12
+    """Gauss-Newton steps at most; from the state of the last point one or two are enough."""
+
+    step_lengths: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05, 0.01)
+    """Shares of a step that are tried in turn, until the cost falls."""
+
+
+@dataclass(frozen=True)
+class BandLimitedPolicy:
+    """How a band-limited input is interpolated between its samples."""
+
+    points: int = 12
+    """Points in each interval, between which the input is linear."""
+
+    half_length: int = 32
+    """Half the length of the interpolating filter, in intervals."""
+
+    kaiser_beta: float = 9.0
+    """Shape of the filter's Kaiser window: flat to 0.01 % up to 0.45 of the sampling rate."""
+
+
+@dataclass(frozen=True)
+class RobustLossPolicy:
+    """What a robust loss takes for an outlier."""
+
+    huber_threshold: float = 1.345
+    """Threshold in noise standard deviations: 95 % of the efficiency of least squares on normal noise (Huber 1981)."""
+
+    student_freedom: float = 4.0
+    """Degrees of freedom: tails heavier than those of any sensor that is in order."""
+
+    outlier_weight: float = 0.35
+    """A residual that counts less than this share of its least-squares weight is an outlier."""
+
+    least_curvature: float = 0.05
+    """The mean curvature of a loss does not fall below this, however many residuals are outliers."""
+
+
+TRANSCRIPTION = TranscriptionPolicy()
+SEGMENTS = SegmentPolicy()
+MULTIPLE_SHOOTING = MultipleShootingPolicy()
+RELAXATION = RelaxationPolicy()
+PROJECTION = ProjectionPolicy()
+BAND_LIMITED = BandLimitedPolicy()
+ROBUST_LOSS = RobustLossPolicy()
