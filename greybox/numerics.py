@@ -112,3 +112,25 @@ UNSEEN_INFORMATION = 1e-8
 
 PRIOR_INFORMATION_CUTOFF = 1e-6
 """A prior without which the data leave less than this share of the information says all that is known: the rest is rounding."""
+
+NORMAL_QUADRATURE_POINTS = 4001
+NORMAL_QUADRATURE_WIDTH = 9.0
+"""Points and half width, in standard deviations, of a sum that stands for an expectation over the normal distribution."""
+
+SAME_INTERVAL = 1e-9
+"""Interval lengths that differ by less than this share of themselves are one length: time stamps are written with rounding."""
+
+FREE_STATE_CURVATURE = 1e-10
+"""A step of a segment's state along directions that no sample shows is held back by this share of the mean curvature."""
+
+UNSEEN_STATE_CURVATURE = 1e-10
+"""Directions of an initial state with less than this share of the largest (scaled) curvature are not shown by the record."""
+
+ROUNDED_BOUND = 1e-9
+"""``exp(log(bound))`` is not the bound: a constant within this share of it is set to it."""
+
+CONSTANT_STATE = 1e-12
+"""A state whose range is below this share of its size never moves."""
+
+FLATTEST_CURVATURE = 1e-14
+"""Eigenvalues of a scaled matrix are raised to this share of the largest one before their roots are divided by."""

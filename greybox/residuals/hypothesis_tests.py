@@ -23,7 +23,7 @@ from greybox.residuals.statistics import (
     split_into_blocks,
 )
 from greybox.result import Fit
-from greybox.transcription.robust_shooting import RobustShooting
+from greybox.transcription.single_shooting import RobustShooting
 from greybox.values import Printable
 
 Rows = Sequence[tuple[np.ndarray, np.ndarray]]

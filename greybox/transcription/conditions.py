@@ -16,9 +16,22 @@ def resolve_conditions(
     """For each experiment its conditions, as position in ``system.p`` -> value.
 
     A condition is a parameter of the model with a value of its own in that experiment, in the parameter's unit; experiments that
-    do not name it keep the model's value. It is known, so it is not fitted. Raises ModelError, with all offenders, for a name
-    that the model does not have, a value that its bounds or the model's rules refuse, and a free constant that only some
-    experiments give (for the others it would be fitted, and then it is no condition) unless it is ``own`` to each.
+    do not name it keep the model's value. It is known, so it is not fitted.
+
+    Parameters
+    ----------
+    model
+        The model whose parameters are meant.
+    conditions
+        For each experiment name -> value.
+    own
+        Constants that each experiment has for itself: those may be given for some experiments only.
+
+    Raises
+    ------
+    ModelError
+        With all offenders: a name that the model does not have, a value that its bounds or the model's rules refuse, and a free
+        constant that only some experiments give (for the others it would be fitted, and then it is no condition).
     """
     names = list(model.values)
     problems = []

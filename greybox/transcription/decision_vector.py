@@ -10,25 +10,28 @@ import numpy as np
 
 from greybox.model import Model
 from greybox.model.signals import Parameter
+from greybox.numerics import AT_BOUND, ROUNDED_BOUND
 from greybox.transcription.conditions import apply_conditions, check_own_constants, resolve_conditions
 
-# A bound counts as active within this share of the distance to the other bound (or of the scale, if there is none).
-ACTIVE = 1e-6
-# The owner of a constant that all experiments have in common.
 SHARED = -1
+"""The owner of a constant that all experiments have in common."""
 
 
 @dataclass(frozen=True)
 class InitialStates:
     """How the records begin.
 
-    ``guess`` (experiments, nx): values to start from; ``free`` (nx,): which states are estimated. A state that is not free
-    has its declared start value, which may depend on the parameters.
+    A state that is not free has its declared start value, which may depend on the parameters.
     """
 
     guess: np.ndarray
+    """Values to start from (experiments, nx)."""
+
     free: np.ndarray
+    """Which states are estimated (nx,)."""
+
     scale: np.ndarray
+    """What a step of one in ``z`` changes each state by (nx,)."""
 
 
 @dataclass(frozen=True)
@@ -46,45 +49,94 @@ class DecisionVector:
     """
 
     model: Model
+
     names: tuple[str, ...]
-    which: np.ndarray  # (nf,) position of each free constant in system.p
-    owner: np.ndarray  # (nf,) the experiment whose own constant it is; SHARED for one of all
-    logarithmic: np.ndarray  # (nf,) bool
-    base: np.ndarray  # (nf,) value at z = 0
-    scale: np.ndarray  # (nf,) used where not logarithmic
+    """What each free constant is called."""
+
+    which: np.ndarray
+    """Position of each free constant in ``system.p`` (nf,)."""
+
+    owner: np.ndarray
+    """The experiment whose own constant it is, `SHARED` for one of all (nf,)."""
+
+    logarithmic: np.ndarray
+    """Whether it is scaled as ``base * exp(z)`` (nf,)."""
+
+    base: np.ndarray
+    """Its value at ``z = 0`` (nf,)."""
+
+    scale: np.ndarray
+    """What a step of one in ``z`` changes it by, where it is not logarithmic (nf,)."""
+
     low: np.ndarray
     high: np.ndarray
+    """Its bounds (nf,)."""
+
     prior: np.ndarray
-    fixed: np.ndarray  # (np,) values of all parameters at the start
+    """Mean and standard deviation of what is known of it without the records (nf, 2)."""
+
+    fixed: np.ndarray
+    """Values of all parameters at the start (np,)."""
+
     initial: InitialStates
     groups: tuple[int, ...]
     conditions: tuple[Mapping[int, float], ...] = ()
 
     @classmethod
     def of(
-        cls, model: Model, initial: InitialStates, conditions: Sequence[Mapping[str, float]] = (), own: Sequence[str] = (),
+        cls,
+        model: Model,
+        initial: InitialStates,
+        conditions: Sequence[Mapping[str, float]] = (),
+        own: Sequence[str] = (),
         experiments: Sequence[str] = (),
-    ) -> DecisionVector:  # fmt: skip
-        """The free constants of ``model`` at their present values; ``conditions``: name -> value for each experiment.
+    ) -> DecisionVector:
+        """The free constants of ``model`` at their present values, and the free initial states.
 
-        ``own``: constants that each of the ``experiments`` (their names) has for itself, but for those that bring them as a condition.
-        Raises ModelError for conditions or own constants that do not go with the model, see `resolve_conditions` and `check_own_constants`.
+        Parameters
+        ----------
+        model
+            The model.
+        initial
+            How the records begin.
+        conditions
+            For each experiment name -> value of the constants that it brings itself.
+        own
+            Constants that each experiment has for itself, but for those that bring them as a condition.
+        experiments
+            Names of the experiments, which become part of the names of their own constants.
+
+        Raises
+        ------
+        ModelError
+            For conditions or own constants that do not go with the model, see `resolve_conditions` and `check_own_constants`.
         """
         count = len(initial.guess)
-        given = resolve_conditions(model, conditions, own)
+        resolved = resolve_conditions(model, conditions, own)
         check_own_constants(model, own, count)
-        places = _places(model, own, given, count)
+        places = _place_constants(model, own, resolved, count)
         free = [model.all_parameters[k] for k, _ in places]
         base = np.array([q.value for q in free], float)
         titles = make_unique(experiments or [f"experiment {e + 1}" for e in range(count)])
+        owners = [e for _, e in places]
         return cls(
-            model, tuple(q.name if e == SHARED else f"{q.name} ({titles[e]})" for q, (_, e) in zip(free, places, strict=True)),
-            np.array([k for k, _ in places], int), np.array([e for _, e in places], int),
-            np.array([q.positive for q in free], bool), base, np.where(base == 0, 1.0, np.abs(base)),
-            np.array([q.bounds[0] for q in free], float), np.array([q.bounds[1] for q in free], float),
-            np.array([q.prior or (0.0, np.inf) for q in free], float).reshape(-1, 2),
-            np.array([q.value for q in model.all_parameters], float), initial, tuple(range(count)), given,
-        )  # fmt: skip
+            model=model,
+            names=tuple(
+                q.name if e == SHARED else f"{q.name} ({titles[e]})" for q, e in zip(free, owners, strict=True)
+            ),
+            which=np.array([k for k, _ in places], int),
+            owner=np.array(owners, int),
+            logarithmic=np.array([q.positive for q in free], bool),
+            base=base,
+            scale=np.where(base == 0, 1.0, np.abs(base)),
+            low=np.array([q.bounds[0] for q in free], float),
+            high=np.array([q.bounds[1] for q in free], float),
+            prior=np.array([q.prior or (0.0, np.inf) for q in free], float).reshape(-1, 2),
+            fixed=np.array([q.value for q in model.all_parameters], float),
+            initial=initial,
+            groups=tuple(range(count)),
+            conditions=resolved,
+        )
 
     @property
     def experiments(self) -> int:
@@ -136,7 +188,7 @@ class DecisionVector:
         with np.errstate(over="ignore", invalid="ignore"):
             grown = self.base * np.exp(np.where(self.logarithmic, step, 0.0))
             free = np.where(self.logarithmic, grown, self.base + self.scale * step)
-            near = 1e-9 * np.abs(free)  # exp(log(bound)) is not the bound
+            near = ROUNDED_BOUND * np.abs(free)
             below, above = free - self.low <= near, self.high - free <= near
         return np.where(below, self.low, np.where(above, self.high, free)) if below.any() or above.any() else free
 
@@ -152,11 +204,11 @@ class DecisionVector:
             return apply_conditions(p, self.conditions[experiment]) if self.conditions and experiment is not None else p
         if experiment is None:
             for place in np.unique(self.which[~shared]):
-                same = (self.which == place) & ~shared
-                p[place] = average_own_values(free[same], bool(self.logarithmic[same][0]))
+                same_parameter = (self.which == place) & ~shared
+                p[place] = average_own_values(free[same_parameter], bool(self.logarithmic[same_parameter][0]))
             return p
-        mine = self.owner == self.groups[experiment]
-        p[self.which[mine]] = free[mine]
+        own_constants = self.owner == self.groups[experiment]
+        p[self.which[own_constants]] = free[own_constants]
         return apply_conditions(p, self.conditions[experiment]) if self.conditions else p
 
     def slopes(self, p: np.ndarray, experiment: int) -> np.ndarray:
@@ -175,9 +227,9 @@ class DecisionVector:
     def penalty(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """What the priors add to the cost at ``z``, its slope (nf,) and its curvature (nf,): one more squared residual each."""
         free = self.constants(z)
-        away = (free - self.prior[:, 0]) / self.prior[:, 1]
+        deviation = (free - self.prior[:, 0]) / self.prior[:, 1]
         slope = np.where(self.logarithmic, free, self.scale) / self.prior[:, 1]
-        return float(away @ away), 2 * away * slope, 2 * slope**2
+        return float(deviation @ deviation), 2 * deviation * slope, 2 * slope**2
 
     @cached_property
     def held(self) -> np.ndarray:
@@ -195,8 +247,8 @@ class DecisionVector:
         n, free = len(self.which), self.free_states
         dx0 = np.zeros((len(x0), n + len(free)))
         dx0[:, :n] = slope[:, self.which] * self.slopes(p, experiment)
-        own = z[self.columns(experiment)[n:]]
-        x0[free] = self.initial.guess[experiment, free] + self.initial.scale[free] * own
+        scaled_states = z[self.columns(experiment)[n:]]
+        x0[free] = self.initial.guess[experiment, free] + self.initial.scale[free] * scaled_states
         dx0[free, :n] = 0.0
         dx0[free, n + np.arange(len(free))] = self.initial.scale[free]
         return x0, dx0
@@ -233,26 +285,73 @@ class DecisionVector:
     def at(self, values: Mapping[str, float]) -> DecisionVector:
         """The same variables with other values of some constants at ``z = 0``, by their labels in ``names``."""
         base = np.array([values.get(name, value) for name, value in zip(self.names, self.base, strict=True)])
-        there = replace(self, base=base)
-        return replace(there, fixed=there.parameters(np.zeros(self.size)))
+        changed = replace(self, base=base)
+        return replace(changed, fixed=changed.parameters(np.zeros(self.size)))
 
     def without(self, held: np.ndarray) -> DecisionVector:
         """The same variables with some constants (nf,) no longer free: they are as in ``fixed``, or as the conditions have them."""
         keep = ~held
-        return replace(
-            self, names=tuple(np.array(self.names, object)[keep]), which=self.which[keep], owner=self.owner[keep],
-            logarithmic=self.logarithmic[keep], base=self.base[keep], scale=self.scale[keep], low=self.low[keep], high=self.high[keep],
-            prior=self.prior[keep],
-        )  # fmt: skip
+        names = tuple(np.array(self.names, object)[keep])
+        arrays = ("which", "owner", "logarithmic", "base", "scale", "low", "high", "prior")
+        return replace(self, names=names, **{name: getattr(self, name)[keep] for name in arrays})
 
     @property
     def active(self) -> np.ndarray:
         """Which free constants lie on a bound at ``z = 0`` (nf,)."""
         width = self.high - self.low
-        reach = ACTIVE * np.where(
+        reach = AT_BOUND * np.where(
             np.isfinite(width) & ~self.logarithmic, width, np.maximum(np.abs(self.base), self.scale)
         )
         return (self.base - self.low <= reach) | (self.high - self.base <= reach)
+
+
+class ExperimentView:
+    """The entries of ``z`` that one experiment sees: constants (the shared ones and its own), then its free initial states.
+
+    ``columns`` (L,): where they stand in ``z``; ``square``: the same as an index of a matrix. What does not change from point to
+    point is laid out once, because a pass over a short record takes less time than laying it out.
+    """
+
+    def __init__(self, variables: DecisionVector, experiment: int) -> None:
+        v, n = variables, len(variables.which)
+        self.variables, self.experiment = v, experiment
+        self.constants = np.flatnonzero(~v.is_foreign(experiment))
+        self.which, self.logarithmic, self.scale = (
+            v.which[self.constants],
+            v.logarithmic[self.constants],
+            v.scale[self.constants],
+        )
+        self.states, self.state_columns = v.free_states, v.columns(experiment)[n:]
+        self.columns = np.concatenate([self.constants, self.state_columns])
+        self.square = np.ix_(self.columns, self.columns)
+        self.used_directions = np.concatenate([self.constants, n + np.arange(len(self.states))])
+        self.fixed = apply_conditions(v.fixed, v.conditions[experiment]) if v.conditions else v.fixed
+        self.constant_places = self.which, np.arange(len(self.constants))
+        self.empty_slopes = np.zeros((len(self.fixed), len(self.columns)))
+        start = v.model.system.constant_start
+        self.start: np.ndarray | None = None
+        if start is not None:
+            guess, scale = v.initial.guess[experiment, self.states], v.initial.scale[self.states]
+            start_values = start.copy()
+            start_values[self.states] = guess
+            self.start, self.state_scale = start_values, scale
+            self.start_slope = np.zeros((len(start), len(self.columns)))
+            self.start_slope[self.states, len(self.constants) + np.arange(len(self.states))] = scale
+
+    def at(self, z: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Parameters (np,), their slopes (np, L), first state (nx,), its slopes (nx, L).
+
+        ``free`` are `DecisionVector.constants` at ``z``, which all experiments share.
+        """
+        p, dp = self.fixed.copy(), self.empty_slopes.copy()
+        p[self.which] = free[self.constants]
+        dp[self.constant_places] = np.where(self.logarithmic, p[self.which], self.scale)
+        if self.start is None:
+            x0, dx0 = self.variables.compute_initial_state(z, p, self.experiment)
+            return p, dp, x0, dx0[:, self.used_directions]
+        x0 = self.start.copy()
+        x0[self.states] += self.state_scale * z[self.state_columns]
+        return p, dp, x0, self.start_slope
 
 
 def average_own_values(values: np.ndarray, positive: bool) -> float:
@@ -262,24 +361,24 @@ def average_own_values(values: np.ndarray, positive: bool) -> float:
 
 def make_unique(names: Sequence[str]) -> list[str]:
     """Names with a number where one comes again: ``record``, ``record 2``."""
-    found: list[str] = []
+    result: list[str] = []
     for name in names:
-        count = sum(other == name for other in names[: len(found)])
-        found.append(f"{name} {count + 1}" if count else name)
-    return found
+        count = sum(other == name for other in names[: len(result)])
+        result.append(f"{name} {count + 1}" if count else name)
+    return result
 
 
-def _places(
+def _place_constants(
     model: Model, own: Sequence[str], conditions: Sequence[Mapping[int, float]], experiments: int
 ) -> list[tuple[int, int]]:
     """Position in ``system.p`` and owner of each free constant; a condition is not fitted in the experiment that brings it."""
-    known = {k for each in conditions for k in each}
-    found = []
+    given = {k for each in conditions for k in each}
+    places = []
     for k, q in enumerate(model.all_parameters):
         if q.fixed:
             continue
         if q.name in own:
-            found += [(k, e) for e in range(experiments) if not conditions or k not in conditions[e]]
-        elif k not in known:
-            found.append((k, SHARED))
-    return found
+            places += [(k, e) for e in range(experiments) if not conditions or k not in conditions[e]]
+        elif k not in given:
+            places.append((k, SHARED))
+    return places

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
 
 from greybox.errors import ModelError, nearest
+from greybox.numerics import NORMAL_QUADRATURE_POINTS, NORMAL_QUADRATURE_WIDTH
+from greybox.transcription.policy import ROBUST_LOSS, RobustLossPolicy
 
-# What is usual: 95 % of the efficiency of least squares on normal noise; tails heavier than any sensor should have.
-USUAL = {"huber": 1.345, "student": 4.0}
-SQUARES = "squares"
-LOSSES = (SQUARES, *USUAL)
-# A residual that counts less than this share of its least-squares weight is an outlier.
-OUTLYING = 0.35
-# The mean curvature of a loss does not fall below this, however many residuals are outliers.
-LEAST_CURVATURE = 0.05
-# The normal distribution as so many points, out to so many standard deviations.
-NODES, FAR = 4001, 9.0
+
+class LossKind(StrEnum):
+    """What a residual costs."""
+
+    SQUARES = "squares"
+    HUBER = "huber"
+    STUDENT = "student"
+
+
+# The thresholds that are taken where none is given.
+USUAL = {LossKind.HUBER: ROBUST_LOSS.huber_threshold, LossKind.STUDENT: ROBUST_LOSS.student_freedom}
 
 
 @dataclass(frozen=True)
@@ -33,15 +37,16 @@ class RobustLoss:
     kind: str
     threshold: float
     scale: np.ndarray = field(default_factory=lambda: np.ones(1))
+    policy: RobustLossPolicy = ROBUST_LOSS
 
     def __str__(self) -> str:
-        unit = " noise standard deviations" if self.kind == "huber" else " degrees of freedom"
+        unit = " noise standard deviations" if self.kind == LossKind.HUBER else " degrees of freedom"
         return f"{self.kind}, {self.threshold:g}{unit}"
 
     def terms(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """For residuals (N, ny): cost ``rho``, half its slope ``psi``, weight ``psi / r`` and half its curvature; NaN stays NaN."""
         t, k = r / self.scale, self.threshold
-        if self.kind == "huber":
+        if self.kind == LossKind.HUBER:
             inside = ~(np.abs(t) > k)
             size = np.where(inside, 1.0, np.abs(t))
             rho = np.where(inside, t**2, 2 * k * size - k**2)
@@ -55,36 +60,37 @@ class RobustLoss:
 
     def mean_curvature(self, r: np.ndarray) -> np.ndarray:
         """The mean of ``rho'' / 2`` over the residuals (N, ny) of each output: what the loss leaves of the information."""
-        there = np.isfinite(r)
-        total = np.where(there, self.terms(np.where(there, r, 0.0))[3], 0.0).sum(axis=0)
-        return np.maximum(total / np.maximum(there.sum(axis=0), 1), LEAST_CURVATURE)
+        is_measured = np.isfinite(r)
+        total = np.where(is_measured, self.terms(np.where(is_measured, r, 0.0))[3], 0.0).sum(axis=0)
+        return np.maximum(total / np.maximum(is_measured.sum(axis=0), 1), self.policy.least_curvature)
 
     def least(self) -> np.ndarray:
         """Mean of ``psi^2`` over that of the curvature (ny,) for normal noise of variance one: 1 for least squares, less otherwise."""
-        t = np.linspace(-FAR, FAR, NODES)
+        t = np.linspace(-NORMAL_QUADRATURE_WIDTH, NORMAL_QUADRATURE_WIDTH, NORMAL_QUADRATURE_POINTS)
         w = np.exp(-(t**2) / 2)
         _, psi, _, curvature = self.terms(np.repeat(t[:, None], len(self.scale), axis=1))
         return (w @ psi**2) / (w @ curvature)
 
     def outliers(self, r: np.ndarray) -> np.ndarray:
-        """Which residuals (N, ny) count for less than about a third of what they would in least squares."""
-        there = np.isfinite(r)
-        weight = self.terms(np.where(there, r, 0.0))[2]
-        return there & (weight < OUTLYING * self.terms(np.zeros_like(r))[2])
+        """Which residuals (N, ny) count for much less than they would in least squares."""
+        is_measured = np.isfinite(r)
+        weight = self.terms(np.where(is_measured, r, 0.0))[2]
+        return is_measured & (weight < self.policy.outlier_weight * self.terms(np.zeros_like(r))[2])
 
 
 def parse_loss(text: str) -> RobustLoss | None:
     """``huber``, ``student``, or either with its threshold, ``huber:2``; None for ``squares``. Raises ModelError for other text."""
     kind, colon, value = text.partition(":")
-    if kind not in LOSSES:
-        raise ModelError(f"unknown loss {kind!r}; {nearest(kind, LOSSES)}")
-    if kind == SQUARES and not colon:
+    kinds = [str(known) for known in LossKind]
+    if kind not in kinds:
+        raise ModelError(f"unknown loss {kind!r}; {nearest(kind, kinds)}")
+    if kind == LossKind.SQUARES and not colon:
         return None
     try:
-        threshold = float(value) if colon else USUAL[kind]
+        threshold = float(value) if colon else USUAL[LossKind(kind)]
     except ValueError:
         threshold = math.nan
-    if kind == SQUARES or not (math.isfinite(threshold) and threshold > 0):
+    if kind == LossKind.SQUARES or not (math.isfinite(threshold) and threshold > 0):
         raise ModelError(
             f"loss {text!r}: write huber:K with the threshold K in noise standard deviations, student:K with K degrees of freedom,"
             " K above zero, or squares"

@@ -15,7 +15,7 @@ from greybox.experiment import Experiment
 from greybox.noise import estimate_noise, estimate_noise_from_differences
 from greybox.residuals import residual_tests
 from greybox.transcription.robust_loss import parse_loss
-from greybox.transcription.robust_shooting import RobustShooting
+from greybox.transcription.single_shooting import RobustShooting
 from greybox.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine

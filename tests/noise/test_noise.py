@@ -20,7 +20,7 @@ from greybox.noise import (
 )
 from greybox.noise.noise_sources import NoiseSource
 from greybox.noise.repeats import deviations_from_mean, find_period
-from greybox.transcription.whitened_shooting import WhitenedShooting
+from greybox.transcription.single_shooting import WhitenedShooting
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 
