@@ -23,7 +23,7 @@ from greybox.transcription import (
     choose_segment_rows,
     initialise_without_continuity,
 )
-from greybox.transcription.segments import place_segments
+from greybox.transcription.multiple_shooting import place_segments
 
 # Three points are of third order at least, also on stiff equations (Hairer, Wanner, Solving Ordinary Differential Equations II, stage
 # order): halving an interval again changes eight times less than halving it once did.

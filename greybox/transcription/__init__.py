@@ -4,17 +4,27 @@ from greybox.transcription.arcs import cut_into_arcs, split_into_arcs
 from greybox.transcription.collocation import Collocation
 from greybox.transcription.conditions import apply_conditions, resolve_conditions
 from greybox.transcription.decision_vector import DecisionVector, InitialStates
-from greybox.transcription.initialisation import estimate_nodes, simulate_segments
+from greybox.transcription.findings import TranscriptionReason
+from greybox.transcription.initialisation import (
+    estimate_nodes,
+    initialise_without_continuity,
+    simulate_segments,
+)
 from greybox.transcription.multiple_shooting import (
     MultipleShooting,
     MultipleShootingResult,
     MultipleShootingStatus,
     choose_segment_rows,
+    place_segments,
 )
 from greybox.transcription.projected_initial_states import ProjectedShooting
 from greybox.transcription.records import to_record
-from greybox.transcription.relaxation import initialise_without_continuity
-from greybox.transcription.select import TranscriptionProposal, estimate_error_growth, propose_transcription
+from greybox.transcription.select import (
+    ProposedTranscription,
+    TranscriptionProposal,
+    estimate_error_growth,
+    propose_transcription,
+)
 from greybox.transcription.single_shooting import Evaluation, SingleShooting
 
 __all__ = [
@@ -26,14 +36,17 @@ __all__ = [
     "MultipleShootingResult",
     "MultipleShootingStatus",
     "ProjectedShooting",
+    "ProposedTranscription",
     "SingleShooting",
     "TranscriptionProposal",
+    "TranscriptionReason",
     "apply_conditions",
     "choose_segment_rows",
     "cut_into_arcs",
     "estimate_error_growth",
     "estimate_nodes",
     "initialise_without_continuity",
+    "place_segments",
     "propose_transcription",
     "resolve_conditions",
     "simulate_segments",

@@ -15,49 +15,67 @@ import numpy as np
 from greybox.errors import DataError
 from greybox.experiment import Experiment
 from greybox.kernel import Record
+from greybox.numerics import SAME_INTERVAL
 from greybox.transcription.decision_vector import DecisionVector, InitialStates
+from greybox.transcription.policy import SEGMENTS
 from greybox.transcription.single_shooting import SingleShooting
-
-# An arc needs this many samples at least: its initial state is estimated from them.
-FEWEST = 3
 
 
 def split_into_arcs(
     experiments: Experiment | Iterable[Experiment], *, seconds: float | None = None, rows: int | None = None
 ) -> tuple[Experiment, ...]:
-    """Each experiment cut in arcs of ``seconds`` or of ``rows``, in the order of time: give one of the two.
+    """Each experiment cut in arcs of a chosen length, in the order of time.
 
     No row is left out or used twice; a remainder shorter than half an arc joins the arc before it. An experiment that is
     shorter than an arc stays whole. The arcs are ordinary experiments ``name[first:last]``: fit them with estimated initial
     states (they begin anywhere, not at rest). A delayed or band-limited input is only known inside an arc; where that matters
     cut the records (`cut_into_arcs`), which keep what came before.
 
-    Raises DataError for a length that is not positive, or shorter than three rows.
+    Parameters
+    ----------
+    experiments
+        One or several experiments.
+    seconds, rows
+        Length of an arc: give one of the two.
+
+    Returns
+    -------
+    tuple of Experiment
+        The arcs of all experiments.
+
+    Raises
+    ------
+    DataError
+        For a length that is not positive, or shorter than three rows.
     """
-    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
-    found: list[Experiment] = []
-    for experiment in group:
+    originals = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    arcs: list[Experiment] = []
+    for experiment in originals:
         cuts = place_cuts(experiment.name, experiment.time - experiment.time[0], seconds=seconds, rows=rows)
-        whole = len(cuts) == 2
-        found += [experiment] if whole else [experiment.window(a, b) for a, b in pairwise(cuts)]
-    return tuple(found)
+        stays_whole = len(cuts) == 2
+        arcs += [experiment] if stays_whole else [experiment.window(a, b) for a, b in pairwise(cuts)]
+    return tuple(arcs)
 
 
 @dataclass(frozen=True)
 class ArcProblem:
-    """Arcs of some records: their cost, where each record was cut (first rows and, at the end, its number of rows), and which
-    arcs begin a record."""
+    """Arcs of some records as one problem."""
 
     shooting: SingleShooting
+    """Their cost."""
+
     cuts: tuple[tuple[int, ...], ...]
+    """Where each record was cut: first rows and, at the end, its number of rows."""
+
     starts_record: tuple[bool, ...]
+    """Which arcs begin a record."""
 
 
 def cut_into_arcs(whole: SingleShooting, *, seconds: float | None = None, rows: int | None = None) -> ArcProblem:
     """The cost of ``whole`` with every record cut in arcs, all their initial states estimated; arguments as for `split_into_arcs`.
 
     States that are outputs begin at their first measured value, the others as in ``whole``. Many arcs are many initial states:
-    `ProjectedShooting(cut(...).shooting)` keeps them from the optimiser.
+    `ProjectedShooting(cut_into_arcs(...).shooting)` keeps them from the optimiser.
     """
     cuts = [
         place_cuts(
@@ -79,9 +97,9 @@ def cut_at_rows(whole: SingleShooting, cuts: Sequence[Sequence[int]]) -> ArcProb
         conditions += [v.conditions[e]] * len(guess) if v.conditions else []
         starts_record += [k == 0 for k in range(len(guess))]
         groups += [v.groups[e]] * len(guess)
-    every = np.concatenate(guesses)
-    spread = np.ptp(every, axis=0)
-    initial = InitialStates(every, np.ones(every.shape[1], bool), np.where(spread > 0, spread, v.initial.scale))
+    states = np.concatenate(guesses)
+    spread = np.ptp(states, axis=0)
+    initial = InitialStates(states, np.ones(states.shape[1], bool), np.where(spread > 0, spread, v.initial.scale))
     variables = replace(v, initial=initial, conditions=tuple(conditions), groups=tuple(groups))
     shooting = SingleShooting(variables, whole.step, whole.kernel, pieces, whole.weight)
     return ArcProblem(shooting, tuple(tuple(map(int, places)) for places in cuts), tuple(starts_record))
@@ -92,12 +110,12 @@ def guess_arc_states(variables: DecisionVector, e: int, record: Record, starts: 
     guess = np.tile(variables.initial.guess[e], (len(starts), 1))
     for k, column in find_measured_states(variables).items():
         values = record.y[:, column]
-        known = np.flatnonzero(np.isfinite(values))
-        if len(known):
-            places = np.searchsorted(known, starts)
-            guess[:, k] = values[known[np.minimum(places, len(known) - 1)]]
-    tied = ~variables.initial.free
-    guess[0, tied] = variables.initial.guess[e, tied]
+        measured = np.flatnonzero(np.isfinite(values))
+        if len(measured):
+            places = np.searchsorted(measured, starts)
+            guess[:, k] = values[measured[np.minimum(places, len(measured) - 1)]]
+    is_declared = ~variables.initial.free
+    guess[0, is_declared] = variables.initial.guess[e, is_declared]
     return guess
 
 
@@ -105,8 +123,8 @@ def find_measured_states(variables: DecisionVector) -> dict[int, int]:
     """States that are themselves an output: position of the state -> position of the output."""
     system = variables.model.system
     outputs = [system.outputs[j] for j in range(system.outputs.numel())]
-    names = {y.name(): j for j, y in enumerate(outputs) if y.is_symbolic()}
-    return {k: names[name] for k, name in enumerate(system.state_names) if name in names}
+    columns = {y.name(): j for j, y in enumerate(outputs) if y.is_symbolic()}
+    return {k: columns[name] for k, name in enumerate(system.state_names) if name in columns}
 
 
 def slice_rows(record: Record, a: int, b: int) -> Record:
@@ -124,28 +142,29 @@ def place_cuts(
     if (seconds is None) == (rows is None):
         raise DataError("arcs: give their length either in seconds or in rows")
     count = len(since)
+    least = SEGMENTS.least_arc_rows
     if rows is not None:
-        if rows < FEWEST:
-            raise DataError(f"arcs of {name!r}: {rows} rows; an arc needs at least {FEWEST}")
-        return _edges(np.arange(0, count, rows * every), count)
+        if rows < least:
+            raise DataError(f"arcs of {name!r}: {rows} rows; an arc needs at least {least}")
+        return _close_cuts(np.arange(0, count, rows * every), count)
     length = float(seconds or 0.0)
     if not (np.isfinite(length) and length > 0):
         raise DataError(f"arcs of {name!r}: {seconds} s is no length; give a positive number of seconds")
-    # A hair of tolerance keeps a row that is due exactly at an edge out of the arc before.
-    number = np.floor(since[::every] / length + 1e-9)
-    starts = every * np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1])
-    cuts = _edges(starts, count)
+    # The tolerance keeps a row that is due exactly at a cut out of the arc before.
+    arc_number = np.floor(since[::every] / length + SAME_INTERVAL)
+    starts = every * np.concatenate([[0], np.flatnonzero(np.diff(arc_number)) + 1])
+    cuts = _close_cuts(starts, count)
     shortest = int(np.diff(cuts).min()) // every
-    if shortest < FEWEST and len(cuts) > 2:
+    if shortest < least and len(cuts) > 2:
         longest = float(np.diff(since[::every]).max())
         raise DataError(
-            f"arcs of {name!r}: one of {length:g} s has {shortest} rows; an arc needs at least {FEWEST}: give at least"
-            f" {FEWEST * longest:g} s"
+            f"arcs of {name!r}: one of {length:g} s has {shortest} rows; an arc needs at least {least}: give at least"
+            f" {least * longest:g} s"
         )
     return cuts
 
 
-def _edges(starts: np.ndarray, rows: int) -> tuple[int, ...]:
+def _close_cuts(starts: np.ndarray, rows: int) -> tuple[int, ...]:
     """The starts and ``rows``, without a last arc that is shorter than half the one before it."""
     cuts = [int(k) for k in starts]
     if len(cuts) > 1 and 2 * (rows - cuts[-1]) < cuts[-1] - cuts[-2]:

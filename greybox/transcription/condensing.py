@@ -1,4 +1,4 @@
-"""Segments that must meet, eliminated from a least-squares problem: what is left concerns the constants alone."""
+"""Condensing: segments that must meet are eliminated from a least-squares problem; what is left concerns the constants alone."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from scipy.sparse import bmat, coo_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-# A step of a node along directions that no sample shows is held back by this share of the mean curvature.
-HELD = 1e-10
+from greybox.numerics import FREE_STATE_CURVATURE, TINY
 
 
 @dataclass(frozen=True)
@@ -45,10 +44,8 @@ class CondensedProblem:
 
     def with_penalty(self, cost: float, slope: np.ndarray, curvature: np.ndarray) -> CondensedProblem:
         """The same with priors of the constants."""
-        return replace(
-            self, gradient=self.gradient + slope / 2, hessian=self.hessian + np.diag(curvature / 2),
-            prior=(cost, slope, curvature),
-        )  # fmt: skip
+        gradient, hessian = self.gradient + slope / 2, self.hessian + np.diag(curvature / 2)
+        return replace(self, gradient=gradient, hessian=hessian, prior=(cost, slope, curvature))
 
     def step(self, dz: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
         """``dz`` and the steps of the nodes (segments + 1, nx) of each record."""
@@ -58,16 +55,16 @@ class CondensedProblem:
         """Cost of the linearised residuals, and of the priors, after a step."""
         dz, nodes = step
         cost, slope, curvature = self.prior
-        rests = (
+        residuals = (
             s.residual + s.jacobian[:, : len(dz)] @ dz + s.jacobian[:, len(dz) :] @ ds[k]
-            for own, ds in zip(self.segments, nodes, strict=True)
-            for k, s in enumerate(own)
+            for segments, ds in zip(self.segments, nodes, strict=True)
+            for k, s in enumerate(segments)
         )
-        return float(sum(r @ r for r in rests) + cost + np.sum(slope * dz + 0.5 * curvature * dz**2))
+        return float(sum(r @ r for r in residuals) + cost + np.sum(slope * dz + 0.5 * curvature * dz**2))
 
 
 def condense(records: list[list[LinearisedSegment]], n: int) -> CondensedProblem | None:
-    """Eliminate the nodes of each record: a constrained least-squares problem, solved for all its nodes at once.
+    """Eliminate the nodes of each record from a constrained least-squares problem in the constants (n,) and all nodes.
 
     With ``K = [[H, C'], [C, 0]]`` over the nodes and their constraints, ``H = R'R`` block diagonal and the constants on the right:
     a sparse factorisation with pivoting, which is stable whether errors grow or decay along the record. None where there is no step,
@@ -75,35 +72,35 @@ def condense(records: list[list[LinearisedSegment]], n: int) -> CondensedProblem
     """
     gradient, hessian = np.zeros(n), np.zeros((n, n))
     offsets, slopes = [], []
-    for own in records:
-        nx = len(own[0].defect)
+    for segments in records:
+        nx = len(segments[0].defect)
         with np.errstate(over="ignore", invalid="ignore"):
-            matrix, right = _system(own, n, nx)
+            matrix, right = _build_system(segments, n, nx)
         try:
             factors = splu(matrix)
         except RuntimeError:  # SuperLU: "Factor is exactly singular"
             return None
-        solved = factors.solve(right)
-        if not np.isfinite(solved).all():
+        solution = factors.solve(right)
+        if not np.isfinite(solution).all():
             return None
-        states = (len(own) + 1) * nx
-        nodes = solved[:states].reshape(len(own) + 1, nx, n + 1)
+        states = (len(segments) + 1) * nx
+        nodes = solution[:states].reshape(len(segments) + 1, nx, n + 1)
         offset, slope = nodes[:, :, 0], nodes[:, :, 1:]
-        for k, s in enumerate(own):
+        for k, s in enumerate(segments):
             jz, js = s.jacobian[:, :n], s.jacobian[:, n:]
-            whole = jz + js @ slope[k]
-            gradient += whole.T @ (s.residual + js @ offset[k])
-            hessian += whole.T @ whole
+            jacobian = jz + js @ slope[k]
+            gradient += jacobian.T @ (s.residual + js @ offset[k])
+            hessian += jacobian.T @ jacobian
         offsets.append(offset)
         slopes.append(slope)
     return CondensedProblem(gradient, hessian, offsets, slopes, records)
 
 
-def _system(own: Sequence[LinearisedSegment], n: int, nx: int) -> tuple[coo_matrix, np.ndarray]:
+def _build_system(segments: Sequence[LinearisedSegment], n: int, nx: int) -> tuple[coo_matrix, np.ndarray]:
     """The matrix ``K`` and its right-hand sides (., 1 + n): for the step as it is, and for each constant."""
-    count = len(own)
+    count = len(segments)
     states = (count + 1) * nx
-    size = states + count * nx + sum(len(s.tie[0]) for s in own if s.tie)
+    size = states + count * nx + sum(len(s.tie[0]) for s in segments if s.tie)
     right = np.zeros((size, n + 1))
     rows: list[np.ndarray] = []
     columns: list[np.ndarray] = []
@@ -116,21 +113,25 @@ def _system(own: Sequence[LinearisedSegment], n: int, nx: int) -> tuple[coo_matr
             columns.append(b.ravel())
             entries.append(values.ravel())
 
-    curvatures = [s.jacobian[:, n:].T @ s.jacobian[:, n:] for s in own]
-    held = HELD * np.mean([np.diag(c) for c in curvatures], axis=0)
-    held = np.diag(np.where(held > 0, held, HELD * max(float(held.max(initial=0.0)), 1.0)))
-    for k, s in enumerate(own):
-        here, there, below = k * nx, (k + 1) * nx, states + k * nx
-        put(curvatures[k] + held, here, here)
-        right[here:there, 0] = -s.jacobian[:, n:].T @ s.residual
-        right[here:there, 1:] = -s.jacobian[:, n:].T @ s.jacobian[:, :n]
-        put(s.ends[:, n:], below, here, mirrored=True)
-        put(-np.eye(nx), below, there, mirrored=True)
-        right[below : below + nx, 0] = -s.defect
-        right[below : below + nx, 1:] = -s.ends[:, :n]
-    put(held, states - nx, states - nx)
+    curvatures = [s.jacobian[:, n:].T @ s.jacobian[:, n:] for s in segments]
+    regularisation = FREE_STATE_CURVATURE * np.mean([np.diag(c) for c in curvatures], axis=0)
+    regularisation = np.diag(
+        np.where(
+            regularisation > 0, regularisation, FREE_STATE_CURVATURE * max(float(regularisation.max(initial=0.0)), 1.0)
+        )
+    )
+    for k, s in enumerate(segments):
+        node, next_node, constraint = k * nx, (k + 1) * nx, states + k * nx
+        put(curvatures[k] + regularisation, node, node)
+        right[node:next_node, 0] = -s.jacobian[:, n:].T @ s.residual
+        right[node:next_node, 1:] = -s.jacobian[:, n:].T @ s.jacobian[:, :n]
+        put(s.ends[:, n:], constraint, node, mirrored=True)
+        put(-np.eye(nx), constraint, next_node, mirrored=True)
+        right[constraint : constraint + nx, 0] = -s.defect
+        right[constraint : constraint + nx, 1:] = -s.ends[:, :n]
+    put(regularisation, states - nx, states - nx)
     row = states + count * nx
-    for k, s in enumerate(own):
+    for k, s in enumerate(segments):
         if s.tie:
             which, distance, slope = s.tie
             put(np.eye(nx)[which], row, k * nx, mirrored=True)
@@ -151,9 +152,9 @@ def compute_state_slopes(
     """
     curvature = (states.T @ states).tocsc()
     diagonal = curvature.diagonal()
-    held = HELD * max(float(diagonal.mean()) if diagonal.any() else 1.0, 1e-300)
+    regularisation = FREE_STATE_CURVATURE * max(float(diagonal.mean()) if diagonal.any() else 1.0, TINY)
     matrix = bmat(
-        [[curvature + held * diags(np.ones(len(diagonal))), constraints.T], [constraints, None]], format="csc"
+        [[curvature + regularisation * diags(np.ones(len(diagonal))), constraints.T], [constraints, None]], format="csc"
     )
     right = -np.vstack([(states.T @ along).toarray(), equations.toarray()])
     return splu(matrix).solve(right)[: len(diagonal)]

@@ -20,34 +20,27 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
 from greybox.integrators import Step
 from greybox.kernel import Kernel, Record, make_kernel
+from greybox.numerics import CONSTANT_STATE
+from greybox.transcription.arcs import place_cuts
 from greybox.transcription.condensing import CondensedProblem, LinearisedSegment, condense
 from greybox.transcription.decision_vector import DecisionVector
-from greybox.transcription.initialisation import estimate_arc_states, simulate_segments, to_nodes
-from greybox.transcription.relaxation import DAMPING, compute_bounded_step, fit_without_continuity
-from greybox.transcription.segments import add_state_outputs, measure_state_ranges, place_segments, slice_segment
+from greybox.transcription.initialisation import (
+    compute_bounded_step,
+    estimate_arc_states,
+    fit_without_continuity,
+    simulate_segments,
+    to_nodes,
+)
+from greybox.transcription.policy import MULTIPLE_SHOOTING, SEGMENTS, MultipleShootingPolicy, SegmentPolicy
 from greybox.transcription.single_shooting import Evaluation, SingleShooting
 
-# Over one segment an error may grow by this factor.
-SEGMENT_GROWTH = 5.0
-# A record has at most this many segments of at least so many rows, unless growth asks for shorter ones: at least so many.
-SEGMENTS, ROWS, FEWEST_ROWS = 50, 20, 8
-# Converged when a further step would lower chi-square by less than NEGLIGIBLE residual variances (or the misfit over noise by
-# PERFECT) and the segments meet within CONTINUOUS of the range of each state.
-NEGLIGIBLE, PERFECT, CONTINUOUS = 1e-6, 1e-7, 1e-7
-# A step is shortened, then damped, until cost or gaps come down.
-SHARES = (1.0, 0.5, 0.25, 0.1, 0.03)
-# What counts as lower: this share of the gaps.
-MARGIN = 1e-3
-# Where no step helps any more, a point that meets this rule so much less strictly is an optimum to within rounding errors.
-LOOSER = 1e4
-# A flat search ends: so many iterations that gained less than this share of the cost.
-PATIENCE, LITTLE_GAIN = 8, 1e-5
-
-Report = Callable[[int, float], object]  # (iteration, cost); an answer that is true ends the search
+Report = Callable[[int, float], object]
+"""``(iteration, cost)``, called after every iteration; an answer that is true ends the search."""
 
 
 class MultipleShootingStatus(Enum):
@@ -89,41 +82,58 @@ class MultipleShootingResult:
         return self.end in (MultipleShootingStatus.CONVERGED, MultipleShootingStatus.FLAT)
 
 
-def choose_segment_rows(growth: float, record: Record) -> int:
+def choose_segment_rows(growth: float, record: Record, policy: SegmentPolicy = SEGMENTS) -> int:
     """Samples of a segment for a plant whose errors grow by ``exp(growth t)`` (1/s; at most zero: they do not)."""
-    longest = max(len(record.samples(record.u)) // SEGMENTS, ROWS)
+    longest = max(len(record.samples(record.u)) // policy.max_segments, policy.usual_rows)
     period = record.every * float(np.median(record.h)) if len(record.h) else 1.0
     if growth > 0:
-        longest = min(longest, int(np.log(SEGMENT_GROWTH) / (growth * period)))
-    return max(FEWEST_ROWS, longest)
+        longest = min(longest, int(np.log(policy.max_growth) / (growth * period)))
+    return max(policy.least_rows, longest)
 
 
 class MultipleShooting:
-    """Lifted Gauss-Newton over records cut in segments of ``rows`` samples (one number, or one for each record).
+    """Lifted Gauss-Newton over records cut in segments.
 
-    ``variables``, ``step``, ``records`` and ``weight`` as for `SingleShooting`; ``kernel`` is used for the first guess of the
-    nodes: hidden states of each segment are found from its own samples at the start values, beginning where the segment before
-    ended. ``nodes`` gives them instead, (segments, nx) for each record.
+    Parameters
+    ----------
+    variables, step, records, weight
+        As for `SingleShooting`.
+    kernel
+        Used for the first guess of the nodes: hidden states of each segment are found from its own samples at the start values,
+        beginning where the segment before ended.
+    rows
+        Samples of a segment: one number, or one for each record.
+    nodes
+        First states of the segments (segments, nx) of each record, in the place of that guess.
+    policy
+        When the search has converged, and which steps it takes.
     """
 
     def __init__(
-        self, variables: DecisionVector, step: Step, kernel: Kernel, records: Sequence[Record], weight: np.ndarray,
-        rows: int | Sequence[int], nodes: Sequence[np.ndarray] | None = None,
-    ) -> None:  # fmt: skip
-        self.variables, self.weight = variables, weight
+        self,
+        variables: DecisionVector,
+        step: Step,
+        kernel: Kernel,
+        records: Sequence[Record],
+        weight: np.ndarray,
+        rows: int | Sequence[int],
+        nodes: Sequence[np.ndarray] | None = None,
+        policy: MultipleShootingPolicy = MULTIPLE_SHOOTING,
+    ) -> None:
+        self.variables, self.weight, self.policy = variables, weight, policy
         self.single = SingleShooting(variables, step, kernel, records, weight)
         self.records = self.single.records
-        each = [rows] * len(records) if isinstance(rows, int) else list(rows)
-        self.cuts = [place_segments(e, r, n) for e, (r, n) in enumerate(zip(self.records, each, strict=True))]
+        segment_rows = [rows] * len(records) if isinstance(rows, int) else list(rows)
+        self.cuts = [place_segments(e, r, n) for e, (r, n) in enumerate(zip(self.records, segment_rows, strict=True))]
         self.kernel = make_kernel(add_state_outputs(step))
         self.nx, self.ny = step.advance.size1_in(0), len(weight)
-        self.parts = [
+        self.segments = [
             [slice_segment(r, a, b, self.nx) for a, b in pairwise(c)]
             for r, c in zip(self.records, self.cuts, strict=True)
         ]
         self._arcs = estimate_arc_states(self.single, self.cuts) if nodes is None else None
-        found = to_nodes(self.single, self.cuts, self._arcs) if self._arcs else nodes or ()
-        self.nodes = [np.array(n, float) for n in found]
+        first_nodes = to_nodes(self.single, self.cuts, self._arcs) if self._arcs else nodes or ()
+        self.nodes = [np.array(n, float) for n in first_nodes]
         self.scale = measure_state_ranges(self.nodes)
         self.evaluations = 0
 
@@ -132,192 +142,238 @@ class MultipleShooting:
     ) -> MultipleShootingResult:
         """Minimise the cost with the segments joined, from ``z = 0`` and the present nodes.
 
-        ``relax``: first fit the segments as arcs that need not meet (not where nodes were given). ``report`` is called with the
-        number of each iteration and its cost, and ends the search by an answer that is true.
+        Parameters
+        ----------
+        iterations
+            The most iterations.
+        relax
+            Whether the segments are first fitted as arcs that need not meet (not where nodes were given).
+        report
+            Called with the number of each iteration and its cost; ends the search by an answer that is true.
         """
         began = time.perf_counter()
-        state = _Search(np.zeros(self.variables.size), self.nodes)
+        point = _Point(np.zeros(self.variables.size), self.nodes)
         if relax and self._arcs:
-            state.z[: self._arcs.size] = fit_without_continuity(self._arcs)
-            state.nodes = to_nodes(self.single, self.cuts, self._arcs)
-        now = self._linearised(state)
-        end, costs, done = MultipleShootingStatus.NO_START, [], 0
-        while now is not None:
-            costs.append(now.cost)
-            if report and report(done, now.cost):
-                end = MultipleShootingStatus.INTERRUPTED
+            point.z[: self._arcs.size] = fit_without_continuity(self._arcs)
+            point.nodes = to_nodes(self.single, self.cuts, self._arcs)
+        linearised = self._linearise(point)
+        status, costs, iteration = MultipleShootingStatus.NO_START, [], 0
+        while linearised is not None:
+            costs.append(linearised.cost)
+            if report and report(iteration, linearised.cost):
+                status = MultipleShootingStatus.INTERRUPTED
                 break
-            if self._converged(now) or (now.gap < CONTINUOUS and _flat(costs)):
-                end = MultipleShootingStatus.CONVERGED if self._converged(now) else MultipleShootingStatus.FLAT
+            is_joined = linearised.gap < self.policy.continuity
+            if self._is_converged(linearised) or (is_joined and self._is_flat(costs)):
+                is_converged = self._is_converged(linearised)
+                status = MultipleShootingStatus.CONVERGED if is_converged else MultipleShootingStatus.FLAT
                 break
-            if done == iterations:
-                end = MultipleShootingStatus.LIMIT
+            if iteration == iterations:
+                status = MultipleShootingStatus.LIMIT
                 break
-            following = self._following(state, now)
-            if following is None:  # at rounding errors, or truly stuck
-                end = MultipleShootingStatus.FLAT if self._converged(now, LOOSER) else MultipleShootingStatus.STUCK
+            accepted = self._search_step(point, linearised)
+            if accepted is None:  # at rounding errors, or truly stuck
+                is_optimum = self._is_converged(linearised, self.policy.rounding_slack)
+                status = MultipleShootingStatus.FLAT if is_optimum else MultipleShootingStatus.STUCK
                 break
-            state, now = following
-            done += 1
-        return self._result(state, now, end, done, time.perf_counter() - began)
+            point, linearised = accepted
+            iteration += 1
+        return self._make_result(point, linearised, status, iteration, time.perf_counter() - began)
 
     def gauss_newton_step(self) -> np.ndarray:
         """The next Gauss-Newton step of the constants (nf,) in ``z`` from the present nodes; NaN where a segment overflows."""
-        now = self._linearised(_Search(np.zeros(self.variables.size), self.nodes))
-        return np.full(len(self.variables.which), np.nan) if now is None else self._bounded(now, 0.0)[0]
+        linearised = self._linearise(_Point(np.zeros(self.variables.size), self.nodes))
+        if linearised is None:
+            return np.full(len(self.variables.which), np.nan)
+        return self._compute_step(linearised, 0.0)[0]
 
-    def _converged(self, now: _Linear, looser: float = 1.0) -> bool:
+    def _is_converged(self, linearised: _LinearisedPoint, slack: float = 1.0) -> bool:
         """Whether a further step would neither lower the cost nor close a gap."""
-        count = max(int(now.counts.sum()), 1)
-        change = abs(now.cost - now.reduced.cost_after(self._bounded(now, 0.0)))
-        return now.gap <= CONTINUOUS and change <= looser * (NEGLIGIBLE * now.cost / count + PERFECT**2 * count)
+        policy, count = self.policy, max(int(linearised.counts.sum()), 1)
+        change = abs(linearised.cost - linearised.condensed.cost_after(self._compute_step(linearised, 0.0)))
+        negligible = policy.negligible_decrease * linearised.cost / count + policy.negligible_ratio**2 * count
+        return linearised.gap <= policy.continuity and change <= slack * negligible
 
-    def _following(self, state: _Search, now: _Linear) -> tuple[_Search, _Linear] | None:
+    def _is_flat(self, costs: Sequence[float]) -> bool:
+        """Whether the last iterations gained next to nothing."""
+        patience = self.policy.patience
+        return len(costs) > patience and costs[-1 - patience] - costs[-1] <= self.policy.little_gain * costs[-1]
+
+    def _search_step(self, point: _Point, linearised: _LinearisedPoint) -> tuple[_Point, _LinearisedPoint] | None:
         """The next point: the longest step, ever more damped, that lowers the cost or the gaps (filter of Fletcher and Leyffer)."""
-        state.filter.append((now.violation, now.cost))
-        for damping in DAMPING:
-            change = self._bounded(now, damping)
-            for share in SHARES:
-                trial = self._moved(state, now, change, share)
-                there = self._linearised(trial)
-                if there is not None and trial.accepts(there.violation, there.cost):
-                    return trial, there
+        point.filter.append((linearised.violation, linearised.cost))
+        for damping in self.policy.dampings:
+            step = self._compute_step(linearised, damping)
+            for length in self.policy.step_lengths:
+                trial = self._take_step(point, step, length)
+                linearised_trial = self._linearise(trial)
+                if linearised_trial is not None and trial.accepts(
+                    linearised_trial.violation, linearised_trial.cost, self.policy.filter_margin
+                ):
+                    return trial, linearised_trial
         return None
 
-    def _bounded(self, now: _Linear, damping: float) -> tuple[np.ndarray, list[np.ndarray]]:
-        """The step of constants and nodes that minimises the reduced quadratic within the bounds of the constants."""
-        return now.reduced.step(
-            compute_bounded_step(self.variables, now.z, now.reduced.gradient, now.reduced.hessian, damping)
-        )
+    def _compute_step(self, linearised: _LinearisedPoint, damping: float) -> tuple[np.ndarray, list[np.ndarray]]:
+        """The step of constants and nodes that minimises the condensed quadratic within the bounds of the constants."""
+        condensed = linearised.condensed
+        dz = compute_bounded_step(self.variables, linearised.z, condensed.gradient, condensed.hessian, damping)
+        return condensed.step(dz)
 
-    def _moved(
-        self, state: _Search, now: _Linear, change: tuple[np.ndarray, list[np.ndarray]], share: float
-    ) -> _Search:
-        dz, ds = change
-        z = state.z.copy()
-        z[: len(dz)] += share * dz
-        nodes = [s + share * d * self.scale for s, d in zip(state.nodes, ds, strict=True)]
-        return _Search(z, nodes, list(state.filter))
+    def _take_step(self, point: _Point, step: tuple[np.ndarray, list[np.ndarray]], length: float) -> _Point:
+        dz, ds = step
+        z = point.z.copy()
+        z[: len(dz)] += length * dz
+        nodes = [s + length * d * self.scale for s, d in zip(point.nodes, ds, strict=True)]
+        return _Point(z, nodes, list(point.filter))
 
-    def _linearised(self, state: _Search) -> _Linear | None:
+    def _linearise(self, point: _Point) -> _LinearisedPoint | None:
         """Residuals, end states and their slopes of every segment, the nodes eliminated; None where a segment overflows, or nearly."""
         self.evaluations += 1
         segments, squares, counts = [], np.zeros(self.ny), np.zeros(self.ny, int)
         for e in range(len(self.records)):
-            own = self._record(state, e, squares, counts)
-            if own is None:
+            record_segments = self._linearise_record(point, e, squares, counts)
+            if record_segments is None:
                 return None
-            segments.append(own)
-        reduced = condense(segments, len(self.variables.which))
-        if reduced is None:
+            segments.append(record_segments)
+        condensed = condense(segments, len(self.variables.which))
+        if condensed is None:
             return None
         if self.variables.held.any():
-            reduced = reduced.with_penalty(*self.variables.penalty(state.z))
-        gaps = np.concatenate([np.abs(s.defect) for own in segments for s in own])
-        return _Linear(
-            state.z,
-            float(squares.sum()) + reduced.prior[0],
+            condensed = condensed.with_penalty(*self.variables.penalty(point.z))
+        gaps = np.concatenate([np.abs(s.defect) for record_segments in segments for s in record_segments])
+        return _LinearisedPoint(
+            point.z,
+            float(squares.sum()) + condensed.prior[0],
             squares,
             counts,
-            reduced,
+            condensed,
             float(gaps.max(initial=0.0)),
             float(gaps.sum()),
         )
 
-    def _runs(self, state: _Search, e: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _run_segments(self, point: _Point, e: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Residuals and Jacobian, along the constants and its own first state, of each segment of record ``e``; states beside outputs."""
         n, nx = len(self.variables.which), self.nx
-        p = self.variables.parameters(state.z, e)
-        q, dq, dp, _, _ = self.single.at(state.z, p, e)
-        lanes = np.zeros((nx, n + nx))
-        lanes[:, n:] = np.diag(self.scale)
+        p = self.variables.parameters(point.z, e)
+        q, dq, dp, _, _ = self.single.at(point.z, p, e)
+        dx0 = np.zeros((nx, n + nx))
+        dx0[:, n:] = np.diag(self.scale)
         dq = np.concatenate([dq[:, :, :n], np.zeros((*dq.shape[:2], nx))], axis=2)
         dp = np.concatenate([dp[:, :n], np.zeros((len(dp), nx))], axis=1)
         weight = np.concatenate([self.weight, np.ones(nx)])
         return [
-            self.kernel.residuals(part, q, dq, p, dp, node, lanes, weight)
-            for part, node in zip(self.parts[e], state.nodes[e], strict=False)
+            self.kernel.residuals(segment, q, dq, p, dp, node, dx0, weight)
+            for segment, node in zip(self.segments[e], point.nodes[e], strict=False)
         ]
 
-    def _record(
-        self, state: _Search, e: int, squares: np.ndarray, counts: np.ndarray
+    def _linearise_record(
+        self, point: _Point, e: int, squares: np.ndarray, counts: np.ndarray
     ) -> list[LinearisedSegment] | None:
-        v, n, nodes = self.variables, len(self.variables.which), state.nodes[e]
-        found = []
-        for k, ((r, j), part) in enumerate(zip(self._runs(state, e), self.parts[e], strict=True)):
+        v, n, nodes = self.variables, len(self.variables.which), point.nodes[e]
+        segments = []
+        for k, ((r, j), segment) in enumerate(zip(self._run_segments(point, e), self.segments[e], strict=True)):
             end, ends = -r[-1, self.ny :], -j[-1, self.ny :]
             r, j = r[:, : self.ny], j[:, : self.ny]
-            there = np.isfinite(part.y[:, : self.ny])
-            if not all(np.isfinite(values).all() for values in (end, ends, r[there], j[there])):
+            is_measured = np.isfinite(segment.y[:, : self.ny])
+            if not all(np.isfinite(values).all() for values in (end, ends, r[is_measured], j[is_measured])):
                 return None
-            squares += np.square(np.where(there, r, 0.0)).sum(axis=0)
-            counts += there.sum(axis=0)
+            squares += np.square(np.where(is_measured, r, 0.0)).sum(axis=0)
+            counts += is_measured.sum(axis=0)
             defect = (end - nodes[k + 1]) / self.scale
-            found.append(LinearisedSegment(r[there], j[there], ends / self.scale[:, None], defect, None))
-        first = np.flatnonzero(~v.initial.free)
-        if len(first):  # states that begin as declared
-            *_, x0, dx0 = self.single.at(state.z, v.parameters(state.z, e), e)
-            tie = first, ((x0 - nodes[0]) / self.scale)[first], (dx0[:, :n] / self.scale[:, None])[first]
-            found[0] = replace(found[0], tie=tie)
-        return found
+            segments.append(LinearisedSegment(r[is_measured], j[is_measured], ends / self.scale[:, None], defect, None))
+        declared = np.flatnonzero(~v.initial.free)
+        if len(declared):  # states that begin as declared
+            *_, x0, dx0 = self.single.at(point.z, v.parameters(point.z, e), e)
+            tie = declared, ((x0 - nodes[0]) / self.scale)[declared], (dx0[:, :n] / self.scale[:, None])[declared]
+            segments[0] = replace(segments[0], tie=tie)
+        return segments
 
-    def _rows(self, state: _Search, e: int, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _condense_residuals(self, point: _Point, e: int, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, ny) of record ``e`` and their Jacobian (N, ny, L), ``slope`` (segments + 1, nx, nf) being that of the nodes."""
-        n, found = len(self.variables.which), []
-        for k, ((r, j), (a, b)) in enumerate(zip(self._runs(state, e), pairwise(self.cuts[e]), strict=True)):
+        n, pieces = len(self.variables.which), []
+        for k, ((r, j), (a, b)) in enumerate(zip(self._run_segments(point, e), pairwise(self.cuts[e]), strict=True)):
             r, j = r[: b - a, : self.ny], j[: b - a, : self.ny]
-            found.append((r, j[:, :, :n] + j[:, :, n:] @ slope[k]))
-        r, j = (np.concatenate(each) for each in zip(*found, strict=True))
-        own = len(self.variables.free_states)
-        return r, np.concatenate([j, np.zeros((*j.shape[:2], own))], axis=2)
+            pieces.append((r, j[:, :, :n] + j[:, :, n:] @ slope[k]))
+        r, j = (np.concatenate(each) for each in zip(*pieces, strict=True))
+        states = len(self.variables.free_states)
+        return r, np.concatenate([j, np.zeros((*j.shape[:2], states))], axis=2)
 
-    def _result(
-        self, state: _Search, now: _Linear | None, end: MultipleShootingStatus, done: int, seconds: float
+    def _make_result(
+        self,
+        point: _Point,
+        linearised: _LinearisedPoint | None,
+        status: MultipleShootingStatus,
+        iteration: int,
+        seconds: float,
     ) -> MultipleShootingResult:
         v, n = self.variables, len(self.variables.which)
-        z, own = state.z.copy(), v.free_states
+        z, free = point.z.copy(), v.free_states
         for e in range(v.experiments):
-            z[v.columns(e)[n:]] = (state.nodes[e][0][own] - v.initial.guess[e, own]) / v.initial.scale[own]
+            z[v.columns(e)[n:]] = (point.nodes[e][0][free] - v.initial.guess[e, free]) / v.initial.scale[free]
         gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
-        work, nodes = (done, self.evaluations, seconds), tuple(state.nodes)
-        if now is None:
-            nothing = Evaluation(np.inf, gradient, hessian, np.zeros(self.ny), np.zeros(self.ny, int), (0, 0))
-            return MultipleShootingResult(v, nothing, nodes, (), (), np.inf, end, *work)
-        gradient[:n], hessian[:n, :n] = 2 * now.reduced.gradient, 2 * now.reduced.hessian
-        evaluation = Evaluation(now.cost, gradient, hessian, now.squares, now.counts)
-        runs = tuple(simulate_segments(self.single, z, e, self.cuts[e], state.nodes[e]) for e in range(v.experiments))
-        rows = tuple(self._rows(state, e, now.reduced.slope[e]) for e in range(v.experiments))
-        return MultipleShootingResult(v.moved(z), evaluation, nodes, runs, rows, now.gap, end, *work)
+        work, nodes = (iteration, self.evaluations, seconds), tuple(point.nodes)
+        if linearised is None:
+            failed = Evaluation(np.inf, gradient, hessian, np.zeros(self.ny), np.zeros(self.ny, int), (0, 0))
+            return MultipleShootingResult(v, failed, nodes, (), (), np.inf, status, *work)
+        gradient[:n], hessian[:n, :n] = 2 * linearised.condensed.gradient, 2 * linearised.condensed.hessian
+        evaluation = Evaluation(linearised.cost, gradient, hessian, linearised.squares, linearised.counts)
+        runs = tuple(simulate_segments(self.single, z, e, self.cuts[e], point.nodes[e]) for e in range(v.experiments))
+        rows = tuple(self._condense_residuals(point, e, linearised.condensed.slope[e]) for e in range(v.experiments))
+        return MultipleShootingResult(v.moved(z), evaluation, nodes, runs, rows, linearised.gap, status, *work)
 
 
 @dataclass
-class _Search:
-    """A point: ``z``, the nodes of each record, and the pairs (gaps, cost) that a new point must not be worse than in both."""
+class _Point:
+    """``z``, the nodes of each record, and the pairs (gaps, cost) that a new point must not be worse than in both."""
 
     z: np.ndarray
     nodes: list[np.ndarray]
     filter: list[tuple[float, float]] = field(default_factory=list)
 
-    def accepts(self, violation: float, cost: float) -> bool:
+    def accepts(self, violation: float, cost: float, margin: float) -> bool:
         """Whether a point is better than each in the filter in one respect or the other."""
         return all(
-            violation < (1 - MARGIN) * v or cost < c - MARGIN * min(violation, 1.0) * abs(c) for v, c in self.filter
+            violation < (1 - margin) * v or cost < c - margin * min(violation, 1.0) * abs(c) for v, c in self.filter
         )
 
 
 @dataclass(frozen=True)
-class _Linear:
-    """Everything at one point: cost, gaps, and the problem with its nodes eliminated."""
+class _LinearisedPoint:
+    """Cost, gaps, and the problem with its nodes eliminated, at one point."""
 
     z: np.ndarray
     cost: float
     squares: np.ndarray
     counts: np.ndarray
-    reduced: CondensedProblem
+    condensed: CondensedProblem
     gap: float
     violation: float
 
 
-def _flat(costs: Sequence[float]) -> bool:
-    """Whether the last iterations gained next to nothing."""
-    return len(costs) > PATIENCE and costs[-1 - PATIENCE] - costs[-1] <= LITTLE_GAIN * costs[-1]
+def add_state_outputs(step: Step) -> Step:
+    """The step with its states as further outputs, so that the kernel gives the end of a segment with its slopes."""
+    f = step.outputs
+    x, u, p = (ca.SX.sym(name, f.size1_in(k)) for k, name in enumerate(("x", "u", "p")))
+    return replace(step, outputs=ca.Function("outputs", [x, u, p], [ca.vertcat(f(x, u, p), x)]))
+
+
+def place_segments(e: int, record: Record, rows: int) -> tuple[int, ...]:
+    """First rows of the segments of ``rows`` samples of record ``e`` and, at the end, its number of rows."""
+    return place_cuts(f"record {e + 1}", np.arange(len(record.u), dtype=float), rows=rows, every=record.every)
+
+
+def slice_segment(record: Record, a: int, b: int, nx: int) -> Record:
+    """Rows ``a`` to ``b``; the last one is the first of the next segment and counts for its states alone."""
+    last = min(b + 1, len(record.u))
+    y = np.full((last - a, record.y.shape[1] + nx), np.nan)
+    y[: b - a, : record.y.shape[1]] = record.y[a:b]
+    y[-1, record.y.shape[1] :] = 0.0
+    return replace(record, u=record.u[a:last], y=y, h=record.h[a : last - 1], row=record.row[a : last - 1])
+
+
+def measure_state_ranges(nodes: Sequence[np.ndarray]) -> np.ndarray:
+    """Range of each state over all nodes, one where it never moves."""
+    together = np.concatenate(nodes)
+    spread = np.ptp(together, axis=0)
+    size = np.abs(together).max(axis=0)
+    return np.where(spread > CONSTANT_STATE * size, spread, np.where(size > 0, size, 1.0))

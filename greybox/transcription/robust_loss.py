@@ -22,7 +22,7 @@ class LossKind(StrEnum):
 
 
 # The thresholds that are taken where none is given.
-USUAL = {LossKind.HUBER: ROBUST_LOSS.huber_threshold, LossKind.STUDENT: ROBUST_LOSS.student_freedom}
+USUAL: dict[str, float] = {LossKind.HUBER: ROBUST_LOSS.huber_threshold, LossKind.STUDENT: ROBUST_LOSS.student_freedom}
 
 
 @dataclass(frozen=True)

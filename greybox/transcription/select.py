@@ -84,13 +84,16 @@ def propose_transcription(
     slowest = 1 / decays.min() if len(decays) else 0.0
     if not (np.abs(eigenvalues) * duration <= policy.forgotten_share).any():
         return _propose(ProposedTranscription.SINGLE, TranscriptionReason.STABLE)
-    values = {"duration": duration, "time_constants": float(duration / slowest) if slowest else None}
+    constants: dict[str, float | None] = {
+        "duration": duration,
+        "time_constants": float(duration / slowest) if slowest else None,
+    }
     if duration <= policy.long_run * slowest:
-        return _propose(ProposedTranscription.SINGLE, TranscriptionReason.INTEGRATING_SHORT, values)
+        return _propose(ProposedTranscription.SINGLE, TranscriptionReason.INTEGRATING_SHORT, constants)
     transcription = ProposedTranscription(integrating)
     is_single = transcription is ProposedTranscription.SINGLE
     reason = TranscriptionReason.INTEGRATING_GROWING if is_single else TranscriptionReason.INTEGRATING_SEGMENTS
-    return _propose(transcription, reason, values)
+    return _propose(transcription, reason, constants)
 
 
 def estimate_error_growth(
