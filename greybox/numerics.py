@@ -102,7 +102,7 @@ DECREASE_CUTOFF = 1e-13
 """Directions with less than this share of the largest curvature promise no decrease of a cost."""
 
 AT_BOUND = 1e-6
-"""A scaled variable this close to its bound lies on it."""
+"""A value this close to its bound, as a share of its range or scale, lies on it."""
 
 FAINT_SENSITIVITY = 1e-100
 """Root of an information below which a parameter does not act at all: its square is next to underflow."""

@@ -240,7 +240,7 @@ def _to_fit(model: Model, solution: Solution, options: FitOptions) -> Fit:
         misfit=misfit,
         traces=traces,
         solver=SolverReport(
-            solution.status.name.lower(),
+            str(solution.status),
             solution.status.success,
             float(solution.evaluation.cost),
             _collect_statistics(solution, options.policy.joining),

@@ -229,7 +229,7 @@ def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, floa
     """One start, where it runs: the values it ended with, misfit over noise, status."""
     model, experiments, noise, options = common
     solution = solve(_prepare(model.start(**begin), experiments, noise, options), options)
-    evaluation, status = solution.evaluation, solution.status.name.lower()
+    evaluation, status = solution.evaluation, str(solution.status)
     if not np.isfinite(evaluation.cost):
         return {}, np.inf, status
     values = dict(zip(model.values, solution.variables.fixed, strict=True))

@@ -244,7 +244,7 @@ def _to_fit(
         misfit=misfit,
         traces=traces,
         solver=SolverReport(
-            optimum.status.name.lower(),
+            str(optimum.status),
             optimum.status.success,
             float(optimum.evaluation.cost),
             _collect_statistics(solution, optimum),

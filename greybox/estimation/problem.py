@@ -18,8 +18,7 @@ from greybox.noise import NoiseModel, estimate_noise
 from greybox.transcription import DecisionVector, InitialStates, SingleShooting, to_record
 from greybox.transcription.records import to_experiments
 from greybox.transcription.robust_loss import RobustLoss
-from greybox.transcription.single_shooting import RobustShooting
-from greybox.transcription.single_shooting import WhitenedShooting
+from greybox.transcription.single_shooting import RobustShooting, WhitenedShooting
 
 
 @dataclass(frozen=True)

@@ -18,20 +18,10 @@ from greybox.optim import TerminationStatus
 from greybox.transcription import (
     MultipleShooting,
     MultipleShootingResult,
-    MultipleShootingStatus,
     SingleShooting,
     choose_segment_rows,
     simulate_segments,
 )
-
-_STATUS = {
-    MultipleShootingStatus.CONVERGED: TerminationStatus.CONVERGED,
-    MultipleShootingStatus.FLAT: TerminationStatus.ACCEPTABLE,
-    MultipleShootingStatus.LIMIT: TerminationStatus.ITERATION_LIMIT,
-    MultipleShootingStatus.STUCK: TerminationStatus.STUCK,
-    MultipleShootingStatus.NO_START: TerminationStatus.NO_START,
-    MultipleShootingStatus.INTERRUPTED: TerminationStatus.INTERRUPTED,
-}
 
 
 def solve_multiple(
@@ -57,7 +47,7 @@ def solve_multiple(
                 passes + result.evaluations,
                 seconds + result.seconds,
             )
-            if not result.runs or result.end is MultipleShootingStatus.INTERRUPTED or problem.step.per_interval:
+            if not result.runs or result.status is TerminationStatus.INTERRUPTED or problem.step.per_interval:
                 break
             problem = replace(problem, variables=result.variables)
             error = _compute_step_error(problem, shooting.cuts, result)
@@ -74,7 +64,7 @@ def solve_multiple(
         problem,
         result.variables,
         result.evaluation,
-        _STATUS[result.end],
+        result.status,
         "",
         iterations,
         passes,

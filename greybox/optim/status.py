@@ -4,23 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 from typing import Any, Protocol
 
 import numpy as np
 
 
-class TerminationStatus(Enum):
-    """How an optimisation ended: its members' values are what a person reads."""
+class TerminationStatus(StrEnum):
+    """How a minimisation ended. The values stand in result files."""
 
     CONVERGED = "converged"
-    KINK = "converged at a kink of the cost (dry friction has them): no small step in any direction lowers it"
-    ACCEPTABLE = "converged to a looser tolerance: the last digits may move"
-    ITERATION_LIMIT = "stopped at the iteration limit before it converged"
-    INTERRUPTED = "interrupted: this is the best point so far"
-    STUCK = "no further progress: the search ended without meeting the convergence test"
-    NO_START = "the model cannot be simulated from the start values"
-    FAILED = "the solver gave up"
+    """The termination test is met."""
+
+    KINK = "kink"
+    """At a kink of the cost, as dry friction has them: no small step in any direction lowers it."""
+
+    ACCEPTABLE = "acceptable"
+    """Converged to a looser tolerance: the last digits may move."""
+
+    ITERATION_LIMIT = "iteration_limit"
+    """Stopped at the iteration limit."""
+
+    INTERRUPTED = "interrupted"
+    """Stopped by the user; the best point so far is kept."""
+
+    STUCK = "stuck"
+    """No further progress, and the termination test is not met."""
+
+    NO_START = "no_start"
+    """The cost cannot be computed at the start."""
+
+    FAILED = "failed"
+    """The solver failed."""
 
     @property
     def success(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.estimation.findings import EstimationCode
 from greybox.findings import Finding
-from greybox.rendering.registry import register, renders, sentences
+from greybox.rendering.registry import register, renders, sentence, sentences
 from greybox.rendering.tables import format_shares
 from greybox.units import format_unit
 
@@ -220,7 +220,9 @@ def _write_strategy(finding: Finding) -> str:
     }.get(v.get("completion", ""), "")
     if "reason" not in v:
         return text
-    return f"{text}; chosen because {v['reason']}" if v["reason"] else f"{text}, as requested"
+    if not v["reason"]:
+        return f"{text}, as requested"
+    return f"{text}; chosen because {sentence(Finding(v['reason'], values=v.get('reason_values', {})))}"
 
 
 def _write_transcription(name: str, v: Mapping[str, Any]) -> str:

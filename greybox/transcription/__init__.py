@@ -13,7 +13,6 @@ from greybox.transcription.initialisation import (
 from greybox.transcription.multiple_shooting import (
     MultipleShooting,
     MultipleShootingResult,
-    MultipleShootingStatus,
     choose_segment_rows,
     place_segments,
 )
@@ -34,7 +33,6 @@ __all__ = [
     "InitialStates",
     "MultipleShooting",
     "MultipleShootingResult",
-    "MultipleShootingStatus",
     "ProjectedShooting",
     "ProposedTranscription",
     "SingleShooting",

@@ -17,7 +17,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from itertools import pairwise
 
 import casadi as ca
@@ -26,6 +25,7 @@ import numpy as np
 from greybox.integrators import Step
 from greybox.kernel import Kernel, Record, make_kernel
 from greybox.numerics import CONSTANT_STATE
+from greybox.optim.status import TerminationStatus
 from greybox.transcription.arcs import place_cuts
 from greybox.transcription.condensing import CondensedProblem, LinearisedSegment, condense
 from greybox.transcription.decision_vector import DecisionVector
@@ -43,35 +43,31 @@ Report = Callable[[int, float], object]
 """``(iteration, cost)``, called after every iteration; an answer that is true ends the search."""
 
 
-class MultipleShootingStatus(Enum):
-    """How a search over segments ended; the values are what a person reads."""
-
-    CONVERGED = "converged"
-    FLAT = "the cost no longer changes"
-    LIMIT = "stopped at the iteration limit before it converged"
-    STUCK = "no further progress: no step lowers the cost or closes the gaps"
-    NO_START = "the model cannot be simulated from the start values"
-    INTERRUPTED = "interrupted"
-
-
 @dataclass(frozen=True)
 class MultipleShootingResult:
-    """The optimum of a multiple-shooting fit.
-
-    ``variables`` with ``z = 0`` there; ``evaluation`` with the gradient and Gauss-Newton matrix of the constants, every state
-    eliminated (the rows of initial states are zero); ``nodes`` (segments + 1, nx) of each record, its end included; ``runs``
-    outputs (N, ny) and states (N, nx) of each record, segment by segment, and ``rows`` its weighted residuals (N, ny) with their
-    Jacobian (N, ny, L) along `DecisionVector.columns`, states eliminated; ``gap`` the largest jump between segments, as a share of the
-    state's range. ``end`` says how the search ended.
-    """
+    """The optimum of a multiple-shooting fit."""
 
     variables: DecisionVector
+    """The decision vector with ``z = 0`` at the optimum."""
+
     evaluation: Evaluation
+    """Cost, gradient and Gauss-Newton matrix of the constants, every state eliminated: the rows of initial states are zero."""
+
     nodes: tuple[np.ndarray, ...]
+    """First states of the segments of each record, its end included (segments + 1, nx)."""
+
     runs: tuple[tuple[np.ndarray, np.ndarray], ...]
+    """Outputs (N, ny) and states (N, nx) of each record, segment by segment."""
+
     rows: tuple[tuple[np.ndarray, np.ndarray], ...]
+    """Weighted residuals (N, ny) of each record and their Jacobian (N, ny, L) along `DecisionVector.columns`, states eliminated."""
+
     gap: float
-    end: MultipleShootingStatus
+    """The largest jump between segments, as a share of the state's range."""
+
+    status: TerminationStatus
+    """How the search ended."""
+
     iterations: int
     evaluations: int
     seconds: float
@@ -79,7 +75,7 @@ class MultipleShootingResult:
     @property
     def converged(self) -> bool:
         """Whether the point can be used as an optimum."""
-        return self.end in (MultipleShootingStatus.CONVERGED, MultipleShootingStatus.FLAT)
+        return self.status.success
 
 
 def choose_segment_rows(growth: float, record: Record, policy: SegmentPolicy = SEGMENTS) -> int:
@@ -157,24 +153,24 @@ class MultipleShooting:
             point.z[: self._arcs.size] = fit_without_continuity(self._arcs)
             point.nodes = to_nodes(self.single, self.cuts, self._arcs)
         linearised = self._linearise(point)
-        status, costs, iteration = MultipleShootingStatus.NO_START, [], 0
+        status, costs, iteration = TerminationStatus.NO_START, [], 0
         while linearised is not None:
             costs.append(linearised.cost)
             if report and report(iteration, linearised.cost):
-                status = MultipleShootingStatus.INTERRUPTED
+                status = TerminationStatus.INTERRUPTED
                 break
             is_joined = linearised.gap < self.policy.continuity
             if self._is_converged(linearised) or (is_joined and self._is_flat(costs)):
                 is_converged = self._is_converged(linearised)
-                status = MultipleShootingStatus.CONVERGED if is_converged else MultipleShootingStatus.FLAT
+                status = TerminationStatus.CONVERGED if is_converged else TerminationStatus.ACCEPTABLE
                 break
             if iteration == iterations:
-                status = MultipleShootingStatus.LIMIT
+                status = TerminationStatus.ITERATION_LIMIT
                 break
             accepted = self._search_step(point, linearised)
             if accepted is None:  # at rounding errors, or truly stuck
                 is_optimum = self._is_converged(linearised, self.policy.rounding_slack)
-                status = MultipleShootingStatus.FLAT if is_optimum else MultipleShootingStatus.STUCK
+                status = TerminationStatus.ACCEPTABLE if is_optimum else TerminationStatus.STUCK
                 break
             point, linearised = accepted
             iteration += 1
@@ -302,7 +298,7 @@ class MultipleShooting:
         self,
         point: _Point,
         linearised: _LinearisedPoint | None,
-        status: MultipleShootingStatus,
+        status: TerminationStatus,
         iteration: int,
         seconds: float,
     ) -> MultipleShootingResult:

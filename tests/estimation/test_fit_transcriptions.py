@@ -18,6 +18,7 @@ from greybox.model.signals import Input, Output, Parameter, State
 from greybox.residuals import residual_tests
 from greybox.result import load_fit
 from greybox.simulation import simulate
+from greybox.transcription.findings import TranscriptionReason
 from greybox.uncertainty import profile
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
@@ -135,13 +136,17 @@ def test_an_unstable_plant_has_traces_and_a_validation_that_follow_the_record(tr
 
 @pytest.mark.parametrize(
     ("case", "transcription", "reason"),
-    [("unstable", "multiple", "unstable"), ("integrating", "single", "integrating"), ("stable", "single", "stable")],
+    [
+        ("unstable", "multiple", TranscriptionReason.UNSTABLE),
+        ("integrating", "single", TranscriptionReason.INTEGRATING_GROWING),
+        ("stable", "single", TranscriptionReason.STABLE),
+    ],
 )
 def test_the_default_transcription_is_stated_with_its_reason(case, transcription, reason):
     _, start, data, noise, rest = CASES[case]()
     strategy = fit(start, data, noise=noise, options=FitOptions(at_rest=rest)).solver.strategy
     assert strategy.code == EstimationCode.SEARCH_STRATEGY and strategy.subject == transcription
-    assert reason in strategy.values["reason"]
+    assert strategy.values["reason"] == reason
 
 
 def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
@@ -167,7 +172,7 @@ def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
     start = model.start(a=3.0, c=0.2)
     found = fit(start, data, noise={"x": 1e-4}, options=FitOptions(at_rest=True))
     assert "Radau IIA" in found.discretisation.label
-    assert "stiff: the fastest mode moves within" in found.solver.strategy.values["reason"]
+    assert found.solver.strategy.values["reason"] == TranscriptionReason.STIFF_IMPLICIT
     explicit = fit(start, data, noise={"x": 1e-4}, options=FitOptions(at_rest=True, method="rk4"))
     points = fit(start, data, noise={"x": 1e-4}, options=FitOptions(at_rest=True, transcription="collocation-radau"))
     assert "three Radau points" in points.discretisation.label

@@ -62,8 +62,8 @@ GOLDEN = [
     ),
     ("search_strategy", "single", {"shares": [1.0], "reason": ""}, "single shooting on the whole record, as requested"),
     (
-        "search_strategy", "single", {"shares": [0.26, 1.0], "reason": "the model is stable"},
-        "single shooting on a growing record (26 %, 100 %); chosen because the model is stable",
+        "search_strategy", "single", {"shares": [0.26, 1.0], "reason": "transcription_stable"},
+        "single shooting on a growing record (26 %, 100 %); chosen because the model is stable and not stiff",
     ),
     ("search_strategy", "multiple", {"segments": 1, "reason": ""}, "multiple shooting over one segment, as requested"),
     (
