@@ -194,5 +194,4 @@ def resolve_options(model: Model | Fit, options: FitOptions | None) -> FitOption
         return options
     if not isinstance(model, Fit):
         return FitOptions()
-    known = {name: value for name, value in model.provenance.options.items() if name in FitOptions.__dataclass_fields__}
-    return replace(FitOptions(**known), per_experiment=())
+    return replace(FitOptions.from_data(model.provenance.options), per_experiment=())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -73,8 +73,7 @@ class DiscoveryProblem:
         std = np.array([fit.noise.std.get(name, np.nan) for name in outputs])
         colour = tuple(AutoRegression(fit.noise.colour.get(name, ())) for name in outputs)
         noise = NoiseModel(tuple(outputs), std, fit.noise.sources, colour, False)
-        known = {f.name for f in fields(FitOptions)}
-        options = FitOptions(**{name: value for name, value in fit.provenance.options.items() if name in known})
+        options = FitOptions.from_data(fit.provenance.options)
         return cls(fit.model, tuple(t.experiment for t in fit.traces), noise, (), options)
 
     def at(self, fit: Fit) -> CandidateFit:

@@ -47,5 +47,13 @@ def _of_fit(fit: Fit, command: str) -> Iterator[Block]:
 
 
 def name_value_table(title: Text, values: Mapping[str, Any]) -> PageTable:
-    """Names and values as a table."""
-    return PageTable(title, ["name", "value"], [[str(k), "" if v is None else str(v)] for k, v in values.items()])
+    """Names and values as a table; a name within a group is ``group.name``."""
+    return PageTable(title, ["name", "value"], [[name, value] for name, value in _flat(values)])
+
+
+def _flat(values: Mapping[str, Any], group: str = "") -> Iterator[tuple[str, str]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{group}{name}.")
+        else:
+            yield f"{group}{name}", "" if value is None else str(value)
