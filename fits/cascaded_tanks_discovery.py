@@ -57,8 +57,8 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     """Discover, go on, refit, then put in and take out what may imitate each other."""
     train, test = (gb.read_csv(folder / name, cascaded_tanks) for name in FILES)
     learn, judge = train.window(0, LEARN), train.window(LEARN, train.rows)
-    discovery = gb.discover(cascaded_tanks, learn, validation=judge, say=say)
-    refinement = gb.discovery.refine(discovery.best, judge, plain=cascaded_tanks, say=say)
+    discovery = gb.discover(cascaded_tanks, learn, validation=judge, on_message=say)
+    refinement = gb.discovery.refine(discovery.best, judge, plain=cascaded_tanks, on_message=say)
     refitted, base = (_refit(model, train, test) for model in (refinement.fit.model, cascaded_tanks))
     beside, without = {}, {}
     for name in SET:

@@ -62,9 +62,9 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     train, test = (gb.read_csv(folder / name, emps) for name in FILES)
     arcs, tested = _arcs(train), _arcs(test)
     learn, judge = arcs[: 2 * QUARTERS], arcs[2 * QUARTERS : 3 * QUARTERS]
-    discovery = gb.discover(emps, learn, validation=judge, say=say)
-    refinement = gb.discovery.refine(discovery.best, judge, plain=emps, say=say)
-    noise = DiscoveryProblem.of(discovery.best).noise
+    discovery = gb.discover(emps, learn, validation=judge, on_message=say)
+    refinement = gb.discovery.refine(discovery.best, judge, plain=emps, on_message=say)
+    noise = DiscoveryProblem.from_fit(discovery.best).noise
     assert isinstance(noise, NoiseModel)
     held_out = {}
     for name in MODELS:

@@ -20,8 +20,8 @@ import greybox as gb
 from fits.hidden_baselines import by_correlation, by_sparse_regression
 from fits.hidden_cases import Case, make
 from fits.hidden_page import VISIBLE, write
-from greybox.discovery.effect_test import estimate_scales
 from greybox.discovery.problem import DiscoveryProblem
+from greybox.discovery.starting_points import estimate_scales
 from greybox.effects import Scales, tailor_to_record
 from greybox.project import find_model
 
@@ -60,13 +60,13 @@ def answered(case: Case) -> dict[str, Any]:
         model, case.estimation, validation=case.validation, noise=case.noise, quiet=case.quiet or (), options=options
     )
     seconds = time.process_time() - began
-    worst = max(discovery.gap.values(), key=lambda g: g.before / g.floor)
+    worst = max(discovery.holdout.values(), key=lambda g: g.before / g.floor)
     return hidden(case) | {
         "verdict": discovery.verdict,
         "said": [e["name"] for e in discovery.effects],
         "alternatives": discovery.alternatives,
         "sites": list(discovery.sites),
-        "base": max(g.before / case.sigma[o] for o, g in discovery.gap.items()),
+        "base": max(g.before / case.sigma[o] for o, g in discovery.holdout.items()),
         "closed": worst.explained_fraction,
         "curve": discovery.surrogate.explained_fraction if discovery.surrogate else None,
         "constants": _constants(case, discovery.effects),
@@ -115,24 +115,24 @@ def without_each(case: Case, model: gb.Model) -> list[float]:
     """
     if len(case.effects) < 2:
         return []
-    bench = DiscoveryProblem(model, (case.estimation,), dict(case.sigma), (), gb.FitOptions(at_rest=True))
-    scales = estimate_scales(bench.base)
-    both = _misfit(case, bench, scales, list(case.effects))
-    one = [_misfit(case, bench, scales, [kept for kept in case.effects if kept != name]) for name in case.effects]
+    problem = DiscoveryProblem(model, (case.estimation,), dict(case.sigma), (), gb.FitOptions(at_rest=True))
+    scales = estimate_scales(problem.baseline)
+    both = _misfit(case, problem, scales, list(case.effects))
+    one = [_misfit(case, problem, scales, [kept for kept in case.effects if kept != name]) for name in case.effects]
     return [max(left[o] / both[o] for o in both) for left in one]
 
 
-def _misfit(case: Case, bench: DiscoveryProblem, scales: Scales, names: Sequence[str]) -> dict[str, float]:
+def _misfit(case: Case, problem: DiscoveryProblem, scales: Scales, names: Sequence[str]) -> dict[str, float]:
     """Rms misfit on the judging record by output, of the model with these effects, fitted from the true constants."""
-    model = bench.base.model
+    model = problem.baseline.model
     for name in names:
         model = model + tailor_to_record(gb.effect(name), scales)
     truth = {n: v for n, v in case.base.items() if n in model.values}
     for bound in model.bound_effects:
         truth |= {bound.model_names[n]: v for n, v in case.effects[bound.effect.name].items()}
-    trial = bench.best(model, [truth, model.values])
-    extended = model if trial is None else trial.model
-    seen = gb.validate(extended, case.validation, noise=case.sigma, options=bench.options)
+    candidate = problem.refit_best(model, [truth, model.values])
+    extended = model if candidate is None else candidate.model
+    seen = gb.validate(extended, case.validation, noise=case.sigma, options=problem.options)
     return {name: m.rmse for name, m in seen.misfit.items()}
 
 

@@ -61,8 +61,8 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     def errors(model: gb.Model, hold: str = "zero") -> Errors:
         return tuple(gb.validate(model, t.with_hold(hold), skip=SKIP).misfit["y"].rmse for t in tests)  # type: ignore[arg-type]
 
-    discovery = gb.discover(silverbox, train.window(*LEARN), validation=train.window(*JUDGE), say=say)
-    refinement = gb.discovery.refine(discovery.best, train.window(*JUDGE), plain=silverbox, say=say)
+    discovery = gb.discover(silverbox, train.window(*LEARN), validation=train.window(*JUDGE), on_message=say)
+    refinement = gb.discovery.refine(discovery.best, train.window(*JUDGE), plain=silverbox, on_message=say)
     springs = _with(silverbox, SPRINGS)
     holds = {}
     for hold in HOLDS:

@@ -145,8 +145,8 @@ def run_demo(
         validation=test,
         noise=setup.noise,
         options=options,
-        say=lambda s: tell(f"   {s}"),
-        report=report,
+        on_message=lambda s: tell(f"   {s}"),
+        on_refit=report,
     )
     tell("3. compare with black boxes, which need no physics")
     comparison = _compare(plain, found.best, train, test, setup)

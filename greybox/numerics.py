@@ -53,6 +53,15 @@ RANK_CUTOFF = 1e-12
 REDUNDANT_VARIANCE = 1e-8
 """Directions of lagged signals with less than this share of the largest variance are copies of one another."""
 
+OVERFLOWING_CURVATURE = 1e100
+"""Second derivative beyond which the next step overflows, although the value itself is still finite."""
+
+SAME_DIRECTION = 1e-9
+"""Largest difference of two unit vectors that rounding explains: they are the same direction."""
+
+SPAN_TOLERANCE = 1e-9
+"""Singular value, over the largest, below which a column adds no direction to a span."""
+
 MAD_TO_STD = 1.482602218505602
 """Standard deviation of normal values over the median of their sizes."""
 

@@ -37,8 +37,8 @@ def test_the_hidden_effect_is_named_and_closes_the_gap(found: Demo) -> None:
     (effect,) = found.discovery.effects
     assert (effect["name"], effect["site"]) == (SETUP.hidden, "force")
     assert effect["parameters"]["K3"]["value"] == pytest.approx(SETUP.strength["K3"], rel=0.01)
-    assert found.discovery.gap["x"].before > 50 * SETUP.noise["x"]
-    assert found.discovery.gap["x"].after == pytest.approx(SETUP.noise["x"], rel=0.08)
+    assert found.discovery.holdout["x"].before > 50 * SETUP.noise["x"]
+    assert found.discovery.holdout["x"].after == pytest.approx(SETUP.noise["x"], rel=0.08)
 
 
 def test_the_constants_come_back_from_a_start_forty_percent_off(found: Demo) -> None:

@@ -30,7 +30,7 @@ def test_the_notebook_names_the_hidden_effect(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("MPLBACKEND", "agg")
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     end = nbformat.v4.new_code_cell(
-        "print(found.verdict, found.best.model.title, plain.misfit['x'].noise_ratio, found.gap['x'].closed, plant.nstates)"
+        "print(found.verdict, found.best.model.title, plain.misfit['x'].noise_ratio, found.holdout['x'].explained_fraction, plant.nstates)"
     )
     notebook.cells.append(end)
     client = nbclient.NotebookClient(

@@ -1,23 +1,13 @@
 """The effects of the benchmark rigs, on records whose answer is known; and the studies on the measured ones."""
 
-import json
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from fits import cascaded_tanks_discovery, emps_discovery, silverbox_discovery
 from fits.real_page import arguments
 from greybox import Experiment, FitOptions, fit, simulate
-from greybox.cli.app import app
-from greybox.discovery import DiscoveryProblem, discover, refine
-from greybox.discovery.holdout import reject_on_validation, score_holdout
 from greybox.effects import applicable_effects, effect
 from greybox.model.signals import NamedValues
-from greybox.project import find_model
-from greybox.simulation.write import write_csv
 from greybox.transcription import to_record
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
@@ -36,8 +26,6 @@ NEW = {
     "linear_input",
     "band_limited_input",
 }
-
-NOISE = 2e-5  # V, of simulated records of the circuit
 
 
 def rates(model, x, u, **values):
@@ -124,72 +112,6 @@ def test_friction_that_differs_by_direction_comes_back_from_arcs():
     assert found.parameters["M"].value == pytest.approx(mass, rel=1e-4)
     assert found.parameters["Fv"].value == pytest.approx((forward + backward) / 2, rel=1e-4)
     assert found.parameters["Ba"].value == pytest.approx((forward - backward) / 2, rel=1e-3)
-
-
-def shaken(model, seed, peak=0.3, rows=300):
-    """A record of the circuit under a smooth random input, with noise far below the smallest effect."""
-    generator = np.random.default_rng(seed)
-    u = np.convolve(generator.standard_normal(rows + 6), np.hanning(7), "valid")
-    record = Experiment("shaken", np.arange(rows) * 1e-3, {"u": peak * u / np.abs(u).max()}, {}, hold="first")
-    return simulate(model, record).record({"y": NOISE}, generator)
-
-
-@pytest.fixture(scope="module")
-def hardening():
-    """Records of a circuit with a large and a small effect, and the fit of the large one."""
-    truth = silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")
-    truth = truth.start(K3=7e5, K2=-2e4)
-    records = [shaken(truth, seed) for seed in (1, 2)]
-    few = replace(silverbox, candidates=("cubic_stiffness", "quadratic_stiffness", "constant_load"))
-    return fit(few + effect("cubic_stiffness"), records[0], noise={"y": NOISE}), records, few
-
-
-def test_going_on_finds_the_small_effect_and_stops(hardening):
-    large, (_, judge), plain = hardening
-    found = refine(large, judge, plain=plain)
-    assert [step.name for step in found.steps] == ["quadratic_stiffness"]
-    assert found.steps[0].held_out > 0.5
-    assert found.fit.parameters["K2"].value == pytest.approx(-2e4, rel=0.02)
-    assert found.fit.validation.misfit["y"].rmse < 1.2 * NOISE
-    assert "quadratic_stiffness: takes" in str(found)
-
-
-def test_the_command_goes_on_after_its_answer(tmp_path, monkeypatch):
-    truth = (silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")).start(K3=7e5, K2=-4e3)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("greybox.plots.draw_discovery", lambda *_: [])  # they are drawn in another test
-
-    def stopping(*given, effects, **more):  # a discovery that stops after the first effect
-        return discover(*given, effects=effects[:1], **more)
-
-    monkeypatch.setattr("greybox.discovery.discover", stopping)
-    monkeypatch.setattr("greybox.discovery.pipeline._stand_in", lambda _: None)
-    for seed, name in ((1, "train"), (2, "test")):
-        write_csv(shaken(truth, seed), silverbox, Path(f"{name}.csv"))
-    command = "discover silverbox train.csv --validate test.csv --hold first --noise y=2e-5 --further --output out"
-    result = CliRunner().invoke(app, [*command.split(), "--effects", "cubic_stiffness,quadratic_stiffness"])
-    assert result.exit_code == 0, result.output
-    assert "Further, of what is left: quadratic_stiffness: takes 9" in result.output
-    answer = json.loads(Path("out/discovery.json").read_text())
-    assert [e["name"] for e in answer["effects"]] == ["cubic_stiffness"]
-    assert [s["name"] for s in answer["further"]["steps"]] == ["quadratic_stiffness"]
-    assert answer["further"]["validation"]["y"]["rmse"] < 1.2 * NOISE
-    # the extended model that was written has both, and the page tells it
-    assert find_model("out/model.py").values["K2"] == pytest.approx(-4e3, rel=0.02)
-    assert "What comes after" in Path("out/report.html").read_text()
-
-
-def test_a_model_that_fails_on_other_records_gives_way(hardening):
-    large, (record, judge), plain = hardening
-    bench = DiscoveryProblem(plain, (record,), {"y": NOISE}, (), FitOptions())
-    right = bench.best(plain + effect("cubic_stiffness"), [large.model.values])
-    spoilt = plain + effect("constant_load")
-    # as if it had explained the fitted record better than any other
-    wrong = replace(bench.best(spoilt, [spoilt.values]), cost=0.5 * right.cost)
-    assert score_holdout(bench, right, [judge]) < 0.2 * score_holdout(bench, wrong, [judge])
-    assert reject_on_validation(bench, bench.base, wrong, [wrong, right], [judge]).effects == ("cubic_stiffness",)
-    assert reject_on_validation(bench, bench.base, right, [wrong, right], [judge]) is right
-    assert reject_on_validation(bench, bench.base, wrong, [wrong], [judge]) is wrong
 
 
 def test_the_studies_say_what_they_need(tmp_path, monkeypatch, capsys):

@@ -65,13 +65,19 @@ def discover(
                 quiet=quiet,
                 effects=candidates,
                 options=FitOptions(at_rest=study.at_rest),
-                say=say,
+                on_message=say,
                 journal=journal,
-                report=report,
+                on_refit=report,
             )
             if study.further:
                 refinement = refine(
-                    result.best, validation, plain=model, effects=candidates, say=say, journal=journal, report=report
+                    result.best,
+                    validation,
+                    plain=model,
+                    effects=candidates,
+                    on_message=say,
+                    journal=journal,
+                    on_refit=report,
                 )
                 result = replace(result, refinement=refinement)
     except KeyboardInterrupt:

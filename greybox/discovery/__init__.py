@@ -1,36 +1,65 @@
 """Where model and data disagree, which effect is missing, and whether one may say so."""
 
+from greybox.discovery.curve_shape import CurveShape, Parity, ShapeKind
+from greybox.discovery.decision import Verdict
 from greybox.discovery.dependence import Dependence
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.effect_test import EffectTest, drop_effect, try_effect
-from greybox.discovery.holdout_error import HoldoutError
+from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.localisation import RankedSite, ResidualLocalisation, ResidualSignal, localise_residual
 from greybox.discovery.misfit_windows import MisfitWindow
 from greybox.discovery.pipeline import discover
+from greybox.discovery.policy import (
+    DiscoveryPolicy,
+    LocalisationPolicy,
+    ProposalPolicy,
+    RefinementPolicy,
+    ResidualNoisePolicy,
+    SearchBudget,
+    SelectionPolicy,
+    ShapePolicy,
+    SurrogatePolicy,
+)
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.refinement import Refinement, RefinementStep, refine
 from greybox.discovery.residual_spectrum import ResidualSpectrum, estimate_residual_spectrum
 from greybox.discovery.result import Discovery, RankedCandidate
+from greybox.discovery.selection import SelectionStep, StepKind
 from greybox.discovery.surrogate import Surrogate, SurrogateTone
 
 __all__ = [
     "CandidateFit",
+    "CurveShape",
     "Dependence",
     "Discovery",
+    "DiscoveryPolicy",
     "DiscoveryProblem",
     "EffectSignal",
     "EffectTest",
     "HoldoutError",
+    "LocalisationPolicy",
     "MisfitWindow",
+    "Parity",
+    "ProposalPolicy",
     "RankedCandidate",
     "RankedSite",
     "Refinement",
+    "RefinementPolicy",
     "RefinementStep",
     "ResidualLocalisation",
+    "ResidualNoisePolicy",
     "ResidualSignal",
     "ResidualSpectrum",
+    "SearchBudget",
+    "SelectionPolicy",
+    "SelectionStep",
+    "ShapeKind",
+    "ShapePolicy",
+    "StepKind",
     "Surrogate",
+    "SurrogatePolicy",
     "SurrogateTone",
+    "Verdict",
     "discover",
     "drop_effect",
     "estimate_residual_spectrum",

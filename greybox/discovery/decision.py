@@ -1,75 +1,205 @@
-"""When something is missing, when an effect is accepted, when it may be named: every threshold in one place."""
+"""What is decided in a discovery: whether an effect is in the data, whether only noise is left, and whether a name may be given.
+
+Every function takes fitted candidates and a `SelectionPolicy` and returns a decision with the checks that it rests on. Nothing is
+fitted or simulated here.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 
+from greybox.discovery.findings import DiscoveryRule
+from greybox.discovery.holdout import HoldoutError, worst_output
+from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import CandidateFit
+from greybox.findings import Check
 from greybox.noise import AutoRegression
 
-# A first effect must lower the cost by this much more than its constants cost (Schwarz).
-STRONG = 20.0
-# It must close this share of the excess over the noise; a further one this share of the first excess.
-FIRST_SHARE, FURTHER_SHARE = 0.1, 0.01
-# A child effect must beat its parent by this much, or by this share of what the parent gained.
-CHILD, CHILD_SHARE = 10.0, 0.003
-# Rivals within this much cost explain the data as well.
-TIE = 10.0
-# Allowance of the noise floor for an inexact standard deviation, and for the integrator.
-FLOOR = 0.05
-# A remainder this small a share of the first excess is clean enough to give a name, up to this cost per sample.
-REMAINDER, MOST = 0.003, 1.6
-# A gap on the judging records counts from this multiple of the noise.
-VISIBLE = 1.05
-# Lags of the noise's autocorrelation that count.
-MEMORY = 500
-# Held out, a named effect must close this share of the gap; below the second it explains nothing there.
-HELD_OUT, PARTLY = 0.9, 0.5
+
+class Verdict(StrEnum):
+    """What may be said about a model that was looked at."""
+
+    COMPLETE = "complete"
+    """Nothing is missing beyond the noise."""
+    NAMED = "named"
+    """The missing effects have names."""
+    AMBIGUOUS = "ambiguous"
+    """Several sets of effects explain the records equally well."""
+    UNKNOWN = "unknown"
+    """Something is missing that no effect of the catalogue explains."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """A yes or a no, and the checks that it rests on."""
+
+    passed: bool
+    checks: tuple[Check, ...]
+
+    def __bool__(self) -> bool:
+        return self.passed
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """The verdict on a model, and the checks that it rests on."""
+
+    verdict: Verdict
+    checks: tuple[Check, ...]
+
+
+def make_check(rule: DiscoveryRule, value: float, limit: float, passed: bool, subject: str = "") -> Check:
+    """A check whose outcome is more than a comparison of ``value`` and ``limit``."""
+    return Check(rule, float(value), float(limit), bool(passed), subject)
 
 
 def noise_cost_limit(count: int) -> float:
-    """Cost per sample that noise of exactly known level hardly ever exceeds."""
+    """Cost per sample that ``count`` samples of noise of exactly known level hardly ever exceed: four standard deviations."""
     return 1 + 4 * math.sqrt(2 / count)
 
 
-def clean_cost_limit(count: int) -> float:
+def clean_cost_limit(count: int, policy: SelectionPolicy) -> float:
     """Cost per sample above which something other than noise is left."""
-    return noise_cost_limit(count) + FLOOR
+    return noise_cost_limit(count) + policy.floor_margin
 
 
-def visible_rms_limit(samples: int, colour: AutoRegression) -> float:
-    """Rms over noise above which a record of ``samples`` shows more than noise; a coloured one holds fewer independent samples."""
-    autocorrelation = colour.autocorrelation(min(samples, MEMORY))
-    independent = samples / (1 + 2 * float(autocorrelation[1:] @ autocorrelation[1:]))
-    return VISIBLE + 4 / math.sqrt(2 * independent)
+def visible_rms_limit(samples: int, colour: AutoRegression, policy: SelectionPolicy) -> float:
+    """Rms over noise above which a record of ``samples`` shows more than noise; coloured noise has fewer independent samples."""
+    correlations = colour.autocorrelation(min(samples, policy.noise_memory))
+    independent = samples / (1 + 2 * float(correlations[1:] @ correlations[1:]))
+    return policy.visible_rms + 4 / math.sqrt(2 * independent)
 
 
-def excess_cost(trial: CandidateFit) -> float:
-    """What the model leaves beyond the noise, in units of cost."""
-    return max(trial.cost - trial.count, 0.0)
+def excess_cost(candidate: CandidateFit) -> float:
+    """Cost beyond that of the noise."""
+    return max(candidate.cost - candidate.count, 0.0)
 
 
 def criterion_gain(smaller: CandidateFit, larger: CandidateFit) -> float:
-    """How much the criterion falls from the smaller model to the larger."""
+    """Decrease of Schwarz's criterion from the smaller model to the larger."""
     return smaller.criterion - larger.criterion
 
 
-def is_effect_accepted(base: CandidateFit, smaller: CandidateFit, larger: CandidateFit) -> bool:
+def judge_effect(
+    baseline: CandidateFit, smaller: CandidateFit, larger: CandidateFit, policy: SelectionPolicy
+) -> Decision:
     """Whether the effect that leads from ``smaller`` to ``larger`` is in the data.
 
     Beside a strong effect a weak one is a small share of the whole, and yet plain to see: it is accepted if only noise is left.
     """
-    closed = smaller.cost - larger.cost
-    if criterion_gain(smaller, larger) <= STRONG:
-        return False
-    if smaller is base:
-        return closed >= FIRST_SHARE * excess_cost(base)
-    last = larger.per_sample <= noise_cost_limit(larger.count) < smaller.per_sample
-    return last or closed >= FURTHER_SHARE * excess_cost(base)
+    subject = " + ".join(name for name in larger.effects if name not in smaller.effects)
+    gain = criterion_gain(smaller, larger)
+    gains = make_check(DiscoveryRule.CRITERION_GAIN, gain, policy.criterion_gain, gain > policy.criterion_gain, subject)
+    share = policy.first_share if smaller is baseline else policy.further_share
+    explains = Check.at_least(
+        DiscoveryRule.EXPLAINED_EXCESS, smaller.cost - larger.cost, share * excess_cost(baseline), subject
+    )
+    if smaller is baseline:
+        return Decision(gains.passed and explains.passed, (gains, explains))
+    limit = noise_cost_limit(larger.count)
+    completes = bool(larger.per_sample <= limit < smaller.per_sample)
+    leaves_noise = make_check(DiscoveryRule.ONLY_NOISE_LEFT, larger.per_sample, limit, completes, subject)
+    return Decision(gains.passed and (completes or explains.passed), (gains, explains, leaves_noise))
 
 
-def is_residual_clean(base: CandidateFit, trial: CandidateFit) -> bool:
+def judge_residual(baseline: CandidateFit, candidate: CandidateFit, policy: SelectionPolicy) -> Decision:
     """Whether nothing visible is left, so that a name may be given."""
-    if trial.per_sample <= clean_cost_limit(trial.count):
-        return True
-    return excess_cost(trial) <= REMAINDER * excess_cost(base) and trial.per_sample < MOST
+    subject = " + ".join(candidate.effects)
+    clean = Check.at_most(
+        DiscoveryRule.CLEAN_RESIDUAL, candidate.per_sample, clean_cost_limit(candidate.count, policy), subject
+    )
+    rest, limit = excess_cost(candidate), policy.clean_share * excess_cost(baseline)
+    small = bool(rest <= limit and candidate.per_sample < policy.clean_cost)
+    remainder = make_check(DiscoveryRule.SMALL_REMAINDER, rest, limit, small, subject)
+    return Decision(clean.passed or small, (clean, remainder))
+
+
+def judge_holdout(
+    holdout: Mapping[str, HoldoutError], noise_limits: Mapping[str, float], policy: SelectionPolicy
+) -> Decision:
+    """Whether a model explains the gap on the validation records, if there is one.
+
+    It explains `SelectionPolicy.holdout_share` of it; or the larger part, and what it leaves is within ``noise_limits``: by output, the
+    rms over noise that noise of this level and colour may leave by chance.
+    """
+    output = worst_output(holdout)
+    error = holdout[output]
+    gap = error.before / error.floor
+    visible = make_check(DiscoveryRule.HOLDOUT_GAP, gap, policy.visible_rms, not gap <= policy.visible_rms, output)
+    explained = Check.at_least(DiscoveryRule.HOLDOUT_EXPLAINED, error.explained_fraction, policy.holdout_share, output)
+    partly = Check.at_least(
+        DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, error.explained_fraction, policy.partial_share, output
+    )
+    noise = Check.at_most(DiscoveryRule.HOLDOUT_NOISE, error.after / error.floor, noise_limits[output], output)
+    passed = not visible.passed or explained.passed or (partly.passed and noise.passed)
+    return Decision(passed, (visible, explained, partly, noise))
+
+
+def judge_validation_only(
+    baseline: CandidateFit,
+    holdout: Mapping[str, HoldoutError],
+    noise_limits: Mapping[str, float],
+    policy: SelectionPolicy,
+) -> Decision:
+    """Whether the plain model fails on the validation records and not on the estimation records."""
+    output = worst_output(holdout)
+    error = holdout[output]
+    excess, limit = error.before / error.floor - 1, policy.validation_only_ratio * (baseline.per_sample**0.5 - 1)
+    elsewhere = make_check(DiscoveryRule.VALIDATION_ONLY, excess, limit, not excess < limit, output)
+    above = tuple(
+        make_check(DiscoveryRule.VALIDATION_ABOVE_NOISE, g.before / g.floor, limit, g.before / g.floor > limit, name)
+        for name, g in holdout.items()
+        for limit in (noise_limits[name],)
+    )
+    return Decision(elsewhere.passed and any(above), (elsewhere, *above))
+
+
+def decide_verdict(
+    baseline: CandidateFit,
+    selected: CandidateFit,
+    rivals: Sequence[CandidateFit],
+    holdout: Mapping[str, HoldoutError],
+    noise_limits: Mapping[str, float],
+    autocorrelation: float,
+    policy: SelectionPolicy,
+) -> Conclusion:
+    """What may be said: this is where it is decided whether an effect may be named.
+
+    Parameters
+    ----------
+    baseline, selected
+        The plain model and the one that the selection ended with, its shape corrected where the records asked for that.
+    rivals
+        Models of the same size that explain the records equally well.
+    holdout
+        Error of both on the validation records, by output.
+    noise_limits
+        Rms over noise on these records that noise may leave by chance, by output.
+    autocorrelation
+        Excess autocorrelation of the residual of ``selected``.
+    policy
+        The limits.
+    """
+    if not selected.effects:
+        limit = clean_cost_limit(baseline.count, policy)
+        above = make_check(DiscoveryRule.BASELINE_ABOVE_NOISE, baseline.per_sample, limit, baseline.per_sample > limit)
+        elsewhere = judge_validation_only(baseline, holdout, noise_limits, policy)
+        verdict = Verdict.UNKNOWN if above or elsewhere else Verdict.COMPLETE
+        return Conclusion(verdict, (above, *elsewhere.checks))
+    subject = " + ".join(selected.effects)
+    clean = judge_residual(baseline, selected, policy)
+    white = make_check(
+        DiscoveryRule.WHITE_RESIDUAL,
+        autocorrelation,
+        policy.excess_autocorrelation,
+        not autocorrelation > policy.excess_autocorrelation,
+        subject,
+    )
+    explained = judge_holdout(holdout, noise_limits, policy)
+    checks = (*clean.checks, white, *explained.checks)
+    if not (clean and white and explained):
+        return Conclusion(Verdict.UNKNOWN, checks)
+    return Conclusion(Verdict.AMBIGUOUS if rivals else Verdict.NAMED, checks)

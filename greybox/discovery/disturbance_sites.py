@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import casadi as ca
 import numpy as np
@@ -15,11 +16,21 @@ from scipy.linalg import expm
 
 from greybox.discovery.problem import CandidateFit
 from greybox.model import Model, System
+from greybox.numerics import SAME_DIRECTION
 from greybox.transcription import SingleShooting
 
-BALANCE, INPUT, SENSOR = "balance", "input", "sensor"
-# Two ways into a model count as one where their directions agree to this.
-SAME = 1e-9
+
+class SiteKind(StrEnum):
+    """What a disturbance may be added to."""
+
+    BALANCE = "balance"
+    INPUT = "input"
+    SENSOR = "sensor"
+
+
+def site_label(kind: str, name: str) -> str:
+    """The name by which a site is known: ``balance force``, ``input u``, ``sensor of x``."""
+    return f"{kind} {name}" if kind != SiteKind.SENSOR else f"sensor of {name}"
 
 
 @dataclass(frozen=True)
@@ -30,20 +41,22 @@ class DisturbanceSite:
     """
 
     name: str
-    kind: str
+    kind: SiteKind
     unit: str
     column: int
 
-    def __str__(self) -> str:
-        return f"{self.kind} {self.name}" if self.kind != SENSOR else f"sensor of {self.name}"
+    @property
+    def label(self) -> str:
+        """The name by which the site is known in results."""
+        return site_label(self.kind, self.name)
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedRun:
     """The model along rows ``first`` to ``first + R`` of one record.
 
-    ``phi`` (R-1, nx, nx), ``c`` (R, ny, nx), and for each place ``gamma`` (R-1, nx), zero for sensors; ``x`` (R, nx) and ``u`` (R, nu)
-    are the run and its inputs, ``time`` (R,) in seconds. A time-invariant model has one entry instead of R of ``phi``, ``c`` and ``gamma``.
+    ``phi`` (R-1, nx, nx), ``c`` (R, ny, nx), and for each site ``gamma`` (R-1, nx), zero for sensors; ``x`` (R, nx) and ``u`` (R, nu)
+    are the run and its inputs, ``time`` (R,) in seconds. A time-invariant model has one entry of ``phi``, ``c`` and ``gamma``, not R.
     """
 
     record: int
@@ -64,56 +77,57 @@ class LinearisedRun:
 def list_disturbance_sites(model: Model, measured: Sequence[str]) -> list[DisturbanceSite]:
     """Every balance of the plant in which something can be missing, every input, and the sensor of every output in ``measured``."""
     system, plant = model.system, {s.name for s in model.states}
-    found = [
-        DisturbanceSite(b.name, BALANCE, b.unit, system.state_names.index(b.state))
+    sites = [
+        DisturbanceSite(b.name, SiteKind.BALANCE, b.unit, system.state_names.index(b.state))
         for b in system.balances
         if b.state in plant and not _is_definition(system, b.state)
     ]
-    found += [DisturbanceSite(i.name, INPUT, i.unit, k) for k, i in enumerate(model.inputs)]
-    return found + [
-        DisturbanceSite(o.name, SENSOR, o.unit, k) for k, o in enumerate(model.outputs) if o.name in measured
+    sites += [DisturbanceSite(i.name, SiteKind.INPUT, i.unit, k) for k, i in enumerate(model.inputs)]
+    return sites + [
+        DisturbanceSite(o.name, SiteKind.SENSOR, o.unit, k) for k, o in enumerate(model.outputs) if o.name in measured
     ]
 
 
-def linearise_run(trial: CandidateFit, record: int, first: int, rows: int) -> LinearisedRun:
-    """``trial``'s model along a stretch of one of its records."""
-    problem, model = trial.problem, trial.model
-    system, seen = model.system, problem.records[record]
-    run = unwhitened_shooting(trial).simulate(np.zeros(trial.variables.size))[record]
-    # A delayed input widens the kernel's record; the linearisation speaks of the input at hand.
+def linearise_run(candidate: CandidateFit, record: int, first: int, rows: int) -> LinearisedRun:
+    """The candidate's model along a stretch of one of its records."""
+    problem, model, variables = candidate.problem, candidate.model, candidate.variables
+    system, measured = model.system, problem.records[record]
+    run = unwhitened_shooting(candidate).simulate(np.zeros(variables.size))[record]
+    # A delayed input widens the kernel's record; the linearisation is about the input as it is now.
     stretch = slice(first, first + rows)
-    x, u = seen.samples(run[1])[stretch], seen.samples(seen.u)[stretch]
+    x, u = measured.samples(run[1])[stretch], measured.samples(measured.u)[stretch]
     time = problem.experiments[record].time[stretch]
-    p = trial.variables.parameters(np.zeros(trial.variables.size), record)
-    ways = list_disturbance_sites(model, [o.name for o in model.outputs])
+    p = variables.parameters(np.zeros(variables.size), record)
+    sites = list_disturbance_sites(model, [o.name for o in model.outputs])
     a, b, c, storage = _slopes(system, x, u, p)
     steps = np.diff(time)
     if len(a) == 1 and np.allclose(steps, steps[0], rtol=1e-6):
         steps = steps[:1]
     count = max(len(steps), 1)
-    entering = {w: _direction(w, b, storage) for w in ways if w.kind != SENSOR}
-    block = np.zeros((count, x.shape[1] + len(entering), x.shape[1] + len(entering)))
-    block[:, : x.shape[1], : x.shape[1]] = (a[:-1] if len(a) > 1 else a) * steps[:, None, None]
-    for k, way in enumerate(entering.values()):
-        block[:, : x.shape[1], x.shape[1] + k] = (way[:-1] if len(way) > 1 else way) * steps[:, None]
-    moved = expm(block)
-    gamma = {w: moved[:, : x.shape[1], x.shape[1] + k] for k, w in enumerate(entering)}
-    gamma |= {w: np.zeros((1, x.shape[1])) for w in ways if w.kind == SENSOR}
-    return LinearisedRun(record, first, time, x, u, moved[:, : x.shape[1], : x.shape[1]], c, gamma)
+    directions = {site: _direction(site, b, storage) for site in sites if site.kind != SiteKind.SENSOR}
+    nx = x.shape[1]
+    block = np.zeros((count, nx + len(directions), nx + len(directions)))
+    block[:, :nx, :nx] = (a[:-1] if len(a) > 1 else a) * steps[:, None, None]
+    for k, direction in enumerate(directions.values()):
+        block[:, :nx, nx + k] = (direction[:-1] if len(direction) > 1 else direction) * steps[:, None]
+    exponential = expm(block)
+    gamma = {site: exponential[:, :nx, nx + k] for k, site in enumerate(directions)}
+    gamma |= {site: np.zeros((1, nx)) for site in sites if site.kind == SiteKind.SENSOR}
+    return LinearisedRun(record, first, time, x, u, exponential[:, :nx, :nx], c, gamma)
 
 
-def unwhitened_shooting(trial: CandidateFit) -> SingleShooting:
-    """The trial's residuals in units of the noise, not whitened."""
-    problem = trial.problem
-    return SingleShooting(trial.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
+def unwhitened_shooting(candidate: CandidateFit) -> SingleShooting:
+    """The candidate's residuals in units of the noise, not whitened."""
+    problem = candidate.problem
+    return SingleShooting(candidate.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
 
 
 def are_indistinguishable(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two ways in (R, nx) differ by a factor only: then no sensor can tell them apart."""
+    """Whether two input directions (R, nx) differ by a factor only: then no sensor can tell them apart."""
     if one.shape != other.shape or not (one.any() and other.any()):
         return False
     a, b = one / np.linalg.norm(one), other / np.linalg.norm(other)
-    return bool(min(np.abs(a - b).max(), np.abs(a + b).max()) < SAME)
+    return bool(min(np.abs(a - b).max(), np.abs(a + b).max()) < SAME_DIRECTION)
 
 
 def _slopes(
@@ -121,26 +135,28 @@ def _slopes(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """``d rhs/dx`` (R, nx, nx), ``d rhs/du``, ``d y/dx`` and the storages (R, nx); one entry each for an affine model."""
     smooth = ca.substitute(system.rhs, system.direction, ca.SX.zeros(len(system.dry)))
-    pieces = [
-        ca.jacobian(smooth, system.x), ca.jacobian(smooth, system.u), ca.jacobian(system.outputs, system.x),
+    matrices = [
+        ca.jacobian(smooth, system.x),
+        ca.jacobian(smooth, system.u),
+        ca.jacobian(system.outputs, system.x),
         system.storages,
-    ]  # fmt: skip
-    every = ca.vertcat(system.x, system.u)
-    rows = slice(0, 1) if not any(ca.depends_on(m, every) for m in pieces) else slice(None)
-    found = []
-    for m in pieces:
+    ]
+    signals = ca.vertcat(system.x, system.u)
+    rows = slice(0, 1) if not any(ca.depends_on(m, signals) for m in matrices) else slice(None)
+    slopes = []
+    for m in matrices:
         values = ca.Function("m", [system.x, system.u, system.p], [ca.vec(m.T)])(x[rows].T, u[rows].T, p).full().T
-        found.append(np.nan_to_num(values).reshape(-1, *m.shape))
-    return found[0], found[1], found[2], found[3][:, :, 0]
+        slopes.append(np.nan_to_num(values).reshape(-1, *m.shape))
+    return slopes[0], slopes[1], slopes[2], slopes[3][:, :, 0]
 
 
-def _direction(place: DisturbanceSite, b: np.ndarray, storage: np.ndarray) -> np.ndarray:
-    """What a unit at ``place`` does to the rates (R, nx)."""
-    if place.kind == INPUT:
-        return b[:, :, place.column]
-    way = np.zeros_like(storage)
-    way[:, place.column] = 1 / storage[:, place.column]
-    return way
+def _direction(site: DisturbanceSite, b: np.ndarray, storage: np.ndarray) -> np.ndarray:
+    """What a unit at ``site`` does to the rates (R, nx)."""
+    if site.kind == SiteKind.INPUT:
+        return b[:, :, site.column]
+    direction = np.zeros_like(storage)
+    direction[:, site.column] = 1 / storage[:, site.column]
+    return direction
 
 
 def _is_definition(system: System, state: str) -> bool:

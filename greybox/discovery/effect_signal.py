@@ -1,8 +1,8 @@
 """The missing signal of a named effect, from the data and from the model: the picture that convinces, or not.
 
-With the extended model's constants and without the effect, the residual holds the effect whole, nothing of it swallowed by other
-constants. The smoother that estimates an unknown signal from it also passes over the extended model's own run: where the effect is
-right the two agree, by whatever way the effect enters.
+With the extended model's parameters and without the effect, the residual holds the effect whole, nothing of it swallowed by other
+parameters. The smoother that estimates an unknown signal from it also passes over the extended model's own run: where the effect is
+right the two agree, whatever way the effect enters.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ from greybox.discovery.disturbance_sites import (
     unwhitened_shooting,
 )
 from greybox.discovery.localisation import find_worst_stretch, signal_units
+from greybox.discovery.policy import LocalisationPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem, with_start_values
-from greybox.discovery.signal_smoother import SignalSmoother, absorbed_basis, whiten_columns
+from greybox.discovery.signal_smoother import SignalSmoother, SmoothedSignal, absorbed_basis, whiten_columns
+from greybox.numerics import TINY
 from greybox.values import ReadOnly
 
 
@@ -29,9 +31,18 @@ from greybox.values import ReadOnly
 class EffectSignal(ReadOnly):
     """The signal that ``effect`` stands for at ``site`` of ``record``, in ``unit``.
 
-    ``value`` and ``std`` (K,) are from the data, ``modelled`` (K,) from the extended model. ``variable`` (K,): the values of the
-    variable that it depends on most (``variable_name``, in ``variable_unit``); ``region``: the data's signal as a function of it; ``time``
-    (K,) in seconds. ``explained``: share of the signal's variance that the effect explains.
+    Parameters
+    ----------
+    time
+        Seconds (K,).
+    value, std
+        Signal from the data and its standard deviation (K,).
+    modelled
+        The same signal from the extended model (K,).
+    variable, variable_name, variable_unit
+        Values (K,), name and unit of the variable that the signal depends on most.
+    dependence
+        The data's signal as a function of it.
     """
 
     effect: str
@@ -45,82 +56,101 @@ class EffectSignal(ReadOnly):
     variable_name: str
     variable_unit: str
     variable: np.ndarray
-    region: Dependence
+    dependence: Dependence
 
     @property
     def explained(self) -> float:
         """One minus the variance of the difference over that of the signal."""
-        return 1 - float(np.var(self.value - self.modelled) / max(np.var(self.value), 1e-300))
+        return 1 - float(np.var(self.value - self.modelled) / max(np.var(self.value), TINY))
 
 
-def estimate_effect_signals(bench: DiscoveryProblem, trial: CandidateFit) -> tuple[EffectSignal, ...]:
-    """One for each effect of an extended model, where its signal is to be seen."""
-    found = (_missing(bench, trial, b.effect.name, b.site) for b in trial.model.bound_effects)
-    return tuple(m for m in found if m is not None)
+def estimate_effect_signals(
+    problem: DiscoveryProblem, candidate: CandidateFit, policy: LocalisationPolicy
+) -> tuple[EffectSignal, ...]:
+    """One for each effect of an extended model, where its signal can be estimated."""
+    signals = (_estimate(problem, candidate, b.effect.name, b.site, policy) for b in candidate.model.bound_effects)
+    return tuple(signal for signal in signals if signal is not None)
 
 
-def _missing(bench: DiscoveryProblem, trial: CandidateFit, name: str, site: str) -> EffectSignal | None:
-    without = _without(bench, trial, name)
+def _estimate(
+    problem: DiscoveryProblem, candidate: CandidateFit, effect: str, site_name: str, policy: LocalisationPolicy
+) -> EffectSignal | None:
+    without = _without_effect(problem, candidate, effect)
     shooting, zero = unwhitened_shooting(without), np.zeros(without.variables.size)
     residuals = [r for r, _ in shooting.residuals(zero)]
-    if not all(
-        np.isfinite(r[np.isfinite(s.samples(s.y))]).all() for r, s in zip(residuals, shooting.records, strict=True)
-    ):
-        return None  # without it the model overflows: nothing to compare with
-    record, first, rows = find_worst_stretch(residuals)
+    measured = [np.isfinite(record.samples(record.y)) for record in shooting.records]
+    if not all(np.isfinite(r[present]).all() for r, present in zip(residuals, measured, strict=True)):
+        return None  # without the effect the model overflows: nothing to compare with
+    record, first, rows = find_worst_stretch(residuals, policy.most_rows)
     line = linearise_run(without, record, first, rows)
-    place = next(
-        (p for p in list_disturbance_sites(without.model, [o.name for o in without.model.outputs]) if p.name == site),
-        None,
-    )
-    if place is None:
+    sites = list_disturbance_sites(without.model, [o.name for o in without.model.outputs])
+    site = next((s for s in sites if s.name == site_name), None)
+    if site is None:
         return None
-    own = unwhitened_shooting(trial).residuals(np.zeros(trial.variables.size))[record][0]
+    shooting, zero = unwhitened_shooting(candidate), np.zeros(candidate.variables.size)
     stretch = slice(first, first + rows)
-    seen = residuals[record][stretch]
-    data, model = _both(line, place, without, seen, seen - own[stretch])
+    residual = residuals[record][stretch]
+    of_effect = residual - shooting.residuals(zero)[record][0][stretch]
+    from_data, modelled = _smooth_both(line, site, without, residual, of_effect, policy)
     names = [*without.model.system.state_names, *(i.name for i in without.model.inputs)]
-    states = unwhitened_shooting(trial).simulate(np.zeros(trial.variables.size))[record][1]
-    along = _along(trial, without, states, stretch, line)[data[0]]
+    states = shooting.simulate(zero)[record][1]
+    along_run = _states_and_inputs(candidate, without, states[stretch], line)[from_data.rows]
     units = signal_units(without.model)
-    variables = {n: (v, units[n]) for n, v in zip(names, along.T, strict=True)}
-    ranked = [r for r in rank_dependences(line.time[data[0]], data[1], variables) if r.tone is None]
+    variables = {name: (values, units[name]) for name, values in zip(names, along_run.T, strict=True)}
+    time = line.time[from_data.rows]
+    ranked = [d for d in rank_dependences(time, from_data.value, variables, policy) if d.tone is None]
     if not ranked:
         return None
     best = ranked[0]
     return EffectSignal(
-        name, str(place), place.unit, trial.problem.experiments[record].name, line.time[data[0]], data[1], data[2], model,
-        best.variable, best.unit, variables[best.variable][0], best,
-    )  # fmt: skip
+        effect,
+        site.label,
+        site.unit,
+        candidate.problem.experiments[record].name,
+        time,
+        from_data.value,
+        from_data.std,
+        modelled,
+        best.variable,
+        best.unit,
+        variables[best.variable][0],
+        best,
+    )
 
 
-def _without(bench: DiscoveryProblem, trial: CandidateFit, name: str) -> CandidateFit:
-    """The extended model at its own constants, one effect taken out and nothing refitted."""
-    model = trial.model.without(name)
-    problem = bench.problem(model)
-    names, kept = trial.model.system.state_names, model.system.state_names
-    guess = trial.variables.initial.guess[:, [names.index(n) for n in kept]]
-    variables = with_start_values(problem.variables, {n: v for n, v in trial.model.values.items() if n in model.values})
+def _without_effect(problem: DiscoveryProblem, candidate: CandidateFit, name: str) -> CandidateFit:
+    """The extended model at its own parameters, one effect taken out and nothing refitted."""
+    model = candidate.model.without(name)
+    estimation = problem.prepare(model)
+    names, kept = candidate.model.system.state_names, model.system.state_names
+    guess = candidate.variables.initial.guess[:, [names.index(n) for n in kept]]
+    values = {n: v for n, v in candidate.model.values.items() if n in model.values}
+    variables = with_start_values(estimation.variables, values)
     variables = replace(variables, initial=replace(variables.initial, guess=guess))
-    return CandidateFit(model, np.nan, trial.count, variables.size, problem, variables, trial.evaluation)
+    return CandidateFit(model, np.nan, candidate.count, variables.size, estimation, variables, candidate.evaluation)
 
 
-def _both(
-    line: LinearisedRun, place: DisturbanceSite, trial: CandidateFit, seen: np.ndarray, modelled: np.ndarray
-) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
-    """Knots, signal and standard deviation from the data, and the signal from the model's run, by one smoother."""
-    noise, present = trial.problem.noise, np.isfinite(seen)
-    initial = absorbed_basis(line, 1 / noise.std, noise.colour, np.zeros((*seen.shape, 0)), present)
-    smoother = SignalSmoother.of(line, place, 1 / noise.std, noise.colour, initial, present)
-    data, model = (whiten_columns(r[:, :, None], noise.colour, present)[present][:, 0] for r in (seen, modelled))
-    found = smoother.smooth(data)
-    return (found.rows, found.value, found.std), smoother.smooth(model, found.intensity).value
+def _smooth_both(
+    line: LinearisedRun,
+    site: DisturbanceSite,
+    candidate: CandidateFit,
+    residual: np.ndarray,
+    modelled: np.ndarray,
+    policy: LocalisationPolicy,
+) -> tuple[SmoothedSignal, np.ndarray]:
+    """The signal from the data, and from the model's run, by one smoother."""
+    noise, present = candidate.problem.noise, np.isfinite(residual)
+    initial = absorbed_basis(line, 1 / noise.std, noise.colour, np.zeros((*residual.shape, 0)), present)
+    smoother = SignalSmoother.at_site(line, site, 1 / noise.std, noise.colour, initial, present, policy)
+    data, model = (whiten_columns(r[:, :, None], noise.colour, present)[present][:, 0] for r in (residual, modelled))
+    from_data = smoother.smooth(data)
+    return from_data, smoother.smooth(model, from_data.intensity).value
 
 
-def _along(
-    trial: CandidateFit, without: CandidateFit, states: np.ndarray, stretch: slice, line: LinearisedRun
+def _states_and_inputs(
+    candidate: CandidateFit, without: CandidateFit, states: np.ndarray, line: LinearisedRun
 ) -> np.ndarray:
     """States of the extended run that the model has without the effect too, and the inputs (R, nx + nu)."""
-    names = trial.model.system.state_names
+    names = candidate.model.system.state_names
     kept = [names.index(n) for n in without.model.system.state_names]
-    return np.column_stack([states[stretch][:, kept], line.u])
+    return np.column_stack([states[:, kept], line.u])

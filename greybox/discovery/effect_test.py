@@ -1,36 +1,44 @@
-"""`try_effect` and `drop_effect`: one effect put in or taken out by hand, with the evidence for and against it."""
+"""`try_effect` and `drop_effect`: one effect added or removed by hand, with the evidence for and against it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import numpy as np
-
-from greybox.discovery import decision
-from greybox.discovery.holdout_error import HoldoutError, compare_holdout_errors
+from greybox.discovery.decision import criterion_gain, excess_cost, judge_effect
+from greybox.discovery.holdout import HoldoutError, compare_holdout_errors, validate_candidate
+from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
-from greybox.discovery.starting_points import generate_starting_points
-from greybox.effects import Scales, effect, measure_scales, tailor_to_record
+from greybox.discovery.starting_points import estimate_scales, generate_starting_points
+from greybox.effects import effect, tailor_to_record
 from greybox.errors import DataError
-from greybox.estimation import fit as fitted
-from greybox.estimation import validate
 from greybox.experiment import Experiment
+from greybox.findings import Check
 from greybox.model import Effect, Model
 from greybox.result import Fit
-from greybox.values import ReadOnly
-
-# Starts that are refitted, of all that are looked at.
-KEPT = 3
+from greybox.values import Printable, ReadOnly
 
 
 @dataclass(frozen=True, eq=False)
-class EffectTest(ReadOnly):
+class EffectTest(Printable, ReadOnly):
     """A model with and without one effect, both fitted to the same records.
 
-    ``smaller`` and ``larger`` are the two fits. ``gain``: how much Schwarz's criterion falls by the effect (its constants paid for);
-    ``closed``: the share of the smaller model's misfit beyond noise that the effect takes away; ``gap``: rms misfit on the validation
-    records by output, empty without any. ``needed``: whether the records demand the effect, by the rules that `discover` goes by.
+    Parameters
+    ----------
+    name
+        The effect.
+    smaller, larger
+        The two fits.
+    gain
+        Decrease of Schwarz's criterion by the effect, its parameters paid for.
+    explained_fraction
+        Share of the smaller model's excess cost that the effect explains.
+    holdout
+        Error on the validation records by output; empty without any.
+    is_needed
+        Whether the records demand the effect, by the rules of `discover`.
+    checks
+        What this rests on.
     """
 
     name: str
@@ -38,29 +46,14 @@ class EffectTest(ReadOnly):
     larger: Fit
     gain: float
     explained_fraction: float
-    gap: Mapping[str, HoldoutError]
+    holdout: Mapping[str, HoldoutError]
     is_needed: bool
+    checks: tuple[Check, ...] = ()
 
     @property
     def model(self) -> Model:
         """The model to go on with: the larger where the effect is needed, else the smaller."""
         return self.larger.model if self.is_needed else self.smaller.model
-
-    def __str__(self) -> str:
-        said = "the records demand it: keep it" if self.is_needed else "the records do not demand it: leave it out"
-        lines = [
-            f"{self.name}: {said}",
-            f"  criterion (Schwarz) better by {self.gain:.4g}, needed {decision.STRONG:g}",
-            f"  closes {100 * self.explained_fraction:.3g} % of the misfit beyond noise, needed {100 * decision.FIRST_SHARE:g} %",
-        ]
-        own = next(b.model_names for b in self.larger.model.bound_effects if b.effect.name == self.name)
-        for inner, name in own.items():
-            constant = self.larger.parameters.get(name)
-            if constant is not None:
-                spread = "" if constant.std is None else f" +- {constant.std:.2g}"
-                lines.append(f"  {inner} = {constant.value:.5g}{spread} {constant.unit}".rstrip())
-        lines += [f"  {o}: rms misfit on the validation records {g}" for o, g in self.gap.items()]
-        return "\n".join(lines)
 
 
 def try_effect(
@@ -69,89 +62,125 @@ def try_effect(
     *,
     validation: Experiment | Sequence[Experiment] = (),
     nominal: Model | None = None,
+    policy: DiscoveryPolicy | None = None,
 ) -> EffectTest:
-    """Refit the model of ``fit`` with one more effect, on the same records, from many starts.
+    """Refit the model of ``fit`` with one more effect, on the same records, from many starting points.
 
-    ``candidate``: an `Effect`, or the name of one of the catalogue. ``nominal``: the model as it was before the fit; its constants are
-    further starting points, which matters where the plain fit has swallowed the effect (dry friction that became damping).
-    ``validation``: records that neither fit has seen. Keep the effect by going on with ``attempt.larger``, drop it by not doing so.
+    Parameters
+    ----------
+    fit
+        A finished fit.
+    candidate
+        An `Effect`, or the name of one of the catalogue.
+    validation
+        Records that neither fit has seen.
+    nominal
+        The model as it was before the fit. Its parameters are further starting points, which matters where the plain fit has
+        swallowed the effect (dry friction that became damping).
+    policy
+        The decision numbers.
 
-    Raises ModelError for an effect that the model has no place for, DataError where no start can be simulated.
+    Returns
+    -------
+    EffectTest
+        Both fits and the checks. Keep the effect by going on with ``larger``, drop it by not doing so.
+
+    Raises
+    ------
+    ModelError
+        For an effect that the model has no site for.
+    DataError
+        If the extended model cannot be simulated from any starting point.
+
+    Examples
+    --------
+    >>> test = gb.discovery.try_effect(fit, "coulomb_friction", validation=record)  # doctest: +SKIP
+    >>> test.is_needed  # doctest: +SKIP
+    True
     """
-    bench = DiscoveryProblem.of(fit)
-    trial = bench.at(fit)
-    scales = estimate_scales(trial)
+    policy = policy or DiscoveryPolicy()
+    problem = DiscoveryProblem.from_fit(fit, policy.budget)
+    without = problem.to_candidate(fit)
+    scales = estimate_scales(without)
     added = tailor_to_record(effect(candidate) if isinstance(candidate, str) else candidate, scales)
     model = fit.model + added
-    starts = list(generate_starting_points(model, added, trial, nominal or fit.model, scales))
-    # Begun absent as well: an effect that is not there must not make the fit worse.
-    tried = (bench.best(model, starts, KEPT, like=trial), bench.best(model, [model.values], 1, like=trial))
-    found = min((t for t in tried if t is not None), key=lambda t: t.cost, default=None)
-    if found is None:
+    amplitudes = policy.budget.amplitude_grid
+    starts = list(generate_starting_points(model, added, without, nominal or fit.model, scales, amplitudes))
+    # From its absence as well: an effect that is not there must not make the fit worse.
+    refits = (
+        problem.refit_best(model, starts, policy.budget.effect_test_starts, like=without),
+        problem.refit_best(model, [model.values], 1, like=without),
+    )
+    best = min((refit for refit in refits if refit is not None), key=lambda refit: refit.cost, default=None)
+    if best is None:
         raise DataError(
             f"effect {added.name!r}: the extended model overflows from every start; state the effect's bounds"
         )
-    return _attempt(added.name, bench, trial, found, validation)
+    return _compare(added.name, problem, without, best, validation, policy)
 
 
-def drop_effect(fit: Fit, name: str, *, validation: Experiment | Sequence[Experiment] = ()) -> EffectTest:
+def drop_effect(
+    fit: Fit,
+    name: str,
+    *,
+    validation: Experiment | Sequence[Experiment] = (),
+    policy: DiscoveryPolicy | None = None,
+) -> EffectTest:
     """Refit the model of ``fit`` without one of its effects: is it still needed, now that the others are there?
 
-    Raises ModelError for an effect that the model has not, DataError where the smaller model cannot be simulated.
+    Parameters
+    ----------
+    fit
+        A finished fit of a model with effects.
+    name
+        The effect to remove.
+    validation
+        Records that neither fit has seen.
+    policy
+        The decision numbers.
+
+    Returns
+    -------
+    EffectTest
+        Both fits and the checks.
+
+    Raises
+    ------
+    ModelError
+        For an effect that the model does not have.
+    DataError
+        If the smaller model cannot be simulated.
     """
-    bench = DiscoveryProblem.of(fit)
+    policy = policy or DiscoveryPolicy()
+    problem = DiscoveryProblem.from_fit(fit, policy.budget)
     smaller = fit.model.without(name)
     values = {n: value for n, value in fit.model.values.items() if n in smaller.values}
-    found = bench.best(smaller, [values], like=bench.at(fit))
-    if found is None:
+    refit = problem.refit_best(smaller, [values], like=problem.to_candidate(fit))
+    if refit is None:
         raise DataError(f"model {smaller.title!r} overflows from the constants of {fit.model.title!r}")
-    return _attempt(name, bench, found, bench.at(fit), validation)
+    return _compare(name, problem, refit, problem.to_candidate(fit), validation, policy)
 
 
-def estimate_scales(trial: CandidateFit) -> Scales:
-    """Peaks and times of a fitted model on its first record."""
-    _, states = trial.problem.shooting(trial.variables).simulate(np.zeros(trial.variables.size))[0]
-    record = trial.problem.records[0]
-    return measure_scales(trial.model, states, record.u, float(np.median(record.h)))
-
-
-def estimated_initial_states(trial: CandidateFit) -> list[dict[str, float]]:
-    """The estimated initial states of each record where a trial ended."""
-    initial, names = trial.variables.initial, np.array(trial.model.system.state_names)
-    return [dict(zip(names[initial.free].tolist(), row[initial.free].tolist(), strict=True)) for row in initial.guess]
-
-
-def finish_and_validate(
-    trial: CandidateFit, bench: DiscoveryProblem, judges: Sequence[Experiment], skip: int = 0
-) -> Fit:
-    """The trial as a fit with intervals, from its own constants and initial states, judged on other records without their first
-    ``skip`` rows."""
-    quick = replace(bench.options, progressive=False, thorough=False)
-    result = fitted(
-        trial.model,
-        bench.experiments,
-        noise=trial.problem.noise,
-        initial=estimated_initial_states(trial),
-        options=quick,
-    )
-    if not judges:
-        return result
-    seen = validate(result.model, judges, noise=result.noise.std, skip=skip, options=quick)
-    return replace(result, validation=seen)
-
-
-def _attempt(
+def _compare(
     name: str,
-    bench: DiscoveryProblem,
+    problem: DiscoveryProblem,
     smaller: CandidateFit,
     larger: CandidateFit,
     validation: Experiment | Sequence[Experiment],
+    policy: DiscoveryPolicy,
 ) -> EffectTest:
-    judges = (validation,) if isinstance(validation, Experiment) else tuple(validation)
-    before, after = (finish_and_validate(t, bench, judges) for t in (smaller, larger))
-    over = decision.excess_cost(smaller)
-    explained_fraction = (smaller.cost - larger.cost) / over if over else 0.0
+    records = (validation,) if isinstance(validation, Experiment) else tuple(validation)
+    before, after = (validate_candidate(problem, candidate, records) for candidate in (smaller, larger))
+    excess = excess_cost(smaller)
+    explained = (smaller.cost - larger.cost) / excess if excess else 0.0
+    needed = judge_effect(smaller, smaller, larger, policy.selection)
     return EffectTest(
-        name, before, after, decision.criterion_gain(smaller, larger), min(explained_fraction, 1.0), compare_holdout_errors(before, after),
-        decision.is_effect_accepted(smaller, smaller, larger),
-    )  # fmt: skip
+        name,
+        before,
+        after,
+        criterion_gain(smaller, larger),
+        min(explained, 1.0),
+        compare_holdout_errors(before, after),
+        needed.passed,
+        needed.checks,
+    )

@@ -1,8 +1,7 @@
-"""Many refits: here, in other processes or on a cluster, each of them kept in a journal so that an interrupted search can go on."""
+"""Many refits: in this process, in others or on a cluster, each kept in a journal so that an interrupted run resumes."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,28 +9,21 @@ from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
-import casadi as ca
 import numpy as np
 
+from greybox.discovery.policy import SearchBudget
 from greybox.errors import DataError, FitError
-from greybox.estimation.versions import read_versions
 from greybox.model import Model
 from greybox.parallel import count_cores, open_local_pool, run_jobs
-
-if TYPE_CHECKING:
-    from greybox.discovery.problem import DiscoveryProblem
-
-# Seconds of refits from which processes of their own pay for their start.
-PAYS = 20.0
 
 
 @dataclass(frozen=True)
 class RefitJob:
     """One refit: ``model`` from the ``keep`` most promising of ``starts``, ``iterations`` at most.
 
-    ``beginning``: first guess of states at the first row of each record, by name; of the others as the model and the record say.
+    ``beginning`` holds the first guess of initial states by name, one value a record; the others start as model and record say.
     """
 
     model: Model
@@ -43,7 +35,7 @@ class RefitJob:
 
 @dataclass(frozen=True)
 class RefitOutcome:
-    """Where a refit ended: the values of all constants by name, and each record's initial state (experiments, nx)."""
+    """Where a refit ended: parameters by name, and the initial state of each record (records, nx)."""
 
     values: Mapping[str, float]
     initial: tuple[tuple[float, ...], ...]
@@ -53,7 +45,12 @@ class RefitOutcome:
 class RefitJournal:
     """Finished refits in a file, one JSON object a line, by a hash of model, starts, records, noise, options and versions.
 
-    ``reused`` counts those that were found in it. Raises DataError where the file is no journal.
+    ``reused`` counts the refits that were taken from it.
+
+    Raises
+    ------
+    DataError
+        If the file is no journal.
     """
 
     path: Path
@@ -67,9 +64,9 @@ class RefitJournal:
                 entry = json.loads(line)
                 self.known[entry["key"]] = _outcome(entry["outcome"])
             except (json.JSONDecodeError, KeyError, TypeError) as error:
-                if number < len(lines):  # the last one may have been cut short when the power went
+                if number < len(lines):  # the last line may be incomplete after a power cut
                     raise DataError(
-                        f"{self.path}: line {number} is no finished refit ({error}); delete the file to begin anew"
+                        f"{self.path}: line {number} is no finished refit ({error}); delete the file to start again"
                     ) from None
 
     def add(self, key: str, outcome: RefitOutcome | None) -> None:
@@ -80,45 +77,81 @@ class RefitJournal:
             file.write(json.dumps({"key": key, "outcome": None if outcome is None else asdict(outcome)}) + "\n")
 
 
+class RefitProblem(Protocol):
+    """What an executor needs of the problem that it refits for."""
+
+    def refit(self, job: RefitJob, /) -> Any:
+        """The fitted candidate of one job; None if it cannot be simulated from any start."""
+
+    def to_outcome(self, candidate: Any, /) -> RefitOutcome:
+        """What must be kept of a candidate to restore it."""
+
+    def restore(self, model: Model, outcome: RefitOutcome, /) -> Any:
+        """The candidate of an earlier refit."""
+
+    def to_portable(self) -> RefitProblem:
+        """The same problem for another process."""
+
+    def job_key(self, job: RefitJob, /) -> str:
+        """The hash by which a refit is known."""
+
+
 @dataclass
 class RefitExecutor:
-    """How refits are done: on an ``executor`` (None: this machine, on ``workers`` processes where that pays), with a ``journal`` or not.
+    """Where refits run, and where they are kept.
 
-    ``report`` is told after each how many are ``finished``.
+    Parameters
+    ----------
+    executor
+        Any `concurrent.futures.Executor`; None for this machine.
+    workers
+        Processes on this machine; 0 for one a core.
+    journal
+        Keeps every finished refit; None for none.
+    report
+        Called after each refit with the number of finished ones.
+    parallel_seconds
+        Expected seconds of refits from which starting processes pays.
     """
 
     executor: Executor | None = None
     workers: int = 0
     journal: RefitJournal | None = None
     report: Callable[[int], None] | None = None
+    parallel_seconds: float = SearchBudget.parallel_seconds
     finished: int = field(init=False, default=0)
     seconds: list[float] = field(init=False, default_factory=list)
     _pools: ExitStack = field(init=False, default_factory=ExitStack)
 
-    def run(self, bench: DiscoveryProblem, jobs: Sequence[RefitJob]) -> list[Any]:
-        """Each job as a `CandidateFit` on ``bench``; None for one that no start could simulate.
+    def run(self, problem: RefitProblem, jobs: Sequence[RefitJob]) -> list[Any]:
+        """Each job as a fitted candidate of ``problem``; None for one that could not be simulated from any start.
 
-        Raises FitError where another process failed, KeyboardInterrupt where the user ended a refit.
+        Raises
+        ------
+        FitError
+            If another process failed.
+        KeyboardInterrupt
+            If the user interrupted a refit.
         """
-        keys = [job_key(bench, job) if self.journal else "" for job in jobs]
-        found: list[Any] = [None] * len(jobs)
-        todo = []
+        keys = [problem.job_key(job) if self.journal else "" for job in jobs]
+        results: list[Any] = [None] * len(jobs)
+        remaining = []
         for k, (key, job) in enumerate(zip(keys, jobs, strict=True)):
             if self.journal and key in self.journal.known:
                 self.journal.reused += 1
                 outcome = self.journal.known[key]
-                found[k] = None if outcome is None else bench.placed(job.model, outcome)
+                results[k] = None if outcome is None else problem.restore(job.model, outcome)
             else:
-                todo.append(k)
-        if len(todo) > 1 and self._pays(len(todo)):
-            self._elsewhere(bench, jobs, keys, todo, found)
-            return found
-        for k in todo:
+                remaining.append(k)
+        if len(remaining) > 1 and self._parallel_pays(len(remaining)):
+            self._run_in_parallel(problem, jobs, keys, remaining, results)
+            return results
+        for k in remaining:
             began = time.perf_counter()
-            found[k] = bench.refitted(jobs[k])
+            results[k] = problem.refit(jobs[k])
             self.seconds.append(time.perf_counter() - began)
-            self._note(keys[k], found[k] and bench.outcome(found[k]))
-        return found
+            self._keep(keys[k], results[k] and problem.to_outcome(results[k]))
+        return results
 
     @contextmanager
     def open(self) -> Iterator[RefitExecutor]:
@@ -126,42 +159,46 @@ class RefitExecutor:
         with self._pools:
             yield self
 
-    def _pays(self, jobs: int) -> bool:
+    def _parallel_pays(self, jobs: int) -> bool:
         if self.executor is not None:
             return True
         processes = self.workers or count_cores()
         usual = float(np.median(self.seconds)) if self.seconds else 0.0
-        if processes < 2 or jobs * usual < PAYS:
+        if processes < 2 or jobs * usual < self.parallel_seconds:
             return False
         self.executor = self._pools.enter_context(open_local_pool(processes))
         return True
 
-    def _elsewhere(
+    def _run_in_parallel(
         self,
-        bench: DiscoveryProblem,
+        problem: RefitProblem,
         jobs: Sequence[RefitJob],
         keys: Sequence[str],
-        todo: Sequence[int],
-        found: list[Any],
+        remaining: Sequence[int],
+        results: list[Any],
     ) -> None:
         done, interrupted = run_jobs(
-            _refit, bench.portable(), [jobs[k] for k in todo], executor=self.executor, workers=self.workers
+            _refit_elsewhere,
+            problem.to_portable(),
+            [jobs[k] for k in remaining],
+            executor=self.executor,
+            workers=self.workers,
         )
         errors = []
-        for k, result in zip(todo, done, strict=True):
+        for k, result in zip(remaining, done, strict=True):
             if result is None:
                 continue
             if result.error:
                 errors.append(f"{jobs[k].model.title}: {result.error}")
                 continue
-            self._note(keys[k], result.value)
-            found[k] = None if result.value is None else bench.placed(jobs[k].model, result.value)
+            self._keep(keys[k], result.value)
+            results[k] = None if result.value is None else problem.restore(jobs[k].model, result.value)
         if interrupted:
             raise KeyboardInterrupt
         if errors:
             raise FitError(f"refits failed: {'; '.join(errors)}")
 
-    def _note(self, key: str, outcome: RefitOutcome | None) -> None:
+    def _keep(self, key: str, outcome: RefitOutcome | None) -> None:
         self.finished += 1
         if self.report:
             self.report(self.finished)
@@ -169,25 +206,10 @@ class RefitExecutor:
             self.journal.add(key, outcome)
 
 
-def job_key(bench: DiscoveryProblem, job: RefitJob) -> str:
-    """The hash by which a refit is known: equal where model, starts, records, noise, options and versions are."""
-    system, noise = job.model.system, bench.known_noise
-    said = [
-        str(ca.vertcat(*map(ca.vec, system.free_run_expressions))), str(system.diffusion),
-        [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in job.model.all_parameters],
-        [(s.name, s.bounds) for s in job.model.all_states],
-        [sorted(s.items()) for s in job.starts], job.keep, job.iterations, sorted(job.beginning.items()),
-        [e.hold for e in job.model.effects],  # the equations do not show it
-        [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in bench.experiments],
-        noise.std.tolist(), [c.reflection for c in noise.colour], sorted(asdict(bench.options).items()), sorted(read_versions().items()),
-    ]  # fmt: skip
-    return hashlib.sha256(repr(said).encode()).hexdigest()[:32]
-
-
-def _refit(bench: DiscoveryProblem, job: RefitJob) -> RefitOutcome | None:
+def _refit_elsewhere(problem: RefitProblem, job: RefitJob) -> RefitOutcome | None:
     """One job, in another process."""
-    trial = bench.refitted(job)
-    return None if trial is None else bench.outcome(trial)
+    candidate = problem.refit(job)
+    return None if candidate is None else problem.to_outcome(candidate)
 
 
 def _outcome(data: Mapping[str, Any] | None) -> RefitOutcome | None:

@@ -1,55 +1,119 @@
-"""The held-out veto: a model that explains the records it was fitted to, and no others, explains nothing."""
+"""Models on records that no parameter has seen: the holdout error, and the rejection of a model that explains nothing there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.discovery import decision
+from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.estimation import fit as estimate
 from greybox.estimation import validate
 from greybox.experiment import Experiment
+from greybox.result import Fit, Misfit
+from greybox.values import Printable
 
-# Other sets of effects that are judged instead, likeliest first.
-JUDGED = 8
+
+@dataclass(frozen=True)
+class HoldoutError(Printable):
+    """Rms simulation error of one output on the validation records.
+
+    Parameters
+    ----------
+    before, after
+        Error of the plain and of the extended model, in ``unit``.
+    floor
+        Standard deviation of the noise: the error of a perfect model.
+    unit
+        Unit of the output.
+    """
+
+    before: float
+    after: float
+    floor: float
+    unit: str
+
+    @property
+    def explained_fraction(self) -> float:
+        """Share of the gap between ``before`` and ``floor`` that the extended model removes; negative where it is worse."""
+        return (self.before - self.after) / max(self.before - self.floor, 1e-12 * self.before)
+
+
+def compare_holdout_errors(base: Fit, best: Fit) -> dict[str, HoldoutError]:
+    """By output, from two fits that were validated on the same records."""
+    after = best.validation.misfit
+    return {name: _compare(before, after[name]) for name, before in base.validation.misfit.items()}
+
+
+def _compare(before: Misfit, after: Misfit) -> HoldoutError:
+    return HoldoutError(before.rmse, after.rmse, before.rmse / before.noise_ratio, before.unit)
+
+
+def worst_output(holdout: Mapping[str, HoldoutError]) -> str:
+    """The output that the plain model misses most, in units of its noise."""
+    return max(holdout, key=lambda name: holdout[name].before / holdout[name].floor)
+
+
+def validate_candidate(
+    problem: DiscoveryProblem, candidate: CandidateFit, validation: Sequence[Experiment], skip: int = 0
+) -> Fit:
+    """The candidate as a fit with intervals, from its own parameters and initial states, validated on other records.
+
+    ``skip`` rows at the start of each validation record do not count.
+    """
+    quick = replace(problem.options, progressive=False, thorough=False)
+    initial = estimated_initial_states(candidate)
+    fit = estimate(candidate.model, problem.experiments, noise=candidate.problem.noise, initial=initial, options=quick)
+    if not validation:
+        return fit
+    validated = validate(fit.model, validation, noise=fit.noise.std, skip=skip, options=quick)
+    return replace(fit, validation=validated)
+
+
+def estimated_initial_states(candidate: CandidateFit) -> list[dict[str, float]]:
+    """The estimated initial states of each record where a refit ended."""
+    initial, names = candidate.variables.initial, np.array(candidate.model.system.state_names)
+    return [dict(zip(names[initial.free].tolist(), row[initial.free].tolist(), strict=True)) for row in initial.guess]
+
+
+def score_holdout(
+    problem: DiscoveryProblem, candidate: CandidateFit, validation: Sequence[Experiment], skip: int = 0
+) -> float:
+    """Rms simulation error over noise on the validation records, all outputs together."""
+    quick = replace(problem.options, progressive=False, thorough=False)
+    validated = validate(candidate.model, validation, noise=problem.noise_std, skip=skip, options=quick)
+    return float(np.sqrt(np.mean([m.noise_ratio**2 for m in validated.misfit.values()])))
 
 
 def reject_on_validation(
-    bench: DiscoveryProblem,
-    base: CandidateFit,
-    chosen: CandidateFit,
-    tried: Sequence[CandidateFit],
-    judges: Sequence[Experiment],
+    problem: DiscoveryProblem,
+    baseline: CandidateFit,
+    selected: CandidateFit,
+    candidates: Sequence[CandidateFit],
+    validation: Sequence[Experiment],
+    policy: SelectionPolicy,
     skip: int = 0,
 ) -> CandidateFit:
-    """``chosen``; or, where it closes less than half of the gap on the ``judges``, the likeliest of ``tried`` that closes most of it.
+    """``selected``, or another candidate where ``selected`` explains less than half of the gap on the validation records.
 
-    If no other does, ``chosen`` it remains: it will be called unknown.
+    The likeliest of ``candidates`` that explains most of the gap replaces it. If none does, ``selected`` remains, and its effect will
+    be called unknown.
     """
-    before = score_holdout(bench, base, judges, skip)
-    if before <= decision.VISIBLE or _closed(bench, chosen, judges, skip, before) >= decision.PARTLY:
-        return chosen
-    others = [t for t in sorted(tried, key=lambda t: t.criterion) if t.effects and t.effects != chosen.effects]
-    for trial in others[:JUDGED]:
-        again = bench.best(trial.model, [trial.model.values], keep=1, like=trial)
-        better = again if again is not None and again.cost < trial.cost else trial
-        if _closed(bench, better, judges, skip, before) >= decision.HELD_OUT:
+    before = score_holdout(problem, baseline, validation, skip)
+
+    def explained_share(candidate: CandidateFit) -> float:
+        after = score_holdout(problem, candidate, validation, skip)
+        return (before - after) / (before - 1) if np.isfinite(after) else -np.inf
+
+    if before <= policy.visible_rms or explained_share(selected) >= policy.partial_share:
+        return selected
+    ranked = sorted(candidates, key=lambda c: c.criterion)
+    others = [c for c in ranked if c.effects and c.effects != selected.effects]
+    for candidate in others[: problem.budget.holdout_candidates]:
+        again = problem.refit_best(candidate.model, [candidate.model.values], keep=1, like=candidate)
+        better = again if again is not None and again.cost < candidate.cost else candidate
+        if explained_share(better) >= policy.holdout_share:
             return better
-    return chosen
-
-
-def score_holdout(bench: DiscoveryProblem, trial: CandidateFit, judges: Sequence[Experiment], skip: int = 0) -> float:
-    """Free-run misfit over noise on the judging records, all outputs together."""
-    quick = replace(bench.options, progressive=False, thorough=False)
-    found = validate(trial.model, judges, noise=bench.noise_std, skip=skip, options=quick)
-    return float(np.sqrt(np.mean([m.noise_ratio**2 for m in found.misfit.values()])))
-
-
-def _closed(
-    bench: DiscoveryProblem, trial: CandidateFit, judges: Sequence[Experiment], skip: int, before: float
-) -> float:
-    """Share of the gap to the noise that a model closes on the judging records; not finite where it runs away."""
-    after = score_holdout(bench, trial, judges, skip)
-    return (before - after) / (before - 1) if np.isfinite(after) else -np.inf
+    return selected

@@ -8,9 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-WINDOWS = 20
-# A misfit is concentrated if so much of it happens in so little of the time.
-MUCH, LITTLE = 0.6, 0.25
+from greybox.discovery.policy import LocalisationPolicy
 
 
 @dataclass(frozen=True)
@@ -24,43 +22,52 @@ class MisfitWindow:
     misfit: float
 
 
+@dataclass(frozen=True)
+class MisfitTiming:
+    """The windows in which most of the misfit is concentrated: stretches of time as (record, start, end) in seconds.
+
+    ``share`` of the misfit happens in ``time_share`` of the windows. Without stretches it happens throughout the records.
+    """
+
+    share: float
+    time_share: float
+    stretches: tuple[tuple[str, float, float], ...]
+
+
 def divide_misfit(
-    names: Sequence[str], times: Sequence[np.ndarray], residuals: Sequence[np.ndarray]
+    names: Sequence[str], times: Sequence[np.ndarray], residuals: Sequence[np.ndarray], count: int
 ) -> tuple[MisfitWindow, ...]:
-    """Every record in `WINDOWS` parts of equal length; ``residuals`` (N, ny) are over the noise, NaN in gaps."""
+    """Every record in ``count`` windows of equal length; ``residuals`` (N, ny) are over the noise, NaN in gaps."""
     rows = []
     for name, time, r in zip(names, times, residuals, strict=True):
-        edges = np.linspace(0, len(time), min(WINDOWS, len(time)) + 1).astype(int)
+        edges = np.linspace(0, len(time), min(count, len(time)) + 1).astype(int)
         for first, last in pairwise(edges):
             part = r[first:last]
-            there = np.isfinite(part)
-            squares = float(np.sum(part[there] ** 2))
-            rows.append(
-                (name, float(time[first]), float(time[last - 1]), max(squares - there.sum(), 0.0), squares, there.sum())
-            )
+            is_measured = np.isfinite(part)
+            samples, squares = is_measured.sum(), float(np.sum(part[is_measured] ** 2))
+            excess = max(squares - samples, 0.0)
+            rows.append((name, float(time[first]), float(time[last - 1]), excess, squares, samples))
     total = sum(row[3] for row in rows) or 1.0
     return tuple(
-        MisfitWindow(name, start, end, over / total, float(np.sqrt(squares / max(count, 1))))
-        for name, start, end, over, squares, count in rows
+        MisfitWindow(name, start, end, excess / total, float(np.sqrt(squares / max(samples, 1))))
+        for name, start, end, excess, squares, samples in rows
     )
 
 
-def told(found: Sequence[MisfitWindow]) -> str:
-    """One sentence: where most of the misfit happens, or that it happens throughout."""
-    if not found or not any(w.share for w in found):
-        return "nowhere beyond noise"
-    ranked = sorted(found, key=lambda w: -w.share)
+def find_concentration(windows: Sequence[MisfitWindow], policy: LocalisationPolicy) -> MisfitTiming | None:
+    """In which stretches most of the misfit happens; None where there is none beyond noise."""
+    if not windows or not any(w.share for w in windows):
+        return None
+    ranked = sorted(windows, key=lambda w: -w.share)
     shares = np.cumsum([w.share for w in ranked])
-    needed = int(np.searchsorted(shares, MUCH)) + 1
-    if needed > LITTLE * len(found):
-        return "throughout the records"
-    chosen = sorted(ranked[:needed], key=lambda w: (w.record, w.start))
-    parts: list[tuple[str, float, float]] = []
-    for w in chosen:
-        if parts and parts[-1][0] == w.record and w.start - parts[-1][2] <= 0.5 * (w.end - w.start):
-            parts[-1] = (w.record, parts[-1][1], w.end)
+    needed = int(np.searchsorted(shares, policy.concentrated_misfit)) + 1
+    if needed > policy.concentrated_time * len(windows):
+        return MisfitTiming(1.0, 1.0, ())
+    stretches: list[tuple[str, float, float]] = []
+    for w in sorted(ranked[:needed], key=lambda w: (w.record, w.start)):
+        adjoins = stretches and stretches[-1][0] == w.record and w.start - stretches[-1][2] <= 0.5 * (w.end - w.start)
+        if adjoins:
+            stretches[-1] = (w.record, stretches[-1][1], w.end)
         else:
-            parts.append((w.record, w.start, w.end))
-    places = ", ".join(f"{start:.4g} to {end:.4g} s of {name}" for name, start, end in parts[:4])
-    more = f" and {len(parts) - 4} more places" if len(parts) > 4 else ""
-    return f"{100 * shares[needed - 1]:.0f} % of it in {100 * needed / len(found):.0f} % of the time: {places}{more}"
+            stretches.append((w.record, w.start, w.end))
+    return MisfitTiming(float(shares[needed - 1]), needed / len(windows), tuple(stretches))

@@ -1,4 +1,7 @@
-"""`discover`: a model, records to learn from and records to judge by in; a verdict with its evidence out."""
+"""`discover`: a model, estimation and validation records in; a verdict with its evidence out.
+
+The stages, each a function of its own: baseline, noise, screening and selection, holdout, decision, localisation, surrogate, proposals.
+"""
 
 from __future__ import annotations
 
@@ -7,115 +10,112 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from greybox.discovery import decision
-from greybox.discovery.detection_limits import hidden
-from greybox.discovery.discriminating_experiments import DiscriminatingExperiment, rank_discriminating_experiments
+from greybox.discovery.decision import (
+    Conclusion,
+    Verdict,
+    decide_verdict,
+    judge_validation_only,
+    visible_rms_limit,
+)
 from greybox.discovery.effect_signal import estimate_effect_signals
-from greybox.discovery.effect_test import estimate_scales, finish_and_validate
 from greybox.discovery.execution import RefitExecutor, RefitJournal
-from greybox.discovery.holdout import reject_on_validation
-from greybox.discovery.holdout_error import HoldoutError, compare_holdout_errors
-from greybox.discovery.localisation import ResidualLocalisation, localise_candidate_residual
+from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.holdout import (
+    HoldoutError,
+    compare_holdout_errors,
+    reject_on_validation,
+    validate_candidate,
+    worst_output,
+)
+from greybox.discovery.localisation import ResidualLocalisation, localise_residual
+from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
-from greybox.discovery.recommendations import recommend_next_steps, recommend_noise_check
+from greybox.discovery.proposals import (
+    list_detection_limits,
+    propose_experiments,
+    propose_next_steps,
+    propose_noise_check,
+)
 from greybox.discovery.residual_noise import (
-    KNOWN,
-    LEFT_OVER,
     estimate_residual_noise,
     excess_autocorrelation,
+    is_level_known,
     is_noise_known,
+    is_same_noise,
 )
 from greybox.discovery.result import Discovery, RankedCandidate
-from greybox.discovery.selection import Say, StepwiseSelection
-from greybox.discovery.summary import summarise
-from greybox.discovery.surrogate import Surrogate, fit_curve_surrogate
-from greybox.discovery.tone_surrogate import fit_tone_surrogate
+from greybox.discovery.selection import MessageCallback, StepwiseSelection
+from greybox.discovery.starting_points import estimate_scales
+from greybox.discovery.surrogate import Surrogate, fit_surrogate
 from greybox.effects import Scales, applicable_effects, tailor_to_record
 from greybox.errors import DataError
 from greybox.estimation import FitOptions
 from greybox.experiment import Experiment
+from greybox.findings import Finding
 from greybox.model import Effect, Model
-from greybox.noise import NoiseModel
 from greybox.result import Fit
 
 Records = Experiment | Sequence[Experiment]
 
-# Times that the noise is looked at again, and sets of effects that are refitted then.
-ROUNDS, CARRIED = 2, 8
-# A curve beside a look-alike must close this much more of the gap than one in its place.
-CLEARLY = 0.02
-# A misfit shows elsewhere if it is this many times as far above the noise there.
-ELSEWHERE = 2.0
-
 
 @dataclass(frozen=True)
 class SelectionEvidence:
-    """A finished search: what was chosen, what explains the records as well, and both fits judged on other records.
+    """A finished selection and its error on the validation records.
 
-    ``plain``: the model as the user came with it.
+    Parameters
+    ----------
+    selection
+        The selection with its candidates and its path.
+    selected
+        The model that it ended with, before its shape was corrected.
+    rivals
+        Models that explain the records equally well.
+    base, best
+        The plain and the extended model as fits that were validated.
+    holdout
+        Error of both on the validation records, by output.
+    validation, skip
+        These records, and the rows at their start that do not count.
+    plain
+        The model as the user gave it.
     """
 
-    search: StepwiseSelection
-    chosen: CandidateFit
+    selection: StepwiseSelection
+    selected: CandidateFit
     rivals: Sequence[CandidateFit]
     base: Fit
     best: Fit
-    gap: Mapping[str, HoldoutError]
-    judges: tuple[Experiment, ...]
+    holdout: Mapping[str, HoldoutError]
+    validation: tuple[Experiment, ...]
     skip: int
     plain: Model
 
     @property
-    def refined(self) -> CandidateFit:
-        """The chosen model with the form of its effects corrected, where the records asked for that."""
-        return self.search.form.get(frozenset(self.chosen.effects), self.chosen)
+    def baseline(self) -> CandidateFit:
+        """The fit of the plain model."""
+        return self.selection.baseline
 
     @property
-    def worst(self) -> HoldoutError:
-        """The output that the plain model misses most, in units of its noise."""
-        return max(self.gap.values(), key=lambda g: g.before / g.floor)
+    def corrected(self) -> CandidateFit:
+        """The selected model with the shape of its effects corrected, where the records asked for that."""
+        return self.selection.shape_corrections.get(frozenset(self.selected.effects), self.selected)
 
     @property
-    def verdict(self) -> str:
-        """``complete``, ``named``, ``ambiguous`` or ``unknown``."""
-        base, chosen = self.search.base, self.refined
-        if not chosen.effects:
-            seen = base.per_sample > decision.clean_cost_limit(base.count) or self.shows_elsewhere
-            return "unknown" if seen else "complete"
-        if (
-            not decision.is_residual_clean(base, chosen)
-            or excess_autocorrelation(chosen) > LEFT_OVER
-            or not self.closes
-        ):
-            return "unknown"
-        return "ambiguous" if self.rivals else "named"
+    def explained_fraction(self) -> float:
+        """Share of the gap that the extended model explains, in the output that the plain model misses most."""
+        return self.holdout[worst_output(self.holdout)].explained_fraction
 
     @property
-    def closes(self) -> bool:
-        """Whether the chosen model closes the gap on the judging records, if there is one: all but a tenth, or down to what noise
-        of this level and colour may leave by chance."""
-        name, worst = max(self.gap.items(), key=lambda item: item[1].before / item[1].floor)
-        if worst.before / worst.floor <= decision.VISIBLE or worst.explained_fraction >= decision.HELD_OUT:
-            return True
-        return worst.explained_fraction >= decision.PARTLY and worst.after / worst.floor <= self._chance(name)
-
-    def _chance(self, output: str) -> float:
-        """Rms over noise that the noise of an output hardly ever exceeds on the judging records."""
-        noise = self.search.base.problem.noise
-        number = [o.name for o in self.base.model.outputs].index(output)
-        return decision.visible_rms_limit(self.base.validation.misfit[output].samples, noise.colour[number])
-
-    @property
-    def shows_elsewhere(self) -> bool:
-        """Whether the plain model fails on the judging records only."""
-        if self.chosen.effects:
-            return False
-        if self.worst.before / self.worst.floor - 1 < ELSEWHERE * (self.search.base.per_sample**0.5 - 1):
-            return False
-        return any(g.before / g.floor > self._chance(name) for name, g in self.gap.items())
+    def noise_limits(self) -> dict[str, float]:
+        """Rms over noise that the noise of each output hardly ever exceeds on the validation records."""
+        colours = dict(zip((o.name for o in self.base.model.outputs), self.baseline.problem.noise.colour, strict=True))
+        policy = self.selection.policy.selection
+        return {
+            name: visible_rms_limit(self.base.validation.misfit[name].samples, colours[name], policy)
+            for name in self.holdout
+        }
 
 
 def discover(
@@ -127,181 +127,301 @@ def discover(
     quiet: Records = (),
     effects: Sequence[Effect] | None = None,
     options: FitOptions | None = None,
-    say: Say | None = None,
+    policy: DiscoveryPolicy | None = None,
+    on_message: MessageCallback | None = None,
     executor: Executor | None = None,
     workers: int = 0,
     journal: str | Path | None = None,
-    report: Callable[[int], None] | None = None,
+    on_refit: Callable[[int], None] | None = None,
 ) -> Discovery:
     """Find which effect, if any, ``model`` lacks.
 
-    Refits the model with each effect of the catalogue that it has a place for (or of ``effects``) to the ``estimation`` records,
-    keeps what the data demand, and judges it on the ``validation`` records, which no constant has seen. An effect that shows in
-    the validation records only (a saturation that the estimation input never reaches) is learnt from their first half and
-    judged on the second.
+    Refits the model with each effect of the catalogue that it has a site for to the estimation records, keeps what the data demand, and
+    judges it on the validation records, which no parameter has seen. An effect that shows in the validation records only (a
+    saturation that the estimation input never reaches) is learnt from their first half and judged on the second.
 
-    ``executor``: where the refits run, for example ``Client.get_executor()`` of Dask; None for this machine, where a long search uses
-    ``workers`` processes (0: one for each core). ``journal``: a file in which every finished refit is kept, so that the same call
-    goes on where an earlier one was interrupted. ``say`` is called with a line about each step, ``report`` after each
-    refit with the number of those that are done.
+    Parameters
+    ----------
+    model
+        The plain model.
+    estimation
+        Records to fit to.
+    validation
+        Records to judge by.
+    noise
+        Standard deviation of outputs whose noise is known, in their units. Others are estimated.
+    quiet
+        Records with the input at rest, which show level and colour of the noise.
+    effects
+        The only candidates, instead of the catalogue.
+    options
+        Options of every fit.
+    policy
+        The decision numbers.
+    on_message
+        Called with a line about each step.
+    executor
+        Where refits run, for example ``Client.get_executor()`` of Dask; None for this machine.
+    workers
+        Processes of this machine that a long search uses; 0 for one a core.
+    journal
+        A file in which every finished refit is kept, so that the same call resumes after an interruption.
+    on_refit
+        Called after each refit with the number of finished ones.
 
-    Raises DataError where there is nothing to judge by, for records that do not go with the model, and for a file that is no journal.
+    Returns
+    -------
+    Discovery
+        The verdict, both fits, the checks and the path that led there.
+
+    Raises
+    ------
+    DataError
+        Without a validation record, for records that do not go with the model, and for a file that is no journal.
+
+    Examples
+    --------
+    >>> found = gb.discover(model, train, validation=test, noise={"x": 2e-7})  # doctest: +SKIP
+    >>> found.verdict, [e["name"] for e in found.effects]  # doctest: +SKIP
+    ('named', ['coulomb_friction'])
     """
     began = time.perf_counter()
-    options, say = options or FitOptions(), say or _silent
-    judges = _several(validation)
-    if not judges:
+    options, policy, tell = options or FitOptions(), policy or DiscoveryPolicy(), on_message or _ignore
+    validation_records = _as_tuple(validation)
+    if not validation_records:
         raise DataError(
-            "no validation record: a discovery is judged on data that no constant has seen; give at least one, another run or the"
+            "no validation record: a discovery is judged on data that no parameter has seen; give at least one, another run or the"
             " end of this one (shell: --validate FILE)"
         )
-    refits = RefitExecutor(executor, workers, RefitJournal(Path(journal)) if journal else None, report)
+    refit_journal = RefitJournal(Path(journal)) if journal else None
+    refits = RefitExecutor(executor, workers, refit_journal, on_refit, policy.budget.parallel_seconds)
     with refits.open():
-        bench = DiscoveryProblem(model, _several(estimation), dict(noise or {}), _several(quiet), options, refits)
-        return _found(bench, judges, effects, say, began)
-
-
-def _found(
-    bench: DiscoveryProblem, judges: tuple[Experiment, ...], effects: Sequence[Effect] | None, say: Say, began: float
-) -> Discovery:
-    scales = estimate_scales(bench.base)
-    candidates = [tailor_to_record(e, scales) for e in effects] if effects else applicable_effects(bench.plain, scales)
-    found, notes = _evidence(bench, candidates, scales, judges, 0, say), []
-    if found.shows_elsewhere and bench.options.at_rest:
-        say("the plain model fails on the validation records only: learning from their first half")
-        half = min(j.rows for j in judges) // 2
-        wider = replace(bench, experiments=(*bench.experiments, *(j.window(0, half) for j in judges)))
-        found = _evidence(wider, candidates, scales, judges, half, say)
-        notes.append(
-            "the effect does not show in the estimation records: it was learnt from the first half of the validation records"
+        problem = DiscoveryProblem(
+            model, _as_tuple(estimation), dict(noise or {}), _as_tuple(quiet), options, refits, policy.budget
         )
-    return _discovery(found, notes, time.perf_counter() - began)
+        scales = estimate_scales(problem.baseline)
+        candidates = (
+            [tailor_to_record(e, scales) for e in effects] if effects else applicable_effects(problem.model, scales)
+        )
+        findings: tuple[Finding, ...] = ()
+        evidence = _gather_evidence(problem, candidates, scales, validation_records, policy, tell)
+        if problem.options.at_rest and _shows_on_validation_only(evidence):
+            tell(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
+            half = min(record.rows for record in validation_records) // 2
+            first_halves = tuple(record.window(0, half) for record in validation_records)
+            wider = replace(problem, experiments=(*problem.experiments, *first_halves))
+            evidence = _gather_evidence(wider, candidates, scales, validation_records, policy, tell, half)
+            findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
+        return replace(_conclude(evidence, findings), seconds=time.perf_counter() - began)
 
 
-def _evidence(
-    bench: DiscoveryProblem,
+def _gather_evidence(
+    problem: DiscoveryProblem,
     candidates: Sequence[Effect],
     scales: Scales,
-    judges: tuple[Experiment, ...],
-    skip: int,
-    say: Say,
+    validation: tuple[Experiment, ...],
+    policy: DiscoveryPolicy,
+    tell: MessageCallback,
+    skip: int = 0,
 ) -> SelectionEvidence:
-    say(f"plain model: misfit {bench.base.per_sample**0.5:.3g} times the noise")
-    search = StepwiseSelection(bench, candidates, scales, say)
-    if is_noise_known(bench.base.problem.noise, bool(bench.quiet)):
-        chosen = search.run()
+    """Noise, screening, selection and holdout."""
+    misfit = problem.baseline.per_sample**0.5
+    tell(str(Finding(DiscoveryCode.BASELINE_FITTED, values={"misfit": misfit})))
+    selection = StepwiseSelection(problem, candidates, scales, policy, tell)
+    if is_noise_known(problem.baseline.problem.noise, bool(problem.quiet)):
+        selected = selection.select()
     else:
-        search, chosen = _with_unknown_noise(search, say)
-    if chosen.effects:
-        chosen = reject_on_validation(search.bench, search.base, chosen, list(search.tried.values()), judges, skip)
-    rivals = search.rivals(chosen) if chosen.effects else []
-    final = search.form.get(frozenset(chosen.effects), chosen)
-    base, best = (finish_and_validate(t, bench, judges, skip) for t in (search.base, final))
-    return SelectionEvidence(
-        search, chosen, rivals, base, best, compare_holdout_errors(base, best), judges, skip, bench.plain
-    )
-
-
-def _with_unknown_noise(search: StepwiseSelection, say: Say) -> tuple[StepwiseSelection, CandidateFit]:
-    """The search with the noise that the best single effect leaves over, and again with the one that the chosen model leaves."""
-    given = all(source in KNOWN for source in search.base.problem.noise.sources.values())
-    chosen = search.run() if given else search.first()
-    for _ in range(ROUNDS):
-        noise = estimate_residual_noise(chosen)
-        if _same(noise, chosen.problem.noise):
-            if given:
-                break
-            say("the residual is white")
-        else:
-            say(f"noise as the residual of {chosen.model.title} shows it: {', '.join(map(str, noise.colour))}")
-        bench = replace(search.bench, noise=noise, plain=search.base.model)
-        search = StepwiseSelection(bench, _best(search), search.scales, say, search.tried)
-        before, chosen = chosen, search.run()
-        if before.effects == chosen.effects:
-            break
-    return search, chosen
-
-
-def _same(noise: NoiseModel, before: NoiseModel) -> bool:
-    """Whether a second look at the noise changes nothing: white as before, and of the same level."""
-    level = np.allclose(noise.std, before.std, rtol=0.05)
-    return level and all(a.reflection == b.reflection for a, b in zip(noise.colour, before.colour, strict=True))
-
-
-def _best(search: StepwiseSelection) -> list[Effect]:
-    """The candidates that did best, in catalogue order, with their parents and children: the others are out of the running."""
-    ranked = sorted(search.tried.values(), key=lambda t: t.criterion)
-    names = {name for t in ranked[:CARRIED] for name in t.effects}
-    family = names | {parent for e in search.candidates if e.name in names for parent in e.parents}
-    return [e for e in search.candidates if e.name in family]
-
-
-def _discovery(found: SelectionEvidence, notes: Sequence[str], seconds: float) -> Discovery:
-    verdict, chosen, search = found.verdict, found.chosen, found.search
-    trials = sorted(search.tried.values(), key=lambda t: t.criterion)
-    ranking = [RankedCandidate(t.effects, t.per_sample**0.5, t.criterion - trials[0].criterion) for t in trials]
-    look = localise_candidate_residual(search.base)
-    tests = [s[0] for rival in found.rivals if (s := rank_discriminating_experiments(search.bench, chosen, rival))]
-    limits = hidden(search.singles) if verdict == "complete" else []
-    curve = _stand_in(found) if verdict == "unknown" else None
-    steps = (
-        _next(found, look, curve)
-        if verdict == "unknown"
-        else recommend_noise_check(found.base)
-        if verdict == "complete"
-        else ()
-    )
-    signals = estimate_effect_signals(search.bench, chosen) if chosen.effects else ()
-    if found.refined is not chosen and verdict != "unknown":
-        added = " + ".join(e for e in found.refined.effects if e not in chosen.effects)
-        notes = (
-            *notes,
-            f"the family is sure, its form is not quite that of {' + '.join(chosen.effects)}: {added} corrects it",
+        selection, selected = _select_with_unknown_noise(selection)
+    if selected.effects:
+        fits = list(selection.fits.values())
+        selected = reject_on_validation(
+            selection.problem, selection.baseline, selected, fits, validation, policy.selection, skip
         )
-    return Discovery(
-        verdict, found.base, found.best, [t.effects for t in found.rivals], found.gap, ranking, look,
-        summarise(verdict, chosen, found.rivals, found.gap, look, curve), (*notes, *map(_told, tests), *limits), seconds, signals, curve,
-        next_steps=steps,
-    )  # fmt: skip
+    rivals = selection.find_rivals(selected) if selected.effects else []
+    final = selection.shape_corrections.get(frozenset(selected.effects), selected)
+    base, best = (validate_candidate(selection.problem, c, validation, skip) for c in (selection.baseline, final))
+    holdout = compare_holdout_errors(base, best)
+    return SelectionEvidence(selection, selected, rivals, base, best, holdout, validation, skip, problem.model)
 
 
-def _stand_in(found: SelectionEvidence) -> Surrogate | None:
-    """A tone or a smooth curve for all that the plain model lacks. Where that is not enough, and the nearest look-alike explains the
-    larger part, one for what this leaves over, if the two together do clearly better. Nothing that closes less than the look-alike."""
-    search, chosen = found.search, found.chosen
-    helps = found.worst.explained_fraction > decision.PARTLY and chosen.effects
-    bench, best = replace(search.bench, plain=found.plain), None
-    for trial in (search.base, chosen) if helps else (search.base,):
-        if best is not None and best.explained_fraction >= decision.HELD_OUT:
+def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSelection, CandidateFit]:
+    """The selection with the noise that the best single effect leaves, and again with the one that the selected model leaves."""
+    policy, tell = selection.policy, selection.on_message
+    level_known = is_level_known(selection.baseline.problem.noise)
+    selected = selection.select() if level_known else selection.select_first()
+    for _ in range(policy.noise.rounds):
+        noise = estimate_residual_noise(selected, policy.noise)
+        if is_same_noise(noise, selected.problem.noise, policy.noise):
+            if level_known:
+                break
+            tell(str(Finding(DiscoveryCode.NOISE_WHITE)))
+        else:
+            colours = [list(colour.reflection) for colour in noise.colour]
+            values = {"colours": colours, "std": noise.std.tolist()}
+            tell(str(Finding(DiscoveryCode.NOISE_FROM_RESIDUAL, subject=selected.model.title, values=values)))
+        problem = replace(selection.problem, noise=noise, model=selection.baseline.model)
+        selection = StepwiseSelection(
+            problem, _leading_candidates(selection), selection.scales, policy, tell, selection.fits
+        )
+        before, selected = selected, selection.select()
+        if before.effects == selected.effects:
             break
-        given = (bench, trial, localise_candidate_residual(trial), found.judges, found.base, found.skip)
-        made = fit_tone_surrogate(*given) or fit_curve_surrogate(*given)
-        if made is None or (helps and made.explained_fraction < found.worst.explained_fraction):
-            continue
-        if best is None or made.explained_fraction > best.explained_fraction + CLEARLY:
-            best = made
-    return best
+    return selection, selected
 
 
-def _next(found: SelectionEvidence, look: ResidualLocalisation, made: Surrogate | None) -> tuple[str, ...]:
-    """What to do next about something unknown; a look-alike is gone on with where nothing that stands in does better."""
-    close = found.worst.explained_fraction >= decision.HELD_OUT and (
-        made is None or made.explained_fraction < decision.HELD_OUT
+def _leading_candidates(selection: StepwiseSelection) -> list[Effect]:
+    """The candidates that did best, in catalogue order, with their parents and children: the others are out of the running."""
+    ranked = sorted(selection.fits.values(), key=lambda fit: fit.criterion)
+    names = {name for fit in ranked[: selection.policy.noise.carried_sets] for name in fit.effects}
+    family = names | {parent for e in selection.candidates if e.name in names for parent in e.parents}
+    return [e for e in selection.candidates if e.name in family]
+
+
+def _shows_on_validation_only(evidence: SelectionEvidence) -> bool:
+    """Whether the plain model explains the estimation records and fails on the validation records."""
+    if evidence.selected.effects:
+        return False
+    policy = evidence.selection.policy.selection
+    return judge_validation_only(evidence.baseline, evidence.holdout, evidence.noise_limits, policy).passed
+
+
+def _decide(evidence: SelectionEvidence) -> Conclusion:
+    policy, corrected = evidence.selection.policy.selection, evidence.corrected
+    autocorrelation = excess_autocorrelation(corrected, policy.autocorrelation_lags) if corrected.effects else 0.0
+    decided = decide_verdict(
+        evidence.baseline,
+        corrected,
+        evidence.rivals,
+        evidence.holdout,
+        evidence.noise_limits,
+        autocorrelation,
+        policy,
     )
-    nearest = " + ".join(found.chosen.effects) if close else ""
-    return recommend_next_steps(found.base, look, made, found.judges, nearest)
+    ties = evidence.selection.tie_checks(evidence.selected, evidence.rivals)
+    return replace(decided, checks=(*decided.checks, *ties))
 
 
-def _told(test: DiscriminatingExperiment) -> str:
-    rival = " + ".join(test.rival)
-    if test.cost < decision.TIE:
-        return f"no experiment tried would tell {rival} apart with these sensors (at best chi-square {test.cost:.2g})"
-    return str(test)
+def _conclude(evidence: SelectionEvidence, findings: tuple[Finding, ...]) -> Discovery:
+    """Decision, localisation, surrogate and proposals."""
+    selection, selected = evidence.selection, evidence.selected
+    policy, problem = selection.policy, evidence.selection.problem
+    decided = _decide(evidence)
+    verdict = decided.verdict
+    fits = sorted(selection.fits.values(), key=lambda fit: fit.criterion)
+    ranking = [RankedCandidate(f.effects, f.per_sample**0.5, f.criterion - fits[0].criterion) for f in fits]
+    location = localise_residual(evidence.baseline, policy=policy.localisation, selection=policy.selection)
+    experiments = propose_experiments(problem, selected, evidence.rivals, policy)
+    limits = list_detection_limits(selection.single_effects, policy.proposals) if verdict is Verdict.COMPLETE else ()
+    surrogate = None
+    next_steps: tuple[Finding, ...] = ()
+    if verdict is Verdict.UNKNOWN:
+        surrogate = fit_surrogate(
+            replace(problem, model=evidence.plain),
+            evidence.baseline,
+            selected,
+            evidence.holdout,
+            evidence.validation,
+            evidence.base,
+            policy,
+            evidence.skip,
+        )
+        next_steps = _propose_for_unknown(evidence, location, surrogate)
+    elif verdict is Verdict.COMPLETE:
+        next_steps = propose_noise_check(evidence.base)
+    signals = estimate_effect_signals(problem, selected, policy.localisation) if selected.effects else ()
+    if evidence.corrected is not selected and verdict is not Verdict.UNKNOWN:
+        added = [name for name in evidence.corrected.effects if name not in selected.effects]
+        values = {"correction": added}
+        findings = (*findings, Finding(DiscoveryCode.SHAPE_CORRECTED, subject=_name(selected), values=values))
+    return Discovery(
+        verdict,
+        evidence.base,
+        evidence.best,
+        [rival.effects for rival in evidence.rivals],
+        evidence.holdout,
+        ranking,
+        location,
+        conclusion=_summarise(evidence, verdict, location, surrogate),
+        checks=decided.checks,
+        path=tuple(selection.steps),
+        findings=(*findings, *experiments, *limits),
+        next_steps=next_steps,
+        effect_signals=signals,
+        surrogate=surrogate,
+        policy=policy,
+    )
 
 
-def _silent(_: str) -> None:
-    return None
+def _propose_for_unknown(
+    evidence: SelectionEvidence, location: ResidualLocalisation, surrogate: Surrogate | None
+) -> tuple[Finding, ...]:
+    """What to do next about something unknown; a look-alike is gone on with where no surrogate does better."""
+    policy = evidence.selection.policy
+    limit = policy.selection.holdout_share
+    surrogate_fails = surrogate is None or surrogate.explained_fraction < limit
+    is_near = evidence.explained_fraction >= limit and surrogate_fails
+    look_alike = _name(evidence.selected) if is_near else ""
+    return propose_next_steps(evidence.base, location, surrogate, evidence.validation, policy, look_alike)
 
 
-def _several(records: Records) -> tuple[Experiment, ...]:
+def _summarise(
+    evidence: SelectionEvidence, verdict: Verdict, location: ResidualLocalisation, surrogate: Surrogate | None
+) -> tuple[Finding, ...]:
+    """The answer as findings: what is missing, how sure that is, and what it explains."""
+    if verdict is Verdict.COMPLETE:
+        return (Finding(DiscoveryCode.NOTHING_MISSING),)
+    name, output = _name(evidence.selected), worst_output(evidence.holdout)
+    explained = {"share": evidence.explained_fraction, "output": output}
+    if verdict is Verdict.NAMED:
+        return (Finding(DiscoveryCode.EFFECT_NAMED, subject=name, values=explained),)
+    if verdict is Verdict.AMBIGUOUS:
+        rivals = [_name(rival) for rival in evidence.rivals]
+        return (Finding(DiscoveryCode.EFFECTS_TIED, subject=name, values={**explained, "rivals": rivals}),)
+    findings = [Finding(DiscoveryCode.UNKNOWN_EFFECT)]
+    if name and evidence.explained_fraction <= 0:
+        findings.append(Finding(DiscoveryCode.NO_LOOK_ALIKE, subject=name))
+    elif name:
+        partly = bool(evidence.explained_fraction < evidence.selection.policy.selection.partial_share)
+        values = {**explained, "partly": partly}
+        findings.append(Finding(DiscoveryCode.NEAREST_LOOK_ALIKE, subject=name, values=values))
+    if not location.is_missing:
+        findings.append(Finding(DiscoveryCode.HARDLY_VISIBLE, values={"misfit": location.misfit}))
+    elif location.likeliest:
+        findings.append(_missing_signal(evidence, location, surrogate))
+    if surrogate is not None:
+        findings.append(Finding(DiscoveryCode.SURROGATE_FITTED, subject=surrogate.site, values=surrogate.to_values()))
+    return tuple(findings)
+
+
+def _missing_signal(
+    evidence: SelectionEvidence, location: ResidualLocalisation, surrogate: Surrogate | None
+) -> Finding:
+    """How large the missing signal is, where, and of what it is a function; a curve that explains it says more than the localisation."""
+    site = location.sites[0]
+    values: dict[str, Any] = {
+        "size": site.size,
+        "unit": site.unit,
+        "sites": list(location.likeliest),
+        "variable": "",
+        "dependence": None,
+    }
+    limit = evidence.selection.policy.selection.holdout_share
+    explains = surrogate is not None and surrogate.tone is None and surrogate.explained_fraction >= limit
+    if surrogate is not None and explains and not surrogate.beside:
+        values["variable"] = surrogate.variable
+    elif location.dependences and location.dependences[0].is_relevant:
+        values["variable"] = location.dependences[0].variable
+        values["dependence"] = location.dependences[0].to_values()
+    return Finding(DiscoveryCode.MISSING_SIGNAL, subject=", ".join(location.likeliest), values=values)
+
+
+def _name(candidate: CandidateFit) -> str:
+    return " + ".join(candidate.effects)
+
+
+def _as_tuple(records: Records) -> tuple[Experiment, ...]:
     return (records,) if isinstance(records, Experiment) else tuple(records)
+
+
+def _ignore(_: str) -> None:
+    return None

@@ -1,35 +1,49 @@
-"""The bench: one set of records on which many models are tried, each from several starts."""
+"""What a discovery works on: records, noise and a model; and how a candidate model is fitted to them."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 
 from greybox.discovery.execution import RefitExecutor, RefitJob, RefitOutcome
+from greybox.discovery.policy import SearchBudget
 from greybox.estimation import FitOptions
 from greybox.estimation.problem import EstimationProblem, prepare_problem
 from greybox.estimation.solve import Solution, solve
+from greybox.estimation.versions import read_versions
 from greybox.experiment import Experiment
 from greybox.model import Model
 from greybox.noise import AutoRegression, NoiseModel
+from greybox.numerics import OVERFLOWING_CURVATURE
 from greybox.optim import TerminationStatus
 from greybox.result import Fit
 from greybox.transcription import DecisionVector, Evaluation
 
 StartValues = Mapping[str, float]
 
-# Iterations of one refit: what has not converged by then is not the answer, or is finished in the last fit.
-ITERATIONS = 60
-# A start whose curvature is beyond this is next to an overflow.
-HUGE = 1e100
-
 
 @dataclass(frozen=True)
 class CandidateFit:
-    """A model refitted: ``cost`` is the sum of squared whitened residuals over ``count`` samples, ``free`` the number of constants."""
+    """A model as it was fitted to the records.
+
+    Parameters
+    ----------
+    model
+        With the fitted values.
+    cost
+        Sum of squared whitened residuals over ``count`` samples.
+    count
+        Number of measured samples.
+    free
+        Number of free parameters and initial states.
+    problem, variables, evaluation
+        The estimation problem, its variables at the fit, and the residuals there.
+    """
 
     model: Model
     cost: float
@@ -57,28 +71,48 @@ class CandidateFit:
 
 @dataclass(frozen=True)
 class DiscoveryProblem:
-    """Records, noise and the plain model, with the start values it came with."""
+    """Records, noise and the model in question; it fits candidate models to the records.
 
-    plain: Model
+    Parameters
+    ----------
+    model
+        The plain model with the start values that it came with.
+    experiments
+        Estimation records.
+    noise
+        Standard deviation of outputs whose noise is known, or a whole noise model.
+    quiet
+        Records with the input at rest, which show the noise alone.
+    options
+        Options of every fit.
+    executor
+        Where refits run and where they are kept.
+    budget
+        How many starting points and iterations a refit has.
+    """
+
+    model: Model
     experiments: tuple[Experiment, ...]
     noise: Mapping[str, float] | NoiseModel
     quiet: tuple[Experiment, ...]
     options: FitOptions
-    refits: RefitExecutor = field(default_factory=RefitExecutor)
+    executor: RefitExecutor = field(default_factory=RefitExecutor)
+    budget: SearchBudget = field(default_factory=SearchBudget)
 
     @classmethod
-    def of(cls, fit: Fit) -> DiscoveryProblem:
-        """The records, noise and options of a finished fit; its constants are what the plain model comes with."""
+    def from_fit(cls, fit: Fit, budget: SearchBudget | None = None) -> DiscoveryProblem:
+        """The records, noise and options of a finished fit; its model is the plain one."""
         outputs = [o.name for o in fit.model.outputs]
         std = np.array([fit.noise.std.get(name, np.nan) for name in outputs])
         colour = tuple(AutoRegression(fit.noise.colour.get(name, ())) for name in outputs)
         noise = NoiseModel(tuple(outputs), std, fit.noise.sources, colour, False)
         options = FitOptions.from_data(fit.provenance.options)
-        return cls(fit.model, tuple(t.experiment for t in fit.traces), noise, (), options)
+        experiments = tuple(t.experiment for t in fit.traces)
+        return cls(fit.model, experiments, noise, (), options, budget=budget or SearchBudget())
 
-    def at(self, fit: Fit) -> CandidateFit:
+    def to_candidate(self, fit: Fit) -> CandidateFit:
         """A finished fit as it stands, without another search."""
-        problem = self.problem(fit.model)
+        problem = self.prepare(fit.model)
         names = problem.model.system.state_names
         guess = np.array([[t.initial_state[name] for name in names] for t in fit.traces])
         variables = replace(problem.variables, initial=replace(problem.variables.initial, guess=guess))
@@ -88,121 +122,159 @@ class DiscoveryProblem:
         )
 
     @cached_property
-    def base(self) -> CandidateFit:
+    def baseline(self) -> CandidateFit:
         """The plain model, fitted to a growing part of the record from its start values."""
-        solution = solve(self.problem(self.plain), self.options)
+        solution = solve(self.prepare(self.model), self.options)
         if solution.status is TerminationStatus.INTERRUPTED:
             raise KeyboardInterrupt
-        return _trial(self.plain, solution)
+        return _from_solution(self.model, solution)
 
-    def problem(self, model: Model, experiments: tuple[Experiment, ...] | None = None) -> EstimationProblem:
-        """The records (or others) as a fit of ``model`` sees them; the noise is looked at once."""
-        known = self.noise if model is self.plain or isinstance(self.noise, NoiseModel) else self._noise
+    def prepare(self, model: Model, experiments: tuple[Experiment, ...] | None = None) -> EstimationProblem:
+        """The estimation problem of ``model`` on the records (or on others); the noise is that of the baseline."""
+        known = self.noise if model is self.model or isinstance(self.noise, NoiseModel) else self._baseline_noise
         return prepare_problem(
-            model, experiments or self.experiments, known, at_rest=self.options.at_rest, method=self.options.method,
-            substeps=self.options.substeps, quiet=self.quiet,
-        )  # fmt: skip
+            model,
+            experiments or self.experiments,
+            known,
+            at_rest=self.options.at_rest,
+            method=self.options.method,
+            substeps=self.options.substeps,
+            quiet=self.quiet,
+        )
 
     @property
-    def known_noise(self) -> NoiseModel:
-        """The noise as it was given, or as the base fit looked at it."""
-        return self.noise if isinstance(self.noise, NoiseModel) else self._noise
+    def noise_model(self) -> NoiseModel:
+        """The noise as it was given, or as the baseline identified it."""
+        return self.noise if isinstance(self.noise, NoiseModel) else self._baseline_noise
 
     @cached_property
-    def _noise(self) -> NoiseModel:
-        return self.base.problem.noise
+    def _baseline_noise(self) -> NoiseModel:
+        return self.baseline.problem.noise
 
     @property
     def noise_std(self) -> dict[str, float]:
         """Noise standard deviation of each measured output."""
         measured = {name for e in self.experiments for name in e.outputs}
-        pairs = zip(self.plain.outputs, self._noise.std, strict=True)
+        pairs = zip(self.model.outputs, self._baseline_noise.std, strict=True)
         return {o.name: float(std) for o, std in pairs if o.name in measured}
 
-    def best(
+    def refit_best(
         self,
         model: Model,
         starts: Iterable[StartValues],
-        keep: int = 2,
-        iterations: int = ITERATIONS,
+        keep: int | None = None,
+        iterations: int | None = None,
         like: CandidateFit | None = None,
     ) -> CandidateFit | None:
-        """``model`` refitted from the most promising ``keep`` of ``starts``; None where none of them can be simulated.
+        """``model`` refitted from the ``keep`` most promising of ``starts``; None if it cannot be simulated from any of them.
 
-        The records begin as in the trial ``like``, where that has the state.
+        The records start from the initial states of the fit ``like``, as far as it has the same states.
         """
-        return self.every([RefitJob(model, tuple(starts), keep, iterations, _beginning(like))])[0]
+        keep, iterations = keep or self.budget.refit_starts, iterations or self.budget.refit_iterations
+        return self.refit_all([RefitJob(model, tuple(starts), keep, iterations, _initial_states(like))])[0]
 
-    def every(self, jobs: Sequence[RefitJob]) -> list[CandidateFit | None]:
-        """Independent refits, wherever they are done."""
-        return self.refits.run(self, jobs)
+    def refit_all(self, jobs: Sequence[RefitJob]) -> list[CandidateFit | None]:
+        """Independent refits, in order, wherever they run."""
+        return self.executor.run(self, jobs)
 
-    def refitted(self, job: RefitJob) -> CandidateFit | None:
-        """One refit, here and now. Raises KeyboardInterrupt where the user ended it."""
-        problem = _beginning_as(self.problem(job.model), job.beginning)
-        ranked = sorted(
-            (point for s in job.starts if (point := _promise(problem, s)) is not None), key=lambda point: point[0]
-        )
+    def refit(self, job: RefitJob) -> CandidateFit | None:
+        """One refit in this process.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If the user interrupted it.
+        """
+        problem = _with_initial_states(self.prepare(job.model), job.beginning)
+        points = (point for s in job.starts if (point := _predict_cost(problem, s)) is not None)
+        ranked = sorted(points, key=lambda point: point[0])
         options = replace(self.options, progressive=False, thorough=False, iterations=job.iterations)
         solutions = [solve(replace(problem, variables=v), options) for _, v in ranked[: job.keep]]
         if any(s.status is TerminationStatus.INTERRUPTED for s in solutions):
             raise KeyboardInterrupt
-        finite = [t for t in (_trial(job.model, s) for s in solutions) if np.isfinite(t.cost)]
-        return min(finite, key=lambda t: t.cost, default=None)
+        finite = [fit for fit in (_from_solution(job.model, s) for s in solutions) if np.isfinite(fit.cost)]
+        return min(finite, key=lambda fit: fit.cost, default=None)
 
-    def outcome(self, trial: CandidateFit) -> RefitOutcome:
-        """What has to be known of a trial to have it again."""
-        return RefitOutcome(trial.model.values, tuple(map(tuple, trial.variables.initial.guess.tolist())))
+    def to_outcome(self, candidate: CandidateFit) -> RefitOutcome:
+        """What must be kept of a refit to restore it."""
+        return RefitOutcome(candidate.model.values, tuple(map(tuple, candidate.variables.initial.guess.tolist())))
 
-    def placed(self, model: Model, outcome: RefitOutcome) -> CandidateFit:
-        """``model`` where a refit ended."""
-        problem = self.problem(model.start(**outcome.values))
+    def restore(self, model: Model, outcome: RefitOutcome) -> CandidateFit:
+        """``model`` where an earlier refit ended."""
+        problem = self.prepare(model.start(**outcome.values))
         variables = with_start_values(problem.variables, outcome.values)
         variables = replace(variables, initial=replace(variables.initial, guess=np.array(outcome.initial)))
         e = problem.shooting(variables).evaluate(np.zeros(variables.size))
         return CandidateFit(problem.model, e.cost, e.count, variables.size, problem, variables, e)
 
-    def portable(self) -> DiscoveryProblem:
-        """The same for another process: with the noise as it is known here, and without a journal or an executor."""
-        return DiscoveryProblem(self.plain, self.experiments, self.known_noise, (), self.options)
+    def to_portable(self) -> DiscoveryProblem:
+        """The same for another process: the noise is known, and there is no executor or journal."""
+        return DiscoveryProblem(self.model, self.experiments, self.noise_model, (), self.options, budget=self.budget)
 
-    def promise(self, model: Model, starts: Iterable[StartValues], like: CandidateFit | None = None) -> float:
-        """The lowest cost that a Gauss-Newton step from any of ``starts`` foresees; ``like`` as in `highest_ranks`."""
-        problem = _beginning_as(self.problem(model), _beginning(like))
-        return min((point[0] for s in starts if (point := _promise(problem, s)) is not None), default=np.inf)
+    def predict_cost(self, model: Model, starts: Iterable[StartValues], like: CandidateFit | None = None) -> float:
+        """The lowest cost that one Gauss-Newton step predicts from any of ``starts``; ``like`` as in `refit_best`."""
+        problem = _with_initial_states(self.prepare(model), _initial_states(like))
+        return min((point[0] for s in starts if (point := _predict_cost(problem, s)) is not None), default=np.inf)
+
+    def job_key(self, job: RefitJob) -> str:
+        """The hash by which a refit is known: equal if model, starts, records, noise, options and versions are."""
+        system, noise = job.model.system, self.noise_model
+        identity = [
+            str(ca.vertcat(*map(ca.vec, system.free_run_expressions))),
+            str(system.diffusion),
+            [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in job.model.all_parameters],
+            [(s.name, s.bounds) for s in job.model.all_states],
+            [sorted(s.items()) for s in job.starts],
+            job.keep,
+            job.iterations,
+            sorted(job.beginning.items()),
+            [e.hold for e in job.model.effects],  # the equations do not show it
+            [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in self.experiments],
+            noise.std.tolist(),
+            [c.reflection for c in noise.colour],
+            sorted(asdict(self.options).items()),
+            sorted(read_versions().items()),
+        ]
+        return hashlib.sha256(repr(identity).encode()).hexdigest()[:32]
 
 
-def _beginning(trial: CandidateFit | None) -> dict[str, tuple[float, ...]]:
-    """The value of each state at the first row of each record, of a finished trial."""
-    if trial is None:
+def _initial_states(candidate: CandidateFit | None) -> dict[str, tuple[float, ...]]:
+    """The value of each state at the first row of each record, as a refit ended."""
+    if candidate is None:
         return {}
-    columns = trial.variables.initial.guess.T.tolist()
-    return dict(zip(trial.model.system.state_names, map(tuple, columns), strict=True))
+    columns = candidate.variables.initial.guess.T.tolist()
+    return dict(zip(candidate.model.system.state_names, map(tuple, columns), strict=True))
 
 
-def _beginning_as(problem: EstimationProblem, beginning: Mapping[str, Sequence[float]]) -> EstimationProblem:
+def _with_initial_states(problem: EstimationProblem, values: Mapping[str, Sequence[float]]) -> EstimationProblem:
     """The same problem with another first guess of some initial states."""
     guess = problem.variables.initial.guess.copy()
     for j, name in enumerate(problem.model.system.state_names):
-        if name in beginning:
-            guess[:, j] = beginning[name]
+        if name in values:
+            guess[:, j] = values[name]
     initial = replace(problem.variables.initial, guess=guess)
     return replace(problem, variables=replace(problem.variables, initial=initial))
 
 
-def _trial(model: Model, solution: Solution) -> CandidateFit:
+def _from_solution(model: Model, solution: Solution) -> CandidateFit:
     variables, evaluation = solution.variables, solution.evaluation
     values = dict(zip(model.values, map(float, variables.fixed), strict=True))
     return CandidateFit(
-        model.start(**values), evaluation.cost, evaluation.count, variables.size, solution.problem, variables, evaluation
-    )  # fmt: skip
+        model.start(**values),
+        evaluation.cost,
+        evaluation.count,
+        variables.size,
+        solution.problem,
+        variables,
+        evaluation,
+    )
 
 
-def _promise(problem: EstimationProblem, start: StartValues) -> tuple[float, DecisionVector] | None:
-    """Cost foreseen from one start, and the variables there; None where the model cannot be simulated."""
+def _predict_cost(problem: EstimationProblem, start: StartValues) -> tuple[float, DecisionVector] | None:
+    """Cost that one step predicts from one start, and the variables there; None if the model cannot be simulated."""
     variables = with_start_values(problem.variables, start)
     e = problem.shooting(variables).evaluate(np.zeros(variables.size))
-    if not (np.isfinite(e.cost) and np.abs(e.hessian).max(initial=0.0) < HUGE):
+    if not (np.isfinite(e.cost) and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
         return None
     low, high = variables.bounds()
     return e.cost - predict_decrease(e, low, high), variables

@@ -1,8 +1,8 @@
-"""Going on: further effects on measured records, where each may be small beside the first and nothing ever reaches the noise.
+"""Refining a model on measured records: further effects, small beside the first, where the residual never reaches the noise.
 
-A search over simulated rigs ends at the noise. Measured records hardly do: what an electronic circuit or a tank does beyond its
-first two effects lies a hundred times below the first misfit and still above the noise. Here an effect is demanded if it takes a
-share of what is *left* on the records that are fitted, and on validation records, which none of its constants has seen. Where
+A discovery on simulated rigs ends at the noise. Measured records hardly do: what an electronic circuit or a tank does beyond its
+first two effects lies a hundred times below the first misfit and still above the noise. Here an effect is demanded if it removes a
+share of what is *left* on the estimation records, and on validation records, which none of its parameters has seen. Where
 several do, the validation records decide. They are thereby used for the choice: the figure to quote comes from a third record.
 """
 
@@ -14,65 +14,61 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.discovery import decision
-from greybox.discovery.effect_test import estimate_scales, finish_and_validate
+from greybox.discovery.decision import criterion_gain, make_check
 from greybox.discovery.execution import RefitExecutor, RefitJournal
-from greybox.discovery.holdout import score_holdout
+from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
+from greybox.discovery.holdout import score_holdout, validate_candidate
+from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem, StartValues
+from greybox.discovery.selection import MessageCallback
 from greybox.discovery.shape_correction import is_shape_correction
-from greybox.discovery.starting_points import generate_starting_points
+from greybox.discovery.starting_points import estimate_scales, generate_starting_points
 from greybox.effects import Scales, applicable_effects, tailor_to_record
 from greybox.experiment import Experiment
+from greybox.findings import Check, Finding
 from greybox.model import Effect, Model
 from greybox.noise import AutoRegression
 from greybox.result import Fit
-from greybox.values import ReadOnly
-
-# Share of the rms misfit that is left which a further effect must take away, on the fitted and on the validation records.
-FITTED, HELD_OUT = 0.02, 0.05
-# Models whose misfit is within this share of each other explain a measured record alike, whatever their likelihood.
-ALIKE = 0.1
-# Effects added at most, candidates refitted for each, starts of each.
-MOST, PROMISING, KEPT = 5, 8, 2
-
-Say = Callable[[str], None]
+from greybox.values import Printable, ReadOnly
 
 
 @dataclass(frozen=True)
-class RefinementStep:
-    """One further effect: its name, the share of the rms misfit that it takes away on the fitted and on the validation records, and
-    what does nearly as well in its place (``alike``: with what share on the validation records)."""
+class RefinementStep(Printable, ReadOnly):
+    """One further effect.
+
+    Parameters
+    ----------
+    name
+        The effect.
+    estimation_share, validation_share
+        Share of the rms misfit that it removes on the estimation and on the validation records.
+    alike
+        What does nearly as well in its place, with the share that it removes on the validation records.
+    """
 
     name: str
-    fitted: float
-    held_out: float
+    estimation_share: float
+    validation_share: float
     alike: Mapping[str, float]
-
-    def __str__(self) -> str:
-        also = ", ".join(f"{name} {100 * share:.0f} %" for name, share in self.alike.items())
-        text = f"{self.name}: takes {100 * self.fitted:.0f} % of the misfit, {100 * self.held_out:.0f} % of that on the validation records"
-        return text + (f" (nearly as well: {also})" if also else "")
 
 
 @dataclass(frozen=True, eq=False)
-class Refinement(ReadOnly):
-    """What `refine` found: the fit with all effects, its misfit on the validation records, and each step there."""
+class Refinement(Printable, ReadOnly):
+    """What `refine` found: the fit with all effects, the steps that led there, and the checks of every candidate that was refitted."""
 
     fit: Fit
     steps: tuple[RefinementStep, ...]
+    checks: tuple[Check, ...] = ()
 
-    @property
-    def story(self) -> str:
-        """What comes after the named effects, in one sentence, and what the validation records are worth then."""
-        if not self.steps:
-            return "Nothing further: no other effect takes a share of what is left on records that its constants have not seen."
-        return (
-            f"Further, of what is left: {'; '.join(map(str, self.steps))}. The validation records have chosen them: quote the"
-            " misfit on another record."
-        )
 
-    def __str__(self) -> str:
-        return "\n".join([*map(str, self.steps), str(self.fit)]) if self.steps else f"nothing further\n{self.fit}"
+@dataclass(frozen=True)
+class _Extension:
+    """A model with one effect more, its misfit on the validation records, and the share of the estimation misfit that it removes."""
+
+    candidate: CandidateFit
+    name: str
+    validation_misfit: float
+    estimation_share: float
 
 
 def refine(
@@ -81,103 +77,151 @@ def refine(
     *,
     plain: Model | None = None,
     effects: Sequence[Effect] | None = None,
-    most: int = MOST,
-    say: Say | None = None,
+    policy: DiscoveryPolicy | None = None,
+    on_message: MessageCallback | None = None,
     journal: str | Path | None = None,
-    report: Callable[[int], None] | None = None,
+    on_refit: Callable[[int], None] | None = None,
 ) -> Refinement:
-    """Effects that the model of ``fit`` still lacks, one at a time, ``most`` at most.
+    """Small effects that the model of ``fit`` still lacks, one at a time.
 
-    ``fit``: of a model that already has its large effects, as `discover` gives them (``found.best``). It is refitted to the same
-    records with white noise of the level of its own residual: what is left is structure, and the free run is to follow it.
-    ``validation``: records that none of the constants has seen. ``plain``: a model whose catalogue of candidates counts, by default
-    that of ``fit``; or ``effects``, the only candidates. Curves and second branches that refine the form of an effect are taken out first:
-    here they would stand in the way of a name. ``say``, ``journal`` and ``report`` as in `discover`.
+    The model is refitted to the same records with white noise of the level of its own residual: what is left is structure, and the
+    free run is to follow it. Curves and second branches that correct the shape of an effect are removed first: here they would stand in
+    the way of a name.
 
-    Raises ModelError or DataError as `greybox.fit` does, DataError for a file that is no journal.
+    Parameters
+    ----------
+    fit
+        Of a model that has its large effects already, as `discover` gives it (``discovery.best``).
+    validation
+        Records that no parameter has seen. They choose the effects: quote the misfit on another record.
+    plain
+        A model whose candidates of the catalogue count; by default that of ``fit``.
+    effects
+        The only candidates, instead of the catalogue.
+    policy
+        The decision numbers, above all ``policy.refinement``.
+    on_message, journal, on_refit
+        As in `discover`.
+
+    Returns
+    -------
+    Refinement
+        The fit with all effects, and each step.
+
+    Raises
+    ------
+    ModelError, DataError
+        As `greybox.fit`; DataError for a file that is no journal.
     """
-    judges, tell = (validation,) if isinstance(validation, Experiment) else tuple(validation), say or _silent
-    refits = RefitExecutor(journal=RefitJournal(Path(journal)) if journal else None, report=report)
-    bench = replace(_white(DiscoveryProblem.of(fit), fit), refits=refits)
-    start = bench.at(fit)
-    model = _without_refinements(fit.model)
-    chosen = (
-        bench.best(model, [{n: v for n, v in fit.model.values.items() if n in model.values}], keep=1, like=start)
-        or start
-    )
-    scales = estimate_scales(chosen)
+    policy = policy or DiscoveryPolicy()
+    records = (validation,) if isinstance(validation, Experiment) else tuple(validation)
+    executor = RefitExecutor(journal=RefitJournal(Path(journal)) if journal else None, report=on_refit)
+    problem = replace(_with_white_noise(DiscoveryProblem.from_fit(fit, policy.budget), fit), executor=executor)
+    start = problem.to_candidate(fit)
+    model = _without_shape_corrections(fit.model)
+    values = {n: v for n, v in fit.model.values.items() if n in model.values}
+    selected = problem.refit_best(model, [values], keep=1, like=start) or start
+    scales = estimate_scales(selected)
     candidates = (
         [tailor_to_record(e, scales) for e in effects] if effects else applicable_effects(plain or fit.model, scales)
     )
-    before, steps = score_holdout(bench, chosen, judges), list[RefinementStep]()
-    tell(f"{chosen.model.title}: misfit on the validation records {before:.3g} times that of the fit")
-    while len(steps) < most:
-        gains = [
-            g for t in _extended(bench, chosen, candidates, scales) if (g := _gain(bench, chosen, t, judges, before))
+    misfit = score_holdout(problem, selected, records)
+    if on_message:
+        on_message(
+            str(Finding(DiscoveryCode.REFINEMENT_STARTED, subject=selected.model.title, values={"misfit": misfit}))
+        )
+    steps: list[RefinementStep] = []
+    checks: list[Check] = []
+    while len(steps) < policy.refinement.most_effects:
+        extensions = [
+            extension
+            for candidate in _extend_each(problem, selected, candidates, scales, policy)
+            if (extension := _judge_extension(problem, selected, candidate, records, misfit, policy, checks))
         ]
-        if not gains:
+        if not extensions:
             break
-        least = min(t.per_sample for t, _, _ in gains) ** 0.5
-        alike = sorted((g for g in gains if g[0].per_sample ** 0.5 <= (1 + ALIKE) * least), key=lambda g: g[1])
-        best, after, share = alike[0]
-        near = {_added(chosen, t): 1 - m / before for t, m, _ in alike[1:] if m <= (1 + ALIKE) * after}
-        steps.append(RefinementStep(_added(chosen, best), share, 1 - after / before, near))
-        tell(str(steps[-1]))
-        chosen, before = best, after
-    return Refinement(finish_and_validate(chosen, bench, judges), tuple(steps))
+        alike = 1 + policy.refinement.alike_share
+        least = min(e.candidate.per_sample for e in extensions) ** 0.5
+        near = [e for e in extensions if e.candidate.per_sample**0.5 <= alike * least]
+        best, *others = sorted(near, key=lambda e: e.validation_misfit)
+        also = {
+            e.name: 1 - e.validation_misfit / misfit
+            for e in others
+            if e.validation_misfit <= alike * best.validation_misfit
+        }
+        share = 1 - best.validation_misfit / misfit
+        steps.append(RefinementStep(best.name, best.estimation_share, share, also))
+        if on_message:
+            on_message(str(steps[-1]))
+        selected, misfit = best.candidate, best.validation_misfit
+    return Refinement(validate_candidate(problem, selected, records), tuple(steps), tuple(checks))
 
 
-Gain = tuple[CandidateFit, float, float]
-
-
-def _gain(
-    bench: DiscoveryProblem, smaller: CandidateFit, larger: CandidateFit, judges: Sequence[Experiment], before: float
-) -> Gain | None:
-    """The larger model, its misfit on the judging records, and its share of the fitted misfit; None where it is not demanded."""
+def _judge_extension(
+    problem: DiscoveryProblem,
+    smaller: CandidateFit,
+    larger: CandidateFit,
+    validation: Sequence[Experiment],
+    misfit: float,
+    policy: DiscoveryPolicy,
+    checks: list[Check],
+) -> _Extension | None:
+    """The larger model with its errors; None where the records do not demand it. Every check is added to ``checks``."""
+    name = next(n for n in larger.effects if n not in smaller.effects)
+    gain, least_gain = criterion_gain(smaller, larger), policy.selection.criterion_gain
     share = 1 - (larger.cost / smaller.cost) ** 0.5
-    if decision.criterion_gain(smaller, larger) <= decision.STRONG or share < FITTED:
+    gains = make_check(DiscoveryRule.CRITERION_GAIN, gain, least_gain, gain > least_gain, name)
+    fits = Check.at_least(DiscoveryRule.ESTIMATION_DECREASE, share, policy.refinement.estimation_share, name)
+    checks += [gains, fits]
+    if not (gains and fits):
         return None
-    after = score_holdout(bench, larger, judges)
-    return (larger, after, share) if after <= (1 - HELD_OUT) * before else None
+    after = score_holdout(problem, larger, validation)
+    predicts = Check.at_most(
+        DiscoveryRule.VALIDATION_DECREASE, after, (1 - policy.refinement.validation_share) * misfit, name
+    )
+    checks.append(predicts)
+    return _Extension(larger, name, after, share) if predicts else None
 
 
-def _extended(
-    bench: DiscoveryProblem, chosen: CandidateFit, candidates: Sequence[Effect], scales: Scales
+def _extend_each(
+    problem: DiscoveryProblem,
+    selected: CandidateFit,
+    candidates: Sequence[Effect],
+    scales: Scales,
+    policy: DiscoveryPolicy,
 ) -> list[CandidateFit]:
-    """``chosen`` with each of the most promising further effects."""
-    names = set(chosen.effects)
-    inside = {parent for b in chosen.model.bound_effects for parent in b.effect.parents}
-    room = [e for e in candidates if e.name not in names | inside and not names & set(e.parents)]
-    starts = {e.name: _starts(chosen, e, scales) for e in room}
-    hopes = {e.name: bench.promise(chosen.model + e, starts[e.name], chosen) for e in room}
-    promising = sorted(room, key=lambda e: hopes[e.name])[:PROMISING]
-    found = [bench.best(chosen.model + e, starts[e.name], KEPT, like=chosen) for e in promising]
-    return [t for t in found if t is not None]
+    """``selected`` with each of the further effects whose predicted cost is lowest."""
+    names = set(selected.effects)
+    parents = {parent for b in selected.model.bound_effects for parent in b.effect.parents}
+    further = [e for e in candidates if e.name not in names | parents and not names & set(e.parents)]
+    starts = {e.name: _starting_points(selected, e, scales, policy) for e in further}
+    predicted = {e.name: problem.predict_cost(selected.model + e, starts[e.name], selected) for e in further}
+    promising = sorted(further, key=lambda e: predicted[e.name])[: policy.refinement.promising_candidates]
+    extended = [
+        problem.refit_best(selected.model + e, starts[e.name], policy.refinement.refit_starts, like=selected)
+        for e in promising
+    ]
+    return [candidate for candidate in extended if candidate is not None]
 
 
-def _without_refinements(model: Model) -> Model:
+def _without_shape_corrections(model: Model) -> Model:
     for name in [e.name for e in model.effects if is_shape_correction(e.name)]:
         model = model.without(name)
     return model
 
 
-def _starts(chosen: CandidateFit, effect: Effect, scales: Scales) -> list[StartValues]:
-    """Where the refit with a further effect begins: with nothing of it, and at the usual amplitudes and shapes."""
-    model = chosen.model + effect
-    return [model.values, *generate_starting_points(model, effect, chosen, chosen.model, scales)]
+def _starting_points(
+    selected: CandidateFit, effect: Effect, scales: Scales, policy: DiscoveryPolicy
+) -> list[StartValues]:
+    """Where the refit with a further effect starts: with nothing of it, and at the usual amplitudes and shapes."""
+    model = selected.model + effect
+    amplitudes = policy.budget.amplitude_grid
+    return [model.values, *generate_starting_points(model, effect, selected, selected.model, scales, amplitudes)]
 
 
-def _added(smaller: CandidateFit, larger: CandidateFit) -> str:
-    return next(name for name in larger.effects if name not in smaller.effects)
-
-
-def _white(bench: DiscoveryProblem, fit: Fit) -> DiscoveryProblem:
-    """The same bench with white noise of the level of the residual."""
-    noise = bench.problem(fit.model).noise
+def _with_white_noise(problem: DiscoveryProblem, fit: Fit) -> DiscoveryProblem:
+    """The same problem with white noise of the level of the residual."""
+    noise = problem.prepare(fit.model).noise
     outputs = [o.name for o in fit.model.outputs]
     std = np.array([fit.misfit[o].rmse if o in fit.misfit else s for o, s in zip(outputs, noise.std, strict=True)])
-    return replace(bench, noise=replace(noise, std=std, colour=tuple(AutoRegression() for _ in outputs)))
-
-
-def _silent(_: str) -> None:
-    return None
+    return replace(problem, noise=replace(noise, std=std, colour=tuple(AutoRegression() for _ in outputs)))

@@ -11,9 +11,6 @@ from greybox.noise import AutoRegression
 from greybox.result import Fit
 from greybox.values import ReadOnly
 
-# Samples of one stretch of Welch's method at most; a record gives at least this many stretches.
-SEGMENT, STRETCHES = 512, 8
-
 
 @dataclass(frozen=True, eq=False)
 class ResidualSpectrum(ReadOnly):
@@ -29,27 +26,41 @@ class ResidualSpectrum(ReadOnly):
     unit: str
 
 
-def estimate_residual_spectrum(fit: Fit, output: str, *, coloured: bool = True) -> ResidualSpectrum:
-    """Of ``fit`` on its validation records (on the fitted ones where there are none), by Welch's method; gaps count as zero.
+def estimate_residual_spectrum(
+    fit: Fit, output: str, *, coloured: bool = True, segment: int = 512, stretches: int = 8
+) -> ResidualSpectrum:
+    """Spectrum of the residual of one output, by Welch's method; gaps count as zero.
 
-    ``coloured``: whether the floor has the colour that the fit took the noise for; a missing effect may have passed for it.
+    Parameters
+    ----------
+    fit
+        Its validation records count, or the estimation records where there are none.
+    output
+        A measured output.
+    coloured
+        Whether the floor has the colour that the fit took the noise for; a missing effect may have passed for it.
+    segment
+        Samples of one stretch at most.
+    stretches
+        Stretches that a record gives at least.
 
-    Raises DataError for an output that was not measured.
+    Raises
+    ------
+    DataError
+        For an output that was not measured.
     """
     traces = [t for t in (fit.validation.traces or fit.traces) if output in t.measured]
     if not traces:
         raise DataError(f"spectrum of {output!r}: not measured; {nearest(output, list(fit.misfit))}")
     period = float(np.median(np.diff(traces[0].time)))
-    length = min(SEGMENT, max(min(len(t.time) for t in traces) // STRETCHES * 2, 8))
-    length = min(length, min(len(t.time) for t in traces))
-    powers = []
-    for t in traces:
-        powers.append(estimate_power_density(np.nan_to_num(t.residual(output)), period, length) * len(t.time))
+    shortest = min(len(t.time) for t in traces)
+    length = min(segment, max(shortest // stretches * 2, 8), shortest)
+    powers = [estimate_power_density(np.nan_to_num(t.residual(output)), period, length) * len(t.time) for t in traces]
     power = sum(powers) / sum(len(t.time) for t in traces)
     frequency = np.fft.rfftfreq(length, period)
     step = frequency[1] - frequency[0]
     std, reflection = fit.noise.std.get(output, np.nan), fit.noise.colour.get(output, ()) if coloured else ()
-    floor = std**2 * 2 * period * _shape(AutoRegression(tuple(reflection)), frequency * period)
+    floor = std**2 * 2 * period * _noise_shape(AutoRegression(tuple(reflection)), frequency * period)
     unit = next(o.unit for o in fit.model.outputs if o.name == output)
     return ResidualSpectrum(output, frequency[1:], np.sqrt(power * step)[1:], np.sqrt(floor * step)[1:], unit)
 
@@ -59,7 +70,7 @@ def estimate_power_density(values: np.ndarray, period: float, length: int) -> np
 
     The mean over stretches of ``length`` samples that overlap by half, each under a Hann window; what is constant stays in.
     """
-    # As `scipy.signal.welch` without detrending: that one takes half a second to import.
+    # As `scipy.signal.welch` without detrending: that takes half a second to import.
     stretches = np.lib.stride_tricks.sliding_window_view(values, length)[:: length - length // 2]
     window = np.hanning(length + 1)[:-1]
     power = (np.abs(np.fft.rfft(window * stretches)) ** 2).mean(axis=0) * period / (window @ window)
@@ -68,7 +79,7 @@ def estimate_power_density(values: np.ndarray, period: float, length: int) -> np
     return np.asarray(power)
 
 
-def _shape(colour: AutoRegression, cycles: np.ndarray) -> np.ndarray:
+def _noise_shape(colour: AutoRegression, cycles: np.ndarray) -> np.ndarray:
     """Power spectrum of noise of this colour and unit variance over that of white noise, at ``cycles`` per sample."""
     lags = np.arange(1, colour.order + 1)
     response = 1 - np.exp(-2j * np.pi * np.outer(cycles, lags)) @ colour.coefficients

@@ -2,39 +2,62 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from greybox.discovery.curve_effects import NAME, evaluate_curve, make_curve_effect, make_sinusoid_effect
-from greybox.discovery.curve_shape import classify_shape
-from greybox.discovery.dependence import TIME, WORTH, Dependence
+from greybox.discovery.curve_shape import CurveShape, ShapeKind, classify_shape
+from greybox.discovery.dependence import TIME, Dependence
 from greybox.discovery.disturbance_sites import DisturbanceSite, list_disturbance_sites
-from greybox.discovery.effect_test import finish_and_validate
-from greybox.discovery.holdout_error import HoldoutError, compare_holdout_errors
-from greybox.discovery.localisation import ResidualLocalisation, ResidualSignal
+from greybox.discovery.holdout import (
+    HoldoutError,
+    compare_holdout_errors,
+    estimated_initial_states,
+    validate_candidate,
+    worst_output,
+)
+from greybox.discovery.localisation import (
+    ResidualLocalisation,
+    ResidualSignal,
+    estimate_site_signals,
+    localise_residual,
+)
+from greybox.discovery.policy import DiscoveryPolicy, SurrogatePolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.surrogate_effects import (
+    CURVE,
+    TONE,
+    evaluate_curve,
+    make_curve_effect,
+    make_sinusoid_effect,
+    make_tone_effect,
+)
+from greybox.estimation import fit as estimate
+from greybox.estimation import validate
+from greybox.estimation.policy import DEFAULT_POLICY
 from greybox.estimation.select_transcription import select_transcription
 from greybox.experiment import Experiment
 from greybox.result import Fit
-from greybox.values import ReadOnly
-
-# Variables that a curve is tried over; iterations of a refit, and of the fit that tells its intervals; starts; periods, as shares of the
-# one seen.
-TRIED, ITERATIONS, LAST, KEPT, PERIODS = 2, 30, 10, 1, (1.0, 0.985, 1.015)
-# Name of a tone as an effect; share of the gap that a curve must close to stand in for anything.
-TONE, USEFUL = "tone", 0.1
-# Points of a drawn curve; of a period.
-POINTS, FINE = 101, 24
+from greybox.values import Printable, ReadOnly
 
 
 @dataclass(frozen=True)
 class SurrogateTone:
-    """A sinusoid from outside: ``frequency`` and its standard deviation ``std`` (None: not known) in Hz, ``amplitude`` by record.
+    """A sinusoid from outside.
 
-    ``beginning``: seconds of each validation record from which its amplitude and phase are read there; ``alike``: places at which it
-    would explain the records as well.
+    Parameters
+    ----------
+    frequency, std
+        In Hz, and its standard deviation (None: not known).
+    amplitude
+        By record.
+    beginning
+        Seconds of each validation record from which amplitude and phase are estimated there.
+    alike
+        Labels of sites at which it would explain the records as well.
     """
 
     frequency: float
@@ -43,173 +66,361 @@ class SurrogateTone:
     beginning: float
     alike: tuple[str, ...]
 
-    def __str__(self) -> str:
-        return f"a tone of {f'{self.frequency:#.4g}'.rstrip('.')} Hz"
-
 
 @dataclass(frozen=True, eq=False)
-class Surrogate(ReadOnly):
-    """What was fitted in the place of an unknown effect at ``site``: a curve over the variable of ``region``, or a ``tone`` in time.
+class Surrogate(Printable, ReadOnly):
+    """What was fitted in the place of an unknown effect: a curve over a variable, or a tone in time.
 
-    ``fit`` is the extended model with it as an effect; ``gap`` by output on the validation records. ``values`` (M,) of the
-    variable and the ``curve`` (M,) there, in ``variable_unit`` and ``unit``, through the unexplained ``signal``. A straight line is shared
-    with the model's own constants (a damper, a spring) in a way that no data decide: the ``curve`` has the one that the signal has.
-    ``shape``: that of the curve in words.
+    A straight line is shared with the model's own parameters (a damper, a spring) in a way that no data decide: the ``curve`` has the
+    one that the signal has.
+
+    Parameters
+    ----------
+    site, unit
+        Label of the site, and unit of the signal there.
+    fit
+        The extended model with it as an effect.
+    holdout
+        Error on the validation records by output.
+    values, curve
+        The variable and the curve (M,).
+    signal
+        The unexplained signal that it was fitted to.
+    dependence
+        The signal as a function of the variable.
+    shape
+        What the curve looks like.
+    tone
+        The tone; None for a curve.
+    amplitude
+        Of a sinusoid over the variable, in ``unit``; None for others.
     """
 
     site: str
     unit: str
     fit: Fit
-    gap: Mapping[str, HoldoutError]
+    holdout: Mapping[str, HoldoutError]
     values: np.ndarray
     curve: np.ndarray
     signal: ResidualSignal
-    region: Dependence
-    shape: str = ""
+    dependence: Dependence
+    shape: CurveShape
     tone: SurrogateTone | None = None
+    amplitude: float | None = None
 
     @property
     def variable(self) -> str:
         """Name of the state or input that the curve is over, or ``time``."""
-        return self.region.variable
+        return self.dependence.variable
 
     @property
     def variable_unit(self) -> str:
         """Unit of the variable."""
-        return self.region.unit
+        return self.dependence.unit
 
     @property
     def explained_fraction(self) -> float:
-        """Share of the gap that it closes, in the output that the plain model misses most."""
-        return max(self.gap.values(), key=lambda g: g.before / g.floor).explained_fraction
-
-    @property
-    def title(self) -> str:
-        """``a curve over x`` or ``a tone of 50.00 Hz``."""
-        if self.tone is not None:
-            return str(self.tone)
-        return f"a {'curve' if self.region.period is None else 'sinusoid'} over {self.variable}"
+        """Share of the gap that it explains, in the output that the plain model misses most."""
+        return self.holdout[worst_output(self.holdout)].explained_fraction
 
     @property
     def beside(self) -> tuple[str, ...]:
         """Effects of the catalogue that the model has beside it."""
-        return tuple(e.name for e in self.fit.model.effects if e.name not in (NAME, TONE))
+        return tuple(e.name for e in self.fit.model.effects if e.name not in (CURVE, TONE))
 
     @property
-    def seen(self) -> np.ndarray:
+    def measured(self) -> np.ndarray:
         """The values (K,) of the variable along the signal."""
         return self.signal.time if self.variable == TIME else self.signal.variables[self.variable]
 
-    def __str__(self) -> str:
-        if self.tone is None:
-            smooth = self.title.replace("a curve", "a smooth curve")
-            beside = f", beside {' + '.join(self.beside)}," if self.beside else ""
-            return (
-                f"{smooth} ({self.shape})"
-                f" at the {self.site}{beside} {describe_explained_share(self.explained_fraction)} on the validation records"
-            )
-        sizes = sorted(self.tone.amplitude.values())
-        size = f"{sizes[0]:.3g}" if sizes[-1] <= 1.05 * sizes[0] else f"{sizes[0]:.3g} to {sizes[-1]:.3g}"
-        also = f" (or the {', the '.join(self.tone.alike)}: these records cannot tell)" if self.tone.alike else ""
-        return (
-            f"{self.tone} at the {self.site}{also}, of amplitude {size} {self.unit}".rstrip()
-            + f", {describe_explained_share(self.explained_fraction)} on the validation records (amplitude and phase there from the first"
-            f" {self.tone.beginning:.2g} s)"
-        )
+    def to_values(self) -> dict[str, Any]:
+        """What it says, without the arrays, ready for a finding or for JSON."""
+        return {
+            "site": self.site,
+            "variable": self.variable,
+            "variable_unit": self.variable_unit,
+            "unit": self.unit,
+            "closed": self.explained_fraction,
+            "shape": self.shape.kind,
+            "parity": self.shape.parity,
+            "downwards": self.shape.downwards,
+            "position": self.shape.position,
+            "period": self.dependence.period,
+            "amplitude": self.amplitude,
+            "tone": None if self.tone is None else asdict(self.tone),
+            "beside": list(self.beside),
+        }
 
 
-def describe_explained_share(share: float) -> str:
-    """``closes 98.8 % of the gap``; a model that is farther off than the plain one closes nothing."""
-    return f"closes {100 * min(share, 1.0):.3g} % of the gap" if share > 0 else "closes nothing of the gap"
+def fit_surrogate(
+    problem: DiscoveryProblem,
+    baseline: CandidateFit,
+    look_alike: CandidateFit,
+    holdout: Mapping[str, HoldoutError],
+    validation: Sequence[Experiment],
+    base: Fit,
+    policy: DiscoveryPolicy,
+    skip: int = 0,
+) -> Surrogate | None:
+    """A tone or a smooth curve for all that the plain model lacks.
+
+    Where that is not enough, and the nearest look-alike explains the larger part, one for what this leaves, if the two together do
+    clearly better. None that explains less than the look-alike.
+
+    Parameters
+    ----------
+    problem
+        Records and noise, with the plain model as the user gave it.
+    baseline, look_alike
+        The fits of the plain model and of the selected one.
+    holdout, base
+        Error of both on the validation records, and the plain model as a fit that was validated there.
+    validation, skip
+        These records, and the rows at their start that do not count.
+    policy
+        The decision numbers.
+    """
+    explained = holdout[worst_output(holdout)].explained_fraction
+    helps = bool(explained > policy.selection.partial_share and look_alike.effects)
+    best: Surrogate | None = None
+    for candidate in (baseline, look_alike) if helps else (baseline,):
+        if best is not None and best.explained_fraction >= policy.selection.holdout_share:
+            break
+        location = localise_residual(candidate, policy=policy.localisation, selection=policy.selection)
+        given = (problem, candidate, location, validation, base, policy, skip)
+        surrogate = fit_tone_surrogate(*given) or fit_curve_surrogate(*given)
+        if surrogate is None or (helps and surrogate.explained_fraction < explained):
+            continue
+        if best is None or surrogate.explained_fraction > best.explained_fraction + policy.surrogate.beside_gain:
+            best = surrogate
+    return best
+
+
+# A curve over a variable
 
 
 def fit_curve_surrogate(
-    bench: DiscoveryProblem,
-    trial: CandidateFit,
-    found: ResidualLocalisation,
-    judges: Sequence[Experiment],
+    problem: DiscoveryProblem,
+    candidate: CandidateFit,
+    location: ResidualLocalisation,
+    validation: Sequence[Experiment],
     base: Fit,
+    policy: DiscoveryPolicy,
     skip: int = 0,
 ) -> Surrogate | None:
-    """The curve for what ``trial`` leaves over; None where that is no function of any one variable, or cannot be simulated, or where it
-    closes nothing worth mentioning on the judging records.
+    """The curve for what ``candidate`` leaves unexplained.
 
-    ``base``: the plain model judged on the same records, which the gap is counted from. The model is refitted with a curve over each of
-    the likeliest variables, with a sinusoid where the signal repeats over it; what explains the records best by Schwarz's criterion stays.
+    The model is refitted with a curve over each of the likeliest variables, with a sinusoid where the signal repeats over it; what explains
+    the records best by Schwarz's criterion stays. None where the signal is no function of any one variable, where the model cannot be
+    simulated, or where the curve explains nothing worth mentioning on the validation records. ``base`` is the plain model validated on
+    them.
     """
-    worth = [r for r in found.dependences if r.variable != TIME and r.share + r.loop > WORTH][:TRIED]
-    if not worth or found.signal is None:
+    variables = [d for d in location.dependences if d.variable != TIME and d.is_relevant][: policy.surrogate.variables]
+    if not variables or location.signal is None:
         return None
-    measured = [o.name for o in trial.model.outputs]
-    place = next(p for p in list_disturbance_sites(trial.model, measured) if str(p) == found.signal.site)
-    refits = [(r, _refitted(bench, trial, place, r, found.signal)) for r in worth]
-    tried = [
-        (r, t) for r, t in refits if t is not None and (_by_segments(bench, bench.base) or not _by_segments(bench, t))
+    sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
+    site = next(s for s in sites if s.label == location.signal.site)
+    refits = [(d, _refit_curve(problem, candidate, site, d, location.signal, policy.surrogate)) for d in variables]
+    stable = [
+        (d, fit)
+        for d, fit in refits
+        if fit is not None and (_needs_segments(problem, problem.baseline) or not _needs_segments(problem, fit))
     ]
-    if not tried:
+    if not stable:
         return None
-    region, better = min(tried, key=lambda one: one[1].criterion)
-    drawn = _drawn(bench, better, place, region, found.signal, judges, base, skip)
-    return drawn if drawn.explained_fraction >= USEFUL else None
+    dependence, best = min(stable, key=lambda one: one[1].criterion)
+    surrogate = _to_curve_surrogate(problem, best, site, dependence, location.signal, validation, base, policy, skip)
+    return surrogate if surrogate.explained_fraction >= policy.surrogate.useful_share else None
 
 
-def _by_segments(bench: DiscoveryProblem, trial: CandidateFit) -> bool:
+def _needs_segments(problem: DiscoveryProblem, candidate: CandidateFit) -> bool:
     """Whether the model is so unstable that it cannot be run freely; a curve that makes a stable one so stands in for nothing."""
-    there = replace(trial.problem, variables=trial.variables)
-    return select_transcription(there, replace(bench.options, progressive=False)).transcription == "multiple"
+    fitted = replace(candidate.problem, variables=candidate.variables)
+    return select_transcription(fitted, replace(problem.options, progressive=False)).transcription == "multiple"
 
 
-def _refitted(
-    bench: DiscoveryProblem, trial: CandidateFit, place: DisturbanceSite, region: Dependence, signal: ResidualSignal
+def _refit_curve(
+    problem: DiscoveryProblem,
+    candidate: CandidateFit,
+    site: DisturbanceSite,
+    dependence: Dependence,
+    signal: ResidualSignal,
+    policy: SurrogatePolicy,
 ) -> CandidateFit | None:
-    """``trial`` with a curve over the variable of ``region``, from its own constants and from those that the user came with."""
-    z = signal.variables[region.variable]
-    if region.period is None:
-        effect, start = make_curve_effect(place, region, z, signal.value, signal.std)
-        starts = [start, {}]
+    """``candidate`` with a curve over the variable, from its own parameters and from those that the user gave."""
+    z, period = signal.variables[dependence.variable], dependence.period
+    if period is None:
+        effect, heights = make_curve_effect(site, dependence, z, signal.value, signal.std, policy, policy.intervals)
+        curve_starts = [heights, {}]
     else:
-        effect, _ = make_sinusoid_effect(place, region, region.period, z, signal.value)
-        starts = [make_sinusoid_effect(place, region, share * region.period, z, signal.value)[1] for share in PERIODS]
-    model = trial.model + effect
-    names = next(b.model_names for b in model.bound_effects if b.effect.name == NAME)
-    nominal = {q.name: q.value for q in bench.plain.free_parameters}
-    begins = [
-        {**trial.model.values, **values, **{names[n]: v for n, v in start.items()}}
-        for start in starts
+        effect, _ = make_sinusoid_effect(site, dependence, period, z, signal.value, policy)
+        curve_starts = [
+            make_sinusoid_effect(site, dependence, share * period, z, signal.value, policy)[1]
+            for share in policy.period_starts
+        ]
+    model = candidate.model + effect
+    names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
+    nominal = {q.name: q.value for q in problem.model.free_parameters}
+    starts = [
+        {**candidate.model.values, **values, **{names[n]: v for n, v in start.items()}}
+        for start in curve_starts
         for values in ({}, nominal)
     ]
-    return bench.best(model, begins, KEPT, ITERATIONS, like=trial)
+    return problem.refit_best(model, starts, policy.refit_starts, policy.refit_iterations, like=candidate)
 
 
-def _drawn(
-    bench: DiscoveryProblem,
-    trial: CandidateFit,
-    place: DisturbanceSite,
-    region: Dependence,
+def _to_curve_surrogate(
+    problem: DiscoveryProblem,
+    candidate: CandidateFit,
+    site: DisturbanceSite,
+    dependence: Dependence,
     signal: ResidualSignal,
-    judges: Sequence[Experiment],
+    validation: Sequence[Experiment],
     base: Fit,
+    policy: DiscoveryPolicy,
     skip: int,
 ) -> Surrogate:
-    """The stand-in of a refitted ``trial``, judged, with its curve over the range of the ``signal``."""
+    """The surrogate of a refitted ``candidate``, validated, with its curve over the range of the ``signal``."""
     # The refit is over: a curve of many heights would go on for long with what does not show.
-    brief = replace(bench.options, transcription="single", iterations=LAST)
-    fitted = finish_and_validate(trial, replace(bench, options=brief), judges, skip)
-    names = next(b.model_names for b in trial.model.bound_effects if b.effect.name == NAME)
-    values = {n: trial.model.values[there] for n, there in names.items()}
-    seen = signal.variables[region.variable]
-    points = POINTS if region.period is None else max(int(FINE * np.ptp(seen) / region.period), POINTS)
-    z = np.linspace(seen.min(), seen.max(), points)
-    if region.period is not None:
-        curve, region = evaluate_curve(values, z), replace(region, period=values["pitch"])
-        size = f"{np.hypot(values['cosine'], values['sine']):.3g} {place.unit}".rstrip()
-        told = f"every {values['pitch']:.3g} {region.unit}".rstrip() + f", of {size}"
+    brief = replace(problem.options, transcription="single", iterations=policy.surrogate.interval_iterations)
+    fit = validate_candidate(replace(problem, options=brief), candidate, validation, skip)
+    holdout = compare_holdout_errors(base, fit)
+    names = next(b.model_names for b in candidate.model.bound_effects if b.effect.name == CURVE)
+    values = {n: candidate.model.values[in_model] for n, in_model in names.items()}
+    measured = signal.variables[dependence.variable]
+    points = policy.surrogate.curve_points
+    if dependence.period is not None:
+        points = max(int(policy.surrogate.points_per_period * np.ptp(measured) / dependence.period), points)
+    z = np.linspace(measured.min(), measured.max(), points)
+    if dependence.period is not None:
         return Surrogate(
-            signal.site, place.unit, fitted, compare_holdout_errors(base, fitted), z, curve, signal, region, told
+            signal.site,
+            site.unit,
+            fit,
+            holdout,
+            z,
+            evaluate_curve(values, z),
+            signal,
+            replace(dependence, period=values["pitch"]),
+            CurveShape(ShapeKind.PERIODIC),
+            amplitude=float(np.hypot(values["cosine"], values["sine"])),
         )
-    curve = evaluate_curve(values, z) + np.polyval(np.polyfit(seen, signal.value - evaluate_curve(values, seen), 1), z)
-    there = np.histogram(seen, points, (z[0], z[-1]))[0]
-    told = classify_shape(z[there > 0], curve[there > 0], there[there > 0], region.unit)[1]
+    rest = signal.value - evaluate_curve(values, measured)
+    curve = evaluate_curve(values, z) + np.polyval(np.polyfit(measured, rest, 1), z)
+    count = np.histogram(measured, points, (z[0], z[-1]))[0]
+    shape = classify_shape(z[count > 0], curve[count > 0], count[count > 0], policy.localisation.shape)
+    return Surrogate(signal.site, site.unit, fit, holdout, z, curve, signal, dependence, shape)
+
+
+# A tone in time
+
+
+def fit_tone_surrogate(
+    problem: DiscoveryProblem,
+    candidate: CandidateFit,
+    location: ResidualLocalisation,
+    validation: Sequence[Experiment],
+    base: Fit,
+    policy: DiscoveryPolicy,
+    skip: int = 0,
+) -> Surrogate | None:
+    """The tone for what ``candidate`` leaves unexplained; None where that is no tone, or the model with it does no better.
+
+    One frequency looks alike at every site once it is steady, so the model is fitted with the tone at each; where several explain the
+    records, balances come before sensors. On the validation records amplitude and phase are estimated from the first few periods, since
+    no two records start at the same phase. ``base`` is the plain model validated on them.
+    """
+    if not location.dependences or location.dependences[0].tone is None:
+        return None
+    signals = estimate_site_signals(candidate, policy.localisation)
+    measured = {name for e in candidate.problem.experiments for name in e.outputs}
+    sites = [s for s in list_disturbance_sites(candidate.model, sorted(measured)) if s.label in signals]
+    fits = [_fit_tone(problem, candidate, s, signals[s.label], location.dependences[0].tone) for s in sites]
+    least = min((fit.solver.cost for fit in fits), default=np.inf)
+    if not least < candidate.cost:  # nor where it is not a number
+        return None
+    alike = [
+        (s, fit) for s, fit in zip(sites, fits, strict=True) if fit.solver.cost - least < policy.selection.tie_cost
+    ]
+    site, fit = alike[0]
+    frequency = fit.parameters[_tone_names(fit)[0]].value
+    rows, seconds = _first_periods(validation, frequency, policy.surrogate.tone_periods, skip)
+    validated = validate(
+        fit.model, validation, noise=fit.noise.std, skip=skip, initial_rows=rows, options=problem.options
+    )
+    fit = replace(fit, validation=validated)
+    others = tuple(s.label for s, _ in alike[1:])
+    holdout = compare_holdout_errors(base, fit)
+    return _to_tone_surrogate(
+        site, signals[site.label], location.dependences[0], fit, holdout, seconds, others, policy.surrogate
+    )
+
+
+def _fit_tone(
+    problem: DiscoveryProblem, candidate: CandidateFit, site: DisturbanceSite, signal: ResidualSignal, frequency: float
+) -> Fit:
+    """The model of ``candidate`` with a tone at ``site``, fitted to the records."""
+    record = next(e for e in candidate.problem.experiments if e.name == signal.record)
+    model = candidate.model + make_tone_effect(site, signal, float(record.time[0]), frequency)
+    # The fitted parameters have adapted to the tone, so the ones that the user gave are a start as well.
+    origins: tuple[dict[str, float], ...] = ({}, {q.name: q.value for q in problem.model.free_parameters})
+    fits = [
+        estimate(
+            model.start(**values),
+            problem.experiments,
+            noise=candidate.problem.noise,
+            initial=estimated_initial_states(candidate),
+            options=replace(problem.options, progressive=False),
+        )
+        for values in origins
+    ]
+    finite = (fit for fit in fits if np.isfinite(fit.solver.cost))
+    return min(finite, key=lambda fit: fit.solver.cost, default=fits[0])
+
+
+def _tone_names(fit: Fit) -> tuple[str, str, str]:
+    """How the frequency and the two states of the tone are called in the model."""
+    bound = next(b for b in fit.model.bound_effects if b.effect.name == TONE)
+    first, second = (s.name for s in bound.states)
+    return bound.model_names["frequency"], first, second
+
+
+def _first_periods(validation: Sequence[Experiment], frequency: float, periods: int, skip: int) -> tuple[int, float]:
+    """Rows of a validation record from which the tone's amplitude and phase are estimated, and their seconds."""
+    step = max(float(np.median(np.diff(e.time))) for e in validation)
+    half = min(e.rows for e in validation) // 2
+    rows = skip or min(max(math.ceil(periods / (frequency * step)), DEFAULT_POLICY.initial_state.first_rows), half)
+    return rows, rows * step
+
+
+def _to_tone_surrogate(
+    site: DisturbanceSite,
+    signal: ResidualSignal,
+    dependence: Dependence,
+    fit: Fit,
+    holdout: Mapping[str, HoldoutError],
+    seconds: float,
+    others: tuple[str, ...],
+    policy: SurrogatePolicy,
+) -> Surrogate:
+    """The surrogate with the tone along the stretch of ``signal``."""
+    frequency, *states = _tone_names(fit)
+    estimated = fit.parameters[frequency]
+    trace = next(t for t in fit.traces if t.name == signal.record)
+    points = max(int(policy.points_per_period * np.ptp(signal.time) * estimated.value), policy.points_per_period)
+    time = np.linspace(signal.time[0], signal.time[-1], points)
+    angle = 2 * np.pi * estimated.value * (time - trace.time[0])
+    cosine, sine = (trace.initial_state[n] for n in states)
+    amplitude = {t.name: math.hypot(*(t.initial_state[n] for n in states)) for t in fit.traces}
     return Surrogate(
-        signal.site, place.unit, fitted, compare_holdout_errors(base, fitted), z, curve, signal, region, told
+        site.label,
+        site.unit,
+        fit,
+        holdout,
+        time,
+        cosine * np.cos(angle) + sine * np.sin(angle),
+        signal,
+        dependence,
+        CurveShape(ShapeKind.TONE),
+        SurrogateTone(estimated.value, estimated.std, amplitude, seconds, others),
     )

@@ -10,6 +10,7 @@ from greybox.discovery import (
     HoldoutError,
     ResidualLocalisation,
     Surrogate,
+    Verdict,
     estimate_residual_spectrum,
 )
 from greybox.discovery.dependence import Dependence
@@ -32,6 +33,7 @@ from greybox.plots.figure import (
 from greybox.plots.policy import DRAWING
 from greybox.plots.records import FREQUENCY, TIME
 from greybox.plots.scaling import root_mean_square, scale_to_prefix, typeset_exponents
+from greybox.rendering.discovery import surrogate_title
 from greybox.rendering.plots import FigureText, phrase
 
 
@@ -40,11 +42,11 @@ def plot_holdout_error(discovery: Discovery) -> Figure:
     extended = " + ".join(effect.name for effect in discovery.best.model.effects)
     surrogate = discovery.surrogate
     panels, description = [], []
-    for output, error in discovery.gap.items():
+    for output, error in discovery.holdout.items():
         steps = [("plain model", error.before, Role.BASELINE)]
         steps.append((f"with {extended}" if extended else "the same model", error.after, Role.EXTENDED))
-        if surrogate is not None and output in surrogate.gap:
-            steps.append((f"with {surrogate.title}", surrogate.gap[output].after, Role.SURROGATE))
+        if surrogate is not None and output in surrogate.holdout:
+            steps.append((f"with {surrogate_title(surrogate)}", surrogate.holdout[output].after, Role.SURROGATE))
         steps.append(("noise", error.floor, Role.MEASURED))
         names, sizes, roles = zip(*steps, strict=True)
         factor, unit = scale_to_prefix(error.unit, np.array(sizes))
@@ -78,7 +80,7 @@ def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:
         (
             Points(x * signal.variable, y * signal.value, Role.MEASURED, "from the records", size=5, opacity=0.7),
             Points(x * signal.variable, y * signal.modelled, Role.EXTENDED, signal.effect, size=4),
-            _bins(signal.region, x, y),
+            _bins(signal.dependence, x, y),
         ),
         Axis(signal.variable_name, across),
         axis,
@@ -99,7 +101,7 @@ def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:
     )
     description = phrase(
         FigureText.EFFECT_SIGNAL_SIZE, signal.effect, site=signal.site, rms=y * root_mean_square(signal.value), unit=unit,
-        explained=signal.explained, dependence=str(signal.region),
+        explained=signal.explained, dependence=str(signal.dependence),
     )  # fmt: skip
     caption = phrase(FigureText.EFFECT_SIGNAL, signal.effect, site=signal.site)
     return Figure(name, (against, in_time), caption, (description,))
@@ -110,11 +112,11 @@ def plot_surrogate(surrogate: Surrogate) -> Figure:
     x, across = scale_to_prefix(surrogate.variable_unit, surrogate.values)
     y, unit = scale_to_prefix(surrogate.unit, surrogate.curve, surrogate.signal.value)
     series: list[Series] = [
-        Points(x * surrogate.seen, y * surrogate.signal.value, Role.MEASURED, "from the records", opacity=0.7)
+        Points(x * surrogate.measured, y * surrogate.signal.value, Role.MEASURED, "from the records", opacity=0.7)
     ]
     if surrogate.tone is None:
-        series.append(_bins(surrogate.region, x, y))
-    label = surrogate.title.removeprefix("a ")
+        series.append(_bins(surrogate.dependence, x, y))
+    label = surrogate_title(surrogate).removeprefix("a ")
     series.append(Curve(x * surrogate.values, y * surrogate.curve, Role.SURROGATE, label, 2.4))
     axes = Axis(surrogate.variable, across), Axis(f"missing at the {surrogate.site}", unit)
     panel = Panel(surrogate.variable, tuple(series), *axes, height=Height.TALL)
@@ -193,9 +195,9 @@ def plot_candidates(discovery: Discovery) -> Figure | None:
 
 def plot_average_spectra(discovery: Discovery) -> Figure:
     """Averaged spectra of the error on the validation records, before and after, with the noise in its colour; by output."""
-    known = discovery.verdict != "unknown"
+    known = discovery.verdict is not Verdict.UNKNOWN
     panels = []
-    for output, error in discovery.gap.items():
+    for output, error in discovery.holdout.items():
         before, after = (
             estimate_residual_spectrum(f, output, coloured=known) for f in (discovery.base, discovery.extended)
         )

@@ -33,6 +33,7 @@ from greybox.plots.records import (
 )
 from greybox.plots.residual_tests import plot_residual_tests
 from greybox.plots.sheet import Cell, Sheet
+from greybox.rendering.discovery import surrogate_title
 from greybox.rendering.plots import FigureText, phrase
 from greybox.residuals import ResidualTests
 from greybox.result import Fit, Misfit, Trace
@@ -210,12 +211,12 @@ def comparison_sheet(comparison: Comparison, record: str) -> Sheet:
 
 def discovery_sheets(discovery: Discovery) -> list[Sheet]:
     """All sheets of a discovery."""
-    sheets = [_effect_signal_sheet(signal) for signal in discovery.missing]
+    sheets = [_effect_signal_sheet(signal) for signal in discovery.effect_signals]
     if discovery.surrogate is not None:
         figure = plot_surrogate(discovery.surrogate)
         heading = phrase(
             FigureText.SURROGATE_HEADING,
-            discovery.surrogate.title.removeprefix("a "),
+            surrogate_title(discovery.surrogate).removeprefix("a "),
             explained=discovery.surrogate.explained_fraction,
         )
         sheets.append(Sheet("missing-unknown", (Cell(figure.panels[0], 0),), heading, (7.0, 4.2)))
@@ -247,9 +248,9 @@ def _effect_signal_sheet(signal: EffectSignal) -> Sheet:
 def _before_after_sheet(discovery: Discovery) -> Sheet:
     """The error on the first validation record that has each output, and the averaged spectra of all of them."""
     base, extended, spectra = discovery.base, discovery.extended, plot_average_spectra(discovery)
-    units = {output: error.unit for output, error in discovery.gap.items()}
+    units = {output: error.unit for output, error in discovery.holdout.items()}
     cells = []
-    for k, output in enumerate(discovery.gap):
+    for k, output in enumerate(discovery.holdout):
         before = next(t for t in base.validation.traces if output in t.measured)
         after = next(t for t in extended.validation.traces if output in t.measured)
         run = plot_residuals_before_after(
@@ -257,7 +258,7 @@ def _before_after_sheet(discovery: Discovery) -> Sheet:
         )
         cells += [Cell(run[output], k), Cell(spectra[output], k, 1)]
     heading = phrase(FigureText.BEFORE_AFTER_HEADING, base.model.name, extended=extended.model.title)
-    rows = len(discovery.gap)
+    rows = len(discovery.holdout)
     return Sheet("residuals", tuple(cells), heading, (11.0, 0.8 + 3.0 * rows), widths=(1.5, 1.0), heights=(1.0,) * rows)
 
 
@@ -266,7 +267,7 @@ def _holdout_error_sheet(discovery: Discovery) -> Sheet:
     rows, bars = len(figure.panels), len(figure.panels[0].categories)
     titles = {
         output: phrase(FigureText.EXPLAINED_TITLE, output, explained=explained_share(error))
-        for output, error in discovery.gap.items()
+        for output, error in discovery.holdout.items()
     }
     cells = tuple(Cell(panel, k, titles=(titles[panel.name],)) for k, panel in enumerate(figure.panels))
     size = (8.5, 0.6 + rows * (1.0 + 0.3 * bars))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from greybox.rendering.discovery import conclusion_text
 from greybox.rendering.registry import renders
 from greybox.rendering.tables import format_table, format_with_std
 from greybox.units import format_unit
@@ -22,10 +23,12 @@ def demo_text(demo: Demo) -> str:
     gaps = [
         f"  {output}: rms error on the validation record {gap.before:.3g} -> {gap.after:.3g} {format_unit(gap.unit)}"
         f" (noise {gap.floor:.3g})"
-        for output, gap in demo.discovery.gap.items()
+        for output, gap in demo.discovery.holdout.items()
     ]
     best = map(str, demo.comparison.verdict[:1])
-    return "\n".join([constants_table(demo), "", demo.discovery.story, *gaps, "", *best, "", str(demo.plant)])
+    return "\n".join(
+        [constants_table(demo), "", conclusion_text(demo.discovery), *gaps, "", *best, "", str(demo.plant)]
+    )
 
 
 def constants_table(demo: Demo) -> str:

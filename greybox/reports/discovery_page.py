@@ -17,6 +17,7 @@ from greybox.plots.discovery import (
 )
 from greybox.plots.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.plots.style import PAGE
+from greybox.rendering.discovery import conclusion_text, refinement_text
 from greybox.rendering.english import phrase
 from greybox.rendering.reports import PageText
 from greybox.rendering.result import to_constant_cells
@@ -65,7 +66,7 @@ def build_discovery_page(discovery: Discovery, *, command: str = "") -> Page:
 def discovery_verdict(discovery: Discovery) -> Paragraphs:
     """The answer, the summary, the effects with their parameters, the next steps and the findings."""
     answer, tone = ANSWERS[discovery.verdict]
-    items: list[Text] = [phrase(answer), *statements([discovery.story])]
+    items: list[Text] = [phrase(answer), *statements([conclusion_text(discovery)])]
     for effect in discovery.effects if discovery.verdict != "complete" else []:
         values = [
             f"{name} = {format_number(c['value'])}{_std(c['std'])} {typeset_unit(c['unit'])}".rstrip()
@@ -78,7 +79,7 @@ def discovery_verdict(discovery: Discovery) -> Paragraphs:
             )
         )
     items += [phrase(PageText.DISCOVERY_NEXT, text=str(step)) for step in discovery.next_steps]
-    return Paragraphs([*items, *statements(discovery.notes)], tone)
+    return Paragraphs([*items, *statements(discovery.findings)], tone)
 
 
 def _std(std: float | None) -> str:
@@ -89,7 +90,7 @@ def discovery_sections(discovery: Discovery) -> Iterator[Section]:
     """The error before and after, the missing signal, where and when, the candidates."""
     yield Section("gap", list(_holdout(discovery)))
     signals: list[Block] = [
-        FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.missing)
+        FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.effect_signals)
     ]
     if discovery.surrogate is not None:
         signals += [
@@ -100,7 +101,7 @@ def discovery_sections(discovery: Discovery) -> Iterator[Section]:
         yield Section("missing", signals)
     if discovery.refinement is not None:
         yield Section("further", list(_refinement(discovery.refinement)))
-    if discovery.look.missing:
+    if discovery.localisation.is_missing:
         yield Section("localisation", list(_localisation(discovery)))
     if discovery.ranking:
         yield Section("candidates", list(_candidates(discovery)))
@@ -114,7 +115,7 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
             *(typeset_number(f"{v:.4g} {typeset_unit(e.unit)}".rstrip()) for v in (e.before, e.after, e.floor)),
             _explained(e),
         ]
-        for output, e in discovery.gap.items()
+        for output, e in discovery.holdout.items()
     ]
     head = ["output", "plain model", extended_name(discovery), "noise", "excess explained"]
     yield PageTable(phrase(PageText.DISCOVERY_ERRORS), head, rows)
@@ -168,11 +169,16 @@ def extended_name(discovery: Discovery) -> str:
 
 def _refinement(refinement: Refinement) -> Iterator[Block]:
     """The effects beyond the answer, and what they leave."""
-    yield Paragraphs(statements([refinement.story]))
+    yield Paragraphs(statements([refinement_text(refinement)]))
     if not refinement.steps:
         return
     rows = [
-        [s.name, _percent(s.fitted), _percent(s.held_out), ", ".join(f"{n} {_percent(v)}" for n, v in s.alike.items())]
+        [
+            s.name,
+            _percent(s.estimation_share),
+            _percent(s.validation_share),
+            ", ".join(f"{n} {_percent(v)}" for n, v in s.alike.items()),
+        ]
         for s in refinement.steps
     ]
     head = ["effect", "on the estimation records", "on the validation records", "nearly as well"]
@@ -185,7 +191,7 @@ def _percent(share: float) -> str:
 
 
 def _localisation(discovery: Discovery) -> Iterator[Block]:
-    localisation = discovery.look
+    localisation = discovery.localisation
     yield BulletList(statements(line.strip() for line in str(localisation).splitlines()))
     unexplained = plot_unexplained_signal(localisation)
     if unexplained is not None:
@@ -193,8 +199,8 @@ def _localisation(discovery: Discovery) -> Iterator[Block]:
     sets = {name: k + 1 for k, group in enumerate(localisation.sets) for name in group}
     rows = [
         [
-            str(s),
-            str(sets[str(s)]),
+            s.label,
+            str(sets[s.label]),
             typeset_number(f"{s.gain:.4g}"),
             typeset_number(f"{s.size:.3g} {typeset_unit(s.unit)}".rstrip()),
         ]

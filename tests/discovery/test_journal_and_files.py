@@ -10,22 +10,20 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.cli.app import app
-from greybox.discovery import discover, estimate_residual_spectrum
-from greybox.discovery import pipeline as module
+from greybox.discovery import discover, estimate_residual_spectrum, pipeline
+from greybox.discovery.findings import DiscoveryCode
 from greybox.errors import DataError
-from greybox.estimation import FitOptions
 from greybox.project import find_model
 from greybox.simulation.write import write_csv
 from models.micro_actuator import micro_actuator
-from tests.discovery.test_discover import ACTUATOR, off, records
+from tests.support.hidden_rigs import ACTUATOR, AT_REST, plain_model, simulate_records
 
 NOISE = {"x": 2e-7, "i": 5e-3}
-OPTIONS = FitOptions(at_rest=True)
 
 
 @pytest.fixture(scope="module")
 def rig():
-    return records(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, tuple(NOISE.values()), rows=700)
+    return simulate_records(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, tuple(NOISE.values()), rows=700)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +59,7 @@ def test_the_model_that_was_written_is_one_that_greybox_fits(written, rig):
     model = find_model(str(written / "model.py"))
     assert [e.name for e in model.effects] == ["coulomb_friction"]
     assert model.values["Fc"] == pytest.approx(0.05, rel=0.05)
-    fit = gb.fit(model, rig[0], noise=NOISE, options=OPTIONS)
+    fit = gb.fit(model, rig[0], noise=NOISE, options=AT_REST)
     assert fit.misfit["x"].noise_ratio < 1.1
 
 
@@ -71,16 +69,22 @@ def test_a_search_goes_on_where_it_was_interrupted(rig, tmp_path, monkeypatch):
 
     def run(kept=None):
         return discover(
-            off(micro_actuator), rig[0], validation=rig[1], noise=NOISE, options=OPTIONS, effects=effects, journal=kept
+            plain_model(micro_actuator),
+            rig[0],
+            validation=rig[1],
+            noise=NOISE,
+            options=AT_REST,
+            effects=effects,
+            journal=kept,
         )
 
-    class Interrupted(module.RefitJournal):
+    class Interrupted(pipeline.RefitJournal):
         def add(self, key, outcome):
             super().add(key, outcome)
             if len(self.known) == 2:
                 raise KeyboardInterrupt
 
-    monkeypatch.setattr(module, "Journal", Interrupted)
+    monkeypatch.setattr(pipeline, "RefitJournal", Interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(journal)
     monkeypatch.undo()
@@ -93,7 +97,7 @@ def test_a_search_goes_on_where_it_was_interrupted(rig, tmp_path, monkeypatch):
 def test_a_file_that_is_no_journal_is_refused(rig, tmp_path):
     (tmp_path / "journal.jsonl").write_text("time,x\n1,2\n3,4\n")
     with pytest.raises(DataError, match="line 1 is no finished refit"):
-        discover(off(micro_actuator), rig[0], validation=rig[1], journal=tmp_path / "journal.jsonl")
+        discover(plain_model(micro_actuator), rig[0], validation=rig[1], journal=tmp_path / "journal.jsonl")
 
 
 @pytest.mark.slow
@@ -102,11 +106,11 @@ def test_refits_in_other_processes_give_the_same(rig):
 
     def run(executor):
         return discover(
-            off(micro_actuator),
+            plain_model(micro_actuator),
             rig[0],
             validation=rig[1],
             noise=NOISE,
-            options=OPTIONS,
+            options=AT_REST,
             effects=effects,
             executor=executor,
         )
@@ -120,7 +124,9 @@ def test_refits_in_other_processes_give_the_same(rig):
 
 def test_what_is_outside_the_catalogue_gets_a_curve(rig):
     effects = [gb.effect(n) for n in ("quadratic_stiffness", "input_offset")]
-    found = discover(off(micro_actuator), rig[0], validation=rig[1], noise=NOISE, options=OPTIONS, effects=effects)
+    found = discover(
+        plain_model(micro_actuator), rig[0], validation=rig[1], noise=NOISE, options=AT_REST, effects=effects
+    )
     assert found.verdict == "unknown"
     assert found.sites[0] == "balance force"
     assert found.surrogate.variable == "v"
@@ -129,6 +135,6 @@ def test_what_is_outside_the_catalogue_gets_a_curve(rig):
     # dry friction steps down where the velocity passes zero
     z, curve = found.surrogate.values, found.surrogate.curve
     assert np.interp(0.2 * z.max(), z, curve) < np.interp(0.2 * z.min(), z, curve)
-    assert "stand-in" in str(found)
+    assert found.conclusion[-1].code == DiscoveryCode.SURROGATE_FITTED
     floor = estimate_residual_spectrum(found.base, "i", coloured=False).floor
     assert np.sqrt(np.sum(floor**2)) == pytest.approx(found.base.noise.std["i"], rel=0.02)

@@ -1,4 +1,4 @@
-"""A disturbance that is a tone in time gets a generator as a stand-in. The rig is simulated without greybox."""
+"""A disturbance that is a tone in time gets a generator as its surrogate. The rig is simulated without greybox."""
 
 import json
 
@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.discovery import DiscoveryProblem, discover
-from greybox.discovery.localisation import localise_candidate_residual, to_candidate_fit
-from greybox.discovery.tone_surrogate import fit_tone_surrogate
+from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, Verdict, discover, localise_residual
+from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.localisation import to_candidate_fit
+from greybox.discovery.surrogate import fit_tone_surrogate
 from greybox.errors import DataError
 from greybox.estimation import FitOptions, validate
 from greybox.export import to_python
@@ -16,17 +17,16 @@ from greybox.plots import draw_discovery
 from greybox.project import find_model
 from greybox.reports import report
 from models.micro_actuator import micro_actuator
-from tests.discovery.test_discover import off, records
+from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
 
 NOISE = {"x": 2e-7, "i": 5e-3}
 FORCE, FREQUENCY = 0.05, 50.0
-REST = FitOptions(at_rest=True)
 
 
 @pytest.fixture(scope="module")
 def rig():
     """Records with a hum; the second one begins at another phase of it."""
-    first, second = records(
+    first, second = simulate_records(
         micro_actuator, {"mains_hum": {"F": FORCE, "f": FREQUENCY}}, tuple(NOISE.values()), rows=700
     )
     return first, second.window(37, second.rows)
@@ -35,41 +35,39 @@ def rig():
 @pytest.fixture(scope="module")
 def found(rig):
     return discover(
-        off(micro_actuator), rig[0], validation=rig[1], noise=NOISE, effects=[gb.effect("input_offset")],
+        plain_model(micro_actuator), rig[0], validation=rig[1], noise=NOISE, effects=[gb.effect("input_offset")],
         options=FitOptions(),
     )  # fmt: skip
 
 
-def test_a_hum_is_told_as_a_tone_at_its_place_and_closes_the_gap(found):
-    assert found.verdict == "unknown"
+def test_a_hum_is_a_tone_at_its_site_and_explains_the_gap(found):
+    assert found.verdict is Verdict.UNKNOWN
     surrogate = found.surrogate
     assert (surrogate.site, surrogate.variable, surrogate.unit) == ("balance force", "time", "N")
     assert surrogate.tone.frequency == pytest.approx(FREQUENCY, abs=min(4 * surrogate.tone.std, 0.05))
     assert list(surrogate.tone.amplitude.values()) == pytest.approx([FORCE], rel=0.01)
-    # once it is steady, a force at one frequency and a wrong reading at that frequency are the same
+    # Once it is steady, a force at one frequency and a wrong reading at that frequency are the same.
     assert surrogate.tone.alike == ("sensor of x",)
-    # of the judging record only the first 0.083 s tell the phase; the rest has never been seen
+    # Amplitude and phase come from the first 0.083 s of the validation record; the rest is not used.
     assert surrogate.tone.beginning == pytest.approx(0.083, abs=1e-3)
     assert surrogate.explained_fraction > 0.98
     assert np.abs(surrogate.curve).max() == pytest.approx(FORCE, rel=0.01)
-    assert (
-        "at the balance force (or the sensor of x: these records cannot tell), of amplitude 0.05 N, closes"
-        in found.story
-    )
+    assert found.conclusion[-1].code == DiscoveryCode.SURROGATE_FITTED
+    assert found.conclusion[-1].values["tone"]["alike"] == ("sensor of x",)
 
 
-def test_what_to_do_next_is_said(found):
-    said = " ".join(found.next_steps)
-    assert "the mains have 50 Hz and its multiples: look at grounding" in said
-    assert "the model with the generator is what an observer" in said
-    assert "noise" not in said  # it was given
+def test_the_mains_are_suspected(found):
+    codes = [step.code for step in found.next_steps]
+    assert codes[-2:] == [DiscoveryCode.SUSPECT_MAINS, DiscoveryCode.USE_TONE_MODEL]
+    assert found.next_steps[-2].values["mains"] == 50.0
+    assert DiscoveryCode.STATE_NOISE not in codes  # it was given
     assert f"next: {found.next_steps[0]}" in str(found)
 
 
 def test_the_model_with_the_tone_is_fitted_to_records_at_rest_from_its_file(found, rig, tmp_path):
     model = find_model(str(to_python(found.extended, tmp_path / "model.py")))
     assert [s.name for s in model.all_states if s.free_start] == ["z1", "z2"]
-    fit = gb.fit(model, rig[0], noise=NOISE, options=REST)
+    fit = gb.fit(model, rig[0], noise=NOISE, options=AT_REST)
     assert fit.misfit["x"].noise_ratio < 1.1
     begin = fit.traces[0].initial_state
     assert np.hypot(begin["z1"], begin["z2"]) == pytest.approx(FORCE, rel=0.01)
@@ -77,16 +75,19 @@ def test_the_model_with_the_tone_is_fitted_to_records_at_rest_from_its_file(foun
 
 
 def test_a_tone_is_found_at_rest_too_and_not_where_there_is_none(rig):
-    def standing_in(fit):
-        trial = to_candidate_fit(fit)
-        return fit_tone_surrogate(DiscoveryProblem.of(fit), trial, localise_candidate_residual(trial), (rig[1],), fit)
+    def fit_surrogate(fit):
+        problem, candidate = DiscoveryProblem.from_fit(fit), to_candidate_fit(fit)
+        return fit_tone_surrogate(problem, candidate, localise_residual(fit), (rig[1],), fit, DiscoveryPolicy())
 
-    # at rest the way the tone sets in tells its place
-    hummed = standing_in(gb.fit(off(micro_actuator), rig[0], validation=rig[1], noise=NOISE, options=REST))
-    assert (hummed.site, hummed.tone.alike) == ("balance force", ())
-    assert hummed.tone.frequency == pytest.approx(FREQUENCY, abs=0.02)
-    rubbing, judge = records(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, tuple(NOISE.values()), rows=400)
-    assert standing_in(gb.fit(off(micro_actuator), rubbing, validation=judge, noise=NOISE, options=REST)) is None
+    # At rest the way the tone sets in shows its site.
+    model = plain_model(micro_actuator)
+    hum = fit_surrogate(gb.fit(model, rig[0], validation=rig[1], noise=NOISE, options=AT_REST))
+    assert (hum.site, hum.tone.alike) == ("balance force", ())
+    assert hum.tone.frequency == pytest.approx(FREQUENCY, abs=0.02)
+    rubbing, test = simulate_records(
+        micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, tuple(NOISE.values()), rows=400
+    )
+    assert fit_surrogate(gb.fit(model, rubbing, validation=test, noise=NOISE, options=AT_REST)) is None
 
 
 def test_the_tone_is_written_drawn_and_reported(found, tmp_path):
@@ -99,6 +100,6 @@ def test_the_tone_is_written_drawn_and_reported(found, tmp_path):
 
 def test_rows_that_tell_the_initial_state_are_there(found, rig):
     with pytest.raises(
-        DataError, match="beginning: 9999 rows, but the shortest validation record has 663; take fewer rows"
+        DataError, match="initial_rows: 9999 rows, but the shortest validation record has 663; take fewer rows"
     ):
         validate(found.base.model, rig[1], initial_rows=9999)

@@ -1,0 +1,282 @@
+"""Every decision number of a discovery: what counts as missing, as an effect, as a name, and how hard to look for it.
+
+`DiscoveryPolicy` groups the policies of the stages. It is an argument of `discover`, is stored in the result and written to
+``discovery.json``. Costs are sums of squared whitened residuals, so that a difference in cost is a likelihood ratio.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class SelectionPolicy:
+    """When something is missing, when an effect is accepted, and when it may be named."""
+
+    criterion_gain: float = 20.0
+    """An effect must lower Schwarz's criterion by more than this. Twenty is odds of about 20000 to 1, which leaves room for noise
+    whose level is not known exactly."""
+    first_share: float = 0.1
+    """Share of the plain model's excess cost that the first effect must explain: one that explains less is a look-alike."""
+    further_share: float = 0.01
+    """The same for every further effect, as a share of the plain model's excess cost."""
+    child_cost: float = 10.0
+    """A richer member of a family replaces a simpler one only if its cost is lower by more than this."""
+    child_share: float = 0.003
+    """The same as a share of what the richer member gains over the plain model; the larger of the two counts."""
+    tie_cost: float = 10.0
+    """Models whose criterion differs by less explain the records equally well."""
+    floor_margin: float = 0.05
+    """Cost per sample beyond chance that is still clean: for a noise level that is not exact, and for the integrator's error."""
+    clean_share: float = 0.003
+    """A remainder below this share of the plain model's excess is clean as well: beside a strong effect a weak rest is no objection."""
+    clean_cost: float = 1.6
+    """Cost per sample above which `clean_share` does not apply."""
+    excess_autocorrelation: float = 0.03
+    """Sum of squared autocorrelations of the whitened residual, beyond chance, above which it still holds structure."""
+    autocorrelation_lags: int = 30
+    """Lags that this sum runs over."""
+    visible_rms: float = 1.05
+    """Rms over noise on validation records below which there is no gap to explain."""
+    noise_memory: int = 500
+    """Samples over which the correlation of coloured noise is summed for the number of independent samples in a record."""
+    holdout_share: float = 0.9
+    """Share of the gap on validation records that a model must explain before its effect is named."""
+    partial_share: float = 0.5
+    """Share of that gap below which a model explains nothing there; above it, reaching the noise is enough."""
+    validation_only_ratio: float = 2.0
+    """A misfit shows on the validation records only if it exceeds the noise there by this many times as much as on the others."""
+
+
+@dataclass(frozen=True)
+class ResidualNoisePolicy:
+    """How the noise is identified where neither the user nor a quiet record gives it."""
+
+    white_correlation: float = 0.1
+    """Correlation from sample to sample below which a residual counts as white."""
+    level_tolerance: float = 0.05
+    """Relative change of the level below which the noise stands still."""
+    rounds: int = 2
+    """Times that the noise is read off the residual and the selection repeated."""
+    carried_sets: int = 8
+    """Sets of effects, best first, whose effects remain candidates when the selection is repeated."""
+
+
+@dataclass(frozen=True)
+class SearchBudget:
+    """How much is tried, which is what a discovery spends its time on."""
+
+    amplitude_grid: tuple[float, ...] = (1.0, 10.0)
+    """Amplitudes at which a refit starts, in multiples of the effect's probe (about a hundredth of the balance it enters)."""
+    near_zero_amplitude: float = 0.01
+    """Amplitude at which an effect is nearly absent, in the same unit: what a first effect leaves may be that small."""
+    refit_iterations: int = 60
+    """Iterations of a refit: what has not converged by then is not the answer, or is finished in the last fit."""
+    refit_starts: int = 2
+    """Most promising starting points from which a model is refitted."""
+    screening_iterations: int = 12
+    """Iterations of the first, short refit of every candidate."""
+    refit_top: int = 5
+    """Leading candidates that are refitted to convergence."""
+    generations: int = 2
+    """Generations of children that are tried (Coulomb friction, then Stribeck, then LuGre)."""
+    prune_ratio: float = 4.0
+    """A candidate whose short refit is this many times as far from the records as one that leaves only noise is out."""
+    many_shapes: int = 15
+    """Shapes of an effect above which it is refitted from each of them: a step from afar predicts nothing for a sharp resonance."""
+    few_shapes: int = 4
+    """Shapes from which the leading effect is refitted from more starting points: its cost has many minima."""
+    many_shapes_starts: int = 5
+    """The number of these starting points."""
+    beam_width: int = 6
+    """First effects beside which a second one is tried: two effects may explain together what neither explains alone."""
+    batch_size: int = 3
+    """How many of them at a time; the later ones count where the leading ones lead nowhere."""
+    second_candidates: int = 4
+    """Further effects that are refitted beside each leading first effect, or beside all later ones together."""
+    finished_candidates: int = 3
+    """Models with a further effect that are refitted to convergence."""
+    most_effects: int = 3
+    """Effects in a model at most."""
+    swaps: int = 4
+    """Effects tried in the place of one that was chosen."""
+    holdout_candidates: int = 8
+    """Other sets of effects that are scored on the validation records where the chosen one fails there."""
+    correction_heights: int = 10
+    """Intervals of the curve that corrects the shape of an effect."""
+    correction_iterations: int = 20
+    """Iterations of the refit with such a correction."""
+    effect_test_starts: int = 3
+    """Starting points from which an effect that is tried by hand is refitted."""
+    parallel_seconds: float = 20.0
+    """Expected seconds of refits from which starting processes pays."""
+
+
+@dataclass(frozen=True)
+class RefinementPolicy:
+    """When a further, small effect is accepted on measured records, whose residual hardly ever reaches the noise."""
+
+    estimation_share: float = 0.02
+    """Share of the remaining rms misfit that the effect must remove on the estimation records."""
+    validation_share: float = 0.05
+    """The same on the validation records."""
+    alike_share: float = 0.1
+    """Models whose misfits differ by less than this share explain a measured record equally well."""
+    most_effects: int = 5
+    """Effects added at most."""
+    promising_candidates: int = 8
+    """Candidates that are refitted for each step."""
+    refit_starts: int = 2
+    """Starting points of each of these refits."""
+
+
+@dataclass(frozen=True)
+class ShapePolicy:
+    """When a curve has a shape that can be named. Shares are of the curve's energy after a straight line was removed from it."""
+
+    parity_share: float = 0.75
+    """Share of an odd (or even) part from which a curve is odd (or even)."""
+    named_share: float = 0.6
+    """Share that a template must explain to give its name."""
+    bend_share: float = 0.9
+    """Share that a bend between two straight lines must explain."""
+    one_side_share: float = 0.2
+    """Share of the reach below which a curve lies on one side of zero."""
+    positions: int = 33
+    """Positions of a bend, and widths of a flat middle, that are tried."""
+    narrowest_middle: float = 0.2
+    """Half-width of a flat middle over the reach: a narrower one is the far side of a step."""
+    free_width_ratio: float = 0.5
+    """A shape with a free position must reduce what the others leave unexplained to this share of it."""
+    fewest_periods: float = 3.0
+    """Periods over the range from which a curve counts as periodic."""
+    most_periods: float = 40.0
+    """Periods over the range up to which one is looked for."""
+    steps_per_period: int = 20
+    """Steps of the search over the number of periods."""
+
+
+@dataclass(frozen=True)
+class LocalisationPolicy:
+    """Where, when and as a function of what the residual lives."""
+
+    most_rows: int = 1200
+    """Rows of the stretch in which the signal is estimated: where the misfit is largest."""
+    knot_spacing: int = 4
+    """Rows between the knots of the signal."""
+    intensities: tuple[float, float, int] = (1e-3, 1e4, 29)
+    """Lowest, highest and number of intensities of the signal that are tried: the rms of its response over the noise."""
+    memory: float = 0.5
+    """Correlation time of the signal, in stretches."""
+    site_lead: float = 10.0
+    """Log-likelihood in nats by which a site must lead, over no signal and over the next site."""
+    site_lead_share: float = 0.001
+    """The same as a share of the leading site's gain; the larger of the two counts."""
+    measured_ratio: float = 2.0
+    """A reading replaces the simulated state where the two differ by more than this many standard deviations of the noise."""
+    bins: int = 16
+    """Bins of a variable in which the signal is averaged."""
+    dependence_share: float = 0.15
+    """Share of the signal's variance from which it counts as a function of a variable."""
+    loop_share: float = 0.12
+    """Further share that the direction of motion must explain for a loop."""
+    tone_share: float = 0.5
+    """Share of the signal's power in one spectral line from which it is a tone."""
+    driven_share: float = 0.25
+    """Share of the power of an input or a state in that line above which it is driven and no tone from outside."""
+    periodic_gain: float = 0.1
+    """Share by which a sinusoid over the variable must explain more than the bins."""
+    periodic_gain_of_rest: float = 0.25
+    """The same as a share of what the bins leave; the smaller of the two counts."""
+    windows: int = 20
+    """Windows of time in which each record is divided."""
+    concentrated_misfit: float = 0.6
+    """Share of the misfit that is concentrated..."""
+    concentrated_time: float = 0.25
+    """...if it happens in at most this share of the windows."""
+    shape: ShapePolicy = field(default_factory=ShapePolicy)
+    """How the curve over the best variable is classified."""
+
+
+@dataclass(frozen=True)
+class SurrogatePolicy:
+    """How a curve or a tone is fitted in the place of an unknown effect, and when it is worth showing."""
+
+    variables: int = 2
+    """Variables over which a curve is tried."""
+    intervals: int = 20
+    """Intervals of the curve."""
+    margin: float = 0.15
+    """Share of the range by which the curve extends beyond what was seen."""
+    height_prior: float = 5.0
+    """Standard deviation of the prior of each height, over the signal's rms: weak, it separates what the model's constants do as well."""
+    period_margin: float = 0.1
+    """Share by which a period may move from the one that the signal shows."""
+    period_starts: tuple[float, ...] = (1.0, 0.985, 1.015)
+    """Periods from which a sinusoid is refitted, over the one that the signal shows."""
+    refit_iterations: int = 30
+    """Iterations of the refit."""
+    refit_starts: int = 1
+    """Most promising starting points from which it is refitted."""
+    interval_iterations: int = 10
+    """Iterations of the last fit, which gives the intervals: many heights would go on for long without showing it."""
+    useful_share: float = 0.1
+    """Share of the gap on validation records that a curve must explain to be shown."""
+    beside_gain: float = 0.02
+    """Further share of the gap that a surrogate beside a look-alike must explain over one in its place."""
+    tone_periods: int = 5
+    """Periods at the start of a validation record from which amplitude and phase of the tone are estimated there."""
+    curve_points: int = 101
+    """Points of the curve in the result."""
+    points_per_period: int = 24
+    """Points of one period in the result."""
+
+
+@dataclass(frozen=True)
+class ProposalPolicy:
+    """What is proposed next: experiments, sensors, checks of the rig."""
+
+    mains_frequencies: tuple[float, ...] = (50.0, 60.0)
+    """Frequencies of the mains in Hz."""
+    mains_tolerance: float = 0.01
+    """Share of the mains frequency within which a tone may be the mains or a multiple."""
+    mains_multiples: int = 5
+    """Highest multiple that is considered."""
+    range_margin: float = 0.1
+    """Share of the range of a variable by which validation records must extend beyond the estimation records to be reported."""
+    detection_ratio: float = 3.3
+    """Standard deviations of an amplitude that is detected nine times in ten at a false-alarm rate of one per cent."""
+    most_samples: int = 4000
+    """Samples on which experiments are compared: enough to rank them."""
+    new_sensor_noise: float = 0.01
+    """Noise of a sensor that is not installed yet, as a share of the largest value that it would show."""
+    seed: int = 1
+    """Seed of the multisine's phases."""
+
+
+@dataclass(frozen=True)
+class DiscoveryPolicy:
+    """The decision numbers of all stages of a discovery.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> policy = replace(DiscoveryPolicy(), selection=SelectionPolicy(criterion_gain=40.0))
+    >>> policy.selection.criterion_gain
+    40.0
+    """
+
+    selection: SelectionPolicy = field(default_factory=SelectionPolicy)
+    """When an effect is accepted and named."""
+    noise: ResidualNoisePolicy = field(default_factory=ResidualNoisePolicy)
+    """How the noise is identified."""
+    budget: SearchBudget = field(default_factory=SearchBudget)
+    """How much is tried."""
+    localisation: LocalisationPolicy = field(default_factory=LocalisationPolicy)
+    """Where, when and as a function of what."""
+    surrogate: SurrogatePolicy = field(default_factory=SurrogatePolicy)
+    """A curve or a tone in the place of an unknown effect."""
+    proposals: ProposalPolicy = field(default_factory=ProposalPolicy)
+    """What is proposed next."""
+    refinement: RefinementPolicy = field(default_factory=RefinementPolicy)
+    """When a further, small effect is accepted on measured records (`refine`)."""

@@ -1,0 +1,231 @@
+"""Effects that stand in for an unknown one: a smooth curve over a variable, a sinusoid over it, or a tone in time.
+
+The curve is ``sum c_k exp(-(t - k)^2)``, ``t = (z - lowest) / pitch``: bumps so close that their sum is smooth (equal ones make a constant
+to 1e-4), and short enough to be read in a model file. Outside the range that was seen the curve goes to zero. Weak priors on the
+heights separate what a parameter of the model could do as well.
+
+The tone is ``z1' = 2 pi f z2``, ``z2' = -2 pi f z1``: a sinusoid whose amplitude and phase are the initial state, which every record has
+for itself. The frequency is one parameter of all. (B. A. Francis, W. M. Wonham 1976, The internal model principle of control theory.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import casadi as ca
+import numpy as np
+
+from greybox.discovery.dependence import Dependence
+from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
+from greybox.discovery.localisation import ResidualSignal
+from greybox.discovery.policy import SurrogatePolicy
+from greybox.model import Balance, Effect
+from greybox.model.signals import Expression, NamedValues, Parameter, State
+
+# Names of the effects.
+CURVE, TONE = "fitted_curve", "tone"
+SOURCE = "fitted to what the model leaves over; no law of its own"
+
+
+def make_curve_effect(
+    site: DisturbanceSite,
+    dependence: Dependence,
+    z: np.ndarray,
+    w: np.ndarray,
+    std: np.ndarray,
+    policy: SurrogatePolicy,
+    intervals: int,
+) -> tuple[Effect, dict[str, float]]:
+    """A smooth curve over the variable of ``dependence`` as an effect at ``site``, and start values of its heights.
+
+    The heights are those of a regression of the signal ``w`` (K,), known to ``std`` (K,), on the variable ``z`` (K,).
+    """
+    low, high = float(z.min()), float(z.max())
+    low, high = low - policy.margin * (high - low), high + policy.margin * (high - low)
+    pitch, size = (high - low) / intervals, float(np.sqrt(np.mean(w**2)))
+    heights = [f"c{k}" for k in range(intervals + 1)]
+    variable, unit, prior = dependence.variable, dependence.unit, policy.height_prior * size
+    source = "range of the record"
+    parameters = [
+        Parameter("lowest", unit, low, fixed=True, source=source, description=f"least {variable}"),
+        Parameter("pitch", unit, pitch, fixed=True, source=source, description="distance of the bumps"),
+        *(
+            Parameter(n, site.unit, 0.0, source="zero, until fitted", prior=(0.0, prior), description="height")
+            for n in heights
+        ),
+    ]
+
+    def curve(value: Expression, p: NamedValues) -> Expression:
+        return _sum_of_bumps((value - p.lowest) / p.pitch, [p[n] for n in heights])
+
+    basis = _bumps((z - low) / pitch, len(heights))
+    weight = 1 / np.maximum(std, 1e-3 * size)
+    prior_rows = np.eye(len(heights)) / prior
+    c = np.linalg.lstsq(
+        np.vstack([basis * weight[:, None], prior_rows]), np.append(w * weight, np.zeros(len(heights))), rcond=None
+    )[0]
+    effect = _curve_effect(site, dependence, curve, parameters, heights, f"smooth curve over {variable}")
+    return effect, dict(zip(heights, map(float, c), strict=True))
+
+
+def make_sinusoid_effect(
+    site: DisturbanceSite,
+    dependence: Dependence,
+    period: float,
+    z: np.ndarray,
+    w: np.ndarray,
+    policy: SurrogatePolicy,
+) -> tuple[Effect, dict[str, float]]:
+    """A sinusoid of ``period`` over the variable of ``dependence`` as an effect at ``site``, and its start values.
+
+    These are those of a regression of the signal ``w`` (K,) on the variable ``z`` (K,).
+    """
+    variable, margin = dependence.variable, policy.period_margin
+    parameters = [
+        Parameter(
+            "pitch",
+            dependence.unit,
+            period,
+            ((1 - margin) * period, (1 + margin) * period),
+            source="seen in what the model leaves over",
+            description=f"period over {variable}",
+        ),
+        *(
+            Parameter(n, site.unit, 0.0, source="zero, until fitted", description=f"its {n}")
+            for n in ("cosine", "sine")
+        ),
+    ]
+
+    def curve(value: Expression, p: NamedValues) -> Expression:
+        angle = 2 * ca.pi * value / p.pitch
+        return p.cosine * ca.cos(angle) + p.sine * ca.sin(angle)
+
+    angle = 2 * np.pi * z / period
+    basis = np.stack([np.cos(angle), np.sin(angle), np.ones_like(z), z], axis=1)
+    cosine, sine, *_ = np.linalg.lstsq(basis, w, rcond=None)[0]
+    effect = _curve_effect(site, dependence, curve, parameters, ["cosine", "sine"], f"sinusoid over {variable}")
+    return effect, {"pitch": period, "cosine": float(cosine), "sine": float(sine)}
+
+
+def _curve_effect(
+    site: DisturbanceSite,
+    dependence: Dependence,
+    curve: Callable[[Expression, NamedValues], Expression],
+    parameters: Sequence[Parameter],
+    amplitudes: Sequence[str],
+    equation: str,
+) -> Effect:
+    """``curve`` of the variable and the parameters, added at ``site``."""
+    variable = dependence.variable
+
+    def term(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+        return curve(x[variable] if variable in x else u[variable], p)
+
+    def with_term(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+        return value + term(x, u, p)
+
+    return Effect(
+        CURVE,
+        site.name,
+        parameters,
+        terms=None if site.kind in (SiteKind.INPUT, SiteKind.SENSOR) else term,
+        on_input=with_term if site.kind == SiteKind.INPUT else None,
+        on_output=with_term if site.kind == SiteKind.SENSOR else None,
+        equation=equation,
+        parity=dependence.shape.parity.value,
+        amplitudes=amplitudes,
+        source=SOURCE,
+    )
+
+
+def evaluate_curve(values: Mapping[str, float], z: np.ndarray) -> np.ndarray:
+    """The curve, or the sinusoid, with these parameters at ``z`` (M,)."""
+    if "cosine" in values:
+        angle = 2 * np.pi * z / values["pitch"]
+        return values["cosine"] * np.cos(angle) + values["sine"] * np.sin(angle)
+    count = sum(name.startswith("c") for name in values)
+    heights = np.array([values[f"c{k}"] for k in range(count)])
+    return _bumps((z - values["lowest"]) / values["pitch"], len(heights)) @ heights
+
+
+def _bumps(t: np.ndarray, count: int) -> np.ndarray:
+    """Bumps (M, count) at ``t``."""
+    return np.exp(-((t[:, None] - np.arange(count)) ** 2))
+
+
+def _sum_of_bumps(t: Expression, heights: Sequence[Expression]) -> Expression:
+    total: Expression = 0
+    for k, c in enumerate(heights):
+        total = total + c * ca.exp(-((t - k) ** 2))
+    return total
+
+
+def make_tone_effect(site: DisturbanceSite, signal: ResidualSignal, first_time: float, frequency: float) -> Effect:
+    """A tone of about ``frequency`` Hz as an effect at ``site``; at rest it starts as the ``signal`` shows it.
+
+    ``first_time`` is that of the first row of the signal's record, in seconds.
+    """
+    frequency, (cosine, sine) = _fit_sinusoid(signal.time - first_time, signal.value, frequency)
+    unit = site.unit.strip() if site.unit.strip() not in ("", "-") else "1"
+    rate_unit = f"{unit}/s" if unit.isalnum() else f"({unit})/s"
+    states = [
+        State("z1", site.unit, cosine, free_start=True, description="the tone"),
+        State("z2", site.unit, sine, free_start=True, description="the tone a quarter of a period later"),
+    ]
+
+    def oscillator(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+        rate = 2 * ca.pi * p.frequency
+        return [
+            Balance("tone", rate_unit, 1, "z1", turning=rate * x.z2),
+            Balance("quarter", rate_unit, 1, "z2", turning=-rate * x.z1),
+        ]
+
+    def term(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+        return x.z1
+
+    def with_term(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+        return value + x.z1
+
+    return Effect(
+        TONE,
+        site.name,
+        [
+            Parameter(
+                "frequency",
+                "Hz",
+                frequency,
+                (0.5 * frequency, 2 * frequency),
+                source="spectral line of what the model leaves over",
+                description="frequency of the tone",
+            )
+        ],
+        states=states,
+        balances=oscillator,
+        terms=None if site.kind in (SiteKind.INPUT, SiteKind.SENSOR) else term,
+        on_input=with_term if site.kind == SiteKind.INPUT else None,
+        on_output=with_term if site.kind == SiteKind.SENSOR else None,
+        equation="z1, z1' = 2 pi f z2, z2' = -2 pi f z1",
+        parity="slow",
+        source=SOURCE,
+    )
+
+
+def _fit_sinusoid(time: np.ndarray, w: np.ndarray, about: float) -> tuple[float, tuple[float, float]]:
+    """Frequency near ``about`` of the sinusoid closest to ``w`` (K,), and its cosine and sine parts at time zero."""
+    from scipy.optimize import minimize_scalar
+
+    def regress(frequency: float) -> tuple[np.ndarray, float]:
+        angle = 2 * np.pi * frequency * time
+        basis = np.stack([np.cos(angle), np.sin(angle), np.ones_like(time)], axis=1)
+        coefficients = np.linalg.lstsq(basis, w, rcond=None)[0]
+        return coefficients, float(np.sum((w - basis @ coefficients) ** 2))
+
+    reach = 1 / np.ptp(time)
+    best = minimize_scalar(
+        lambda f: regress(f)[1],
+        bounds=(max(about - reach, 0.5 * about), about + reach),
+        method="bounded",
+        options={"xatol": 1e-4 * reach},
+    )
+    cosine, sine, _ = regress(float(best.x))[0]
+    return float(best.x), (float(cosine), float(sine))

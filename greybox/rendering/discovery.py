@@ -1,0 +1,462 @@
+"""The sentences of a discovery."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from greybox.discovery.curve_shape import Parity, ShapeKind
+from greybox.discovery.decision import Verdict
+from greybox.discovery.discriminating_experiments import InputKind
+from greybox.discovery.disturbance_sites import SiteKind
+from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
+from greybox.findings import Check, Finding
+from greybox.rendering.registry import register, renders, sentence, sentences
+
+if TYPE_CHECKING:
+    from greybox.discovery import (
+        Dependence,
+        Discovery,
+        EffectTest,
+        HoldoutError,
+        Refinement,
+        RefinementStep,
+        ResidualLocalisation,
+        Surrogate,
+    )
+    from greybox.discovery.misfit_windows import MisfitTiming
+
+# Stretches of time that are listed.
+_LISTED = 4
+
+
+def _quantity(value: float, unit: str, digits: int = 3) -> str:
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def _percent(share: float, digits: int = 3) -> str:
+    return f"{100 * share:.{digits}g} %"
+
+
+# Shapes and dependences
+
+
+def shape_text(values: Mapping[str, Any]) -> str:
+    """A shape in words, from the values of a dependence or of a surrogate."""
+    kind, parity, position = values["shape"], values["parity"], values["position"]
+    unit = values.get("variable_unit", values["unit"])
+    if kind == ShapeKind.PERIODIC:
+        text = f"periodic, every {_quantity(values['period'], unit)}"
+        amplitude = values.get("amplitude")
+        return text if amplitude is None else f"{text}, with an amplitude of {_quantity(amplitude, values['unit'])}"
+    if kind == ShapeKind.BEND:
+        return f"a bend at {_quantity(position, unit)}"
+    if kind == ShapeKind.CURVED:
+        return "curving downwards" if values["downwards"] else "curving upwards"
+    if kind == ShapeKind.UNNAMED:
+        return f"{parity} in shape" if parity != Parity.NEITHER else "of no simple shape"
+    text = {
+        ShapeKind.TOO_FEW_VALUES: "too few values to tell",
+        ShapeKind.STRAIGHT: "no shape beyond a straight line",
+        ShapeKind.STEP: "odd, a step at zero",
+        ShapeKind.FLAT_MIDDLE: "odd, with a flat middle",
+        ShapeKind.CUBIC: "odd, growing faster than proportionally",
+        ShapeKind.ODD_SQUARE: "odd, growing with the square",
+        ShapeKind.SQUARE: "even, growing with the square",
+        ShapeKind.KINK: "even, with a kink at zero",
+        ShapeKind.TONE: "a tone",
+    }[kind]
+    if kind == ShapeKind.FLAT_MIDDLE:
+        text += f" up to about {_quantity(position, unit)}"
+    return f"{text}, downwards" if values["downwards"] else text
+
+
+def dependence_text(values: Mapping[str, Any]) -> str:
+    """As a function of what a signal lives, from the values of a dependence."""
+    share = f"explains {100 * values['share']:.0f} %"
+    if values["tone"] is not None:
+        return f"a tone of {values['tone']:.4g} Hz that does not depend on the motion ({share})"
+    loop = f", with a loop (direction adds {100 * values['loop']:.0f} %)" if values["has_loop"] else ""
+    return f"a function of {values['variable']} ({share}): {shape_text(values)}{loop}"
+
+
+@renders("Dependence")
+def _dependence(dependence: Dependence) -> str:
+    return dependence_text(dependence.to_values())
+
+
+def timing_text(timing: MisfitTiming | None) -> str:
+    """When most of the misfit happens."""
+    if timing is None:
+        return "nowhere above the noise"
+    if not timing.stretches:
+        return "throughout the records"
+    listed = ", ".join(f"{start:.4g} to {end:.4g} s of {name}" for name, start, end in timing.stretches[:_LISTED])
+    rest = len(timing.stretches) - _LISTED
+    more = f" and {rest} more stretches" if rest > 0 else ""
+    return f"{100 * timing.share:.0f} % of it in {100 * timing.time_share:.0f} % of the time: {listed}{more}"
+
+
+def site_text(label: str) -> str:
+    """``the force balance``, ``the input u`` or ``the sensor of x``, from the label of a site."""
+    kind, _, name = label.partition(" ")
+    return f"the {name} balance" if kind == SiteKind.BALANCE else f"the {label}"
+
+
+def sites_text(labels: Sequence[str]) -> str:
+    """The likeliest sites."""
+    if len(labels) > 1:
+        return f"{' or '.join(map(site_text, labels))} (the sensors cannot tell which)"
+    return site_text(labels[0]) if labels else "no particular site"
+
+
+@renders("ResidualLocalisation")
+def _localisation(location: ResidualLocalisation) -> str:
+    lines = [f"misfit {location.misfit:.4g} times the noise; noise alone stays below {location.threshold:.4g}"]
+    if not location.is_missing:
+        return "\n".join([*lines, "nothing is missing"])
+    lines.append(f"when:  {timing_text(location.timing)}")
+    if location.likeliest:
+        site = location.sites[0]
+        size = f", {_quantity(site.size, site.unit)} rms" if site.unit else ""
+        lines.append(f"where: {sites_text(location.likeliest)}{size}")
+    relevant = [str(d) for d in location.dependences if d.is_relevant][:3]
+    lines.append(f"as:    {'; '.join(relevant) if relevant else 'no function of any one variable'}")
+    return "\n".join(lines)
+
+
+# Surrogates
+
+
+def tone_title(frequency: float) -> str:
+    """``a tone of 50.00 Hz``."""
+    return f"a tone of {f'{frequency:#.4g}'.rstrip('.')} Hz"
+
+
+def surrogate_title(surrogate: Surrogate) -> str:
+    """``a curve over x``, ``a sinusoid over x`` or ``a tone of 50.00 Hz``."""
+    return _surrogate_title(surrogate.to_values())
+
+
+def _surrogate_title(values: Mapping[str, Any]) -> str:
+    if values["tone"] is not None:
+        return tone_title(values["tone"]["frequency"])
+    return f"a {'curve' if values['period'] is None else 'sinusoid'} over {values['variable']}"
+
+
+def explained_share_text(share: float) -> str:
+    """``explains 98.8 % of the gap``; a model that is farther off than the plain one explains nothing."""
+    return f"explains {_percent(min(share, 1.0))} of the gap" if share > 0 else "explains none of the gap"
+
+
+@renders("Surrogate")
+def _surrogate(surrogate: Surrogate) -> str:
+    return surrogate_text(surrogate.to_values())
+
+
+def surrogate_text(values: Mapping[str, Any]) -> str:
+    """What a surrogate is, where it acts and what it explains, from its values."""
+    title, tone = _surrogate_title(values), values["tone"]
+    explained = f"{explained_share_text(values['closed'])} on the validation records"
+    if tone is None:
+        title = title.replace("a curve", "a smooth curve")
+        beside = f", together with {' + '.join(values['beside'])}," if values["beside"] else ""
+        return f"{title} ({shape_text(values)}) at {site_text(values['site'])}{beside} {explained}"
+    sizes = sorted(tone["amplitude"].values())
+    size = f"{sizes[0]:.3g}" if sizes[-1] <= 1.05 * sizes[0] else f"{sizes[0]:.3g} to {sizes[-1]:.3g}"
+    others = " or ".join(map(site_text, tone["alike"]))
+    alike = f" (or {others}: these records cannot tell)" if others else ""
+    amplitude = f"{size} {values['unit']}".rstrip()
+    return (
+        f"{title} at {site_text(values['site'])}{alike}, with an amplitude of {amplitude}, {explained} (amplitude and phase there are"
+        f" estimated from the first {tone['beginning']:.2g} s)"
+    )
+
+
+# Holdout errors and effects by hand
+
+
+@renders("HoldoutError")
+def _holdout_error(error: HoldoutError) -> str:
+    return f"{error.before:.4g} -> {error.after:.4g} {error.unit}".rstrip() + f" (noise {error.floor:.4g})"
+
+
+@renders("EffectTest")
+def _effect_test(test: EffectTest) -> str:
+    decision = "keep it: the records demand it" if test.is_needed else "leave it out: the records do not demand it"
+    lines = [f"{test.name}: {decision}"]
+    lines += [f"  {sentence(check)}" for check in test.checks]
+    lines.append(f"  explains {_percent(test.explained_fraction)} of the misfit above the noise")
+    names = next(b.model_names for b in test.larger.model.bound_effects if b.effect.name == test.name)
+    for name, in_model in names.items():
+        estimate = test.larger.parameters.get(in_model)
+        if estimate is not None:
+            values = {"value": estimate.value, "std": estimate.std, "unit": estimate.unit}
+            lines.append(f"  {_parameter(name, values)}")
+    lines += [f"  {output}: rms error on the validation records {error}" for output, error in test.holdout.items()]
+    return "\n".join(lines)
+
+
+@renders("RefinementStep")
+def _refinement_step(step: RefinementStep) -> str:
+    alike = ", ".join(f"{name} {100 * share:.0f} %" for name, share in step.alike.items())
+    return (
+        f"{step.name} removes {100 * step.estimation_share:.0f} % of the misfit, and"
+        f" {100 * step.validation_share:.0f} % on the validation records"
+        + (f" (nearly as good: {alike})" if alike else "")
+    )
+
+
+def refinement_text(refinement: Refinement) -> str:
+    """What a refinement found, in a sentence."""
+    if not refinement.steps:
+        return "No further effect removes a share of what is left on records that its parameters have not seen."
+    steps = "; ".join(map(str, refinement.steps))
+    return f"Further effects: {steps}. The validation records chose them: quote the misfit on another record."
+
+
+@renders("Refinement")
+def _refinement(refinement: Refinement) -> str:
+    if not refinement.steps:
+        return f"no further effect\n{refinement.fit}"
+    return "\n".join([*map(str, refinement.steps), str(refinement.fit)])
+
+
+# The whole discovery
+
+
+def conclusion_text(discovery: Discovery) -> str:
+    """The answer in one paragraph."""
+    return " ".join(sentences(discovery.conclusion))
+
+
+@renders("Discovery")
+def _discovery(d: Discovery) -> str:
+    lines = [conclusion_text(d)]
+    if d.refinement is not None:
+        lines.append(refinement_text(d.refinement))
+    lines.append("")
+    if d.localisation.is_missing:
+        lines += [f"  the plain model: {line}" for line in str(d.localisation).splitlines()]
+    for effect in d.effects:
+        values = ", ".join(_parameter(name, parameter) for name, parameter in effect["parameters"].items())
+        look_alike = "the look-alike " if d.verdict is Verdict.UNKNOWN else ""
+        lines.append(f"  {look_alike}{effect['name']} -> {effect['site']}: {values}")
+    lines += [f"  {output}: rms error on the validation records {error}" for output, error in d.holdout.items()]
+    if d.refinement is not None and d.refinement.steps:
+        after = d.refinement.fit.validation.misfit.items()
+        lines += [f"  {o}: {_quantity(m.rmse, m.unit, 4)} with the further effects" for o, m in after]
+    if d.surrogate is not None:
+        lines.append(f"  surrogate: {d.surrogate}")
+    lines += _ranking(d)
+    lines += [f"next: {step}" for step in sentences(d.next_steps)]
+    lines += [f"note: {finding}" for finding in sentences(d.findings)]
+    return "\n".join(lines)
+
+
+def _ranking(d: Discovery) -> Iterator[str]:
+    if d.ranking:
+        yield ""
+        yield "  candidate                                misfit/noise   behind the best"
+        for rank in d.ranking[:10]:
+            yield f"  {' + '.join(rank.effects):40s} {rank.misfit:12.4g}   {rank.behind:15.4g}"
+
+
+def _parameter(name: str, values: Mapping[str, Any]) -> str:
+    std = "" if values["std"] is None else f" +- {values['std']:.2g}"
+    return f"{name} = {values['value']:.5g}{std} {values['unit']}".rstrip()
+
+
+# Findings
+
+
+def _explained(finding: Finding) -> str:
+    values = finding.values
+    share = f"{100 * min(values['share'], 1.0):.1f} %"
+    return f"it explains {share} of the gap in {values['output']} on the validation records"
+
+
+def _effects_tied(finding: Finding) -> str:
+    rivals = "; ".join(finding.values["rivals"])
+    return (
+        f"The records are consistent with {finding.subject} ({_explained(finding)}), and equally with: {rivals}. They cannot tell"
+        " these apart."
+    )
+
+
+def _nearest_look_alike(finding: Finding) -> str:
+    values = finding.values
+    only = "only " if values["partly"] else ""
+    return (
+        f"The nearest look-alike, {finding.subject}, explains {only}{_percent(values['share'])} of the gap in {values['output']} on the"
+        " validation records."
+    )
+
+
+def _missing_signal(finding: Finding) -> str:
+    values = finding.values
+    if values["dependence"] is not None:
+        dependence = dependence_text(values["dependence"])
+    elif values["variable"]:
+        dependence = f"a function of {values['variable']}"
+    else:
+        dependence = "no function of any one variable"
+    size = _quantity(values["size"], values["unit"])
+    return f"The plain model lacks {size} rms at {sites_text(values['sites'])}. It is {dependence}."
+
+
+def _check_noise(finding: Finding) -> str:
+    values = finding.values
+    each = zip(values["std"], values["units"], values["outputs"], strict=True)
+    sizes = ", ".join(f"{_quantity(std, unit)} in {output}" for std, unit, output in each)
+    return (
+        f"check that the sensors have a noise of {sizes}: it was estimated from these records, and if it is smaller, something is"
+        " missing; give it as a number or as a quiet record"
+    )
+
+
+def _cover_validation_range(finding: Finding) -> str:
+    v = finding.values
+    return (
+        f"use estimation records that cover the whole range: the validation records reach from {v['least']:.3g} to"
+        f" {_quantity(v['most'], v['unit'])} in {finding.subject}, the estimation records only from {v['low']:.3g} to"
+        f" {_quantity(v['high'], v['unit'])}"
+    )
+
+
+_INPUTS = {
+    InputKind.FULL_SWEEP: "a sweep at full amplitude",
+    InputKind.SMALL_SWEEP: "a sweep at a fifth of the amplitude",
+    InputKind.MULTISINE: "a multisine",
+    InputKind.STEPS: "steps up and down",
+    InputKind.SLOW_TRIANGLE: "a slow triangle",
+    InputKind.SAME_INPUT: "the same input",
+    InputKind.SAME_INPUT_SMALL: "the same input at a third of the amplitude",
+    InputKind.SAME_INPUT_DOUBLED: "the same input doubled",
+}
+
+
+def _discriminating_experiment(finding: Finding) -> str:
+    values = finding.values
+    return (
+        f"{_INPUTS[values['experiment']]}, with {' and '.join(values['measured'])} measured, would separate {finding.subject} (expected"
+        f" chi-square {values['cost']:.3g})"
+    )
+
+
+def _noise_from_residual(finding: Finding) -> str:
+    shown = ", ".join("white" if not colour else f"correlation {colour[0]:.3g}" for colour in finding.values["colours"])
+    return f"noise as the residual of {finding.subject} shows it: {shown}"
+
+
+def _first_effect(finding: Finding) -> str:
+    v = finding.values
+    return f"{finding.subject}: misfit {v['before']:.3g} -> {v['after']:.3g} times the noise"
+
+
+def _detection_limit(finding: Finding) -> str:
+    v = finding.values
+    return f"{finding.subject} could still be hidden below {v['parameter']} = {_quantity(v['limit'], v['unit'], 2)}"
+
+
+register(
+    {
+        # The answer.
+        DiscoveryCode.NOTHING_MISSING: "Nothing is missing: the plain model explains the records down to the noise.",
+        DiscoveryCode.EFFECT_NAMED: lambda f: f"The records are consistent with {f.subject}: {_explained(f)}.",
+        DiscoveryCode.EFFECTS_TIED: _effects_tied,
+        DiscoveryCode.UNKNOWN_EFFECT: "Something is missing that no effect of the catalogue explains.",
+        DiscoveryCode.NO_LOOK_ALIKE: "No effect improves on the plain model on the validation records; the best one on the estimation"
+        " records is {subject}.",
+        DiscoveryCode.NEAREST_LOOK_ALIKE: _nearest_look_alike,
+        DiscoveryCode.HARDLY_VISIBLE: "It hardly shows in the estimation records: there the misfit of the plain model is {misfit:.3g}"
+        " times the noise.",
+        DiscoveryCode.MISSING_SIGNAL: _missing_signal,
+        DiscoveryCode.SURROGATE_FITTED: lambda f: f"As a surrogate, {surrogate_text(f.values)}.",
+        # What a reader should know.
+        DiscoveryCode.LEARNT_FROM_VALIDATION: "the effect does not show in the estimation records: it was learnt from the first half of"
+        " the validation records",
+        DiscoveryCode.SHAPE_CORRECTED: lambda f: (
+            f"the family is certain, but the shape is not quite that of {f.subject}: {' + '.join(f.values['correction'])} corrects it"
+        ),
+        DiscoveryCode.DISCRIMINATING_EXPERIMENT: _discriminating_experiment,
+        DiscoveryCode.NO_DISCRIMINATING_EXPERIMENT: "none of the experiments that were tried would separate {subject} with these"
+        " sensors (chi-square {cost:.2g} at best)",
+        DiscoveryCode.DETECTION_LIMIT: _detection_limit,
+        # What to do next.
+        DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE: "continue with {subject} and look for effects that remove a share of the rest (greybox"
+        " discover --further; gb.discovery.refine in Python)",
+        DiscoveryCode.STATE_NOISE: "state the noise of {subject} (a number, or a quiet record): it was estimated from these records and"
+        " may hold part of what is missing",
+        DiscoveryCode.CHECK_NOISE: _check_noise,
+        DiscoveryCode.EXTEND_ESTIMATION_RECORDS: "use longer estimation records, or records that reach as far as the validation records:"
+        " what is missing hardly shows in these",
+        DiscoveryCode.COVER_VALIDATION_RANGE: _cover_validation_range,
+        DiscoveryCode.SUSPECT_MAINS: "check grounding, shields and the supply of drive and sensor: the tone is at the mains frequency of"
+        " {mains:.0f} Hz or a multiple",
+        DiscoveryCode.SUSPECT_MACHINE: "look for what turns or switches at {frequency:.4g} Hz near the rig; a record with the input at"
+        " zero shows it alone",
+        DiscoveryCode.USE_TONE_MODEL: "if the tone stays, use the model with its generator in an observer or a notch that rejects it",
+        DiscoveryCode.SUSPECT_MEMORY: "record the same motion slowly and fast, and at two amplitudes: no curve over one variable explains"
+        " what is missing, so it may have memory (play, hysteresis, creep, a part that moves by itself)",
+        DiscoveryCode.SUSPECT_PERIODIC_PART: "look for magnets, teeth, a thread or a bearing with a period of {period:.3g} {unit}: what"
+        " is missing repeats over {subject}",
+        DiscoveryCode.SUSPECT_CONTACT: "look at the rig where {subject} is about {position:.3g} {unit}: a curve that bends there comes"
+        " from a stop, a contact or a guide that ends",
+        DiscoveryCode.USE_CURVE_MODEL: "continue with the model that has the curve, or read its law off the figure and write an effect"
+        " of your own",
+        DiscoveryCode.VARY_SPEED_AND_AMPLITUDE: "record the same motion slowly and fast, and at two amplitudes: the curve explains a part,"
+        " and the rest depends on more than {subject}",
+        DiscoveryCode.MEASURE_MORE: lambda f: (
+            f"measure {' and '.join(f.values['outputs'])} as well: that narrows down the site"
+        ),
+        # Steps of the search.
+        DiscoveryCode.BASELINE_FITTED: "plain model: misfit {misfit:.3g} times the noise",
+        DiscoveryCode.NOISE_WHITE: "the residual is white",
+        DiscoveryCode.NOISE_FROM_RESIDUAL: _noise_from_residual,
+        DiscoveryCode.FIRST_EFFECT: _first_effect,
+        DiscoveryCode.FURTHER_EFFECT: "{subject}: misfit {after:.3g} times the noise",
+        DiscoveryCode.SHAPE_CORRECTION_SUFFICES: "what is left is due to the shape of {subject}: no further effect",
+        DiscoveryCode.LEARNING_FROM_VALIDATION: "the plain model fails on the validation records only: learning from their first half",
+        DiscoveryCode.REFINEMENT_STARTED: "{subject}: misfit on the validation records {misfit:.3g} times that of the fit",
+    }
+)
+
+
+# Checks
+
+
+def _check(what: str, relation: str) -> Callable[[Check], str]:
+    def write(check: Check) -> str:
+        subject = f"{check.subject}: " if check.subject else ""
+        outcome = "yes" if check.passed else "no"
+        return f"{subject}{what} {check.value:.4g} {relation} {check.limit:.4g}: {outcome}"
+
+    return write
+
+
+register(
+    {
+        DiscoveryRule.BASELINE_ABOVE_NOISE: _check("cost per sample of the plain model", ">"),
+        DiscoveryRule.VALIDATION_ABOVE_NOISE: _check("validation error over noise", ">"),
+        DiscoveryRule.VALIDATION_ONLY: _check("excess of the validation error over noise", ">="),
+        DiscoveryRule.CRITERION_GAIN: _check("decrease of Schwarz's criterion", ">"),
+        DiscoveryRule.EXPLAINED_EXCESS: _check("decrease of the cost", ">="),
+        DiscoveryRule.ONLY_NOISE_LEFT: _check("cost per sample, brought down to the noise", "<="),
+        DiscoveryRule.SIMPLER_MEMBER: _check("increase of the cost over the richer member of the family", "<="),
+        DiscoveryRule.SHAPE_CORRECTION: _check("criterion with a corrected shape, against a further effect", "<="),
+        DiscoveryRule.SWAP: _check("criterion with a better effect in its place", "<"),
+        DiscoveryRule.TIE: _check("criterion behind the selected model", "<"),
+        DiscoveryRule.CLEAN_RESIDUAL: _check("cost per sample", "<="),
+        DiscoveryRule.SMALL_REMAINDER: _check("excess cost left", "<="),
+        DiscoveryRule.WHITE_RESIDUAL: _check("excess autocorrelation of the residual", "<="),
+        DiscoveryRule.HOLDOUT_GAP: _check("validation error of the plain model over noise", ">"),
+        DiscoveryRule.HOLDOUT_EXPLAINED: _check("share of the validation gap explained", ">="),
+        DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED: _check(
+            "share of the validation gap explained, down to the noise", ">="
+        ),
+        DiscoveryRule.HOLDOUT_NOISE: _check("validation error of the extended model over noise", "<="),
+        DiscoveryRule.ESTIMATION_DECREASE: _check("share of the rms misfit removed", ">="),
+        DiscoveryRule.VALIDATION_DECREASE: _check("validation misfit", "<="),
+    }
+)

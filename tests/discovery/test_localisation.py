@@ -1,0 +1,123 @@
+"""Where, when and as a function of what the residual lives. The rig is simulated without greybox."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.discovery import LocalisationPolicy, Parity, ShapeKind, ShapePolicy, localise_residual
+from greybox.discovery.curve_shape import classify_shape
+from greybox.discovery.dependence import rank_dependences
+from greybox.discovery.misfit_windows import MisfitWindow, divide_misfit, find_concentration
+from models.micro_actuator import micro_actuator
+from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
+
+NOISE = {"x": 2e-7, "i": 5e-3}
+POLICY = LocalisationPolicy()
+
+
+def localise(effects):
+    train, _ = simulate_records(micro_actuator, effects, tuple(NOISE.values()), rows=1200)
+    return localise_residual(gb.fit(plain_model(micro_actuator), train, noise=NOISE, options=AT_REST))
+
+
+def test_dry_friction_is_localised_in_the_force_balance_over_the_velocity():
+    location = localise({"coulomb_friction": {"Fc": 0.05}})
+    assert location.is_missing
+    assert location.likeliest[0] == "balance force"
+    assert location.dependences[0].variable == "v"
+    assert location.dependences[0].shape.parity is Parity.ODD
+    assert location.dependences[0].is_relevant
+    assert sum(w.share for w in location.windows) == pytest.approx(1)
+    # The friction has 0.05 N throughout; what a viscous damper could do of it is fitted already.
+    assert 0.01 < location.sites[0].size < 0.05
+    # Drive and voltage balance are one input direction: no sensor can ever tell them apart.
+    gains = {site.label: site.gain for site in location.sites}
+    assert gains["input u"] == pytest.approx(gains["balance voltage"])
+
+
+def test_a_complete_model_leaves_nothing_to_localise():
+    location = localise({})
+    assert not location.is_missing
+    assert location.sites == location.likeliest == location.dependences == ()
+    assert location.timing is None
+
+
+@pytest.mark.parametrize(
+    ("curve", "parity", "kind", "position"),
+    [
+        (lambda z: np.sign(z), Parity.ODD, ShapeKind.STEP, None),
+        (lambda z: 3 * z**2, Parity.EVEN, ShapeKind.SQUARE, None),
+        (lambda z: 5 * z**3, Parity.ODD, ShapeKind.CUBIC, None),
+        (lambda z: 4 * np.sign(z) * np.maximum(np.abs(z) - 0.6, 0), Parity.ODD, ShapeKind.FLAT_MIDDLE, 0.6),
+        (lambda z: 3 * np.maximum(z - 0.5, 0), Parity.NEITHER, ShapeKind.BEND, 0.5),
+        (lambda z: -np.sqrt(np.abs(z)), Parity.EVEN, ShapeKind.KINK, None),
+        (lambda z: np.cos(2 * np.pi * z / 0.31), Parity.NEITHER, ShapeKind.PERIODIC, None),
+    ],
+)
+def test_a_signal_depends_on_its_variable_with_its_shape(curve, parity, kind, position):
+    rng = np.random.default_rng(1)
+    t = np.arange(1500) * 2e-3
+    z = np.cumsum(rng.normal(size=t.size))
+    z = z - np.linspace(z[0], z[-1], t.size)
+    z = np.sin(37 * t) * (1 + 0.3 * np.sin(5 * t)) + 0.05 * z / np.abs(z).max()
+    w = curve(z) + 0.1 * rng.normal(size=t.size)
+    best = rank_dependences(t, w, {"other": (rng.normal(size=t.size), "V"), "z": (z, "m")}, POLICY)[0]
+    assert best.variable == "z"
+    assert (best.shape.kind, best.shape.parity) == (kind, parity)
+    assert best.shape.position == (None if position is None else pytest.approx(position, rel=0.05))
+    assert best.period == (pytest.approx(0.31, rel=0.05) if kind is ShapeKind.PERIODIC else None)
+
+
+@pytest.mark.parametrize(
+    ("curve", "kind", "downwards", "position"),
+    [
+        (lambda z: z**2, ShapeKind.CURVED, False, None),
+        (lambda z: -(z**2), ShapeKind.CURVED, True, None),
+        (lambda z: np.maximum(z - 4, 0), ShapeKind.BEND, False, 4.12),
+        (lambda z: 3 * z + 1, ShapeKind.STRAIGHT, False, None),
+    ],
+)
+def test_a_curve_on_one_side_of_zero_bends_or_curves(curve, kind, downwards, position):
+    z = np.linspace(0, 10, 30)
+    values = curve(z)
+    if kind is ShapeKind.STRAIGHT:
+        values = np.zeros(30)
+    shape = classify_shape(z, values, np.ones(30), ShapePolicy())
+    assert (shape.kind, shape.downwards) == (kind, downwards)
+    assert shape.position == (None if position is None else pytest.approx(position, abs=0.2))
+
+
+def test_too_few_values_have_no_shape():
+    assert classify_shape(np.arange(5.0), np.ones(5), np.ones(5), ShapePolicy()).kind is ShapeKind.TOO_FEW_VALUES
+
+
+def test_a_tone_that_the_input_does_not_have_has_a_frequency():
+    rng = np.random.default_rng(2)
+    t = np.arange(4000) * 2.5e-4
+    w = np.sin(2 * np.pi * 50 * t) + 0.3 * rng.normal(size=t.size)
+    best = rank_dependences(t, w, {"x": (rng.normal(size=t.size), "m")}, POLICY)[0]
+    assert best.tone == pytest.approx(50, abs=0.5)
+    assert best.shape.kind is ShapeKind.TONE
+
+
+def test_a_tone_that_the_input_has_is_none():
+    t = np.arange(4000) * 2.5e-4
+    w = np.sin(2 * np.pi * 50 * t)
+    assert rank_dependences(t, w, {"u": (np.sin(2 * np.pi * 50 * t + 1), "V")}, POLICY)[0].tone is None
+
+
+def test_windows_share_out_the_misfit():
+    r = np.ones((1000, 1))
+    r[200:300] = 10.0
+    windows = divide_misfit(["a"], [np.arange(1000) * 0.01], [r], POLICY.windows)
+    assert len(windows) == 20
+    assert sum(w.share for w in windows if 1.99 < w.start < 3) == pytest.approx(1, abs=0.01)
+    timing = find_concentration(windows, POLICY)
+    assert [name for name, *_ in timing.stretches] == ["a"]
+    assert timing.time_share <= POLICY.concentrated_time
+
+
+@pytest.mark.parametrize(("share", "stretches"), [(0.0, None), (0.05, 0)])
+def test_a_misfit_that_is_nowhere_or_everywhere_is_not_concentrated(share, stretches):
+    timing = find_concentration([MisfitWindow("a", k, k + 1.0, share, 2.0) for k in range(20)], POLICY)
+    assert (None if timing is None else len(timing.stretches)) == stretches

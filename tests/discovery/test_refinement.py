@@ -1,0 +1,94 @@
+"""Small effects beside a large one, and models that fail on other records: a circuit with two hidden effects."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from greybox import Experiment, FitOptions, fit, simulate
+from greybox.cli.app import app
+from greybox.discovery import DiscoveryProblem, SelectionPolicy, discover, refine
+from greybox.discovery.findings import DiscoveryRule
+from greybox.discovery.holdout import reject_on_validation, score_holdout
+from greybox.effects import effect
+from greybox.project import find_model
+from greybox.simulation.write import write_csv
+from models.silverbox import silverbox
+
+NOISE = 2e-5  # V
+
+
+def simulate_circuit(model, seed, peak=0.3, rows=300):
+    """A record of the circuit under a smooth random input, with noise far below the smallest effect."""
+    generator = np.random.default_rng(seed)
+    u = np.convolve(generator.standard_normal(rows + 6), np.hanning(7), "valid")
+    record = Experiment("shaken", np.arange(rows) * 1e-3, {"u": peak * u / np.abs(u).max()}, {}, hold="first")
+    return simulate(model, record).record({"y": NOISE}, generator)
+
+
+@pytest.fixture(scope="module")
+def hardening():
+    """The fit of the large effect, two records that hold a small one as well, and the plain model."""
+    truth = silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")
+    truth = truth.start(K3=7e5, K2=-2e4)
+    records = [simulate_circuit(truth, seed) for seed in (1, 2)]
+    few = replace(silverbox, candidates=("cubic_stiffness", "quadratic_stiffness", "constant_load"))
+    return fit(few + effect("cubic_stiffness"), records[0], noise={"y": NOISE}), records, few
+
+
+def test_refining_finds_the_small_effect_and_stops(hardening):
+    large, (_, test), plain = hardening
+    refinement = refine(large, test, plain=plain)
+    assert [step.name for step in refinement.steps] == ["quadratic_stiffness"]
+    assert refinement.steps[0].validation_share > 0.5
+    assert refinement.fit.parameters["K2"].value == pytest.approx(-2e4, rel=0.02)
+    assert refinement.fit.validation.misfit["y"].rmse < 1.2 * NOISE
+    passed = {(check.rule, check.subject) for check in refinement.checks if check.passed}
+    assert (DiscoveryRule.VALIDATION_DECREASE, "quadratic_stiffness") in passed
+
+
+def test_the_command_refines_after_its_answer(tmp_path, monkeypatch):
+    truth = (silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")).start(K3=7e5, K2=-4e3)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("greybox.plots.draw_discovery", lambda *_: [])  # they are drawn in another test
+
+    def stop_after_the_first(*given, effects, **more):
+        return discover(*given, effects=effects[:1], **more)
+
+    monkeypatch.setattr("greybox.discovery.discover", stop_after_the_first)
+    monkeypatch.setattr("greybox.discovery.pipeline.fit_surrogate", lambda *_: None)
+    for seed, name in ((1, "train"), (2, "test")):
+        write_csv(simulate_circuit(truth, seed), silverbox, Path(f"{name}.csv"))
+    command = "discover silverbox train.csv --validate test.csv --hold first --noise y=2e-5 --further --output out"
+    result = CliRunner().invoke(app, [*command.split(), "--effects", "cubic_stiffness,quadratic_stiffness"])
+    assert result.exit_code == 0, result.output
+    answer = json.loads(Path("out/discovery.json").read_text())
+    assert [e["name"] for e in answer["effects"]] == ["cubic_stiffness"]
+    (step,) = answer["further"]["steps"]
+    assert step["name"] == "quadratic_stiffness"
+    assert step["fitted"] > 0.9
+    assert set(step) == {"name", "fitted", "held_out", "alike"}
+    assert answer["further"]["validation"]["y"]["rmse"] < 1.2 * NOISE
+    # The extended model that was written has both.
+    assert find_model("out/model.py").values["K2"] == pytest.approx(-4e3, rel=0.02)
+    assert Path("out/report.html").is_file()
+
+
+def test_a_model_that_fails_on_the_validation_records_is_replaced(hardening):
+    large, (record, test), plain = hardening
+    problem, policy = DiscoveryProblem(plain, (record,), {"y": NOISE}, (), FitOptions()), SelectionPolicy()
+    right = problem.refit_best(plain + effect("cubic_stiffness"), [large.model.values])
+    useless = plain + effect("constant_load")
+    # As if it had explained the estimation record better than any other.
+    wrong = replace(problem.refit_best(useless, [useless.values]), cost=0.5 * right.cost)
+    assert score_holdout(problem, right, [test]) < 0.2 * score_holdout(problem, wrong, [test])
+
+    def kept(selected, candidates):
+        return reject_on_validation(problem, problem.baseline, selected, candidates, [test], policy)
+
+    assert kept(wrong, [wrong, right]).effects == ("cubic_stiffness",)
+    assert kept(right, [wrong, right]) is right
+    assert kept(wrong, [wrong]) is wrong

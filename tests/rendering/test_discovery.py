@@ -1,0 +1,326 @@
+"""Golden text of every finding and check of a discovery, and of its results."""
+
+import pytest
+
+from greybox.discovery import HoldoutError, RefinementStep
+from greybox.discovery.findings import DiscoveryCode as Code
+from greybox.discovery.findings import DiscoveryRule as Rule
+from greybox.discovery.misfit_windows import MisfitTiming
+from greybox.findings import Check, Finding
+from greybox.rendering.discovery import (
+    dependence_text,
+    explained_share_text,
+    shape_text,
+    sites_text,
+    surrogate_text,
+    timing_text,
+)
+
+STEP = {
+    "variable": "v",
+    "unit": "m/s",
+    "share": 0.78,
+    "shape": "step",
+    "parity": "odd",
+    "downwards": True,
+    "position": None,
+    "loop": 0.02,
+    "has_loop": False,
+    "tone": None,
+    "period": None,
+}
+CURVE = {
+    "site": "balance force",
+    "variable": "x",
+    "variable_unit": "m",
+    "unit": "N",
+    "closed": 0.9876,
+    "shape": "flat_middle",
+    "parity": "odd",
+    "downwards": False,
+    "position": 4e-5,
+    "period": None,
+    "amplitude": None,
+    "tone": None,
+    "beside": [],
+}
+FINDINGS = [
+    (Code.NOTHING_MISSING, *("", {}), "Nothing is missing: the plain model explains the records down to the noise."),
+    (
+        Code.EFFECT_NAMED,
+        *("coulomb_friction", {"share": 0.998, "output": "x"}),
+        "The records are consistent with coulomb_friction: it explains 99.8 % of the gap in x on the validation records.",
+    ),
+    (
+        Code.EFFECTS_TIED,
+        *("input_offset", {"share": 0.998, "output": "x", "rivals": ["constant_load"]}),
+        "The records are consistent with input_offset (it explains 99.8 % of the gap in x on the validation records),"
+        " and equally with: constant_load. They cannot tell these apart.",
+    ),
+    (Code.UNKNOWN_EFFECT, *("", {}), "Something is missing that no effect of the catalogue explains."),
+    (
+        Code.NO_LOOK_ALIKE,
+        *("cubic_stiffness", {}),
+        "No effect improves on the plain model on the validation records; the best one on the estimation records is cubic_stiffness.",
+    ),
+    (
+        Code.NEAREST_LOOK_ALIKE,
+        *("cubic_stiffness", {"share": 0.31, "output": "x", "partly": True}),
+        "The nearest look-alike, cubic_stiffness, explains only 31 % of the gap in x on the validation records.",
+    ),
+    (
+        Code.HARDLY_VISIBLE,
+        *("", {"misfit": 1.02}),
+        "It hardly shows in the estimation records: there the misfit of the plain model is 1.02 times the noise.",
+    ),
+    (
+        Code.MISSING_SIGNAL,
+        *(
+            "balance force",
+            {"size": 0.00186, "unit": "N", "sites": ["balance force", "input u"], "variable": "v", "dependence": STEP},
+        ),
+        "The plain model lacks 0.00186 N rms at the force balance or the input u (the sensors cannot tell which). It"
+        " is a function of v (explains 78 %): odd, a step at zero, downwards.",
+    ),
+    (
+        Code.SURROGATE_FITTED,
+        *("balance force", CURVE),
+        "As a surrogate, a smooth curve over x (odd, with a flat middle up to about 4e-05 m) at the force balance"
+        " explains 98.8 % of the gap on the validation records.",
+    ),
+    (
+        Code.LEARNT_FROM_VALIDATION,
+        *("", {}),
+        "the effect does not show in the estimation records: it was learnt from the first half of the validation records",
+    ),
+    (
+        Code.SHAPE_CORRECTED,
+        *("viscoelastic_creep", {"correction": ["viscoelastic_creep_second_branch"]}),
+        "the family is certain, but the shape is not quite that of viscoelastic_creep: viscoelastic_creep_second_branch corrects it",
+    ),
+    (
+        Code.DISCRIMINATING_EXPERIMENT,
+        *("constant_load", {"experiment": "steps", "measured": ["x", "i"], "cost": 4321.0}),
+        "steps up and down, with x and i measured, would separate constant_load (expected chi-square 4.32e+03)",
+    ),
+    (
+        Code.NO_DISCRIMINATING_EXPERIMENT,
+        *("constant_load", {"experiment": "steps", "measured": ["x"], "cost": 0.0123}),
+        "none of the experiments that were tried would separate constant_load with these sensors (chi-square 0.012 at best)",
+    ),
+    (
+        Code.DETECTION_LIMIT,
+        *("cubic_stiffness", {"parameter": "K3", "limit": 1.234e8, "unit": "N/m^3"}),
+        "cubic_stiffness could still be hidden below K3 = 1.2e+08 N/m^3",
+    ),
+    (
+        Code.CONTINUE_WITH_LOOK_ALIKE,
+        *("coulomb_friction", {}),
+        "continue with coulomb_friction and look for effects that remove a share of the rest (greybox discover"
+        " --further; gb.discovery.refine in Python)",
+    ),
+    (
+        Code.STATE_NOISE,
+        *("x, i", {"outputs": ["x", "i"]}),
+        "state the noise of x, i (a number, or a quiet record): it was estimated from these records and may hold part of what is missing",
+    ),
+    (
+        Code.CHECK_NOISE,
+        *("x, i", {"std": [2e-7, 5e-3], "units": ["m", "A"], "outputs": ["x", "i"]}),
+        "check that the sensors have a noise of 2e-07 m in x, 0.005 A in i: it was estimated from these records, and"
+        " if it is smaller, something is missing; give it as a number or as a quiet record",
+    ),
+    (
+        Code.EXTEND_ESTIMATION_RECORDS,
+        *("", {}),
+        "use longer estimation records, or records that reach as far as the validation records: what is missing hardly shows in these",
+    ),
+    (
+        Code.COVER_VALIDATION_RANGE,
+        *("x", {"low": -1e-4, "high": 1e-4, "least": -3e-4, "most": 3e-4, "unit": "m"}),
+        "use estimation records that cover the whole range: the validation records reach from -0.0003 to 0.0003 m in"
+        " x, the estimation records only from -0.0001 to 0.0001 m",
+    ),
+    (
+        Code.SUSPECT_MAINS,
+        *("", {"frequency": 100.02, "mains": 50.0}),
+        "check grounding, shields and the supply of drive and sensor: the tone is at the mains frequency of 50 Hz or a multiple",
+    ),
+    (
+        Code.SUSPECT_MACHINE,
+        *("", {"frequency": 37.25}),
+        "look for what turns or switches at 37.25 Hz near the rig; a record with the input at zero shows it alone",
+    ),
+    (
+        Code.USE_TONE_MODEL,
+        *("", {"frequency": 37.25}),
+        "if the tone stays, use the model with its generator in an observer or a notch that rejects it",
+    ),
+    (
+        Code.SUSPECT_MEMORY,
+        *("", {}),
+        "record the same motion slowly and fast, and at two amplitudes: no curve over one variable explains what is"
+        " missing, so it may have memory (play, hysteresis, creep, a part that moves by itself)",
+    ),
+    (
+        Code.SUSPECT_PERIODIC_PART,
+        *("s", {"period": 0.01, "unit": "m"}),
+        "look for magnets, teeth, a thread or a bearing with a period of 0.01 m: what is missing repeats over s",
+    ),
+    (
+        Code.SUSPECT_CONTACT,
+        *("x", {"position": 4e-5, "unit": "m"}),
+        "look at the rig where x is about 4e-05 m: a curve that bends there comes from a stop, a contact or a guide that ends",
+    ),
+    (
+        Code.USE_CURVE_MODEL,
+        *("x", {}),
+        "continue with the model that has the curve, or read its law off the figure and write an effect of your own",
+    ),
+    (
+        Code.VARY_SPEED_AND_AMPLITUDE,
+        *("x", {}),
+        "record the same motion slowly and fast, and at two amplitudes: the curve explains a part, and the rest depends on more than x",
+    ),
+    (
+        Code.MEASURE_MORE,
+        *("p_a, p_b", {"outputs": ["p_a", "p_b"]}),
+        "measure p_a and p_b as well: that narrows down the site",
+    ),
+    (Code.BASELINE_FITTED, *("", {"misfit": 113.2}), "plain model: misfit 113 times the noise"),
+    (Code.NOISE_WHITE, *("", {}), "the residual is white"),
+    (
+        Code.NOISE_FROM_RESIDUAL,
+        *("micro_actuator", {"colours": [[], [0.81]], "std": [1e-7, 1e-3]}),
+        "noise as the residual of micro_actuator shows it: white, correlation 0.81",
+    ),
+    (
+        Code.FIRST_EFFECT,
+        *("coulomb_friction", {"before": 113.2, "after": 1.01}),
+        "coulomb_friction: misfit 113 -> 1.01 times the noise",
+    ),
+    (
+        Code.FURTHER_EFFECT,
+        *("coulomb_friction + backlash", {"before": 113.2, "after": 1.01}),
+        "coulomb_friction + backlash: misfit 1.01 times the noise",
+    ),
+    (
+        Code.SHAPE_CORRECTION_SUFFICES,
+        *("viscoelastic_creep", {"before": 113.2, "after": 1.01}),
+        "what is left is due to the shape of viscoelastic_creep: no further effect",
+    ),
+    (
+        Code.LEARNING_FROM_VALIDATION,
+        *("", {}),
+        "the plain model fails on the validation records only: learning from their first half",
+    ),
+    (
+        Code.REFINEMENT_STARTED,
+        *("silverbox", {"misfit": 1.21}),
+        "silverbox: misfit on the validation records 1.21 times that of the fit",
+    ),
+]
+CHECKS = {
+    Rule.BASELINE_ABOVE_NOISE: "backlash: cost per sample of the plain model 18.2 > 20: no",
+    Rule.VALIDATION_ABOVE_NOISE: "backlash: validation error over noise 18.2 > 20: no",
+    Rule.VALIDATION_ONLY: "backlash: excess of the validation error over noise 18.2 >= 20: no",
+    Rule.CRITERION_GAIN: "backlash: decrease of Schwarz's criterion 18.2 > 20: no",
+    Rule.EXPLAINED_EXCESS: "backlash: decrease of the cost 18.2 >= 20: no",
+    Rule.ONLY_NOISE_LEFT: "backlash: cost per sample, brought down to the noise 18.2 <= 20: no",
+    Rule.SIMPLER_MEMBER: "backlash: increase of the cost over the richer member of the family 18.2 <= 20: no",
+    Rule.SHAPE_CORRECTION: "backlash: criterion with a corrected shape, against a further effect 18.2 <= 20: no",
+    Rule.SWAP: "backlash: criterion with a better effect in its place 18.2 < 20: no",
+    Rule.TIE: "backlash: criterion behind the selected model 18.2 < 20: no",
+    Rule.CLEAN_RESIDUAL: "backlash: cost per sample 18.2 <= 20: no",
+    Rule.SMALL_REMAINDER: "backlash: excess cost left 18.2 <= 20: no",
+    Rule.WHITE_RESIDUAL: "backlash: excess autocorrelation of the residual 18.2 <= 20: no",
+    Rule.HOLDOUT_GAP: "backlash: validation error of the plain model over noise 18.2 > 20: no",
+    Rule.HOLDOUT_EXPLAINED: "backlash: share of the validation gap explained 18.2 >= 20: no",
+    Rule.HOLDOUT_PARTLY_EXPLAINED: "backlash: share of the validation gap explained, down to the noise 18.2 >= 20: no",
+    Rule.HOLDOUT_NOISE: "backlash: validation error of the extended model over noise 18.2 <= 20: no",
+    Rule.ESTIMATION_DECREASE: "backlash: share of the rms misfit removed 18.2 >= 20: no",
+    Rule.VALIDATION_DECREASE: "backlash: validation misfit 18.2 <= 20: no",
+}
+
+
+@pytest.mark.parametrize(("code", "subject", "values", "text"), FINDINGS)
+def test_each_finding_has_its_sentence(code, subject, values, text):
+    assert str(Finding(code, subject=subject, values=values)) == text
+
+
+def test_every_code_and_rule_is_covered():
+    assert {code for code, *_ in FINDINGS} == set(Code)
+    assert set(CHECKS) == set(Rule)
+
+
+@pytest.mark.parametrize(("rule", "text"), CHECKS.items())
+def test_each_check_has_its_line(rule, text):
+    assert str(Check(rule, 18.2, 20.0, False, "backlash")) == text
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({}, "odd, a step at zero, downwards"),
+        ({"downwards": False}, "odd, a step at zero"),
+        ({"shape": "too_few_values", "downwards": False}, "too few values to tell"),
+        ({"shape": "straight", "downwards": False}, "no shape beyond a straight line"),
+        ({"shape": "flat_middle", "position": 0.6, "downwards": False}, "odd, with a flat middle up to about 0.6 m/s"),
+        ({"shape": "cubic", "downwards": False}, "odd, growing faster than proportionally"),
+        ({"shape": "odd_square", "downwards": False}, "odd, growing with the square"),
+        ({"shape": "square", "downwards": False}, "even, growing with the square"),
+        ({"shape": "kink", "downwards": False}, "even, with a kink at zero"),
+        ({"shape": "bend", "position": 0.5}, "a bend at 0.5 m/s"),
+        ({"shape": "curved"}, "curving downwards"),
+        ({"shape": "curved", "downwards": False}, "curving upwards"),
+        ({"shape": "periodic", "period": 0.31}, "periodic, every 0.31 m/s"),
+        ({"shape": "tone", "downwards": False}, "a tone"),
+        ({"shape": "unnamed"}, "odd in shape"),
+        ({"shape": "unnamed", "parity": "neither"}, "of no simple shape"),
+    ],
+)
+def test_each_shape_has_its_words(change, text):
+    assert shape_text(STEP | change) == text
+
+
+def test_a_dependence_says_its_share_loop_and_tone():
+    assert dependence_text(STEP) == "a function of v (explains 78 %): odd, a step at zero, downwards"
+    loop = dependence_text(STEP | {"has_loop": True, "loop": 0.2})
+    assert loop.endswith(", with a loop (direction adds 20 %)")
+    assert (
+        dependence_text(STEP | {"tone": 50.0}) == "a tone of 50 Hz that does not depend on the motion (explains 78 %)"
+    )
+
+
+def test_sites_that_cannot_be_told_apart_are_alternatives():
+    assert sites_text(["balance force"]) == "the force balance"
+    assert sites_text(["sensor of x", "input u"]) == "the sensor of x or the input u (the sensors cannot tell which)"
+    assert sites_text([]) == "no particular site"
+
+
+def test_a_misfit_has_its_time():
+    assert timing_text(None) == "nowhere above the noise"
+    assert timing_text(MisfitTiming(1.0, 1.0, ())) == "throughout the records"
+    few = timing_text(MisfitTiming(0.81, 0.1, (("a", 2.0, 3.0),)))
+    assert few == "81 % of it in 10 % of the time: 2 to 3 s of a"
+    many = timing_text(MisfitTiming(0.81, 0.1, tuple(("a", 2.0 * k, 2.0 * k + 1) for k in range(6))))
+    assert many.endswith("6 to 7 s of a and 2 more stretches")
+
+
+def test_a_tone_names_its_sites_and_amplitude():
+    tone = {"frequency": 50.0, "std": 0.01, "amplitude": {"a": 0.05}, "beginning": 0.083, "alike": ["sensor of x"]}
+    values = CURVE | {"tone": tone, "variable": "time", "shape": "tone"}
+    assert surrogate_text(values) == (
+        "a tone of 50.00 Hz at the force balance (or the sensor of x: these records cannot tell), with an amplitude of 0.05 N,"
+        " explains 98.8 % of the gap on the validation records (amplitude and phase there are estimated from the first 0.083 s)"
+    )
+
+
+def test_errors_and_steps_fit_on_a_line():
+    assert str(HoldoutError(6.43e-7, 1.02e-7, 1e-7, "m")) == "6.43e-07 -> 1.02e-07 m (noise 1e-07)"
+    assert explained_share_text(1.02) == "explains 100 % of the gap"
+    assert explained_share_text(-0.1) == "explains none of the gap"
+    step = RefinementStep("backlash", 0.21, 0.18, {"constant_load": 0.17})
+    assert str(step) == (
+        "backlash removes 21 % of the misfit, and 18 % on the validation records (nearly as good: constant_load 17 %)"
+    )

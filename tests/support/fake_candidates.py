@@ -1,0 +1,83 @@
+"""Candidate fits with chosen costs, for the rules of discovery: nothing is simulated and nothing is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+from greybox.discovery.decision import noise_cost_limit
+from greybox.discovery.execution import RefitJob
+from greybox.discovery.problem import CandidateFit
+from greybox.model import Effect, Model
+from greybox.model.signals import Parameter
+from models.micro_actuator import micro_actuator
+
+COUNT = 1000
+
+
+def candidate(cost: float, *effects: str, count: int = COUNT, free: int = 0) -> CandidateFit:
+    """A fit of the plain model with these effects, of this cost."""
+    model = SimpleNamespace(effects=[SimpleNamespace(name=name) for name in effects], values={})
+    return CandidateFit(model, cost, count, free or 5 + len(effects), None, None, None)
+
+
+@dataclass
+class FakeProblem:
+    """Stands in for a `DiscoveryProblem`: the cost of a model is looked up by the names of its effects.
+
+    Sets that are not in ``costs`` cost as much as the best of their subsets, or as the plain model. ``refits`` counts the fits of
+    each set.
+    """
+
+    costs: Mapping[frozenset[str], float]
+    model: Model = micro_actuator
+    refits: list[frozenset[str]] = field(default_factory=list)
+
+    @property
+    def baseline(self) -> CandidateFit:
+        return self._fit(self.model)
+
+    def refit_all(self, jobs: Sequence[RefitJob]) -> list[CandidateFit | None]:
+        return [self._fit(job.model) for job in jobs]
+
+    def refit_best(self, model: Model, starts: Iterable[object], *_: object, **__: object) -> CandidateFit | None:
+        return self._fit(model)
+
+    def predict_cost(self, model: Model, starts: Iterable[object], like: object = None) -> float:
+        return self._cost(model)
+
+    def _fit(self, model: Model) -> CandidateFit:
+        names = frozenset(e.name for e in model.effects)
+        self.refits.append(names)
+        return CandidateFit(model, self._cost(model), COUNT, 5 + len(names), None, None, None)
+
+    def _cost(self, model: Model) -> float:
+        names = frozenset(e.name for e in model.effects)
+        return min(cost for known, cost in self.costs.items() if known <= names)
+
+
+def costs(plain: float, **others: float) -> dict[frozenset[str], float]:
+    """Costs by set of effects: ``costs(9000, coulomb_friction=1000, coulomb_friction__backlash=990)``."""
+    return {frozenset(): plain} | {frozenset(names.split("__")): cost for names, cost in others.items()}
+
+
+def toy_effect(name: str, *parents: str) -> Effect:
+    """An effect on the force balance with a constant of its own; nothing is ever simulated with it."""
+    size = f"{name}_size"
+    return Effect(
+        name,
+        "force",
+        [Parameter(size, "N", 0.0, source="a test")],
+        terms=lambda x, u, p: p[size],
+        parents=parents,
+        amplitudes=(size,),
+        probe=lambda scales: {size: 1.0},
+        from_parent=lambda values, scales: [{size: 1.0}],
+        source="a test",
+    )
+
+
+def leaves_noise(fit: CandidateFit, lags: int = 0) -> float:
+    """The autocorrelation of a residual: structure as long as more than noise is left."""
+    return 0.0 if fit.per_sample <= noise_cost_limit(fit.count) else 1.0
