@@ -129,6 +129,19 @@ def commands() -> str:
     return "\n\n".join(sections)
 
 
+def study_fields() -> str:
+    """Each place in a study file with the option that does the same, and the commands that use it."""
+    from greybox.cli.study import SPECS, STUDY_COMMANDS
+
+    rows = ["| In the file | Option | Used by |", "| --- | --- | --- |"]
+    for spec in SPECS.values():
+        place = f"`{spec.place}`" if spec.key else f"`[{spec.table}]`, a line for each name"
+        users = [name for name in spec.commands if name in STUDY_COMMANDS]
+        option = f"`{spec.flag}`" if spec.flag else "MODEL" if spec.key == "model" else "DATA"
+        rows.append(f"| {place} | {option} | {'all' if len(users) == len(STUDY_COMMANDS) else ', '.join(users)} |")
+    return "\n".join(rows)
+
+
 def catalogue() -> str:
     """The effects of the catalogue: name, place, equation, and what tells each apart from its look-alikes."""
     from greybox.effects import CATALOGUE
@@ -142,4 +155,9 @@ def catalogue() -> str:
     return "\n\n".join(sections)
 
 
-GENERATED: dict[str, Callable[[], str]] = {"public names": public_names, "commands": commands, "catalogue": catalogue}
+GENERATED: dict[str, Callable[[], str]] = {
+    "public names": public_names,
+    "commands": commands,
+    "study fields": study_fields,
+    "catalogue": catalogue,
+}

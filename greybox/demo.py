@@ -69,7 +69,7 @@ class DemoSetup:
 class Demo(Printable):
     """What was done, step by step.
 
-    ``truth`` of the rig's constants, the hidden effect's included; ``start`` of the search. ``plain``: the model's own fit;
+    ``truth`` of the rig's parameters, the hidden effect's included; ``start`` of the search. ``plain``: the model's own fit;
     ``discovery``: what it lacks; ``comparison`` with black boxes on the other record; ``plant``: matrices of the extended model.
     ``records`` as files; ``files`` that were written beside them -> what they are; ``seconds`` in all; ``setup`` of the rig.
     """
@@ -92,9 +92,9 @@ class Demo(Printable):
 
     @property
     def deviations(self) -> dict[str, float]:
-        """Error of each constant that was found in its own standard deviations (NaN where the fit gives none)."""
-        found = {name: self.fit.parameters[name] for name in self.truth if name in self.fit.parameters}
-        return {name: (e.value - self.truth[name]) / (e.std or np.nan) for name, e in found.items()}
+        """Error of each parameter that was found in its own standard deviations (NaN where the fit gives none)."""
+        common = {name: self.fit.parameters[name] for name in self.truth if name in self.fit.parameters}
+        return {name: (e.value - self.truth[name]) / (e.std or np.nan) for name, e in common.items()}
 
 
 def run_demo(
@@ -139,7 +139,7 @@ def run_demo(
     plain = fit(known.start(**start), train, noise=setup.noise, validation=test, options=options)
     tell(f"   the residual in x is {plain.misfit['x'].noise_ratio:.0f} times the noise: the model lacks something")
     tell("2. discover: which effect of the catalogue explains the residual?")
-    found = discover(
+    discovery = discover(
         known.start(**start),
         train,
         validation=test,
@@ -149,20 +149,20 @@ def run_demo(
         on_refit=report,
     )
     tell("3. compare with black boxes, which need no physics")
-    comparison = _compare(plain, found.best, train, test, setup)
+    comparison = _compare(plain, discovery.best, train, test, setup)
     tell("4. export the state space, draw")
-    plant = linearise(found.best)
+    plant = linearise(discovery.best)
     files = {
         plain.save(folder / "plain.json"): "the fit of the model as it was",
-        found.best.save(folder / "fit.json"): "the fit with the effect, for greybox export",
-        found.save(folder / "discovery.json"): "what is missing, and the evidence",
+        discovery.best.save(folder / "fit.json"): "the fit with the effect, for greybox export",
+        discovery.save(folder / "discovery.json"): "what is missing, and the evidence",
         save_comparison(comparison, folder / "compare.json"): "beside the black boxes",
         write_control(plant, folder / "plant_ss.py"): "the state space for python-control",
     }
-    files |= dict.fromkeys(_draw_gap(plain, found.best, comparison, folder, setup), "the gap before and after")
-    files |= dict.fromkeys(draw_fit(found.best, folder), "measured and simulated")
+    files |= dict.fromkeys(_draw_gap(plain, discovery.best, comparison, folder, setup), "the gap before and after")
+    files |= dict.fromkeys(draw_fit(discovery.best, folder), "measured and simulated")
     seconds = time.perf_counter() - began
-    return Demo(truth, start, plain, found, comparison, plant, records, files, seconds, setup)
+    return Demo(truth, start, plain, discovery, comparison, plant, records, files, seconds, setup)
 
 
 def _compare(plain: Fit, best: Fit, train: Experiment, test: Experiment, setup: DemoSetup) -> Comparison:

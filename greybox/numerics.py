@@ -143,3 +143,6 @@ CONSTANT_STATE = 1e-12
 
 FLATTEST_CURVATURE = 1e-14
 """Eigenvalues of a scaled matrix are raised to this share of the largest one before their roots are divided by."""
+
+REFERENCE_TOLERANCE = 1e-9
+"""Relative and absolute tolerance of the independent simulation, absolute for states divided by their size: far below any noise."""

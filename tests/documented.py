@@ -76,7 +76,7 @@ def run_page(page: Path, folder: Path, *, slow: bool = False) -> Run:
             if block.language == "text":
                 shown = missing(block.text, run.printed)
                 run.missing += [f"{where}: not printed: {line}" for line in shown]
-            elif block.language == "python" and block.title:
+            elif block.title:
                 Path(block.title).parent.mkdir(parents=True, exist_ok=True)
                 Path(block.title).write_text(block.text, encoding="utf-8")
             elif block.language == "python":

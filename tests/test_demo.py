@@ -87,7 +87,7 @@ def test_the_story_is_told_in_order(found: Demo, told: list[str]) -> None:
     steps = [line.split(":")[0] for line in told if line[:1].isdigit()]
     assert [step[0] for step in steps] == ["1", "2", "3", "4"]
     text = str(found)
-    order = ["constant", "consistent with cubic_stiffness", "misfit on the other record", "black box", "linear model"]
+    order = ["parameter", SETUP.hidden, "rms error on the validation record", "black box", "linear model"]
     places = [text.index(words) for words in order]
     assert places == sorted(places)
 

@@ -16,7 +16,7 @@ from tests.documented import ROOT, blocks, commands, missing, run_page, same
 
 DOCS = ROOT / "docs"
 # Pages that are run here, quickly: without the parts marked slow. The others are run by the slow tests.
-QUICK = ("own_model.md", "own_effect.md")
+QUICK = ("own_model.md", "own_effect.md", "study_files.md")
 TUTORIALS = ("tutorial_micro_actuator.md", "tutorial_pneumatic.md", *QUICK)
 
 

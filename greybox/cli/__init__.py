@@ -5,18 +5,28 @@ from __future__ import annotations
 import gc
 import signal
 import sys
+from enum import IntEnum
 from typing import NoReturn
 
-INTERRUPTED = 130
-# New objects from which Python looks for garbage: what a command makes is needed to its end, and looking costs a tenth of its time.
-GARBAGE_THRESHOLD = 50_000
+
+class ExitCode(IntEnum):
+    """How a command ended: a contract with whoever runs it from a script."""
+
+    SUCCESS = 0
+    UNSUCCESSFUL = 1
+    """The computation ran and did not succeed, for instance a fit that did not converge."""
+    BAD_INPUT = 2
+    """Something that was typed or read cannot be used; nothing was computed or written."""
+    INTERRUPTED = 130
+    """Ctrl-C, as shells report it: 128 plus the number of the signal."""
 
 
 def main() -> None:
     """Run the command; the process ends with 0, 1 (no success), 2 (bad input) or 130 (Ctrl-C)."""
     # From here on: what is imported first takes a fifth of a second, in which Ctrl-C would show a traceback.
     before = signal.signal(signal.SIGINT, _exit_on_interrupt)
-    gc.set_threshold(GARBAGE_THRESHOLD, *gc.get_threshold()[1:])
+    # What a command makes is needed to its end; looking for garbage less often saves a tenth of its time.
+    gc.set_threshold(50_000, *gc.get_threshold()[1:])
     try:
         from greybox.cli.app import run
 
@@ -27,4 +37,4 @@ def main() -> None:
 
 def _exit_on_interrupt(*_: object) -> NoReturn:
     sys.stderr.write("error: interrupted\n")
-    raise SystemExit(INTERRUPTED)
+    raise SystemExit(ExitCode.INTERRUPTED)

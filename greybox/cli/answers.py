@@ -24,8 +24,8 @@ RecordMisfit = tuple[str, str, "Misfit"]
 class FitAnswer(Printable):
     """A fit, with what was asked for beside it.
 
-    ``remedies``: what would determine the constants that the records left open. ``profiles`` and ``bootstrap``: the intervals
-    asked for; ``zero_noise``: constants of process noise that are zero and have a limit only; ``refusal``: why there are no
+    ``remedies``: what would determine the parameters that the records left open. ``profiles`` and ``bootstrap``: the intervals
+    asked for; ``zero_noise``: parameters of process noise that are zero and have a limit only; ``refusal``: why there are no
     intervals. ``scores``: free run and predictions on the fitted and the validation records. ``misfits`` of each record, where
     there are several.
     """

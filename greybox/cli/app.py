@@ -22,7 +22,7 @@ from greybox.cli.usage_errors import CommandGroup, PlainCommand
 app = typer.Typer(
     name="greybox",
     cls=CommandGroup,
-    help="Physics-based grey-box identification: from a record to physical constants with intervals.",
+    help="Physics-based grey-box identification: from a record to physical parameters with intervals.",
     epilog="Start with:\n\n\b\n  greybox demo\n  greybox models\n  greybox fit --help",
     no_args_is_help=True,
     # Plain text: a message stays on one line, and nothing heavy is imported for --help.
@@ -39,7 +39,7 @@ def format_examples(*lines: str) -> str:
 
 app.command(
     cls=PlainCommand,
-    short_help="Fit a model's constants to records.",
+    short_help="Fit a model's parameters to records.",
     epilog=format_examples(
         "greybox fit micro_actuator record.csv --fix M=0.01 --fix Ra=8 --validate other.csv",
         "greybox fit my/rig.py a.csv b.csv --start K=5000 --noise x=2e-7 --output results/rig",
@@ -83,7 +83,7 @@ app.command(
 )(exit_on_error(simulate))
 app.command(
     cls=PlainCommand,
-    short_help="What is known before a fit: units, integration, determined constants.",
+    short_help="What is known before a fit: units, integration, determined parameters.",
     epilog=format_examples("greybox check micro_actuator", "greybox check micro_actuator record.csv --fix M=0.01"),
 )(exit_on_error(check))
 app.command(
@@ -98,7 +98,7 @@ app.command(
 )(exit_on_error(init))
 app.command(
     cls=PlainCommand,
-    short_help="Find the constants of a simulated actuator.",
+    short_help="Find the parameters of a simulated actuator.",
     epilog=format_examples("greybox demo", "greybox demo --output somewhere"),
 )(exit_on_error(demo))
 

@@ -26,11 +26,11 @@ def check(
     json: Json = False,
     no_report: NoReport = False,
 ) -> None:
-    """Check MODEL before a fit: equations, units, integration, and which constants can be determined.
+    """Check MODEL before a fit: equations, units, integration, and which parameters can be determined.
 
-    Says first what the measured outputs can tell at best: the combinations of constants that are determined, what stays
-    open, and which sensor or known constant would close it. Then what the records in DATA tell, near the start values and if
-    the model is right: the standard deviation to expect of each constant, and what the input excites. Without DATA the model
+    Says first what the measured outputs can tell at best: the combinations of parameters that are determined, what stays
+    open, and which sensor or known parameter would close it. Then what the records in DATA tell, near the start values and if
+    the model is right: the standard deviation to expect of each parameter, and what the input excites. Without DATA the model
     is driven by a random input. Writes DIR/check.json and DIR/report.html.
     """
     from greybox.check import check as check_model

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from greybox.cli.exits import INTERRUPTED, exit_with_error
+from greybox.cli import ExitCode
+from greybox.cli.exits import exit_with_error
 from greybox.cli.inputs import (
     add_effects,
     build_model,
@@ -56,7 +57,7 @@ def compare(
 
     The black boxes are ARX, ARMAX, output error, Box-Jenkins and Hammerstein models, each chosen by a scan over orders, delays
     and offset, and Monte-Carlo smoothing where a record is a single step. Prints the errors of the free run and one sample
-    ahead, best fit, number of constants, BIC, stability, feed-through and time, and which model is best by how much. Writes
+    ahead, best fit, number of parameters, BIC, stability, feed-through and time, and which model is best by how much. Writes
     DIR/compare.json, a figure for each validation record, and DIR/report.html, a page with everything.
 
     greybox compare study.toml runs a study file; --write-study makes one from these options.
@@ -208,7 +209,7 @@ def _write(
             else write_report(result, folder / "report.html", fits=fits, data=fingerprints, known=known)
         )
     except KeyboardInterrupt:
-        exit_with_error(f"interrupted while drawing; the comparison is in {saved}", INTERRUPTED)
+        exit_with_error(f"interrupted while drawing; the comparison is in {saved}", ExitCode.INTERRUPTED)
     if not (quiet or json):
         typer.echo(f"\n{written([saved, *figures])}")
         if report:

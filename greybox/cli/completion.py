@@ -1,4 +1,4 @@
-"""What the shell offers when Tab is pressed: models, effects, constants, outputs. A mistake in what was typed so far offers nothing."""
+"""What the shell offers when Tab is pressed: models, effects, parameters, outputs. A mistake in what was typed so far offers nothing."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def models(incomplete: str) -> list[Offer]:
     """Names of models, and model files that begin so."""
     from greybox.project import list_models
 
-    found = [(item.name, item.model.description) for item in list_models().models]
+    offers = [(item.name, item.model.description) for item in list_models().models]
     files = sorted(Path(text) for text in glob(f"{escape(incomplete)}*")) if incomplete else []
     near = [(f"{path}/", "a folder") if path.is_dir() else (str(path), "a model file") for path in files]
-    return _beginning([*found, *(offer for offer in near if offer[0].endswith(("/", ".py")))], incomplete)
+    return _beginning([*offers, *(offer for offer in near if offer[0].endswith(("/", ".py")))], incomplete)
 
 
 def effects(incomplete: str) -> list[Offer]:
@@ -38,7 +38,7 @@ def effects(incomplete: str) -> list[Offer]:
 
 
 def constants(ctx: typer.Context, incomplete: str) -> list[Offer]:
-    """``NAME=`` of the constants of the model that was named, with those of its effects."""
+    """``NAME=`` of the parameters of the model that was named, with those of its effects."""
     return _offered(ctx, incomplete, _constants)
 
 

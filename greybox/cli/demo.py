@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from greybox.cli.exits import INTERRUPTED, UNSUCCESSFUL, exit_with_error
+from greybox.cli import ExitCode
+from greybox.cli.exits import exit_with_error
 from greybox.cli.options import Json, NoReport, check_writable
 from greybox.cli.progress import show_search_progress
 from greybox.cli.reporting import write_report
@@ -38,7 +39,7 @@ def demo(
     with show_search_progress() as (say, report):
         result = run_demo(folder, say=say, report=report)
     if result.plain.status == "interrupted":
-        exit_with_error(f"interrupted; what was done so far is in {folder}", INTERRUPTED)
+        exit_with_error(f"interrupted; what was done so far is in {folder}", ExitCode.INTERRUPTED)
     page = None if no_report else write_report(result, folder / "report.html")
     if json:
         typer.echo((folder / "discovery.json").read_text(encoding="utf-8"), nl=False)
@@ -47,4 +48,4 @@ def demo(
     if open_ and page:
         typer.launch(page.resolve().as_uri())
     if not result.fit.success:
-        raise typer.Exit(UNSUCCESSFUL)
+        raise typer.Exit(ExitCode.UNSUCCESSFUL)

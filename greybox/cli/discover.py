@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli.exits import INTERRUPTED, exit_with_error
+from greybox.cli import ExitCode
+from greybox.cli.exits import exit_with_error
 from greybox.cli.inputs import build_model, print_record_notes, read_quiet_records, read_records
 from greybox.cli.options import Json, NoReport, check_writable, takes_study
 from greybox.cli.progress import show_search_progress
@@ -82,7 +83,7 @@ def discover(
                 result = replace(result, refinement=refinement)
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command continues from there" if journal.exists() else ""
-        exit_with_error(f"interrupted{kept}", INTERRUPTED)
+        exit_with_error(f"interrupted{kept}", ExitCode.INTERRUPTED)
     _write(result, folder, json=json, page=not no_report)
 
 
@@ -99,7 +100,7 @@ def _write(result: Discovery, folder: Path, *, json: bool, page: bool) -> None:
         files += draw_discovery(result, folder)
         report = write_report(result, folder / "report.html") if page else None
     except KeyboardInterrupt:
-        exit_with_error(f"interrupted while drawing; the answer is in {saved}", INTERRUPTED)
+        exit_with_error(f"interrupted while drawing; the answer is in {saved}", ExitCode.INTERRUPTED)
     if not json:
         typer.echo(f"\n{written(files)}")
         if report:

@@ -11,23 +11,11 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
-from greybox.cli import INTERRUPTED
+from greybox.cli import ExitCode
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
     from greybox.findings import Finding
-
-__all__ = [
-    "BAD_INPUT",
-    "INTERRUPTED",
-    "UNSUCCESSFUL",
-    "exit_on_error",
-    "exit_with_error",
-    "print_findings",
-    "print_note",
-]
-
-UNSUCCESSFUL, BAD_INPUT = 1, 2
 
 
 def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
@@ -42,18 +30,18 @@ def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
             try:
                 command(*args, **options)
             except GreyboxError as error:
-                exit_with_error(str(error), BAD_INPUT)
-            except BrokenPipeError:  # the reader of a pipe has gone: nothing to tell anyone
+                exit_with_error(str(error), ExitCode.BAD_INPUT)
+            except BrokenPipeError:  # the reader of the pipe has closed it: nobody is left to read a message
                 raise
             except OSError as error:
-                exit_with_error(f"{error.filename or 'a file'}: {error.strerror or error}", BAD_INPUT)
+                exit_with_error(f"{error.filename or 'a file'}: {error.strerror or error}", ExitCode.BAD_INPUT)
             except KeyboardInterrupt:
-                exit_with_error("interrupted", INTERRUPTED)
+                exit_with_error("interrupted", ExitCode.INTERRUPTED)
 
     return run
 
 
-def exit_with_error(message: str, code: int) -> NoReturn:
+def exit_with_error(message: str, code: ExitCode) -> NoReturn:
     """End with ``message`` on stderr."""
     typer.echo(f"error: {message}", err=True)
     raise typer.Exit(code)

@@ -96,7 +96,7 @@ def export(
         bool, typer.Option("--minimal", help="Take out states that no input reaches or no output shows.")
     ] = False,
     samples: Annotated[
-        int, typer.Option("--samples", metavar="N", min=0, help="Add N models drawn from the constants' covariance.")
+        int, typer.Option("--samples", metavar="N", min=0, help="Add N models drawn from the parameters' covariance.")
     ] = 0,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of these draws.")] = 0,
     substeps: Annotated[int, typer.Option("--substeps", metavar="N", min=0, help=SPECS["substeps"].help_for(FIT))] = 0,

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from greybox.cli import ExitCode
 from greybox.cli.answers import FitAnswer, RecordMisfit
-from greybox.cli.exits import INTERRUPTED, UNSUCCESSFUL, exit_with_error
+from greybox.cli.exits import exit_with_error
 from greybox.cli.inputs import (
     build_model,
     check_intervals,
@@ -48,9 +49,9 @@ def fit(
     json: Json = False,
     no_report: NoReport = False,
 ) -> None:
-    """Fit the constants of MODEL to records, and judge the fit.
+    """Fit the parameters of MODEL to records, and judge the fit.
 
-    Prints the equations, the constants with 95 % intervals, the misfit on the estimation and the validation records, and
+    Prints the equations, the parameters with 95 % intervals, the misfit on the estimation and the validation records, and
     what to know before trusting them. Writes DIR/fit.json, a figure for each record (PNG and SVG), and DIR/report.html, a
     page that shows everything in a browser.
 
@@ -93,7 +94,7 @@ def fit(
     else:
         with hold_interrupts() as interrupt, show_fit_progress(model.title, interrupt) as report:
             result = fit_model(model, records, report=report, **given)
-        interrupted = interrupt.asked
+        interrupted = interrupt.requested
     with hold_interrupts():
         saved = result.save(folder / "fit.json")
     tests = None if interrupted else _residual_tests(result)
@@ -103,10 +104,12 @@ def fit(
         typer.echo(str(_answer(result, tests, study, validation, profiled, short=interrupted)))
     if interrupted or result.status == "interrupted":
         older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
-        exit_with_error(f"interrupted; the best point so far is in {saved} (no figures, no report{older})", INTERRUPTED)
+        exit_with_error(
+            f"interrupted; the best point so far is in {saved} (no figures, no report{older})", ExitCode.INTERRUPTED
+        )
     _draw(result, tests, saved, study.skip, quiet=silent or json, page=not no_report)
     if not result.success:
-        exit_with_error(f"no success: {result.solver.status_message}", UNSUCCESSFUL)
+        exit_with_error(f"no success: {result.solver.status_message}", ExitCode.UNSUCCESSFUL)
 
 
 def _answer(
@@ -158,25 +161,25 @@ def _intervals(result: Fit, profiled: Iterable[str], replicates: int) -> dict[st
 
     from greybox.uncertainty import bootstrap, profile
 
-    found: dict[str, Any] = {}
+    intervals: dict[str, Any] = {}
     try:
         labels = list(_labels(result, profiled))
         zero = [n for n in labels if n in result.model.noise_parameters and result.model.values[n] == 0]
-        found["zero_noise"] = tuple(zero)
-        found["profiles"] = tuple(profile(result, name) for name in labels if name not in zero)
+        intervals["zero_noise"] = tuple(zero)
+        intervals["profiles"] = tuple(profile(result, name) for name in labels if name not in zero)
         if replicates:
             draws = np.random.default_rng(COMMANDS.bootstrap_seed)
-            found["bootstrap"] = bootstrap(result, draws, replicates=replicates)
+            intervals["bootstrap"] = bootstrap(result, draws, replicates=replicates)
     except FitError as error:
-        found["refusal"] = str(error)
-    return found
+        intervals["refusal"] = str(error)
+    return intervals
 
 
 def _labels(result: Fit, names: Iterable[str]) -> Iterator[str]:
-    """A constant that each record has for itself is one constant for each of them."""
-    own = result.constraints.per_experiment
+    """A parameter that each record has for itself is one parameter for each of them."""
+    per_record = result.constraints.per_experiment
     for name in names:
-        yield from [f"{name} ({title})" for title in own[name]] if name in own else [name]
+        yield from [f"{name} ({title})" for title in per_record[name]] if name in per_record else [name]
 
 
 def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict[str, Any]:
@@ -188,10 +191,10 @@ def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict
     steps = sorted({k for k in study.predict if k}) if study.predict else unasked
     if not steps or not result.success:
         return {}
-    found = {"scores": score(result, steps=steps)}
+    tables = {"scores": score(result, steps=steps)}
     if validation:
-        found["validation_scores"] = score(result, validation, steps=steps, skip=study.skip)
-    return found
+        tables["validation_scores"] = score(result, validation, steps=steps, skip=study.skip)
+    return tables
 
 
 def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool, page: bool) -> None:
@@ -204,7 +207,7 @@ def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, q
         figures += draw_residual_tests(tests, saved.parent, title=result.model.title) if tests else []
         report = write_report(result, saved.parent / "report.html", tests=tests, skip=skip) if page else None
     except KeyboardInterrupt:
-        exit_with_error(f"interrupted while drawing; the fit is in {saved}", INTERRUPTED)
+        exit_with_error(f"interrupted while drawing; the fit is in {saved}", ExitCode.INTERRUPTED)
     if not quiet:
         typer.echo(f"\n{written([saved, *figures])}")
         if report:

@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 
 def build_model(study: Study) -> Model:
-    """The model of a study: with its schedules, effects and process noise, constants freed, started and fixed; without
+    """The model of a study: with its schedules, effects and process noise, parameters freed, started and fixed; without
     priors and ties. Raises GreyboxError.
     """
     from greybox.project import find_model
 
     model = _apply_schedules(find_model(study.model, folder=study.folder), study)
     model = _apply_process_noise(add_effects(model, study.effects), study.process_noise)
-    return change_constants(model, study)
+    return set_parameters(model, study)
 
 
 def add_effects(model: Model, names: Iterable[str]) -> Model:
@@ -39,8 +39,8 @@ def add_effects(model: Model, names: Iterable[str]) -> Model:
     return model
 
 
-def change_constants(model: Model, study: Study) -> Model:
-    """``model`` with constants freed, started and fixed as the study has it. Raises ModelError."""
+def set_parameters(model: Model, study: Study) -> Model:
+    """``model`` with parameters freed, started and fixed as the study has it. Raises ModelError."""
     known = {name: value for name, value in study.fixed.items() if value is not None}
     as_declared = [name for name, value in study.fixed.items() if value is None]
     for other, names in (("start", known.keys() & study.start.keys()), ("free", study.fixed.keys() & set(study.free))):
@@ -252,12 +252,12 @@ def seed_of(study: Study) -> int:
 
 
 def check_intervals(study: Study, model: Model, policy: CommandPolicy = COMMANDS) -> tuple[str, ...]:
-    """The constants to be profiled. Raises GreyboxError for a constant that is not fitted and for too few replicates."""
+    """The parameters to be profiled. Raises GreyboxError for a parameter that is not fitted and for too few replicates."""
     free = [q.name for q in model.free_parameters]
     names = tuple(dict.fromkeys(study.profiles))
     for name in names:
         if name not in free:
-            raise GreyboxError(f"{study.label('profiles')} {name}: no constant that is fitted; {nearest(name, free)}")
+            raise GreyboxError(f"{study.label('profiles')} {name}: no parameter that is fitted; {nearest(name, free)}")
     if 0 < study.bootstrap < policy.minimum_replicates:
         raise GreyboxError(
             f"{study.label('bootstrap')} {study.bootstrap}: too few replicates for a 95 % interval;"

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 @dataclass
 class Interrupt:
-    """Whether Ctrl-C was ``asked`` for, and whether it still ``waits`` for the search to come by."""
+    """Whether Ctrl-C was ``requested`` for, and whether it still ``waits`` for the search to come by."""
 
-    asked: bool = False
+    requested: bool = False
     waits: bool = False
 
     def pass_on(self) -> None:
@@ -32,9 +32,9 @@ def hold_interrupts() -> Iterator[Interrupt]:
         return
 
     def ask(*_: object) -> None:
-        if state.asked:
+        if state.requested:
             raise KeyboardInterrupt
-        state.asked = state.waits = True
+        state.requested = state.waits = True
 
     before = signal.signal(signal.SIGINT, ask)
     try:

@@ -32,7 +32,7 @@ def models(
         ),
     ],
 ) -> None:
-    """List the models, or print the equations and constants of one."""
+    """List the models, or print the equations and parameters of one."""
     from greybox.model.system import unused_parameters
     from greybox.project import find_model, list_models
 

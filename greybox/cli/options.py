@@ -6,17 +6,18 @@ import functools
 import inspect
 import tempfile
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from greybox.cli import completion
-from greybox.cli.exits import BAD_INPUT, exit_with_error
+from greybox.cli import ExitCode, completion
+from greybox.cli.exits import exit_with_error
 from greybox.cli.study import STUDY_COMMANDS, Spec, Study, fields_of
-from greybox.cli.study_file import is_study_file, read_study, with_overrides, write_study
-from greybox.cli.study_values import Count, parse_numbers
+from greybox.cli.study_file import is_study_file, read_study, with_overrides
+from greybox.cli.study_file import write_study as store_study
+from greybox.cli.study_values import Count
 from greybox.cli.usage_errors import describe_missing_argument
 from greybox.errors import GreyboxError
 
@@ -48,10 +49,10 @@ def takes_study(command: str) -> Callable[[Callable[..., None]], Callable[..., N
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         specs = fields_of(command)
         hints = typing.get_type_hints(function, include_extras=True)
-        own = [p for p in inspect.signature(function).parameters.values() if p.name != "study"]
+        further = [p for p in inspect.signature(function).parameters.values() if p.name != "study"]
         parameters = [inspect.Parameter("ctx", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)]
         parameters += [_parameter(name, spec, command) for name, spec in specs.items()]
-        parameters += [p.replace(annotation=hints[p.name], kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
+        parameters += [p.replace(annotation=hints[p.name], kind=inspect.Parameter.KEYWORD_ONLY) for p in further]
         if command in STUDY_COMMANDS:
             parameters.append(
                 inspect.Parameter("write_study", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_WRITE_STUDY)
@@ -62,7 +63,9 @@ def takes_study(command: str) -> Callable[[Callable[..., None]], Callable[..., N
             raw = {name: given.pop(name) for name in specs}
             study = _study(command, ctx, raw)
             if write_study is not None:
-                typer.echo(written_study(study, write_study, command))
+                from greybox.rendering.cli import study_line
+
+                typer.echo(study_line(store_study(study, write_study, command), command))
                 return
             function(study, **given)
 
@@ -82,11 +85,6 @@ _WRITE_STUDY = Annotated[
         show_default=False,
     ),
 ]
-
-
-def written_study(study: Study, path: Path, command: str) -> str:
-    """Write the study file; the line that says so."""
-    return f"written: {write_study(study, path, command)}; run it with: greybox {command} {path}"
 
 
 def _study(command: str, ctx: typer.Context, raw: dict[str, Any]) -> Study:
@@ -109,7 +107,7 @@ def _study(command: str, ctx: typer.Context, raw: dict[str, Any]) -> Study:
                 f'{study.file}: [records] estimation is missing; name records, as in estimation = ["train.csv"]'
             )
         order = ["MODEL", RECORDS[command][0]]
-        exit_with_error(describe_missing_argument(ctx.command_path, order, order[1], [name]), BAD_INPUT)
+        exit_with_error(describe_missing_argument(ctx.command_path, order, order[1], [name]), ExitCode.BAD_INPUT)
     return study
 
 
@@ -164,8 +162,3 @@ def check_writable(path: Path) -> Path:
             if folder.is_dir():
                 folder.rmdir()
     return path
-
-
-def point_of(texts: Sequence[str]) -> dict[str, float]:
-    """The operating point of ``--at``."""
-    return parse_numbers("--at", texts)

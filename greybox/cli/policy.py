@@ -18,6 +18,8 @@ class CommandPolicy:
     """Replicates of a bootstrap: with fewer, each end of a 95 % interval rests on two or three of them."""
     bootstrap_seed: int = 0
     """Seed of the bootstrap's draws: the same command prints the same intervals."""
+    maximum_study_bytes: int = 1_000_000
+    """Size of a study file: a thousand times what a long one has."""
     maximum_simulated_rows: int = 10_000_000
     """Rows of a simulated test signal; more would fill the memory before a word is written."""
 

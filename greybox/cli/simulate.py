@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli import completion
+from greybox.cli import ExitCode, completion
 from greybox.cli.answers import SimulationAnswer
-from greybox.cli.exits import UNSUCCESSFUL, exit_with_error, print_findings, print_note
+from greybox.cli.exits import exit_with_error, print_findings, print_note
 from greybox.cli.findings import CommandCode
 from greybox.cli.inputs import add_effects, check_substeps
 from greybox.cli.options import NoReport, Texts, check_writable, takes_study
@@ -36,7 +36,7 @@ Values = Annotated[
         metavar="NAME=VALUE",
         default_factory=list,
         autocompletion=completion.constants,
-        help="The value of a constant, in its unit.",
+        help="The value of a parameter, in its unit.",
     ),
 ]
 Initial = Annotated[
@@ -140,7 +140,7 @@ def simulate(
     if run.overflow is not None:
         exit_with_error(
             f"{plant.title}: the simulation overflows {run.overflow:.4g} s after its start; nothing was written",
-            UNSUCCESSFUL,
+            ExitCode.UNSUCCESSFUL,
         )
     replaced = target.exists()
     write_csv(run.record(noise_std, generator), plant, target)

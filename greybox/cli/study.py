@@ -160,7 +160,7 @@ class Study:
         "--fix",
         "fixed.",
         _ALL,
-        "A known constant, in its unit; NAME alone fixes it at the value that the model declares.",
+        "A known parameter, in its unit; NAME alone fixes it at the value that the model declares.",
         metavar="NAME=VALUE",
         complete=completion.constants,
     )
@@ -169,7 +169,7 @@ class Study:
         "--start",
         "start.",
         _ALL,
-        "A start value, in the constant's unit.",
+        "A start value, in the parameter's unit.",
         metavar="NAME=VALUE",
         complete=completion.constants,
     )
@@ -178,7 +178,7 @@ class Study:
         "--free",
         "parameters.free",
         _ALL,
-        "A constant to fit that the model holds fixed.",
+        "A parameter to fit that the model holds fixed.",
         metavar="NAME",
         complete=completion.constant_names,
     )
@@ -187,7 +187,7 @@ class Study:
         "--prior",
         "priors.",
         _FITS,
-        "What is known of a constant beforehand, as M=0.0100+-0.0001; it counts as a measurement.",
+        "What is known of a parameter beforehand, as M=0.0100+-0.0001; it counts as a measurement.",
         metavar="NAME=MEAN+-STD",
         complete=completion.constants,
     )
@@ -196,7 +196,7 @@ class Study:
         "--tie",
         "ties.",
         _FITS_AND_CHECK,
-        "A constant that others determine exactly, as Kv=Kf or K2=3*K1.",
+        "A parameter that others determine exactly, as Kv=Kf or K2=3*K1.",
         metavar="NAME=FORMULA",
         complete=completion.constants,
     )
@@ -205,7 +205,7 @@ class Study:
         "--own",
         "parameters.per_record",
         _FITS,
-        "A constant that has its own value in each record.",
+        "A parameter that has its own value in each record.",
         metavar="NAME",
         complete=completion.constant_names,
     )
@@ -214,7 +214,7 @@ class Study:
         "--schedule",
         "schedule.",
         _FITS,
-        "A constant that follows a condition or an input, as K2=P_S@8e5; VALUE is where the constant holds.",
+        "A parameter that follows a condition or an input, as K2=P_S@8e5; VALUE is where the parameter holds.",
         metavar="NAME=CONDITION[@VALUE]",
         complete=completion.constants,
     )
@@ -223,7 +223,7 @@ class Study:
         "--condition",
         "conditions.",
         _ALL,
-        "A constant that each record brings with it: one value for each record in their order (--validate last). NAME alone"
+        "A parameter that each record brings with it: one value for each record in their order (--validate last). NAME alone"
         " reads it from each file: a column of that name, or a comment line such as '# P_S = 801 kPa'.",
         metavar="NAME[=V1,V2,...]",
     )
@@ -385,7 +385,7 @@ class Study:
         "--profile",
         "profile",
         (FIT,),
-        "A constant whose interval is also computed by profile likelihood, with 10 to 20 refits; may be repeated.",
+        "A parameter whose interval is also computed by profile likelihood, with 10 to 20 refits; may be repeated.",
         metavar="NAME",
     )
     bootstrap: int = _study_field(
@@ -393,7 +393,7 @@ class Study:
         "--bootstrap",
         "bootstrap",
         (FIT,),
-        "Also compute intervals of all constants by a block bootstrap with N replicates (1000 are enough).",
+        "Also compute intervals of all parameters by a block bootstrap with N replicates (1000 are enough).",
         metavar="N",
     )
     file: Path | None = None

@@ -15,13 +15,12 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from greybox.cli.policy import COMMANDS
 from greybox.cli.study import SPECS, STUDY_COMMANDS, Spec, Study, fields_of
 from greybox.cli.study_values import Files, Table
 from greybox.errors import GreyboxError, nearest
 
 SUFFIX = ".toml"
-LARGEST = 1_000_000
-"""Bytes of a study file: a thousand times what a long one has."""
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -72,7 +71,7 @@ def write_study(study: Study, path: Path, command: str) -> Path:
         If there is such a file already, or the folder cannot be written to.
     """
     if path.exists():
-        raise GreyboxError(f"--write-study {path}: there is such a file already; give another name, or delete it first")
+        raise GreyboxError(f"--write-study {path}: the file exists; give another name, or delete it first")
     if not is_study_file(path.name):
         raise GreyboxError(
             f"--write-study {path}: a study file ends in {SUFFIX}; write --write-study {path.stem}{SUFFIX}"
@@ -81,8 +80,9 @@ def write_study(study: Study, path: Path, command: str) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise GreyboxError(f"--write-study {path}: cannot be written ({error.strerror}); give another file") from None
+    except (OSError, UnicodeEncodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "a name in it is not valid text"
+        raise GreyboxError(f"--write-study {path}: cannot be written ({reason}); give another file") from None
     return path
 
 
@@ -112,8 +112,10 @@ def study_text(study: Study, path: Path, command: str) -> str:
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
         size = path.stat().st_size
-        if size > LARGEST:
-            raise GreyboxError(f"{path}: {size} bytes, too long for a study file; at most {LARGEST} bytes are read")
+        if size > COMMANDS.maximum_study_bytes:
+            raise GreyboxError(
+                f"{path}: {size} bytes, too long for a study file; at most {COMMANDS.maximum_study_bytes} bytes are read"
+            )
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         beside = sorted(file.name for file in path.parent.glob(f"*{SUFFIX}")) if path.parent.is_dir() else []
@@ -131,11 +133,11 @@ def _entries(path: Path, scope: str, tables: Mapping[str, Any]) -> list[tuple[st
     whole = {spec.table: name for name, spec in SPECS.items() if not spec.key}
     keyed = {(spec.table, spec.key): name for name, spec in SPECS.items() if spec.key}
     sections = {table for table, _ in keyed if table}
-    found: list[tuple[str, str, Any]] = []
+    entries: list[tuple[str, str, Any]] = []
     for key, data in tables.items():
         prefix = f"{scope}." if scope else ""
         if key in whole:
-            found.append((whole[key], f"[{prefix}{key}]", data))
+            entries.append((whole[key], f"[{prefix}{key}]", data))
         elif key in sections:
             if not isinstance(data, dict):
                 raise GreyboxError(f"{path}, {key}: must be a table, as in [{prefix}{key}]")
@@ -143,9 +145,9 @@ def _entries(path: Path, scope: str, tables: Mapping[str, Any]) -> list[tuple[st
                 if (key, inner) not in keyed:
                     known = [k for table, k in keyed if table == key]
                     raise GreyboxError(f"{path}, [{prefix}{key}] {inner}: no such key; {nearest(inner, known)}")
-                found.append((keyed[key, inner], f"[{prefix}{key}] {inner}", value))
+                entries.append((keyed[key, inner], f"[{prefix}{key}] {inner}", value))
         elif ("", key) in keyed:
-            found.append((keyed["", key], f"[{scope}] {key}" if scope else key, data))
+            entries.append((keyed["", key], f"[{scope}] {key}" if scope else key, data))
         else:
             known = [
                 *(k for table, k in keyed if not table),
@@ -156,7 +158,7 @@ def _entries(path: Path, scope: str, tables: Mapping[str, Any]) -> list[tuple[st
             raise GreyboxError(
                 f"{where}: {key}: no such {'table' if isinstance(data, dict) else 'key'}; {nearest(key, known)}"
             )
-    return found
+    return entries
 
 
 def _unused(path: Path, place: str, spec: Spec, command: str) -> GreyboxError:
@@ -198,9 +200,7 @@ def _is_path(model: str) -> bool:
 def _relative(file: Path, folder: Path) -> PurePosixPath:
     if file.is_absolute():
         return PurePosixPath(file.as_posix())
-    text = Path(os.path.relpath(file, folder)).as_posix()
-    # A model file beside the study must still look like a path and not like a name.
-    return PurePosixPath(text)
+    return PurePosixPath(Path(os.path.relpath(file, folder)).as_posix())
 
 
 def _key(name: str) -> str:

@@ -322,7 +322,7 @@ class Priors(Table):
 
 @dataclass(frozen=True)
 class Schedules(Table):
-    """What a constant follows, and the value at which it holds: ``K2=P_S@8e5``, or ``K2 = {by = "P_S", at = 8e5}``."""
+    """What a parameter follows, and the value at which it holds: ``K2=P_S@8e5``, or ``K2 = {by = "P_S", at = 8e5}``."""
 
     shape: str = "NAME=CONDITION@VALUE"
     example: str = "K=u@2"

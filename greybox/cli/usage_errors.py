@@ -12,7 +12,8 @@ from typing import Any
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
-from greybox.cli.exits import BAD_INPUT, exit_with_error
+from greybox.cli import ExitCode
+from greybox.cli.exits import exit_with_error
 from greybox.errors import nearest
 
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # the common base; typer has no public name for it
@@ -42,7 +43,7 @@ class PlainCommand(TyperCommand):
         try:
             return super().parse_args(ctx, args)
         except UsageError as error:
-            exit_with_error(describe_usage_error(error, ctx, typed), BAD_INPUT)
+            exit_with_error(describe_usage_error(error, ctx, typed), ExitCode.BAD_INPUT)
 
 
 class CommandGroup(TyperGroup):
@@ -56,13 +57,15 @@ class CommandGroup(TyperGroup):
         try:
             return super().parse_args(ctx, args)
         except UsageError as error:
-            exit_with_error(describe_usage_error(error, ctx, typed), BAD_INPUT)
+            exit_with_error(describe_usage_error(error, ctx, typed), ExitCode.BAD_INPUT)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The sub-command that the first of ``args`` names; ends with exit code 2 where there is none."""
         name = args[0]
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing:  # while Tab completes, nothing is told
-            exit_with_error(f"{name}: there is no such command; {nearest(name, self.list_commands(ctx))}", BAD_INPUT)
+            exit_with_error(
+                f"{name}: there is no such command; {nearest(name, self.list_commands(ctx))}", ExitCode.BAD_INPUT
+            )
         return super().resolve_command(ctx, args)
 
 
@@ -116,9 +119,9 @@ def _value(name: str, message: str, typed: Sequence[str]) -> str:
         return f"{name} {choice[1]}: there is no such choice; {nearest(choice[1], known)}"
     value = _given(name, typed)
     for pattern, remedy in NUMBERS:
-        found = pattern.search(message)
-        if found:
-            return f"{name} {value}: {remedy.format(*filter(None, found.groups()))}"
+        match = pattern.search(message)
+        if match:
+            return f"{name} {value}: {remedy.format(*filter(None, match.groups()))}"
     return f"{name} {value}: {message[:1].lower()}{message[1:].rstrip('.')}"
 
 

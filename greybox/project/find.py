@@ -32,11 +32,30 @@ class ModelListing(Printable):
 
 
 def find_model(name: str, folder: Path | None = None) -> Model:
-    """The model called ``name``: of the project around the working folder, or shipped; or in a file.
+    """Find a model by its name or its file.
 
-    A name is that of a file in ``models/`` or of a model in one of them. A path (``my/rig.py``) gives the model named
-    like the file or the only one in it; ``my/rig.py:name`` picks one. Raises ModelError for an unknown name, with the
-    nearest ones, for the name of a record, and for a file that cannot be run, with the line.
+    Parameters
+    ----------
+    name
+        The name of a file in ``models/`` of the project, or of a model in one of them, else the name of a shipped model. A path,
+        ``my/rig.py``, gives the model named like the file or the only one in it; ``my/rig.py:name`` selects one.
+    folder
+        Where the project is looked for, upwards; the working folder if left out or where there is none.
+
+    Returns
+    -------
+    Model
+        The same object for the same file in one process.
+
+    Raises
+    ------
+    ModelError
+        For an unknown name, with the nearest ones; for the name of a record; for a file that cannot be run, with the line.
+
+    Examples
+    --------
+    >>> find_model("micro_actuator").title
+    'micro_actuator'
     """
     if Path(name).suffix.lower() in READERS:
         names = ", ".join(f.name for f in list_models().models)
@@ -54,13 +73,19 @@ def find_model(name: str, folder: Path | None = None) -> Model:
             return model
     known = list_models(folder)
     close = nearest(name, [f.name for f in known.models])
-    here = f"; or give the path {name}.py" if Path(f"{name}.py").is_file() else ""
-    broken = "".join(f"\n  not looked into: {problem}" for problem in known.problems)
-    raise ModelError(f"no model {name!r}; {close}{here}{broken}")
+    as_path = f"; or give the path {name}.py" if Path(f"{name}.py").is_file() else ""
+    broken = "".join(f"\n  not read: {problem}" for problem in known.problems)
+    raise ModelError(f"no model {name!r}; {close}{as_path}{broken}")
 
 
 def find_shipped_model(name: str) -> Model:
-    """The model called ``name`` as the library ships it, whatever the project around the working folder holds."""
+    """The model called ``name`` as the library ships it, whatever the project around the working folder holds.
+
+    Raises
+    ------
+    ModelError
+        If no model of this name is shipped.
+    """
     root = template_root().resolve()
     model = _Source(root, named=project_root() in (None, root), shipped=True).find(name)
     if model is None:
@@ -69,8 +94,11 @@ def find_shipped_model(name: str) -> Model:
 
 
 def list_models(folder: Path | None = None) -> ModelListing:
-    """The models of the project around the working folder, then those shipped that it does not have."""
-    found: dict[str, ModelEntry] = {}
+    """The models of the project around ``folder`` (the working folder), then the shipped ones that it does not have.
+
+    Files that cannot be run are listed as problems and do not hide the others.
+    """
+    entries: dict[str, ModelEntry] = {}
     problems: list[str] = []
     for source in _sources(folder):
         for file, held in source.contents():
@@ -78,8 +106,8 @@ def list_models(folder: Path | None = None) -> ModelListing:
                 problems.append(str(held))
                 continue
             for name, model in held.items():
-                found.setdefault(name, ModelEntry(name, model, source.where(file)))
-    return ModelListing(tuple(found.values()), tuple(problems))
+                entries.setdefault(name, ModelEntry(name, model, source.where(file)))
+    return ModelListing(tuple(entries.values()), tuple(problems))
 
 
 @dataclass(frozen=True)
@@ -125,7 +153,8 @@ class _Source:
 
 
 def _sources(folder: Path | None = None) -> Iterator[_Source]:
-    root, shipped = project_root(folder), template_root().resolve()
+    root = project_root(folder) or project_root()
+    shipped = template_root().resolve()
     if root is not None:
         yield _Source(root, named=True, shipped=False)
     if root != shipped and (shipped / "models").is_dir():

@@ -9,8 +9,8 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 def project_root(start: Path | None = None) -> Path | None:
     """The nearest folder from ``start`` (None: the working one) upwards with ``models/`` whose files use greybox."""
-    here = (start or Path.cwd()).resolve()
-    return next((folder for folder in (here, *here.parents) if _is_project(folder)), None)
+    first = (start or Path.cwd()).resolve()
+    return next((folder for folder in (first, *first.parents) if _is_project(folder)), None)
 
 
 def template_root() -> Path:

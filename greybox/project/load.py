@@ -35,7 +35,7 @@ def import_from_project(root: Path, file: Path) -> ModuleType:
     try:
         return importlib.import_module(name)
     except (Exception, SystemExit) as error:
-        raise _told(error, file) from error
+        raise _model_error(error, file) from error
 
 
 def import_standalone(file: Path) -> ModuleType:
@@ -57,17 +57,17 @@ def import_standalone(file: Path) -> ModuleType:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
-        raise _told(error, file) from error
+        raise _model_error(error, file) from error
     return module
 
 
 def models_in(module: ModuleType) -> dict[str, Model]:
     """The models that a module makes, by variable; private names and those it only imports are left out."""
-    found = {
+    models = {
         name: value for name, value in vars(module).items() if isinstance(value, Model) and not name.startswith("_")
     }
     elsewhere = _only_imported(Path(module.__file__)) if module.__file__ else set()
-    return {name: model for name, model in found.items() if name not in elsewhere}
+    return {name: model for name, model in models.items() if name not in elsewhere}
 
 
 def _only_imported(file: Path) -> set[str]:
@@ -80,8 +80,8 @@ def _only_imported(file: Path) -> set[str]:
 
 def display_path(file: Path) -> str:
     """A file as a person finds it: relative to the working folder if it lies below."""
-    here = Path.cwd()
-    return str(file.relative_to(here)) if file.is_relative_to(here) else str(file)
+    working = Path.cwd()
+    return str(file.relative_to(working)) if file.is_relative_to(working) else str(file)
 
 
 def _first_on_path(root: Path) -> None:
@@ -102,21 +102,21 @@ def _first_on_path(root: Path) -> None:
         sys.modules["models"] = package
 
 
-def _told(error: BaseException, file: Path) -> ModelError:
+def _model_error(error: BaseException, file: Path) -> ModelError:
     """What went wrong in a user's file: the file and line to look at, then the message."""
     place, line = file, 0
     if isinstance(error, SyntaxError) and error.filename:
         place, line = Path(error.filename), error.lineno or 0
     else:
-        own = [frame for frame in traceback.extract_tb(error.__traceback__) if _users(frame.filename, file)]
-        if own:
-            place, line = Path(own[-1].filename), own[-1].lineno or 0
+        frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _is_users_own(frame.filename, file)]
+        if frames:
+            place, line = Path(frames[-1].filename), frames[-1].lineno or 0
     kind = "" if isinstance(error, GreyboxError) else f"{type(error).__name__}: "
     message = error.msg if isinstance(error, SyntaxError) else str(error)
     return ModelError(f"{display_path(place)}{f', line {line}' if line else ''}: {kind}{message}")
 
 
-def _users(filename: str, file: Path) -> bool:
+def _is_users_own(filename: str, file: Path) -> bool:
     """Whether a frame lies in the user's own files: the file itself, or one below its project or folder."""
     root = project_root(file.parent) or file.parent
     library = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))

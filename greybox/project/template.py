@@ -13,16 +13,16 @@ FOLDERS = ("models", "fits", "notebooks")
 STUDIES = ("__init__.py", "cascaded_tanks_base.py", "emps_dry_friction.py", "silverbox_hardening.py")
 README = """# {name}
 
-A greybox project: from measured records to physical constants with intervals.
+A greybox project: from measured records to physical parameters with intervals.
 
-- `models/` plants, one a file: balances of named terms, and constants with unit, bounds and source
+- `models/` plants, one a file: balances of named terms, and parameters with unit, bounds and source
 - `fits/` studies to copy from, one a file: question, data (public records), fit, verdict
 - `notebooks/first_hour.ipynb` from a record to what the model lacks, to run in Jupyter
 
 Inside this folder a model is called by its name, and its file is yours to change:
 
     greybox models                                   the models there are
-    greybox models micro_actuator                    its equations and constants
+    greybox models micro_actuator                    its equations and parameters
     greybox check micro_actuator                     is it right, and what can a record tell
     greybox simulate micro_actuator --multisine 2 --band 5:800 --duration 1.5 --sampling-time 2.5e-4 \\
         --noise x=2e-7 --noise i=5e-3 --output record.csv
@@ -38,9 +38,24 @@ In Python, from this folder:
 
 
 def write_project(directory: str | Path, *, force: bool = False) -> list[Path]:
-    """Write a project into ``directory``: ``models/``, ``fits/``, ``notebooks/`` and a README. Returns the files written.
+    """Write a project to start from: ``models/``, ``fits/``, ``notebooks/`` and a README.
 
-    Raises GreyboxError, before anything is written, where one of the files is there already; ``force`` overwrites them.
+    Parameters
+    ----------
+    directory
+        Folder for the project; made if it does not exist.
+    force
+        Overwrite files of the template that exist already.
+
+    Returns
+    -------
+    list of Path
+        The files that were written.
+
+    Raises
+    ------
+    GreyboxError
+        If one of the files exists and ``force`` is not given. Nothing is written then.
     """
     target = Path(directory)
     if target.exists() and not target.is_dir():

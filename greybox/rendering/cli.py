@@ -40,11 +40,11 @@ register(
 
 @renders("FitAnswer")
 def fit_answer(answer: FitAnswer) -> str:
-    """Equations, constants, remedies, further intervals, predictions, residual tests, the misfit of each record."""
+    """Equations, parameters, remedies, further intervals, predictions, residual tests, the misfit of each record."""
     lines = [answer.fit.provenance.equations, "", str(answer.fit)]
     lines += [f"{'remedy' if k == 0 else 'or'}: {text}" for k, text in enumerate(answer.remedies)]
     if answer.profiles or answer.zero_noise:
-        zeros = [f"{name}: zero; its limit is listed with the constants" for name in answer.zero_noise]
+        zeros = [f"{name}: zero; its limit is listed with the parameters" for name in answer.zero_noise]
         lines += ["", "profile likelihood", *_indented("\n".join([*map(str, answer.profiles), *zeros]))]
     if answer.bootstrap is not None:
         found = answer.bootstrap

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from greybox.demo import Demo
     from greybox.result import Estimate
 
-HEAD = ("constant", "true", "start", "plain model", "with what was found", "off by", "unit")
+HEAD = ("parameter", "true", "start", "plain model", "with what was found", "off by", "unit")
 
 
 @renders("Demo")
@@ -32,7 +32,7 @@ def demo_text(demo: Demo) -> str:
 
 
 def constants_table(demo: Demo) -> str:
-    """Each constant beside the truth: with the model as it was, and with the effect that was found."""
+    """Each parameter beside the truth: with the model as it was, and with the effect that was found."""
     rows = []
     for name, truth in demo.truth.items():
         estimate, before = demo.fit.parameters.get(name), demo.plain.parameters.get(name)
@@ -51,7 +51,7 @@ def constants_table(demo: Demo) -> str:
 
 
 def format_estimate(estimate: Estimate | None) -> str:
-    """``value +- std``; empty where a model lacks the constant."""
+    """``value +- std``; empty where a model lacks the parameter."""
     return "" if estimate is None else format_with_std(estimate.value, estimate.std or 0.0)
 
 

@@ -123,8 +123,8 @@ def test_what_is_told_is_told_back(
         (["--process-noise", "v", "--loss", "huber"], "leave out the loss, or the process noise"),
         (["--noise", "x=-1"], "not a positive standard deviation"),
         (["--quiet", "gaps.csv"], "input 'u' moves by 4 N"),
-        (["--profile", "M"], "--profile M: no constant that is fitted"),
-        (["--profile", "Kk"], "--profile Kk: no constant that is fitted; did you mean 'K'"),
+        (["--profile", "M"], "--profile M: no parameter that is fitted"),
+        (["--profile", "Kk"], "--profile Kk: no parameter that is fitted; did you mean 'K'"),
         (["--bootstrap", "20"], "--bootstrap 20: too few replicates for a 95 % interval; give 100 or more"),
     ],
 )

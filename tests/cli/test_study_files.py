@@ -192,7 +192,7 @@ def test_a_study_file_is_never_overwritten(run: Run, tmp_path: Path, data: Path)
     arguments = ["fit", "micro_actuator", data / "train.csv", "--write-study"]
     assert run(*arguments, "study.toml").exit_code == 0
     again = run(*arguments, "study.toml")
-    assert again.exit_code == 2 and "there is such a file already" in again.stderr
+    assert again.exit_code == 2 and "the file exists" in again.stderr
     assert "a study file ends in .toml" in run(*arguments, "study.txt").stderr
 
 

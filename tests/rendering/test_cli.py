@@ -1,0 +1,127 @@
+"""What the commands print: one golden text for each code, and the answers in plain text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from greybox.cli.answers import CodeAnswer, FitAnswer, LinearAnswer, SimulationAnswer
+from greybox.cli.findings import CommandCode as Code
+from greybox.findings import Finding
+from greybox.rendering.cli import report_line, study_line, written
+from greybox.result import Misfit
+
+SENTENCES = {
+    Code.SPLIT_WITHOUT_EFFECT: (
+        Finding(Code.SPLIT_WITHOUT_EFFECT),
+        "--split-holes has no effect: no record has a gap in its time, and none starts anew",
+    ),
+    Code.RECORD_SPLIT: (
+        Finding(Code.RECORD_SPLIT, subject="a.csv", values={"pieces": 3}),
+        "a.csv is split at the gaps in its time into 3 pieces, each a record of its own",
+    ),
+    Code.PIECES_AT_REST: (
+        Finding(Code.PIECES_AT_REST),
+        "with --at-rest each piece begins at rest; leave it out if the plant still moved after a gap",
+    ),
+    Code.SUBSTEPS_WITHOUT_EFFECT: (
+        Finding(Code.SUBSTEPS_WITHOUT_EFFECT, values={"substeps": 4}),
+        "--substeps 4 has no effect where a linear model is integrated exactly; --method rk4 has substeps",
+    ),
+    Code.FILE_OVERWRITTEN: (
+        Finding(Code.FILE_OVERWRITTEN, subject="y.csv"),
+        "y.csv existed and has been overwritten",
+    ),
+    Code.UNUSED_PARAMETER: (
+        Finding(Code.UNUSED_PARAMETER, subject="q"),
+        "parameter 'q' is in no equation: a term is missing, or the parameter is not needed",
+    ),
+}
+
+
+@pytest.mark.parametrize("code", Code)
+def test_each_code_has_its_sentence(code: Code) -> None:
+    finding, sentence = SENTENCES[code]
+    assert str(finding) == sentence
+
+
+def test_one_piece_is_written_in_the_singular() -> None:
+    assert "into 1 piece, each" in str(Finding(Code.RECORD_SPLIT, subject="a.csv", values={"pieces": 1}))
+
+
+class Text(SimpleNamespace):
+    """A value that prints as its ``text``."""
+
+    def __str__(self) -> str:
+        return str(self.text)
+
+
+def answer(**more: Any) -> FitAnswer:
+    return FitAnswer(Text(text="the fit", provenance=SimpleNamespace(equations="dx/dt = v")), **more)  # type: ignore[arg-type]
+
+
+def test_a_fit_prints_what_was_asked_for_in_order() -> None:
+    bootstrap = SimpleNamespace(
+        samples=[0] * 200, block=12, names=("K",), std={"K": 0.1234}, interval={"K": (4.75, 5.25)}
+    )
+    misfit = Misfit(rmse=2e-7, unit="m", best_fit_percent=98.5, noise_ratio=1.02, samples=100)
+    text = str(
+        answer(
+            remedies=("measure i", "fix M"),
+            profiles=(Text(text="K: 5 N/m"),),
+            zero_noise=("noise_v",),
+            bootstrap=bootstrap,
+            refusal="no intervals",
+            scores="table",
+            validation_scores="other table",
+            tests=Text(text="white"),
+            misfits=[("a", "x", misfit), ("b", "x", misfit)],
+        )
+    )
+    lines = text.splitlines()
+    assert lines[:4] == ["dx/dt = v", "", "the fit", "remedy: measure i"]
+    order = [
+        "or: fix M",
+        "profile likelihood",
+        "  K: 5 N/m",
+        "  noise_v: zero; its limit is listed with the parameters",
+        "block bootstrap, 200 replicates in blocks of 12 rows",
+        "  K: standard deviation 0.123, 95 % [4.75, 5.25]",
+        "no intervals",
+        "free run and prediction",
+        "  table",
+        "free run and prediction, validation records",
+        "residual tests (each alone raises a false alarm, p below 0.01, in one fit of a hundred)",
+        "white",
+    ]
+    places = [lines.index(line) for line in order]
+    assert places == sorted(places)
+    assert "fitted record" in text and "validation record " not in text
+
+
+def test_a_plain_fit_prints_no_more() -> None:
+    assert str(answer()) == "dx/dt = v\n\nthe fit"
+
+
+def test_a_simulation_prints_file_rows_and_integration() -> None:
+    run = SimpleNamespace(time=[0, 1, 2], inputs={"u": 0}, outputs={"x": 0, "i": 0}, discretisation="exact hold")
+    assert str(SimulationAnswer(run, Path("a.csv"))) == "a.csv: 3 rows, u, x, i; integrated by exact hold"  # type: ignore[arg-type]
+
+
+def test_an_export_prints_what_was_written() -> None:
+    files = (Path("plant.h"), Path("plant.c"))
+    assert str(CodeAnswer("rig", "C", 1e-3, "one step of", files)) == (
+        "rig as C, one step of 0.001 s\nwritten: plant.h, plant.c"
+    )
+    assert str(CodeAnswer("rig", "Modelica", None, "", files[:1])) == "rig as Modelica\nwritten: plant.h"
+    linear = LinearAnswer("matrices", "family", (Path("plant.mat"),))  # type: ignore[arg-type]
+    assert str(linear) == "matrices\n\nfamily\n\nwritten: plant.mat"
+
+
+def test_files_reports_and_studies_have_their_lines() -> None:
+    assert written([Path("a"), Path("b")]) == "written: a, b"
+    assert report_line(Path("r.html")) == "report: r.html (open it in a browser; it needs no network)"
+    assert study_line(Path("s.toml"), "fit") == "written: s.toml; run it with: greybox fit s.toml"
