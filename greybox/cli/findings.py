@@ -13,4 +13,5 @@ class CommandCode(StrEnum):
     PIECES_AT_REST = "pieces_at_rest"
     SUBSTEPS_WITHOUT_EFFECT = "substeps_without_effect"
     FILE_OVERWRITTEN = "file_overwritten"
+    STUDY_FIELDS_UNUSED = "study_fields_unused"
     UNUSED_PARAMETER = "unused_parameter"

@@ -13,13 +13,15 @@ from typing import Annotated, Any
 import typer
 
 from greybox.cli import ExitCode, completion
-from greybox.cli.exits import exit_with_error
+from greybox.cli.exits import exit_with_error, print_findings
+from greybox.cli.findings import CommandCode
 from greybox.cli.study import STUDY_COMMANDS, Spec, Study, fields_of
 from greybox.cli.study_file import is_study_file, read_study, with_overrides
 from greybox.cli.study_file import write_study as store_study
 from greybox.cli.study_values import Count
 from greybox.cli.usage_errors import describe_missing_argument
 from greybox.errors import GreyboxError
+from greybox.findings import Finding
 
 Texts = list[str]
 NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.html.")]
@@ -99,6 +101,10 @@ def _study(command: str, ctx: typer.Context, raw: dict[str, Any]) -> Study:
         if field != "model" and source is not None and source.name != "DEFAULT":
             given[field] = spec.kind.from_option(spec.flag, raw[field])
     study = with_overrides(study, given)
+    if study.unused:
+        print_findings(
+            [Finding(CommandCode.STUDY_FIELDS_UNUSED, subject=str(study.file), values={"places": study.unused})]
+        )
     if not study.model:
         raise GreyboxError(f'{study.file}: model is missing; name one, as in model = "micro_actuator"')
     if "estimation" in specs and not study.estimation and command not in WITHOUT_RECORDS:

@@ -398,6 +398,8 @@ class Study:
     )
     file: Path | None = None
     from_file: frozenset[str] = frozenset()
+    unused: tuple[str, ...] = ()
+    """Places in the study file that the command ignores."""
 
     def __post_init__(self) -> None:
         for name, spec in SPECS.items():

@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from greybox.cli.policy import COMMANDS
-from greybox.cli.study import SPECS, STUDY_COMMANDS, Spec, Study, fields_of
+from greybox.cli.study import CHECK, SPECS, STUDY_COMMANDS, Spec, Study, fields_of
 from greybox.cli.study_values import Files, Table
 from greybox.errors import GreyboxError, nearest
 
@@ -44,11 +44,15 @@ def read_study(path: Path, command: str) -> Study:
     document = _read_toml(path)
     scopes = {name: document.pop(name) for name in STUDY_COMMANDS if name in document}
     values: dict[str, Any] = {}
+    unused: list[str] = []
     for scope, tables in (("", document), *scopes.items()):
         if not isinstance(tables, dict):
             raise GreyboxError(f"{path}: {scope}: must be a table, as in [{scope}]")
         for name, place, data in _entries(path, scope, tables):
             spec = SPECS[name]
+            if command == CHECK and command not in spec.commands and not scope:
+                unused.append(place)  # a check comes before a fit: what only the fit needs does no harm
+                continue
             if command not in spec.commands and (not scope or scope == command):
                 raise _unused(path, place, spec, command)
             if scope and scope not in spec.commands:
@@ -59,7 +63,7 @@ def read_study(path: Path, command: str) -> Study:
                     raise GreyboxError(f"{path}, {place}: given twice, for all commands and for {scope}; keep one")
                 values[name] = spec.kind.merge(values[name], value) if name in values else value
     values = {name: _from_folder(path.parent, SPECS[name], value) for name, value in values.items()}
-    return Study(**values, file=path, from_file=frozenset(values))
+    return Study(**values, file=path, from_file=frozenset(values), unused=tuple(unused))
 
 
 def write_study(study: Study, path: Path, command: str) -> Path:

@@ -33,6 +33,7 @@ register(
             "--substeps {substeps} has no effect where a linear model is integrated exactly; --method rk4 has substeps"
         ),
         "file_overwritten": "{subject} existed and has been overwritten",
+        "study_fields_unused": lambda f: f"{f.subject}: a check does not use {', '.join(f.values['places'])}",
         "unused_parameter": "parameter {subject!r} is in no equation: a term is missing, or the parameter is not needed",
     }
 )

@@ -117,6 +117,15 @@ def test_a_table_of_a_command_counts_for_that_command_only(tmp_path: Path) -> No
     assert dict(discover.start) == {"K": 5000.0} and discover.further and discover.candidates == ("backlash",)
 
 
+def test_a_check_ignores_what_only_a_fit_needs_and_says_so(run: Run, data: Path, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(
+        f'model = "micro_actuator"\n[records]\nestimation = ["{data}/train.csv"]\nskip = 5\n[priors]\nM = {{mean = 1, std = 1}}\n'
+    )
+    result = run("check", "study.toml", "--no-report")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == "note: study.toml: a check does not use [records] skip, [priors]\n"
+
+
 HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
 
 

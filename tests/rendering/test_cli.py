@@ -35,6 +35,10 @@ SENTENCES = {
         Finding(Code.FILE_OVERWRITTEN, subject="y.csv"),
         "y.csv existed and has been overwritten",
     ),
+    Code.STUDY_FIELDS_UNUSED: (
+        Finding(Code.STUDY_FIELDS_UNUSED, subject="study.toml", values={"places": ["[priors]", "[records] skip"]}),
+        "study.toml: a check does not use [priors], [records] skip",
+    ),
     Code.UNUSED_PARAMETER: (
         Finding(Code.UNUSED_PARAMETER, subject="q"),
         "parameter 'q' is in no equation: a term is missing, or the parameter is not needed",
