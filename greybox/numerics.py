@@ -62,6 +62,36 @@ SAME_DIRECTION = 1e-9
 SPAN_TOLERANCE = 1e-9
 """Singular value, over the largest, below which a column adds no direction to a span."""
 
+SENSITIVITY_ROUNDING = 1e-11
+"""Singular values of sensitivities with columns of length one: at and below this they are rounding."""
+
+SENSITIVITY_INFORMATION = 1e-8
+"""The same: above this they are information; between the two lies doubt."""
+
+DIRECTION_ENTRY = 1e-9
+"""Entries of a direction of length one, or poles over the largest, that are smaller count as zero."""
+
+DIRECTION_RANK = 1e-8
+"""Singular values of a part of an orthonormal basis below this show that a combination of its columns vanishes there."""
+
+COMMON_DIRECTION = 1e-7
+"""Singular values of stacked orthonormal bases below this, times the root of their number, belong to directions common to all."""
+
+INDEPENDENT_DIRECTION = 1e-6
+"""Least singular value of directions of length one that are independent, and share of a slope that may stick out of a subspace."""
+
+INDEPENDENT_FORMULA = 1e-3
+"""The same for formulas that noisy records determine: nearly parallel ones say the same."""
+
+EXPONENT_AGREEMENT = 1e-5
+"""Agreement of exponents with whole numbers."""
+
+CANCELLED_RESPONSE = 1e-9
+"""A response this small beside the terms that make it up is zero but for rounding."""
+
+OPEN_DIRECTION_ENTRY = 1e-3
+"""A constant whose entry in a direction without information, of length one, is larger has no finite standard deviation."""
+
 MAD_TO_STD = 1.482602218505602
 """Standard deviation of normal values over the median of their sizes."""
 

@@ -1,9 +1,10 @@
-"""`check`: are the equations right, how would they be integrated, and what can the records tell."""
+"""`check`: are the equations right, how would they be integrated, and what can the records determine."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from greybox.errors import DataError, ModelError, nearest
@@ -11,24 +12,52 @@ from greybox.estimation.fit_issues import find_excluded_outputs
 from greybox.estimation.options import FitOptions
 from greybox.estimation.problem import prepare_problem
 from greybox.experiment import Experiment
-from greybox.identifiability.generic_experiment import simulate_generic_record
-from greybox.identifiability.practical import (
+from greybox.findings import Finding
+from greybox.identifiability import (
+    IDENTIFIABILITY_POLICY,
     ExpectedPrecision,
+    IdentifiabilityPolicy,
+    OpenDirection,
     PracticalIdentifiability,
-    analyse_problem,
-    list_measured_outputs,
+    StructuralIdentifiability,
+    analyse_structural_identifiability,
 )
-from greybox.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
+from greybox.identifiability.generic_experiment import simulate_generic_record
+from greybox.identifiability.practical import analyse_problem, list_measured_outputs
+from greybox.kernel.compiled import CompiledKernel
 from greybox.model import Model
+from greybox.noise import NoiseModel
+from greybox.values import Printable
 
 
 @dataclass(frozen=True)
-class ModelCheck:
-    """The findings. ``assumed`` describes the simulated record that stood in for data, "" where records were given.
+class ModelCheck(Printable):
+    """What is known of a model, and of records for it, before a fit.
 
-    ``structure``: what the measured outputs can tell at best; None where the model could not be run, then ``doubt`` says
-    why. ``practical``: what these records tell. ``noise``: standard deviation by output, ``noise_source`` where it comes
-    from; ``kernel`` and ``kernel_reason``: what runs the model, and why.
+    Parameters
+    ----------
+    model
+        The model as it was given.
+    linear
+        Whether it is linear in states and inputs.
+    discretisation
+        How it would be integrated.
+    kernel, kernel_reason, compiled
+        What runs it, why, and whether that is compiled code.
+    experiments
+        The records, or a simulated one.
+    assumed
+        What was assumed for the simulated record that stood in for data; None where records were given.
+    noise
+        Standard deviation by measured output.
+    noise_model
+        The same with where it is known from.
+    excluded
+        What is left out of the outputs, and why.
+    structure
+        What the measured outputs determine at best; None where the model could not be run, then ``doubt`` says why.
+    practical
+        What these records determine.
     """
 
     model: Model
@@ -36,13 +65,16 @@ class ModelCheck:
     discretisation: str
     kernel: str
     kernel_reason: str
+    compiled: bool
     experiments: tuple[Experiment, ...]
-    assumed: str
+    assumed: Finding | None
     noise: Mapping[str, float]
-    noise_source: str
+    noise_model: NoiseModel
+    excluded: tuple[Finding, ...]
     structure: StructuralIdentifiability | None
     practical: PracticalIdentifiability
     doubt: str = ""
+    policy: IdentifiabilityPolicy = field(default=IDENTIFIABILITY_POLICY, repr=False)
 
     @property
     def constants(self) -> Mapping[str, ExpectedPrecision]:
@@ -50,31 +82,65 @@ class ModelCheck:
         return self.practical.constants
 
     @property
-    def open_directions(self) -> tuple[str, ...]:
-        """Combinations that no record of the measured outputs determines, in words."""
-        return tuple(str(d) for d in self.structure.directions) if self.structure else ()
+    def open_directions(self) -> tuple[OpenDirection, ...]:
+        """Combinations that no record of the measured outputs determines."""
+        return self.structure.directions if self.structure else ()
 
     @property
-    def failure(self) -> str:
-        """Why nothing can be said of the records, "" where something can."""
+    def failure(self) -> Finding | None:
+        """Why nothing can be said of the records, None where something can."""
         return self.practical.failure
 
     @property
     def complete(self) -> bool:
         """Whether every free constant is determined, by the structure and by the records."""
-        done = self.structure is None or self.structure.complete
-        return done and not self.failure and all(c.determined for c in self.constants.values())
+        structure_complete = self.structure is None or self.structure.complete
+        return structure_complete and not self.failure and all(c.determined for c in self.constants.values())
 
     def as_dict(self) -> dict[str, Any]:
-        """The findings as numbers, texts, lists and dictionaries, ready for JSON."""
-        from greybox.check.plain import to_plain_values
-
-        return to_plain_values(self)
-
-    def __str__(self) -> str:
-        from greybox.check.summary import summary
-
-        return summary(self)
+        """The results as numbers, texts, lists and dictionaries, ready for JSON; what is not finite is None."""
+        structure, practical = self.structure, self.practical
+        records = [
+            {
+                "name": e.name,
+                "rows": e.rows,
+                "duration": e.duration,
+                "sampling_time": e.sampling_time,
+                "data": e.fingerprint,
+                "notes": [str(finding) for finding in e.findings],
+                "findings": e.findings,
+            }
+            for e in self.experiments
+        ]
+        structure_data = {"doubt": self.doubt}
+        if structure is not None:
+            structure_data = _to_plain(structure) | {
+                "remedies": [str(finding) for finding in structure.recommendations],
+                "verdict": structure.verdict,
+            }
+        practical_data = _to_plain(practical) | {
+            "remarks": [str(finding) for finding in practical.findings],
+            "failure": str(practical.failure or ""),
+        }
+        return _to_plain(
+            {
+                "model": self.model.title,
+                "linear": self.linear,
+                "discretisation": self.discretisation,
+                "kernel": self.kernel,
+                "records": records,
+                "assumed": str(self.assumed or ""),
+                "noise": {
+                    "std": self.noise,
+                    "source": "; ".join(map(str, (self.noise_model, *self.excluded))),
+                    "sources": self.noise_model.sources,
+                },
+                "structure": structure_data,
+                "data": practical_data,
+                "complete": self.complete,
+                "policy": self.policy,
+            }
+        )
 
 
 def check(
@@ -84,43 +150,83 @@ def check(
     noise: Mapping[str, float] | None = None,
     outputs: Sequence[str] | None = None,
     options: FitOptions | None = None,
+    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
 ) -> ModelCheck:
-    """What is known about ``model`` before a fit, and which constants the records determine near the start values.
+    """What is known about a model before a fit, and which constants the records determine near the start values.
 
-    Units and names were checked when the model was made. Without ``experiments`` a simulated record stands in for them,
-    see `greybox.identifiability.generic_experiment`. ``noise``: standard deviation by output, estimated from the records if left
-    out. ``outputs``: what if only these were measured? None for all that the records have. The standard deviations to
-    expect hold if the model is right and the start values are near: a fit says more.
+    Units and names were checked when the model was made. The standard deviations to expect hold if the model is right and the
+    start values are near: a fit says more.
 
-    Raises DataError and ModelError for records that do not go with the model, ModelError for unknown outputs.
+    Parameters
+    ----------
+    model
+        The model with its start values.
+    experiments
+        The records; without them a simulated record stands in, see `greybox.identifiability.generic_experiment`.
+    noise
+        Standard deviation by output, estimated from the records if left out.
+    outputs
+        What if only these were measured? None for all that the records have.
+    options
+        How the model is integrated, and whether records begin at rest.
+    policy
+        When a constant is determined, and how a simulated record is made.
+
+    Returns
+    -------
+    ModelCheck
+        Integration, structural and practical identifiability.
+
+    Raises
+    ------
+    DataError, ModelError
+        For records that do not go with the model, and for unknown outputs.
+
+    Examples
+    --------
+    >>> [str(d) for d in check(micro_actuator).open_directions]  # doctest: +SKIP
+    ['M, B, K, Kf scale together']
     """
     options = options or FitOptions()
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
     _check_outputs(model, outputs)
-    assumed = ""
+    assumed = None
     if not group:
-        record, assumed = simulate_generic_record(model)
+        record, assumed = simulate_generic_record(model, policy.experiment)
         group = (record,)
     if outputs is not None:
-        group = tuple(_only(e, outputs) for e in group)
+        group = tuple(_select_outputs(e, outputs) for e in group)
         noise = {name: std for name, std in (noise or {}).items() if name in outputs}
     problem = prepare_problem(
         model, group, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps
     )
     measured = list_measured_outputs(problem)
-    structure, doubt = _structure(model, measured, options.at_rest)
+    structure, doubt = _analyse_structure(model, measured, options.at_rest, policy)
     return ModelCheck(
-        model, model.system.linear, problem.step.label, problem.kernel.description, problem.kernel.reason,
-        group, assumed,
+        model,
+        model.system.linear,
+        problem.step.label,
+        problem.kernel.description,
+        problem.kernel.reason,
+        isinstance(problem.kernel, CompiledKernel),
+        group,
+        assumed,
         {o.name: float(problem.noise.std[j]) for j, o in enumerate(model.outputs) if o.name in measured},
-        "; ".join([str(problem.noise), *map(str, find_excluded_outputs(problem))]), structure, analyse_problem(problem, structure), doubt,
-    )  # fmt: skip
+        problem.noise,
+        tuple(find_excluded_outputs(problem)),
+        structure,
+        analyse_problem(problem, structure, policy),
+        doubt,
+        policy,
+    )
 
 
-def _structure(model: Model, measured: Sequence[str], at_rest: bool) -> tuple[StructuralIdentifiability | None, str]:
-    """The structural finding, or why there is none: a model that overflows is told, and the records are still looked at."""
+def _analyse_structure(
+    model: Model, measured: Sequence[str], at_rest: bool, policy: IdentifiabilityPolicy
+) -> tuple[StructuralIdentifiability | None, str]:
+    """The structural result, or why there is none: of a model that overflows, and the records are still looked at."""
     try:
-        return analyse_structural_identifiability(model, measured, at_rest=at_rest), ""
+        return analyse_structural_identifiability(model, measured, at_rest=at_rest, policy=policy), ""
     except DataError as error:
         return None, str(error)
 
@@ -132,7 +238,7 @@ def _check_outputs(model: Model, outputs: Sequence[str] | None) -> None:
             raise ModelError(f"model {model.title!r} has no output {name!r}; {nearest(name, known)}")
 
 
-def _only(experiment: Experiment, outputs: Sequence[str]) -> Experiment:
+def _select_outputs(experiment: Experiment, outputs: Sequence[str]) -> Experiment:
     kept = {name: values for name, values in experiment.outputs.items() if name in outputs}
     if not kept:
         raise DataError(
@@ -140,3 +246,16 @@ def _only(experiment: Experiment, outputs: Sequence[str]) -> Experiment:
             f" it has {', '.join(experiment.outputs) or 'none'}"
         )
     return replace(experiment, outputs=kept)
+
+
+def _to_plain(value: Any) -> Any:
+    """Dataclasses and mappings as dictionaries, sequences as lists, what is not finite as None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _to_plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _to_plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_to_plain(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value

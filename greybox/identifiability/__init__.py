@@ -3,16 +3,24 @@
 from greybox.identifiability.excitation import Excitation, analyse_excitation
 from greybox.identifiability.from_fit import recommend_after_fit
 from greybox.identifiability.open_directions import OpenDirection
+from greybox.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
 from greybox.identifiability.practical import (
     ExpectedPrecision,
     PracticalIdentifiability,
     analyse_practical_identifiability,
 )
-from greybox.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
+from greybox.identifiability.structural import (
+    IdentifiabilityVerdict,
+    StructuralIdentifiability,
+    analyse_structural_identifiability,
+)
 
 __all__ = [
+    "IDENTIFIABILITY_POLICY",
     "Excitation",
     "ExpectedPrecision",
+    "IdentifiabilityPolicy",
+    "IdentifiabilityVerdict",
     "OpenDirection",
     "PracticalIdentifiability",
     "StructuralIdentifiability",

@@ -14,6 +14,7 @@ from greybox.identifiability.open_directions import (
     is_integer,
     to_small_integers,
 )
+from greybox.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
 from greybox.identifiability.sensitivity import SensitivityRank
 from greybox.identifiability.symbolic_polynomial import (
     Polynomial,
@@ -24,15 +25,14 @@ from greybox.identifiability.symbolic_polynomial import (
     transfer_function_coefficients,
 )
 from greybox.model import Model
-
-WITHIN = 1e-6  # share of a slope that may stick out of what is determined
+from greybox.numerics import INDEPENDENT_DIRECTION
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterCombination:
     """A formula in the constants, up to a known factor, and what it depends on: ``poly`` has one exponent a parameter.
 
-    ``itself``: it is a coefficient of a transfer function, not a ratio of two.
+    ``is_coefficient``: it is a coefficient of a transfer function, not a ratio of two.
     """
 
     text: str
@@ -45,7 +45,10 @@ class ParameterCombination:
 
 
 def find_determined_combinations(
-    model: Model, ranks: Sequence[SensitivityRank], points: Sequence[np.ndarray]
+    model: Model,
+    ranks: Sequence[SensitivityRank],
+    points: Sequence[np.ndarray],
+    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
 ) -> list[ParameterCombination]:
     """Independent combinations that every point determines, the plainest first; at most as many as the rank.
 
@@ -55,9 +58,8 @@ def find_determined_combinations(
     which = free_parameter_indices(model)
     chosen: list[ParameterCombination] = []
     slopes: list[np.ndarray] = []
-    for plain in sorted(
-        [*find_product_combinations(model, ranks), *find_transfer_function_combinations(model)], key=simplicity_key
-    ):
+    candidates = [*find_product_combinations(model, ranks, policy), *find_transfer_function_combinations(model)]
+    for plain in sorted(candidates, key=simplicity_key):
         if len(chosen) == ranks[0].rank:
             break
         candidate = _bare(plain, chosen, model)
@@ -65,7 +67,7 @@ def find_determined_combinations(
         if not all(is_determined(s, r) for s, r in zip(at, ranks, strict=True)):
             continue
         matrix = np.array([s / np.linalg.norm(s) for s in [*slopes, at[0]]])
-        if np.linalg.svd(matrix, compute_uv=False)[-1] > WITHIN:
+        if np.linalg.svd(matrix, compute_uv=False)[-1] > INDEPENDENT_DIRECTION:
             chosen.append(candidate)
             slopes.append(at[0])
     return chosen
@@ -76,12 +78,14 @@ def free_parameter_indices(model: Model) -> np.ndarray:
     return np.array([k for k, q in enumerate(model.all_parameters) if not q.fixed], int)
 
 
-def find_product_combinations(model: Model, ranks: Sequence[SensitivityRank]) -> Iterator[ParameterCombination]:
+def find_product_combinations(
+    model: Model, ranks: Sequence[SensitivityRank], policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
+) -> Iterator[ParameterCombination]:
     """Products of powers that do not change along any open direction, at any point."""
     which, names = free_parameter_indices(model), list(model.values)
-    for v in find_sparsest_vectors(common_null_space([r.null for r in ranks], len(which))):
-        powers = to_small_integers(v)
-        if is_integer(powers):
+    for v in find_sparsest_vectors(common_null_space([r.null for r in ranks], len(which)), policy):
+        powers = to_small_integers(v, policy)
+        if is_integer(powers, policy):
             whole = np.zeros(len(names), int)
             # A quotient with the positive powers in front is what people call it.
             whole[which] = powers if (powers > 0).sum() * 2 >= (powers != 0).sum() else -powers
@@ -97,20 +101,26 @@ def find_transfer_function_combinations(model: Model) -> list[ParameterCombinati
     known = np.setdiff1d(np.arange(len(names)), which).tolist()
     base = list({_key(poly): poly for poly in transfer_function_coefficients(model.system)}.values())
     ratios = [divide(one, other) for one in base for other in base if one is not other]
-    found: dict[tuple, ParameterCombination] = {}
+    combinations: dict[tuple, ParameterCombination] = {}
     for is_coefficient, poly in [*((True, poly) for poly in base), *((False, ratio) for ratio in ratios if ratio)]:
         bare = remove_known_factors(poly, known)
         if len(bare) == 1 and max(*next(iter(bare)), 0) == 0:  # 1/Ra: the constant itself
             bare = {tuple(-k for k in e): f for e, f in bare.items()}
         if any(e[k] for e in bare for k in which):
-            found.setdefault(_key(bare), ParameterCombination(format_polynomial(bare, names), bare, is_coefficient))
-    return list(found.values())
+            combinations.setdefault(
+                _key(bare), ParameterCombination(format_polynomial(bare, names), bare, is_coefficient)
+            )
+    return list(combinations.values())
 
 
 def is_determined(slope: np.ndarray, rank: SensitivityRank) -> bool:
     """Whether a formula with this slope (nf,) does not change along any open direction."""
     size = np.linalg.norm(slope)
-    return bool(np.isfinite(size) and size > WITHIN and np.linalg.norm(rank.null.T @ slope) < WITHIN * size)
+    return bool(
+        np.isfinite(size)
+        and size > INDEPENDENT_DIRECTION
+        and np.linalg.norm(rank.null.T @ slope) < INDEPENDENT_DIRECTION * size
+    )
 
 
 def _bare(

@@ -8,33 +8,30 @@ import numpy as np
 
 from greybox.errors import DataError, ModelError
 from greybox.experiment import Experiment
+from greybox.findings import Finding
+from greybox.identifiability.findings import IdentifiabilityCode
+from greybox.identifiability.policy import RANDOM_EXPERIMENT_POLICY, RandomExperimentPolicy
 from greybox.model import Model
 from greybox.model.rules import check_constants
+from greybox.numerics import DIRECTION_ENTRY
 from greybox.simulation import declared_initial_state, simulate
 
-LEAST_ROWS, MOST_ROWS = 1000, 12000
-TIME_CONSTANTS = 10.0  # of the slowest decay
-PER_TIME_CONSTANT = 2.0  # samples in the fastest one
-SHARE = 0.01  # noise of each output, over its movement
-SEED = 1
-SPREAD = math.log(2.0)  # of a constant about its nominal value
-TRIES = 20
-NEAR = 1e-6  # of a bound, as a share of how far the state moves
 
-
-def simulate_generic_record(model: Model) -> tuple[Experiment, str]:
-    """A simulated record of ``model`` at its start values, and what was assumed, in words.
+def simulate_generic_record(
+    model: Model, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY
+) -> tuple[Experiment, Finding]:
+    """A simulated record of ``model`` at its start values, and a finding that says what was assumed.
 
     The input takes a new random level, between -1 and 1 in its unit, every few samples (between 0 and 1 where a state
     would reach its bound otherwise). Raises DataError where the model cannot be simulated that way.
     """
-    step, rows = choose_sampling(model)
+    step, rows = choose_sampling(model, policy)
     time = step * np.arange(rows)
     for low in lowest_input_levels(model):
-        generator = np.random.default_rng(SEED)
+        generator = np.random.default_rng(policy.seed)
         inputs = {i.name: draw_levels(generator, rows, low) for i in model.inputs}
         run = simulate(model, {"time": time, **inputs})
-        if run.overflow is None and not touches_bounds(model, np.column_stack(list(run.states.values()))):
+        if run.overflow is None and not touches_bounds(model, np.column_stack(list(run.states.values())), policy):
             break
     if run.overflow is not None:
         raise DataError(
@@ -44,22 +41,27 @@ def simulate_generic_record(model: Model) -> tuple[Experiment, str]:
     outputs = {name: values for name, values in run.outputs.items() if np.ptp(values) > 0}
     if not outputs:
         raise DataError(f"{model.title}: no output moves when every input does; check the equations of the outputs")
-    noise = {name: SHARE * float(np.std(values)) for name, values in outputs.items()}
+    noise = {name: policy.noise_share * float(np.std(values)) for name, values in outputs.items()}
     record = Experiment("generic", time, inputs, run.record(noise, generator).outputs)
-    drive = ", ".join(f"{i.name} random between {low:g} and 1 {i.unit}".rstrip() for i in model.inputs) or "no input"
-    return record, f"{rows} rows every {step:.3g} s, {drive}, noise {100 * SHARE:g} % of each output's movement"
+    figures = {
+        "rows": rows,
+        "step": step,
+        "inputs": {i.name: {"low": low, "high": 1.0, "unit": i.unit} for i in model.inputs},
+        "noise_share": policy.noise_share,
+    }
+    return record, Finding(IdentifiabilityCode.SIMULATED_RECORD, values=figures)
 
 
-def choose_sampling(model: Model) -> tuple[float, int]:
+def choose_sampling(model: Model, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY) -> tuple[float, int]:
     """Sampling time in seconds and number of rows that show the model's fastest and slowest motion."""
     fastest, slowest = fastest_and_slowest_rate(model)
     if not fastest:
-        return 0.01, LEAST_ROWS
-    step = 1 / (PER_TIME_CONSTANT * fastest)
-    rows = math.ceil(TIME_CONSTANTS / slowest / step)
-    if rows > MOST_ROWS:  # the slow end counts: what is faster is integrated between the samples
-        return TIME_CONSTANTS / slowest / MOST_ROWS, MOST_ROWS
-    return step, max(rows, LEAST_ROWS)
+        return 0.01, policy.min_rows
+    step = 1 / (policy.samples_per_time_constant * fastest)
+    rows = math.ceil(policy.slow_time_constants / slowest / step)
+    if rows > policy.max_rows:  # the slow end counts: what is faster is integrated between the samples
+        return policy.slow_time_constants / slowest / policy.max_rows, policy.max_rows
+    return step, max(rows, policy.min_rows)
 
 
 def fastest_and_slowest_rate(model: Model) -> tuple[float, float]:
@@ -70,10 +72,10 @@ def fastest_and_slowest_rate(model: Model) -> tuple[float, float]:
         return 0.0, 0.0
     eigenvalues = np.linalg.eigvals(jacobian)
     size = np.abs(eigenvalues)
-    moving = size > 1e-9 * max(size.max(initial=0.0), 1e-12)
+    moving = size > DIRECTION_ENTRY * max(size.max(initial=0.0), 1e-12)
     if not moving.any():
         return 0.0, 0.0
-    decays = -eigenvalues.real[moving & (eigenvalues.real < -1e-9 * size.max())]
+    decays = -eigenvalues.real[moving & (eigenvalues.real < -DIRECTION_ENTRY * size.max())]
     return float(size[moving].max()), float(decays.min() if len(decays) else size[moving].min())
 
 
@@ -82,10 +84,10 @@ def lowest_input_levels(model: Model) -> tuple[float, ...]:
     return (-1.0, 0.0) if any(math.isfinite(s.bounds[0]) for s in model.all_states) else (-1.0,)
 
 
-def touches_bounds(model: Model, x: np.ndarray) -> bool:
+def touches_bounds(model: Model, x: np.ndarray, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY) -> bool:
     """Whether a state, of (N, nx), comes to its bounds."""
     low, high = np.array([s.bounds for s in model.all_states]).T
-    near = NEAR * np.ptp(x, axis=0)
+    near = policy.bound_margin * np.ptp(x, axis=0)
     return bool((x <= low + near).any() or (x >= high - near).any())
 
 
@@ -95,16 +97,22 @@ def draw_levels(generator: np.random.Generator, rows: int, low: float) -> np.nda
     return np.repeat(generator.uniform(low, 1, rows), lengths)[:rows]
 
 
-def draw_constants(model: Model, generator: np.random.Generator, spread: float = SPREAD) -> np.ndarray:
+def draw_constants(
+    model: Model,
+    generator: np.random.Generator,
+    spread: float = RANDOM_EXPERIMENT_POLICY.constant_spread,
+    tries: int = RANDOM_EXPERIMENT_POLICY.tries,
+) -> np.ndarray:
     """All parameters (np,): free ones at random within ``e^spread`` times their values, fixed ones as they are.
 
     Inside bounds and rules; where these leave no room the spread shrinks, down to the values themselves.
     """
     parameters = model.all_parameters
-    for _ in range(TRIES):
+    for _ in range(tries):
         draw = generator.uniform(-1.0, 1.0, len(parameters))
         p = [
-            q.value if q.fixed else _drawn(q.value, q.bounds, spread * r) for q, r in zip(parameters, draw, strict=True)
+            q.value if q.fixed else _draw_value(q.value, q.bounds, spread * r)
+            for q, r in zip(parameters, draw, strict=True)
         ]
         try:
             check_constants(model.title, model.rules, model.parameters_at(p))
@@ -115,7 +123,7 @@ def draw_constants(model: Model, generator: np.random.Generator, spread: float =
     return np.array([q.value for q in parameters])
 
 
-def _drawn(value: float, bounds: tuple[float, float], exponent: float) -> float:
+def _draw_value(value: float, bounds: tuple[float, float], exponent: float) -> float:
     low, high = bounds
     if value == 0.0:  # off: a little of it, on the side where it may be
         span = high - low if math.isfinite(high - low) else 1.0

@@ -9,15 +9,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
 from greybox.identifiability.sensitivity import SensitivityRank
-
-SAME = 1e-5  # agreement of exponents between points, and with a rational number
-MOST_SUBSETS = 20000
-LARGEST_EXPONENT = 6
+from greybox.numerics import (
+    COMMON_DIRECTION,
+    DIRECTION_ENTRY,
+    DIRECTION_RANK,
+    EXPONENT_AGREEMENT,
+    INDEPENDENT_DIRECTION,
+)
+from greybox.values import Printable
 
 
 @dataclass(frozen=True)
-class OpenDirection:
+class OpenDirection(Printable):
     """Constants that can change together: ``weights`` are their relative changes, the largest at most some units.
 
     ``scaling``: the weights are exponents, valid everywhere: each constant times ``c^weight`` leaves the outputs as they
@@ -34,37 +39,30 @@ class OpenDirection:
         """The constants that take part."""
         return tuple(self.weights)
 
-    def __str__(self) -> str:
-        names = list(self.weights)
-        if len(names) == 1:
-            return f"{names[0]} has no influence on the measured outputs"
-        listed = ", ".join(names)
-        if not self.scaling:
-            return f"{listed} can be traded against one another"
-        if set(self.weights.values()) == {1.0}:
-            return f"{listed} scale together"
-        up, down = ([n + _power(w * sign) for n, w in self.weights.items() if w * sign > 0] for sign in (1, -1))
-        divided = f" and dividing {_and(down)}" if down else ""
-        return f"multiplying {_and(up)}{divided} changes nothing, whatever c"
 
-
-def find_open_directions(ranks: Sequence[SensitivityRank], names: Sequence[str]) -> list[OpenDirection]:
+def find_open_directions(
+    ranks: Sequence[SensitivityRank], names: Sequence[str], policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
+) -> list[OpenDirection]:
     """The open directions, as many as there are, each with as few constants as possible; scalings first."""
     size = ranks[0].null.shape[1]
     chosen: list[np.ndarray] = []
-    found = []
-    # At one point alone every direction is the same everywhere: whole exponents tell a scaling there.
-    powers = map(to_small_integers, find_sparsest_vectors(common_null_space([r.row for r in ranks], size)))
-    scalings = (OpenDirection(_named(v, names), True) for v in powers if len(ranks) > 1 or is_integer(v))
-    trades = (OpenDirection(_named(v / np.abs(v).max(), names), False) for v in find_sparsest_vectors(ranks[0].null))
+    directions = []
+    # At one point alone every direction is the same everywhere: whole exponents show a scaling there.
+    common = common_null_space([r.row for r in ranks], size)
+    powers = (to_small_integers(v, policy) for v in find_sparsest_vectors(common, policy))
+    scalings = (OpenDirection(_name_weights(v, names), True) for v in powers if len(ranks) > 1 or is_integer(v, policy))
+    trades = (
+        OpenDirection(_name_weights(v / np.abs(v).max(), names), False)
+        for v in find_sparsest_vectors(ranks[0].null, policy)
+    )
     for direction in itertools.chain(scalings, trades):
         if len(chosen) == size:
             break
         v = np.array([direction.weights.get(name, 0.0) for name in names])
-        if _independent(chosen, v):
+        if _is_independent(chosen, v):
             chosen.append(v)
-            found.append(direction)
-    return found
+            directions.append(direction)
+    return directions
 
 
 def common_null_space(spans: Sequence[np.ndarray], most: int) -> np.ndarray:
@@ -73,53 +71,55 @@ def common_null_space(spans: Sequence[np.ndarray], most: int) -> np.ndarray:
     if not stacked.size:
         return np.eye(stacked.shape[1])[:, :most]
     _, s, vt = np.linalg.svd(stacked)
-    count = int((s > 1e-7 * math.sqrt(len(spans))).sum())
+    count = int((s > COMMON_DIRECTION * math.sqrt(len(spans))).sum())
     return vt[count:].T
 
 
-def find_sparsest_vectors(basis: np.ndarray) -> Iterator[np.ndarray]:
+def find_sparsest_vectors(
+    basis: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
+) -> Iterator[np.ndarray]:
     """Vectors of a subspace (n, k) with the fewest entries, fewest first: those of which no entry can be made zero."""
     n, k = basis.shape
     if not k:
         return
-    touched = np.flatnonzero(np.abs(basis).max(axis=1) > 1e-9)
+    touched = np.flatnonzero(np.abs(basis).max(axis=1) > DIRECTION_ENTRY)
     tried, seen = 0, list[set[int]]()
     for size in range(1, n - k + 2):
         for subset in itertools.combinations(touched.tolist(), size):
             tried += 1
-            if tried > MOST_SUBSETS:
+            if tried > policy.max_subsets:
                 yield from _echelon(basis)
                 return
             if any(s <= set(subset) for s in seen):
                 continue
             others = np.setdiff1d(np.arange(n), subset)
             _, s, vt = np.linalg.svd(basis[others]) if len(others) else (None, np.zeros(0), np.eye(k))
-            if k - int((s > 1e-8).sum()) == 1:
+            if k - int((s > DIRECTION_RANK).sum()) == 1:
                 v = basis @ vt[-1]
                 v[others] = 0.0
                 seen.append(set(subset))
                 yield v
 
 
-def to_small_integers(v: np.ndarray) -> np.ndarray:
+def to_small_integers(v: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY) -> np.ndarray:
     """``v`` times a number that makes its entries small integers, if there is one; the first entry positive."""
-    there = v[np.abs(v) > 1e-9]
-    v = v / there[np.argmin(np.abs(there))]
-    v = v * (1.0 if v[np.flatnonzero(np.abs(v) > 1e-9)[0]] > 0 else -1.0)
-    for times in range(1, LARGEST_EXPONENT + 1):
-        if np.abs(v * times - np.round(v * times)).max() < SAME * LARGEST_EXPONENT:
+    entries = v[np.abs(v) > DIRECTION_ENTRY]
+    v = v / entries[np.argmin(np.abs(entries))]
+    v = v * (1.0 if v[np.flatnonzero(np.abs(v) > DIRECTION_ENTRY)[0]] > 0 else -1.0)
+    for times in range(1, policy.largest_exponent + 1):
+        if np.abs(v * times - np.round(v * times)).max() < EXPONENT_AGREEMENT * policy.largest_exponent:
             return np.round(v * times)
     return v
 
 
-def is_integer(v: np.ndarray) -> bool:
+def is_integer(v: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY) -> bool:
     """Whether all entries are small integers."""
-    return bool(np.all(v == np.round(v)) and np.abs(v).max() <= LARGEST_EXPONENT)
+    return bool(np.all(v == np.round(v)) and np.abs(v).max() <= policy.largest_exponent)
 
 
-def _independent(chosen: list[np.ndarray], v: np.ndarray) -> bool:
+def _is_independent(chosen: list[np.ndarray], v: np.ndarray) -> bool:
     matrix = np.array([w / np.linalg.norm(w) for w in [*chosen, v]])
-    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] > 1e-6)
+    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] > INDEPENDENT_DIRECTION)
 
 
 def _echelon(basis: np.ndarray) -> Iterator[np.ndarray]:
@@ -132,17 +132,9 @@ def _echelon(basis: np.ndarray) -> Iterator[np.ndarray]:
         for j in range(len(rows)):
             if j != k:
                 rows[j] -= rows[j, column] * rows[k]
-    rows[np.abs(rows) < 1e-9] = 0.0
+    rows[np.abs(rows) < DIRECTION_ENTRY] = 0.0
     yield from rows[np.argsort((rows != 0).sum(axis=1), kind="stable")]
 
 
-def _named(v: np.ndarray, names: Sequence[str]) -> dict[str, float]:
-    return {name: float(w) for name, w in zip(names, v, strict=True) if abs(w) > 1e-9}
-
-
-def _power(exponent: float) -> str:
-    return " by c" if exponent == 1 else f" by c^{exponent:g}"
-
-
-def _and(words: list[str]) -> str:
-    return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
+def _name_weights(v: np.ndarray, names: Sequence[str]) -> dict[str, float]:
+    return {name: float(w) for name, w in zip(names, v, strict=True) if abs(w) > DIRECTION_ENTRY}

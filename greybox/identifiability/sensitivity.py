@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-# Singular values of columns of length one: below the first is rounding, above the second is information.
-ROUNDING, INFORMATION = 1e-11, 1e-8
+from greybox.numerics import SENSITIVITY_INFORMATION, SENSITIVITY_ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +19,7 @@ class Sensitivity:
     """
 
     blocks: dict[str, tuple[np.ndarray, np.ndarray]]
-    doubtful: float = INFORMATION
+    doubtful: float = SENSITIVITY_INFORMATION
 
     def compress(self) -> Sensitivity:
         """The same information in as few rows as there are columns."""
@@ -35,7 +34,7 @@ class Sensitivity:
         states = np.vstack([self.blocks[name][0] for name in outputs])
         constants = _unit_columns(np.vstack([self.blocks[name][1] for name in outputs]))
         u, s, _ = np.linalg.svd(_unit_columns(states), full_matrices=False)
-        basis = u[:, s > ROUNDING]
+        basis = u[:, s > SENSITIVITY_ROUNDING]
         for _ in range(2):  # the second time for what rounding left
             constants = constants - basis @ (basis.T @ constants)
         return constants
@@ -69,7 +68,7 @@ def compute_rank(point: Sensitivity, outputs: Sequence[str]) -> SensitivityRank:
     _, s, vt = np.linalg.svd(matrix, full_matrices=True)
     values = np.concatenate([s, np.zeros(n - len(s))])[:n]
     count = int((values > point.doubtful).sum())
-    doubtful = bool(((values > ROUNDING) & (values <= point.doubtful)).any())
+    doubtful = bool(((values > SENSITIVITY_ROUNDING) & (values <= point.doubtful)).any())
     last = values[count - 1] if count else 1.0
     following = values[count] if count < n else 0.0
     # Directions in the constants' own scale: a column that was shortened belongs to a constant that moves further.

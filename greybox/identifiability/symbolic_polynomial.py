@@ -12,10 +12,10 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 
+from greybox.identifiability.policy import IDENTIFIABILITY_POLICY
 from greybox.model.system import System
 
 Polynomial = dict[tuple[int, ...], Fraction]
-MOST_TERMS = 60
 
 
 class _NoFormulaError(Exception):
@@ -34,13 +34,13 @@ def transfer_function_coefficients(system: System) -> list[Polynomial]:
     try:
         a, b, c, d = (_matrix(part, system.p) for part in parts)
         characteristic, adjugates = _leverrier(a, system.p.numel())
-        found = [*characteristic]
+        result = [*characteristic]
         for m in adjugates:
-            found += [entry for row in _times(_times(c, m), b) for entry in row]
-        found += [entry for row in d for entry in row]
+            result += [entry for row in _times(_times(c, m), b) for entry in row]
+        result += [entry for row in d for entry in row]
     except _NoFormulaError:
         return []
-    return [poly for poly in found if poly and not _constant(poly)]
+    return [poly for poly in result if poly and not _constant(poly)]
 
 
 def divide(numerator: Polynomial, denominator: Polynomial) -> Polynomial | None:
@@ -121,28 +121,28 @@ def _times(left: list[list[Polynomial]], right: list[list[Polynomial]]) -> list[
 
 
 def _product_of(one: Polynomial, other: Polynomial) -> Polynomial:
-    found: Polynomial = {}
+    result: Polynomial = {}
     for e, f in one.items():
         for g, h in other.items():
             key = tuple(x + y for x, y in zip(e, g, strict=True))
-            found[key] = found.get(key, Fraction(0)) + f * h
-    return _kept(found)
+            result[key] = result.get(key, Fraction(0)) + f * h
+    return _drop_zeros(result)
 
 
 def _sum(parts: Sequence[Polynomial]) -> Polynomial:
-    found: Polynomial = {}
+    result: Polynomial = {}
     for part in parts:
         for e, f in part.items():
-            found[e] = found.get(e, Fraction(0)) + f
-    return _kept(found)
+            result[e] = result.get(e, Fraction(0)) + f
+    return _drop_zeros(result)
 
 
 def _scaled(poly: Polynomial, factor: Fraction) -> Polynomial:
     return {e: f * factor for e, f in poly.items()}
 
 
-def _kept(poly: Polynomial) -> Polynomial:
-    if len(poly) > MOST_TERMS:
+def _drop_zeros(poly: Polynomial, max_terms: int = IDENTIFIABILITY_POLICY.max_terms) -> Polynomial:
+    if len(poly) > max_terms:
         raise _NoFormulaError
     return {e: f for e, f in poly.items() if f}
 
@@ -182,10 +182,10 @@ def _read(f: ca.Function, width: int) -> list[Polynomial]:
 
 
 def _quotient(one: Polynomial, other: Polynomial) -> Polynomial:
-    found = divide(one, other)
-    if found is None:
+    result = divide(one, other)
+    if result is None:
         raise _NoFormulaError
-    return found
+    return result
 
 
 def _raised(one: Polynomial, other: Polynomial) -> Polynomial:
@@ -194,10 +194,10 @@ def _raised(one: Polynomial, other: Polynomial) -> Polynomial:
     power = next(iter(other.values()), Fraction(0))
     if power.denominator != 1 or not 0 <= power <= 6:
         raise _NoFormulaError
-    found: Polynomial = {(0,) * len(next(iter(one), ())): Fraction(1)}
+    result: Polynomial = {(0,) * len(next(iter(one), ())): Fraction(1)}
     for _ in range(int(power)):
-        found = _product_of(found, one)
-    return found
+        result = _product_of(result, one)
+    return result
 
 
 _OPERATIONS: dict[int, Callable[..., Polynomial]] = {

@@ -12,7 +12,9 @@ from greybox.identifiability import ExpectedPrecision
 from greybox.plots.parameters import plot_intervals
 from greybox.plots.records import plot_inputs, plot_outputs
 from greybox.plots.style import PAGE
+from greybox.rendering.check import describe_noise_source
 from greybox.rendering.english import phrase
+from greybox.rendering.identifiability import describe_verdict
 from greybox.rendering.plots import FigureText
 from greybox.rendering.reports import PageText
 from greybox.reports.equations import typeset_equations
@@ -68,12 +70,12 @@ def _answer(check: ModelCheck) -> Paragraphs:
         return Paragraphs([phrase(PageText.CHECK_COMPLETE, assumed=assumed)], Tone.GOOD)
     answer: list[Text] = []
     if check.structure is not None and not check.structure.complete:
-        answer += statements([check.structure.verdict])
+        answer += statements([describe_verdict(check.structure)])
     undetermined = [name for name, c in check.constants.items() if not c.determined]
     if undetermined:
         answer.append(phrase(PageText.CHECK_OPEN, open=undetermined, assumed=assumed))
-    if check.structure is not None and check.structure.remedies:
-        answer.append(phrase(PageText.CHECK_REMEDY, text=check.structure.remedies[0].rstrip(".")))
+    if check.structure is not None and check.structure.recommendations:
+        answer.append(phrase(PageText.CHECK_REMEDY, text=str(check.structure.recommendations[0])))
     return Paragraphs(answer, Tone.CAUTION)
 
 
@@ -92,8 +94,8 @@ def _precision(check: ModelCheck) -> Iterator[Block]:
     if not check.complete and practical.combinations:
         rows = [[text, typeset_number(f"{100 * std:.2g} %")] for text, std in practical.combinations.items()]
         yield PageTable(phrase(PageText.CHECK_COMBINATIONS), ["combination", "expected std"], rows)
-    if practical.remarks:
-        yield BulletList(statements(practical.remarks))
+    if practical.findings:
+        yield BulletList(statements(practical.findings))
 
 
 def _expected(c: ExpectedPrecision) -> list[str]:
@@ -111,7 +113,7 @@ def _structure(check: ModelCheck) -> Iterator[Block]:
     if structure is None:
         yield Paragraphs(statements([check.doubt]), Tone.BAD)
         return
-    yield Paragraphs(statements([structure.verdict]), Tone.GOOD if structure.complete else Tone.CAUTION)
+    yield Paragraphs(statements([describe_verdict(structure)]), Tone.GOOD if structure.complete else Tone.CAUTION)
     if structure.complete:
         return
     if structure.determined:
@@ -119,9 +121,9 @@ def _structure(check: ModelCheck) -> Iterator[Block]:
         yield PageTable(phrase(PageText.CHECK_DETERMINED), ["combination"], rows)
     yield Subheading(phrase(PageText.CHECK_UNDETERMINED))
     yield BulletList(statements(map(str, structure.directions)))
-    if structure.remedies:
+    if structure.recommendations:
         yield Subheading(phrase(PageText.CHECK_REMEDIES))
-        yield BulletList(statements(structure.remedies))
+        yield BulletList(statements(structure.recommendations))
 
 
 def _computation(check: ModelCheck) -> PageTable:
@@ -136,7 +138,7 @@ def _computation(check: ModelCheck) -> PageTable:
 
 def _data(check: ModelCheck) -> Iterator[Block]:
     if check.assumed:
-        yield Paragraphs([phrase(PageText.CHECK_ASSUMED, text=check.assumed)])
+        yield Paragraphs([phrase(PageText.CHECK_ASSUMED, text=str(check.assumed))])
     head = ["record", "rows", "duration", "sampling time", "fingerprint"]
     rows = [_record(e) for e in check.experiments]
     yield PageTable(phrase(PageText.RECORDS), head, rows, "" if check.assumed else _noise(check))
@@ -167,4 +169,4 @@ def _record(e: Experiment) -> list[str]:
 def _noise(check: ModelCheck) -> Text:
     units = {o.name: o.unit for o in check.model.outputs}
     sizes = [f"{n} {format_number(std, 3)} {typeset_unit(units[n])}".rstrip() for n, std in check.noise.items()]
-    return phrase(PageText.CHECK_NOISE, sizes=sizes, source=str(check.noise_source))
+    return phrase(PageText.CHECK_NOISE, sizes=sizes, source=describe_noise_source(check))

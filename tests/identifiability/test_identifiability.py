@@ -10,6 +10,7 @@ import pytest
 
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit
 from greybox.errors import DataError, ModelError
+from greybox.identifiability import IdentifiabilityVerdict as Verdict
 from greybox.identifiability import (
     analyse_excitation,
     analyse_practical_identifiability,
@@ -17,6 +18,7 @@ from greybox.identifiability import (
     recommend_after_fit,
 )
 from greybox.identifiability.excitation import excitation_order
+from greybox.identifiability.findings import IdentifiabilityCode as Code
 from greybox.signals import multisine
 from greybox.simulation import simulate
 from models.cascaded_tanks import cascaded_tanks
@@ -89,10 +91,10 @@ def test_a_start_at_rest_tells_more() -> None:
 def test_the_combinations_of_equation_16_2() -> None:
     found = analyse_structural_identifiability(micro_actuator_no_inductance, ["x"])
     assert set(found.determined) == {"K/M", "Kf/(M Ra)", "(Kf Kv/Ra + B)/M"}
-    assert {str(d) for d in found.directions} == {
-        "Kf, Ra scale together",
-        "M, B, K, Kf scale together",
-        "B, Kv can be traded against one another",
+    assert {(d.names, d.scaling) for d in found.directions} == {
+        (("Kf", "Ra"), True),
+        (("M", "B", "K", "Kf"), True),
+        (("B", "Kv"), False),
     }
 
 
@@ -108,9 +110,14 @@ def test_the_scale_of_the_coil_is_seen_by_the_current() -> None:
     assert coil.seen_by == ("i",)
     mechanism = next(d for d in found.directions if set(d.names) == {"M", "B", "K", "Kf"})
     assert mechanism.seen_by == ()
-    assert "measure i as well: 6 of 7 determined; then fix one of M, B, K, Kf" in found.remedies[0]
-    assert "Kf = Kv" in found.remedies[0]
-    assert "Kf, Ra, La scale together: fix one of them, or measure i" in str(found)
+    first = found.recommendations[0]
+    assert first.code == Code.MEASURE_OUTPUT
+    assert (first.values["signals"], first.values["rank"], first.values["count"]) == (["i"], 6, 7)
+    assert first.values["then"] == {
+        "missing": 1,
+        "constants": ["M", "B", "K", "Kf"],
+        "relations": [{"constants": ["Kf", "Kv"], "equal": True}],
+    }
 
 
 @pytest.mark.parametrize("name", ["M", "B", "K", "Kf"])
@@ -206,7 +213,7 @@ def test_a_constant_without_influence_is_named() -> None:
         outputs=[Output("a", "rad")],
     )
     found = analyse_structural_identifiability(model)
-    assert [str(d) for d in found.directions] == ["T has no influence on the measured outputs"]
+    assert [d.names for d in found.directions] == [("T",)]
     assert found.determined == ("c",)
 
 
@@ -237,7 +244,7 @@ def test_wrong_questions() -> None:
         analyse_structural_identifiability(micro_actuator, ["y"])
     with pytest.raises(ModelError, match="no output is measured"):
         analyse_structural_identifiability(micro_actuator, [])
-    assert "no constant is free" in str(analyse_structural_identifiability(silverbox.fix(*silverbox.values)))
+    assert analyse_structural_identifiability(silverbox.fix(*silverbox.values)).verdict is Verdict.NOTHING_FREE
 
 
 TONES = {
@@ -270,7 +277,8 @@ def test_the_three_tones_show_the_gain_and_one_lag(name: str) -> None:
     assert found.averaged == 1
     assert set(found.undetermined) == set(CHAIN) - {"f_v"}
     assert found.constants["f_v"].averaged
-    assert any("the input stops at 5.09 rad/s" in remark for remark in found.remarks)
+    (band,) = [f for f in found.findings if f.code == Code.EXCITATION_BAND_NARROW]
+    assert band.values["band"] == pytest.approx(5.09, rel=1e-2)
 
 
 def test_what_is_seen_by_averaging_is_what_a_change_hides_in_the_noise() -> None:
@@ -297,7 +305,7 @@ def test_an_input_that_is_rich_shows_what_the_structure_allows() -> None:
     record = position_record(chain, u, time)
     found = analyse_practical_identifiability(chain, record, noise={"s": SENSOR / 4})
     assert found.rank == 3
-    assert found.remarks == ()
+    assert found.findings == ()
     assert not found.constants["f_v"].averaged
 
 
@@ -310,7 +318,8 @@ def test_a_wide_interval_is_not_determined() -> None:
     assert "La" in found.undetermined
     assert found.constants["La"].std is not None
     assert 1.96 * found.constants["La"].std > 0.5 * found.constants["La"].value
-    assert any("the structure allows 6 combinations" in remark for remark in found.remarks)
+    (fewer,) = [f for f in found.findings if f.code == Code.RECORDS_SHOW_FEWER]
+    assert fewer.values["structure"] == 6
 
 
 def driven(u: np.ndarray, step: float = 0.01) -> Experiment:
@@ -337,9 +346,10 @@ def test_a_step_is_too_little_for_the_actuator() -> None:
     found = analyse_excitation(step, micro_actuator)
     assert found.orders == {"u": 1}
     assert found.needed == 3
-    assert "order 1, but the model has 3 coefficients for each output" in found.warnings[0]
+    assert found.findings[0].code == Code.EXCITATION_ORDER_LOW
+    assert (found.findings[0].values["order"], found.findings[0].values["needed"]) == (1, 3)
     rich = driven(np.random.default_rng(0).normal(size=4000), 2.5e-5)
-    assert analyse_excitation(rich, micro_actuator).warnings == ()
+    assert analyse_excitation(rich, micro_actuator).findings == ()
 
 
 def test_excitation_without_a_model_and_without_the_input() -> None:
@@ -354,16 +364,19 @@ def test_excitation_without_a_model_and_without_the_input() -> None:
 @pytest.mark.parametrize(
     ("outputs", "fixed", "expected"),
     [
-        (("x", "i"), (), "fix one of M, B, K, Kf"),
-        (("x",), ("Ra",), "measure i as well: 5 of 6 determined; then fix one of M, B, K, Kf"),
-        (("x", "i"), ("M",), ""),
+        (("x", "i"), (), [Code.FIX_CONSTANTS]),
+        (("x",), ("Ra",), [Code.MEASURE_OUTPUT, Code.FIX_CONSTANTS]),
+        (("x", "i"), ("M",), []),
     ],
 )
-def test_a_fit_that_leaves_constants_open_says_what_would_tell_them(outputs, fixed, expected) -> None:
+def test_a_fit_that_leaves_constants_open_recommends_what_would_determine_them(outputs, fixed, expected) -> None:
     record = actuator_record(600)
     record = replace(record, outputs={n: record.outputs[n] for n in outputs})
     found = recommend_after_fit(fit(micro_actuator.fix(*fixed), record, noise={n: ACTUATOR_NOISE[n] for n in outputs}))
-    assert expected in found[0] if expected else found == ()
+    assert [finding.code for finding in found] == expected
+    if expected:
+        closing = found[0].values if len(expected) == 1 else found[0].values["then"]
+        assert closing["constants"] == ["M", "B", "K", "Kf"]
 
 
 def test_a_record_that_is_not_rich_enough_is_told_from_a_model_that_hides_something() -> None:
@@ -376,8 +389,8 @@ def test_a_record_that_is_not_rich_enough_is_told_from_a_model_that_hides_someth
         noise={"i": 5e-3},
         options=FitOptions(at_rest=True),
     )
-    (said,) = recommend_after_fit(still)
-    assert said.endswith("by a record that is rich enough: move u more, and faster and slower")
+    (finding,) = recommend_after_fit(still)
+    assert (finding.code, finding.values["inputs"]) == (Code.RICHER_RECORD, ["u"])
 
 
 def actuator_record(rows):

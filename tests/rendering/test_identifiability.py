@@ -1,0 +1,132 @@
+"""One golden text for each finding about identifiability, and the texts of its results."""
+
+import pytest
+
+from greybox.findings import Finding
+from greybox.identifiability import Excitation, OpenDirection, StructuralIdentifiability
+from greybox.identifiability.findings import IdentifiabilityCode
+from greybox.rendering import sentence
+from greybox.rendering.identifiability import describe_closing
+
+ONE = {"missing": 1, "constants": ["M", "B"], "relations": [{"constants": ["Kf", "Kv"], "equal": True}]}
+GOLDEN = {
+    IdentifiabilityCode.MEASURE_OUTPUT: (
+        "",
+        {"signals": ["i"], "rank": 6, "count": 7, "then": ONE},
+        "measure i as well: 6 of 7 determined; then fix one of M, B; knowing Kf = Kv does as well",
+    ),
+    IdentifiabilityCode.ADD_SENSOR: (
+        "",
+        {"signals": ["x1", "x2"], "rank": 4, "count": 4, "then": {}},
+        "add a sensor for x1 or x2: 4 of 4 determined",
+    ),
+    IdentifiabilityCode.FIX_CONSTANTS: ("", ONE, "fix one of M, B; knowing Kf = Kv does as well"),
+    IdentifiabilityCode.RICHER_RECORD: (
+        "",
+        {"inputs": ["u"], "outputs": ["x", "i"], "count": 6, "certain": True},
+        "from u to x, i all 6 free constants can be determined by a record that is rich enough: move u more, and over a wider band",
+    ),
+    IdentifiabilityCode.NO_INPUT_MOVES: (
+        "",
+        {},
+        "no input moves: only the response to the initial state carries information",
+    ),
+    IdentifiabilityCode.EXCITATION_ORDER_LOW: (
+        "",
+        {"inputs": ["u"], "order": 1, "needed": 3},
+        "u: order 1, but the model has 3 coefficients for each output, so the rest shows in transients alone; use more tones, a sweep or"
+        " random levels",
+    ),
+    IdentifiabilityCode.EXCITATION_BAND_NARROW: (
+        "",
+        {"band": 5.09, "fastest": 80.0},
+        "the input stops at 5.09 rad/s, but the model's fastest motion is at 80 rad/s and hardly shows; excite up to it",
+    ),
+    IdentifiabilityCode.RECORDS_SHOW_FEWER: (
+        "",
+        {"structure": 6, "records": 4},
+        "the structure allows 6 combinations, these records show 4: use another input or reduce the noise; another sensor does not help",
+    ),
+    IdentifiabilityCode.AVERAGING_ONLY: (
+        "",
+        {"averaged": 1, "total": 3},
+        "1 of 3 combinations come from averaging the noise, which holds only if the noise is white and the model is right to a fraction of"
+        " it: do not rely on them",
+    ),
+    IdentifiabilityCode.NO_FREE_CONSTANT: ("", {}, "no constant is free: nothing to determine"),
+    IdentifiabilityCode.MODEL_OVERFLOWS: (
+        "run",
+        {"time": 1.25},
+        "the model overflows on run after 1.25 s at the start values; give other values with --start",
+    ),
+    IdentifiabilityCode.SIMULATED_RECORD: (
+        "",
+        {"rows": 1000, "step": 0.01, "inputs": {"u": {"low": -1.0, "high": 1.0, "unit": "V"}}, "noise_share": 0.01},
+        "1000 rows every 0.01 s, u random between -1 and 1 V, noise 1 % of each output's movement",
+    ),
+}
+
+
+@pytest.mark.parametrize("code", IdentifiabilityCode)
+def test_each_code_has_its_sentence(code):
+    subject, values, text = GOLDEN[code]
+    assert sentence(Finding(code, subject=subject, values=values)) == text
+
+
+@pytest.mark.parametrize(
+    ("closing", "text"),
+    [
+        ({}, ""),
+        ({"missing": 1, "constants": ["M"], "relations": []}, "fix M"),
+        ({"missing": 2, "constants": ["M", "Ra"], "relations": []}, "fix 2 constants, such as M and Ra"),
+        (
+            {"missing": 2, "constants": [], "relations": [{"constants": ["a", "b"], "equal": False}]},
+            "fix 2 constants; knowing the ratio a/b closes one of the gaps",
+        ),
+    ],
+)
+def test_closing_constants_are_listed(closing, text):
+    assert describe_closing(closing) == text
+
+
+@pytest.mark.parametrize(
+    ("weights", "scaling", "text"),
+    [
+        ({"T": 1.0}, True, "T has no influence on the measured outputs"),
+        ({"B": 1.0, "Kv": -0.5}, False, "B, Kv can be traded against one another"),
+        ({"Kf": 1.0, "Ra": 1.0}, True, "Kf, Ra scale together"),
+        (
+            {"m": 2.0, "l": -1.0, "g": -1.0},
+            True,
+            "multiplying m by c^2 and dividing l by c and g by c changes nothing, for any c",
+        ),
+    ],
+)
+def test_open_directions_are_described(weights, scaling, text):
+    assert str(OpenDirection(weights, scaling)) == text
+
+
+def test_a_structural_result_names_what_is_determined_open_and_missing():
+    remedy = Finding(IdentifiabilityCode.FIX_CONSTANTS, values=ONE)
+    direction = OpenDirection({"Kf": 1.0, "Ra": 1.0}, True, ("i",))
+    names = ("M", "Kf", "Ra")
+    result = StructuralIdentifiability(
+        "m", ("u",), ("x",), names, False, 2, 3, (direction,), ("M",), (remedy,), 1e9, False, ""
+    )
+    assert str(result).splitlines() == [
+        "from u to x 2 combinations of the 3 free constants can be determined, 1 direction stays open; the numbers show no clear gap, so"
+        " this is uncertain",
+        "  determined  M, 1 more that is no such formula",
+        "  open        Kf, Ra scale together: fix one of them, or measure i",
+        "  remedy      fix one of M, B; knowing Kf = Kv does as well",
+    ]
+
+
+def test_excitation_names_order_and_band_of_each_input():
+    finding = Finding(IdentifiabilityCode.NO_INPUT_MOVES)
+    lines = str(Excitation({"u": 40, "w": 2}, {"u": 100.0, "w": 3.0}, 40, findings=(finding,))).splitlines()
+    assert lines == [
+        "u: persistently exciting of order 40 or more, moves below 100 rad/s",
+        "w: persistently exciting of order 2, moves below 3 rad/s",
+        sentence(finding),
+    ]
