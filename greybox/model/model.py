@@ -101,7 +101,7 @@ class Model(Printable):
         system, parameters = self.system, self.all_parameters  # writing the equations out checks them
         check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
         check_process_noise(self.title, system, parameters)
-        check_constants(self.title, self.rules, self._constants)
+        check_constants(self.title, self.rules, self._present_values)
 
     @cached_property
     def statement(self) -> Statement:
@@ -141,7 +141,7 @@ class Model(Printable):
 
     @property
     def tied_values(self) -> dict[str, float]:
-        """Name -> present value of every constant that is tied to others."""
+        """Name -> present value of every parameter that is tied to others."""
         p = self.parameters_at(list(self.values.values()))
         return {tie.name: float(p[tie.name]) for tie in self.ties}
 
@@ -162,7 +162,7 @@ class Model(Printable):
 
     @cached_property
     def noise_parameters(self) -> tuple[str, ...]:
-        """Names of the constants that are intensities of process noise and nothing else."""
+        """Names of the parameters that are intensities of process noise and nothing else."""
         return find_noise_parameters(self.system)
 
     @property
@@ -188,11 +188,11 @@ class Model(Printable):
         raise ModelError(f"model {self.title!r} has no parameter {name!r}; {nearest(name, self.values)}")
 
     @property
-    def _constants(self) -> NamedValues:
+    def _present_values(self) -> NamedValues:
         return self.parameters_at(list(self.values.values()))
 
     def parameters_at(self, p: Sequence[float] | np.ndarray) -> NamedValues:
-        """All constants by name and role at the values ``p`` (np,), in the order of ``system.p``; tied ones as their ties say."""
+        """All parameters by name and role at the values ``p`` (np,), in the order of ``system.p``; tied ones as their ties say."""
         return self._named(dict(zip(self.values, map(float, p), strict=True)))
 
     def parameters_as_symbols(self, p: ca.SX) -> NamedValues:
@@ -209,7 +209,7 @@ class Model(Printable):
 
         Raises DataError with rows, the worst value and the remedy.
         """
-        check_measured(subject, self.rules, measured, self._constants)
+        check_measured(subject, self.rules, measured, self._present_values)
 
     def __add__(self, effect: Effect) -> Model:
         if not isinstance(effect, Effect):
@@ -217,7 +217,23 @@ class Model(Printable):
         return replace(self, effects=(*self.effects, effect))
 
     def without(self, effect: str) -> Model:
-        """The model without the effect of this name."""
+        """The model without one of its effects.
+
+        Parameters
+        ----------
+        effect
+            Its name.
+
+        Returns
+        -------
+        Model
+            A new model.
+
+        Raises
+        ------
+        ModelError
+            If the model does not have it.
+        """
         if effect not in [e.name for e in self.effects]:
             raise ModelError(
                 f"model {self.title!r} has no effect {effect!r}; {nearest(effect, [e.name for e in self.effects])}"
@@ -225,22 +241,86 @@ class Model(Printable):
         return replace(self, effects=tuple(e for e in self.effects if e.name != effect))
 
     def fix(self, *names: str, **values: float) -> Model:
-        """Constants that are known: ``fix(M=0.01)`` at this value, ``fix("M")`` at the present one."""
+        """The model with parameters that are known, so that a fit leaves them as they are.
+
+        Parameters
+        ----------
+        *names
+            Parameters that are fixed at their present values.
+        **values
+            Parameters that are fixed at these values, in their units.
+
+        Returns
+        -------
+        Model
+            A new model.
+
+        Raises
+        ------
+        ModelError
+            For unknown names, values outside the bounds, and rules that they break: all of them in one message.
+
+        Examples
+        --------
+        ``model.fix("Ra", M=0.01)``: the resistance as it is, the mass at 0.01 kg.
+        """
         changes: dict[str, dict] = {n: {"fixed": True} for n in names}
         changes |= {n: {"fixed": True, "value": v} for n, v in values.items()}
-        return self._changed(changes)
+        return self._with_changes(changes)
 
     def free(self, *names: str) -> Model:
-        """Constants that a fit may change."""
-        return self._changed({n: {"fixed": False} for n in names})
+        """The model with the named parameters free: a fit may change them. Raises ModelError for an unknown name."""
+        return self._with_changes({n: {"fixed": False} for n in names})
 
     def start(self, **values: float) -> Model:
-        """Values from which a fit starts (and which `simulate` uses); fixed or free stays as it is."""
-        return self._changed({n: {"value": v} for n, v in values.items()})
+        """The model with other values of its parameters.
+
+        A fit starts from them and `simulate` uses them; what is fixed or free stays as it is.
+
+        Parameters
+        ----------
+        **values
+            Parameter -> value in its unit.
+
+        Returns
+        -------
+        Model
+            A new model.
+
+        Raises
+        ------
+        ModelError
+            For unknown names, values outside the bounds, and rules that they break: all of them in one message.
+
+        Examples
+        --------
+        ``model.start(K=6000, B=0.3)``
+        """
+        return self._with_changes({n: {"value": v} for n, v in values.items()})
 
     def bound(self, **bounds: tuple[float, float]) -> Model:
-        """Other physical bounds: ``bound(Ra=(1, 20))``."""
-        return self._changed({n: {"bounds": b} for n, b in bounds.items()})
+        """The model with other physical bounds of its parameters.
+
+        Parameters
+        ----------
+        **bounds
+            Parameter -> (low, high) in its unit. A lower bound above zero makes it a positive constant, fitted on a logarithmic scale.
+
+        Returns
+        -------
+        Model
+            A new model.
+
+        Raises
+        ------
+        ModelError
+            For unknown names, empty bounds, and a present value outside them.
+
+        Examples
+        --------
+        ``model.bound(Ra=(1, 20))``
+        """
+        return self._with_changes({n: {"bounds": b} for n, b in bounds.items()})
 
     def with_process_noise(self, *estimated: str, **known: float | str) -> Model:
         """The model with random pushes on some of its states, in the place of what these had.
@@ -251,6 +331,11 @@ class Model(Printable):
             States whose intensity is estimated, as a new parameter ``noise_<state>`` that starts at 0.
         **known
             State -> intensity in the state's unit over sqrt(s), or the name of a parameter that gives it. See `State`.
+
+        Returns
+        -------
+        Model
+            A new model.
 
         Raises
         ------
@@ -291,23 +376,65 @@ class Model(Printable):
         return replace(self, states=plant, parameters=(*self.parameters, *added), effects=tuple(effects))
 
     def prior(self, **priors: tuple[float, float] | None) -> Model:
-        """What is known of constants without the records: ``prior(M=(0.0100, 0.0001))``, mean and standard deviation.
+        """The model with what is known of its parameters without the records.
 
-        A fit starts at the mean, and weighs each prior as one more measurement (maximum a posteriori). None takes a prior back.
+        A fit starts at the mean, and weighs each prior as one more measurement (maximum a posteriori).
+
+        Parameters
+        ----------
+        **priors
+            Parameter -> (mean, standard deviation) of a normal distribution in its unit. None takes a prior back.
+
+        Returns
+        -------
+        Model
+            A new model.
+
+        Raises
+        ------
+        ModelError
+            For unknown names, a standard deviation that is not positive, and a mean outside the bounds.
+
+        Examples
+        --------
+        A mass that was weighed as 10.0 g to a tenth of a gram: ``model.prior(M=(0.0100, 0.0001))``.
         """
         changes: dict[str, dict] = {}
         for name, given in priors.items():
             changes[name] = {"prior": given} if given is None else {"prior": given, "value": _pair(name, given)[0]}
-        return self._changed(changes)
+        return self._with_changes(changes)
 
     def tie(self, *, new: Sequence[Parameter] = (), **formulas: Formula) -> Model:
-        """Constants given by others: ``tie(Kv="Kf")``, ``tie(C="C0*(1 + c*(ps/p0 - 1))", new=[...])``, ``tie(Kv=lambda p: p.Kf)``.
+        """The model with parameters that are given by others.
 
-        The formula takes the place of the constant, so it holds exactly and nothing is left to fit there; its unit is checked.
-        ``new`` are constants that only formulas speak of. One constant below another, ``a < b``, is ``tie(b="a + gap")`` with a ``gap``
-        that is bounded by zero. Where the formula is one other constant, that takes over the bounds too.
+        The formula takes the place of the parameter, so it holds exactly and nothing is left to fit there; its unit is checked. Where the
+        formula is one other parameter, that one takes over the bounds too.
 
-        Raises ModelError for an unknown name, a fixed constant, a circle, and values out of bounds; UnitError for a wrong unit.
+        Parameters
+        ----------
+        new
+            Parameters that only formulas contain.
+        **formulas
+            Parameter -> formula of other parameters: a text with names, numbers, ``+ - * / ^``, brackets and functions, or a function of
+            ``p``.
+
+        Returns
+        -------
+        Model
+            A new model.
+
+        Raises
+        ------
+        ModelError
+            For an unknown name, a fixed parameter, a circle, and values out of bounds.
+        UnitError
+            For a formula whose unit is not the parameter's.
+
+        Examples
+        --------
+        ``model.tie(Kv="Kf")``: back-EMF and force constant are one; ``model.tie(Kv=lambda p: p.Kf)`` is the same.
+
+        One parameter below another, ``a < b``, is ``model.tie(b="a + gap", new=[Parameter("gap", "N", 1.0, (0, 10))])``.
         """
         return self.with_ties(formulas, new)
 
@@ -330,7 +457,10 @@ class Model(Printable):
         return with_ties
 
     def untie(self, *names: str) -> Model:
-        """The model with these constants standing for themselves again, at the values that their ties gave them."""
+        """The model with the named parameters standing for themselves again, at the values that their ties gave them.
+
+        Raises ModelError for one that is not tied.
+        """
         for name in names:
             if name not in self.tied_values:
                 raise ModelError(f"parameter {name!r} is not tied; {nearest(name, self.tied_values)}")
@@ -338,19 +468,39 @@ class Model(Printable):
         return replace(self, ties=left).start(**{name: self.tied_values[name] for name in names})
 
     def schedule(self, name: str, *, by: str, about: float | None = None, order: int = 1) -> Model:
-        """The model with the constant ``name`` following an operating condition: ``schedule("K2", by="P_S")``.
+        """The model with a parameter that follows an operating condition, as a polynomial (`greybox.model.schedules.schedule_effect`).
 
-        ``by`` is a parameter that each experiment gives itself (its conditions), or a measured input; ``about`` the value of it at
-        which ``name`` holds, by default the model's own. See `greybox.model.schedules.schedule_effect`.
+        Parameters
+        ----------
+        name
+            The parameter.
+        by
+            A parameter that each experiment gives itself (its conditions), or a measured input.
+        about
+            The value of ``by`` at which ``name`` holds, in its unit; None takes the model's own.
+        order
+            Of the polynomial: 1 for a straight line, 2 for a parabola.
 
-        Raises ModelError for unknown names, and for an input without ``about``.
+        Returns
+        -------
+        Model
+            A new model, with the coefficients as free parameters.
+
+        Raises
+        ------
+        ModelError
+            For unknown names, and for an input without ``about``.
+
+        Examples
+        --------
+        A valve gain that follows the supply pressure: ``model.schedule("K2", by="P_S")``.
         """
-        constants = [q.name for q in self.stated_parameters]
-        places = [*self.values, *(i.name for i in self.inputs)]
-        for given, known in ((name, constants), (by, places)):
-            if given not in known:
+        parameters = [q.name for q in self.stated_parameters]
+        conditions = [*self.values, *(i.name for i in self.inputs)]
+        for wanted, known in ((name, parameters), (by, conditions)):
+            if wanted not in known:
                 raise ModelError(
-                    f"schedule of {name} by {by}: model {self.title!r} has no {given!r}; {nearest(given, known)}"
+                    f"schedule of {name} by {by}: model {self.title!r} has no {wanted!r}; {nearest(wanted, known)}"
                 )
         if name == by:
             raise ModelError(
@@ -362,7 +512,7 @@ class Model(Printable):
             )
         return self + schedule_effect(name, by, self.values[by] if about is None else about, order=order)
 
-    def _changed(self, changes: dict[str, dict]) -> Model:
+    def _with_changes(self, changes: dict[str, dict]) -> Model:
         problems = []
         new: dict[str, Parameter] = {}
         for name, change in changes.items():
@@ -392,7 +542,7 @@ def _renamed(parameter: Parameter, symbol: ParameterSymbol) -> Parameter:
 
 
 def _narrow_bounds(model: Model, tie: Tie, quantity: Parameter) -> Model:
-    """``model`` with the bounds of the one constant that a tie speaks of narrowed to those of the tied one."""
+    """The model with the bounds of the one parameter that a tie's formula is narrowed to those of the tied one."""
     other = model.parameter(tie.formula)
     low, high = max(other.bounds[0], quantity.bounds[0]), min(other.bounds[1], quantity.bounds[1])
     check_tied_value(tie, quantity, other.value)

@@ -1,4 +1,4 @@
-"""Scheduled constants: a constant that changes with an operating condition, such as a valve gain with the supply pressure."""
+"""Schedules: a parameter that changes with an operating condition, such as a valve gain with the supply pressure."""
 
 from __future__ import annotations
 
@@ -10,14 +10,33 @@ from greybox.model.signals import Expression, NamedValues, Parameter
 
 
 def schedule_effect(name: str, by: str, about: float, *, order: int = 1) -> Effect:
-    """The effect by which the constant ``name`` follows the condition ``by``: a polynomial about the condition's value ``about``,
+    """The effect by which a parameter follows an operating condition, as a polynomial about the condition's value ``about``::
 
         name (1 + c1 (by/about - 1) + c2 (by/about - 1)^2 ...)
 
-    ``name`` keeps its meaning: it is the value at ``about``. The coefficients ``c1`` (called ``<name>_<by>``), ``c2`` ... are free
-    and have no unit: by which share the constant changes where the condition doubles. ``by`` is a parameter that the experiments
-    give themselves (`Experiment.conditions`), or an input that was measured. Records under one condition alone do not determine
-    the coefficients. Raises ModelError for ``about`` zero, and an order below one.
+    The coefficients ``c1`` (called ``<name>_<by>``), ``c2`` ... are free and have no unit: by which share the parameter changes where the
+    condition doubles. Records under one condition alone do not determine them.
+
+    Parameters
+    ----------
+    name
+        The parameter. It keeps its meaning: it is the value at ``about``.
+    by
+        A parameter that the experiments give themselves (`Experiment.conditions`), or an input that was measured.
+    about
+        A usual value of ``by``, in its unit.
+    order
+        Of the polynomial.
+
+    Returns
+    -------
+    Effect
+        To be added to a model.
+
+    Raises
+    ------
+    ModelError
+        For ``about`` zero, and an order below one.
     """
     if about == 0:
         raise ModelError(f"schedule of {name} by {by}: about 0 leaves nothing to refer to; give a usual value of {by}")

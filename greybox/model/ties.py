@@ -1,4 +1,4 @@
-"""Ties: a constant that others give, ``Kv = Kf``. It is put in the place of the constant, so it holds exactly."""
+"""Ties: a parameter that others give, ``Kv = Kf``. The formula stands in the place of the parameter, so it holds exactly."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Formula = str | Callable[[NamedValues], Expression]
 
 @dataclass(frozen=True)
 class Tie:
-    """``name = formula`` between constants of a model; the formula speaks of other constants, in their units."""
+    """``name = formula`` between parameters of a model; the formula contains other parameters, in their units."""
 
     name: str
     formula: str
@@ -30,7 +30,7 @@ class Tie:
 
     @property
     def names(self) -> list[str]:
-        """The constants that the formula speaks of."""
+        """The parameters that the formula contains."""
         return list_formula_names(f"tie {self}", self.formula)
 
     def __str__(self) -> str:
@@ -38,7 +38,7 @@ class Tie:
 
 
 def apply_ties(ties: Sequence[Tie], p: NamedValues) -> NamedValues:
-    """``p``, symbols or numbers, with every tied constant as its formula gives it."""
+    """``p``, symbols or numbers, with every tied parameter as its formula gives it."""
     for tie in order_ties(ties):
         value = tie.value(p)
         p = p.replaced({tie.name: float(value) if value.is_constant() else value})
