@@ -14,7 +14,7 @@ from typer.testing import CliRunner, Result
 
 from greybox.cli.app import app
 from greybox.simulation import write_csv
-from tests.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, with_gaps
+from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, with_gaps
 
 FILE = """
 from greybox import Balance, Input, Model, Output, Parameter, State

@@ -12,8 +12,8 @@ from greybox.estimation.findings import EstimationCode
 from greybox.plots import draw_residual_tests
 from greybox.residuals import residual_tests, score
 from greybox.uncertainty import bootstrap, profile
-from tests.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, three, with_gaps
 from tests.support.findings import codes, find
+from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, three, with_gaps
 
 PUSHED = MASS.with_process_noise(v=INTENSITY)
 TRUTH = {"B": 0.4, "K": 4.0, "noise_v": INTENSITY}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, fit, load_fit
+from greybox import FitOptions, Parameter, fit, load_fit
 from greybox.errors import ModelError
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.problem import prepare_problem
@@ -11,27 +11,9 @@ from greybox.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.findings import find
+from tests.support.linear_regression import LINE, NOISE, REST, regression
 
 LEVEL = {"x": 2e-7, "i": 5e-3}
-REST = FitOptions(at_rest=True)
-
-# y = a u + b u^2 + c: linear in its constants, beside a state that nothing measures and nothing asks for.
-LINE = Model(
-    "line", [State("s", "1")], [Input("u", "1")],
-    [Output("y", "m", lambda x, u, p: p.a * u.u + p.b * u.u**2 + p.c)],
-    [Parameter("a", "m", 0.5), Parameter("b", "m", 0.1), Parameter("c", "m", 0.0), Parameter("tau", "s", 1.0, fixed=True)],
-    lambda x, u, p: [Balance("rest", "1", p.tau, "s", decay=-x.s)],
-)  # fmt: skip
-NOISE = 0.3
-
-
-def regression(rows=40, seed=1, louder=1.0):
-    """A record of the line, its design matrix (N, 3) and measurements (N,); the noise may be louder than it is said to be."""
-    rng = np.random.default_rng(seed)
-    u = rng.normal(size=rows)
-    design = np.column_stack([u, u**2, np.ones(rows)])
-    y = design @ [1.2, -0.4, 0.7] + louder * NOISE * rng.normal(size=rows)
-    return Experiment("line", np.arange(rows) * 0.1, {"u": u}, {"y": y}), design, y
 
 
 def actuator(seed=1):

@@ -7,8 +7,8 @@ import pytest
 
 from greybox import Balance, Experiment, Model, Parameter, fit, load_fit
 from greybox.errors import ModelError
-from tests.estimation.test_priors import LINE, NOISE, REST, regression
-from tests.pushed_mass import LEVEL, MASS, STARTS, irregular, record, with_gaps
+from tests.support.linear_regression import LINE, NOISE, REST, regression
+from tests.support.pushed_mass import LEVEL, MASS, STARTS, irregular, record, with_gaps
 
 PRESSED = replace(MASS, parameters=(*MASS.parameters, Parameter("P", "Pa", 1e5, (1e4, 1e6), fixed=True)))
 TIED = MASS.tie(B="0.2*sqrt(K*M)")
@@ -30,14 +30,14 @@ def test_a_tie_is_the_formula_in_the_place_of_the_constant():
             Balance("force", "N", p.M, "v", drive=u.u, damping=-0.2 * (p.K * p.M) ** 0.5 * x.v, spring=-p.K * x.x),
         ],
     )
-    found, expected = fit(TIED, two(), noise=LEVEL), fit(written, two(), noise=LEVEL)
-    assert found.uncertainty.free == ("K",) and found.solver.cost == pytest.approx(expected.solver.cost, rel=1e-10)
-    k, b = found.parameters["K"], found.constraints.tied["B"]
+    result, expected = fit(TIED, two(), noise=LEVEL), fit(written, two(), noise=LEVEL)
+    assert result.uncertainty.free == ("K",) and result.solver.cost == pytest.approx(expected.solver.cost, rel=1e-10)
+    k, b = result.parameters["K"], result.constraints.tied["B"]
     assert k.value == pytest.approx(expected.parameters["K"].value, rel=1e-9)
     assert k.std == pytest.approx(expected.parameters["K"].std, rel=1e-7)
     assert b.value == pytest.approx(0.2 * np.sqrt(k.value), rel=1e-12)
     assert b.std / b.value == pytest.approx(0.5 * k.std / k.value, rel=1e-6), "the delta method"
-    assert found.constraints.ties == {"B": "0.2*sqrt(K*M)"} and "B" in str(found)
+    assert result.constraints.ties == {"B": "0.2*sqrt(K*M)"} and "B" in str(result)
 
 
 def test_a_tie_may_be_a_function_and_can_be_let_go(tmp_path):
@@ -46,8 +46,8 @@ def test_a_tie_may_be_a_function_and_can_be_let_go(tmp_path):
     assert TIED.start(K=1.0).tied_values["B"] == pytest.approx(0.2)
     loose = TIED.start(K=1.0).untie("B")
     assert loose.values["B"] == pytest.approx(0.2) and not loose.ties
-    found = fit(TIED, two(), noise=LEVEL)
-    assert load_fit(found.save(tmp_path / "fit.json"), MASS).constraints.tied == found.constraints.tied
+    result = fit(TIED, two(), noise=LEVEL)
+    assert load_fit(result.save(tmp_path / "fit.json"), MASS).constraints.tied == result.constraints.tied
 
 
 def test_own_constants_beside_shared_ones_are_those_of_the_regression():
@@ -59,20 +59,20 @@ def test_own_constants_beside_shared_ones_are_those_of_the_regression():
         design[40 * k : 40 * k + 40, :2], design[40 * k : 40 * k + 40, 2 + k] = x[:, :2], 1.0
     y = np.concatenate([y for _, _, y in parts]) + np.repeat([0.0, 1.0, -0.5], 40)
     shifted = [replace(e, outputs={"y": y[40 * k : 40 * k + 40]}) for k, e in enumerate(data)]
-    found = fit(LINE, shifted, per_experiment="c", noise={"y": 1.2 * NOISE}, options=REST)
+    result = fit(LINE, shifted, per_experiment="c", noise={"y": 1.2 * NOISE}, options=REST)
     values, *_ = np.linalg.lstsq(design, y, rcond=None)
     spread = 1.2 * NOISE * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
     ours = [
-        found.parameters["a"],
-        found.parameters["b"],
-        *(found.constraints.per_experiment["c"][e.name] for e in shifted),
+        result.parameters["a"],
+        result.parameters["b"],
+        *(result.constraints.per_experiment["c"][e.name] for e in shifted),
     ]
     assert [e.value for e in ours] == pytest.approx(values, rel=1e-8)
     assert [e.std for e in ours] == pytest.approx(spread, rel=1e-6)
-    assert found.parameters["c"].value == pytest.approx(values[2:].mean(), rel=1e-8)
+    assert result.parameters["c"].value == pytest.approx(values[2:].mean(), rel=1e-8)
     mean = np.array([0, 0, 1, 1, 1]) / 3
     variance = mean @ np.linalg.inv(design.T @ design) @ mean
-    assert found.parameters["c"].std == pytest.approx(1.2 * NOISE * np.sqrt(variance), rel=1e-6)
+    assert result.parameters["c"].std == pytest.approx(1.2 * NOISE * np.sqrt(variance), rel=1e-6)
 
 
 def test_a_scheduled_constant_meets_those_of_each_condition():
@@ -80,22 +80,22 @@ def test_a_scheduled_constant_meets_those_of_each_condition():
     one, other = two(stiffness=5.0)
     pressed = [replace(one, conditions={"P": 1e5}), replace(other, conditions={"P": 3e5})]
     scheduled = PRESSED.schedule("K", by="P", about=1e5)
-    found, per_experiment = (
+    result, per_experiment = (
         fit(scheduled, pressed, noise=LEVEL),
         fit(MASS, [one, other], per_experiment=["K"], noise=LEVEL),
     )
-    k, slope = found.parameters["K"].value, found.parameters["K_P"]
+    k, slope = result.parameters["K"].value, result.parameters["K_P"]
     assert k == pytest.approx(per_experiment.constraints.per_experiment["K"]["day 1"].value, rel=1e-6)
     assert k * (1 + 2 * slope.value) == pytest.approx(
         per_experiment.constraints.per_experiment["K"]["day 2"].value, rel=1e-6
     )
     assert abs(slope.value - 0.125) < 4 * slope.std < 0.01
-    assert found.solver.cost == pytest.approx(per_experiment.solver.cost, rel=1e-9)
+    assert result.solver.cost == pytest.approx(per_experiment.solver.cost, rel=1e-9)
 
 
 def test_a_constant_may_follow_a_measured_input():
-    found = fit(MASS.schedule("B", by="u", about=2.0), two(), noise=LEVEL)
-    assert abs(found.parameters["B_u"].value) < 4 * found.parameters["B_u"].std < 0.05
+    result = fit(MASS.schedule("B", by="u", about=2.0), two(), noise=LEVEL)
+    assert abs(result.parameters["B_u"].value) < 4 * result.parameters["B_u"].std < 0.05
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from greybox.blackbox import armax, arx, box_jenkins, hammerstein, output_error
 from greybox.residuals import score
 from greybox.simulation import simulate
 from tests.filtering.test_kalman_filter import tank, tank_record
-from tests.pushed_mass import INTENSITY, LEVEL, MASS, record
+from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, record
 
 # name -> what is fitted to a record that something pushes at random
 GREY = {
