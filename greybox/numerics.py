@@ -5,6 +5,48 @@ These are properties of the arithmetic, not decisions about models or data; deci
 
 from __future__ import annotations
 
+SMALLEST_TYPICAL_SIZE = 1e-3
+"""Typical size, at least, of a state or input that is zero where it starts, in its unit."""
+
+BALANCE_MET = 1e-9
+"""A balance is met where its residual is below this share of its terms."""
+
+BALANCE_MET_OF_MOVE = 1e-12
+"""The same, as a share of the change of the balance over typical moves of the variables."""
+
+FREE_POSITION = 1e-9
+"""No rate depends on a position whose share of every row of the scaled Jacobian is below this."""
+
+FLAT_DIRECTION = 1e-11
+"""A direction in which the scaled Jacobian is below this share of its largest is left as it is: a piston may rest anywhere."""
+
+NEGLIGIBLE_MOVE = 1e-13
+"""A change of a variable below this share of its typical size is a rounding error."""
+
+CANCELLED_DERIVATIVE = 1e-15
+"""A derivative whose contribution over a typical move is below this share of its row is what is left of terms that cancel."""
+
+SAME_DERIVATIVE = 1e-9
+"""Relative difference below which the derivatives on both sides of a kink are equal."""
+
+REACHABILITY_RANK = 1e-10
+"""A part of the reachable space below this share of the model's size is a rounding error."""
+
+FLAT_COVARIANCE = 1e-12
+"""Scaled eigenvalues of a covariance below this share of the largest are rounding errors."""
+
+INTEGRATING_POLE = 1e-9
+"""A pole is at rest (0, or 1 in the z-plane) where its distance is below this share of the fastest one."""
+
+REAL_PART_ONLY = 1e-13
+"""The imaginary part of an eigenvalue below this share of its size is zero."""
+
+BALANCING_SWEEPS = 50
+"""Most sweeps of the balancing of a matrix; it settles within a few."""
+
+LARGEST_SCALING_EXPONENT = 200
+"""Largest power of two in the scaling of a state."""
+
 SAME_SAMPLING_TIME = 2e-3
 """Relative difference below which two sampling times are one: recorded time stamps are rounded."""
 

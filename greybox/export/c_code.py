@@ -125,7 +125,7 @@ def _about(plant: Plant, interval: DiscreteStep) -> list[str]:
         *constants,
         "",
         *plant.origin(),
-        *(f"Note: {note}" for note in plant.notes),
+        *(f"Note: {finding}" for finding in plant.findings),
     ]
 
 

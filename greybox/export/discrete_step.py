@@ -11,13 +11,11 @@ import numpy as np
 
 from greybox.errors import ModelError
 from greybox.export.plant import Plant
+from greybox.export.policy import DEFAULT_STEP, DiscreteStepPolicy
 from greybox.integrators import Step, discretise
 from greybox.model import Model
 
-NONE = np.empty(0, int)
-# The step is halved until that changes a run over the fitted record by less than this share of its movement.
-PRECISION = 1e-7
-MOST_ROWS = 2000  # of that record
+NO_ROWS = np.empty(0, int)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +43,13 @@ class DiscreteStep:
 
     def coefficients(self, p: np.ndarray | None = None) -> np.ndarray:
         """What ``step.advance`` needs to know of the constants (nq,)."""
-        return self.step.coefficients(self.p if p is None else p, np.array([self.dt]), NONE)[0][0]
+        return self.step.coefficients(self.p if p is None else p, np.array([self.dt]), NO_ROWS)[0][0]
 
     def row(self, u: np.ndarray, past: np.ndarray, share: float = 0.0) -> np.ndarray:
         """Inputs as the step reads them: with the past, and the share of the interval that has gone by."""
         return np.concatenate([u, past, [share, 0.0, self.dt]]) if self.past else u
 
-    def advanced(self, x: np.ndarray, past: np.ndarray, u: np.ndarray, p: np.ndarray | None = None) -> np.ndarray:
+    def advance(self, x: np.ndarray, past: np.ndarray, u: np.ndarray, p: np.ndarray | None = None) -> np.ndarray:
         """The state (nx,) ``dt`` seconds later."""
         n = self.step.substeps
         shares = np.arange(n + 1) / n
@@ -69,8 +67,14 @@ class DiscreteStep:
 
 
 def make_discrete_step(
-    plant: Plant, dt: float | None = None, *, substeps: int = 0, method: str = "automatic", at: Mapping[str, float] | None = None
-) -> DiscreteStep:  # fmt: skip
+    plant: Plant,
+    dt: float | None = None,
+    *,
+    substeps: int = 0,
+    method: str = "automatic",
+    at: Mapping[str, float] | None = None,
+    policy: DiscreteStepPolicy = DEFAULT_STEP,
+) -> DiscreteStep:
     """The sampling interval of ``plant``: ``dt`` seconds, or that of the fitted records.
 
     ``substeps`` 0: as many as it takes that halving them changes nothing visible over the fitted record (for a model without a fit:
@@ -89,9 +93,9 @@ def make_discrete_step(
     known = plant.model.fix(*plant.model.values)
     system, p, x0 = known.system, plant.p, declared_initial_state(known, at)
     lengths = np.array([float(period)])
-    inputs = _inputs(plant, period)
+    inputs = _recorded_inputs(plant, period, policy)
     if inputs is not None and not substeps:
-        step = discretise(system, p, x0[None, :], lengths, method=method, target=PRECISION, inputs=inputs)
+        step = discretise(system, p, x0[None, :], lengths, method=method, target=policy.precision, inputs=inputs)
     else:
         step = discretise(system, p, x0[None, :], lengths, method=method, substeps=substeps)
     return DiscreteStep(known, step, float(period), p, x0)
@@ -103,12 +107,12 @@ def find_delay_parameters(model: Model) -> list[str]:
     return [symbol.name() for symbol in symbols]
 
 
-def _inputs(plant: Plant, dt: float) -> np.ndarray | None:
+def _recorded_inputs(plant: Plant, dt: float, policy: DiscreteStepPolicy) -> np.ndarray | None:
     """Inputs (N, nu) of the first fitted record, held at every ``dt`` seconds; None without a record."""
     if plant.fit is None or not plant.fit.traces or not plant.model.inputs:
         return None
     record = plant.fit.traces[0].experiment
-    count = min(int((record.time[-1] - record.time[0]) / dt) + 1, MOST_ROWS)
+    count = min(int((record.time[-1] - record.time[0]) / dt) + 1, policy.rows)
     rows = np.searchsorted(record.time - record.time[0], np.arange(count) * dt * (1 + 1e-12), side="right") - 1
     return np.column_stack([record.inputs[i.name][rows] for i in plant.model.inputs])
 

@@ -1,34 +1,232 @@
-"""Linear models as files: MATLAB's .mat, JSON, NumPy's .npz, and a Python file that makes a `control.StateSpace`."""
+"""Linear models as files: MATLAB's .mat, JSON, NumPy's .npz, and a Python file that makes a `control.StateSpace`.
+
+``LINEAR_FORMATS`` is the list of formats: a new one is a function that writes a `Linearisation`, and a line there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
+from greybox.errors import ModelError, nearest
 from greybox.export.identifiers import to_identifiers
 from greybox.export.linearisation import Linearisation
-from greybox.export.model_family import ModelFamily
-from greybox.export.plant import Plant
+from greybox.export.linearise import linearise
+from greybox.export.minimal_realisation import minimal_realisation
+from greybox.export.model_family import ModelFamily, sample_family
+from greybox.export.plant import Plant, to_plant
 from greybox.export.python_text import docstring, literal
-from greybox.export.summary import format_behaviour
-from greybox.result import format_json, to_json_data
+from greybox.export.transfer_channel import describe_behaviour, extract_channel
+from greybox.kernel import GreyboxWarning
+from greybox.model import Model
+from greybox.result import Fit, format_json, to_json_data
 
-FORMAT = 1
+FORMAT_VERSION = 1
+
+
+class LinearExportOptions(TypedDict, total=False):
+    """How the linear model that is written is made: arguments of `linearise` and `sample_family`."""
+
+    dt: float | None
+    """Sampling time in seconds; None: continuous."""
+    method: str
+    """``zoh`` or ``tustin``."""
+    delay: float
+    """Seconds by which every input arrives late."""
+    minimal: bool
+    """Whether states that no input reaches or no output shows are removed."""
+    samples: int
+    """Number of models drawn from the covariance of the parameters that are added."""
+    seed: int
+    """Seed of these draws."""
+
+
+def write_linear(
+    plant: Fit | Model,
+    path: str | Path,
+    format: str,
+    at: Mapping[str, float] | None = None,
+    *,
+    dt: float | None = None,
+    method: str = "zoh",
+    delay: float = 0.0,
+    minimal: bool = False,
+    samples: int = 0,
+    seed: int = 0,
+) -> Path:
+    """Linearise a fit or model and write the linear model as a file.
+
+    Parameters
+    ----------
+    plant
+        A fit, or a model at its present values.
+    path
+        The file; its suffix becomes that of the format.
+    format
+        ``control``, ``mat``, ``json`` or ``numpy``.
+    at
+        The operating point: states and inputs by name, in the model's units; see `linearise`.
+    dt, method, delay
+        Sampling, as in `linearise`.
+    minimal
+        Whether states that no input reaches or no output shows are removed.
+    samples
+        How many models drawn from the covariance of the parameters are added.
+    seed
+        Seed of these draws.
+
+    Returns
+    -------
+    Path
+        The file. Findings are given as warnings.
+
+    Raises
+    ------
+    ModelError
+        For an unknown format, for samples of a model without a fit, and as `linearise`.
+
+    Examples
+    --------
+    >>> gb.export.write_linear(fit, "plant.mat", "mat", {"u": 0.5}, samples=50)  # doctest: +SKIP
+    """
+    if format not in LINEAR_FORMATS:
+        raise ModelError(f"unknown format {format!r}; {nearest(format, LINEAR_FORMATS)}")
+    model = linearise(plant, at, dt=dt, method=method, delay=delay)
+    family = None
+    if samples:
+        if not isinstance(plant, Fit):
+            raise ModelError(
+                "samples need a fit, whose constants have a covariance; give what gb.fit returns, or samples=0"
+            )
+        family = sample_family(plant, at, number=samples, seed=seed, dt=dt, method=method, delay=delay, minimal=minimal)
+    for finding in (*model.findings, *(family.findings if family else ())):
+        warnings.warn(str(finding), GreyboxWarning, stacklevel=2)
+    reduced = minimal_realisation(model) if minimal else model
+    return LINEAR_FORMATS[format](reduced, path, plant=to_plant(plant), family=family)
+
+
+def to_mat(
+    plant: Fit | Model,
+    path: str | Path,
+    at: Mapping[str, float] | None = None,
+    **options: Unpack[LinearExportOptions],
+) -> Path:
+    """Write a linear model as MATLAB's ``.mat`` file (see `write_mat` for its contents).
+
+    Parameters
+    ----------
+    plant
+        A fit, or a model at its present values.
+    path
+        The file; its suffix becomes ``.mat``.
+    at
+        The operating point: states and inputs by name, in the model's units; see `linearise`.
+    **options
+        ``dt``, ``method``, ``delay``, ``minimal``, ``samples``, ``seed``: see `write_linear`.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ModelError
+        As `write_linear`.
+
+    Examples
+    --------
+    >>> gb.export.to_mat(fit, "plant.mat", {"u": 0.5}, dt=1e-3, samples=50)  # doctest: +SKIP
+    """
+    return write_linear(plant, path, "mat", at, **options)
+
+
+def to_json(
+    plant: Fit | Model,
+    path: str | Path,
+    at: Mapping[str, float] | None = None,
+    **options: Unpack[LinearExportOptions],
+) -> Path:
+    """Write a linear model as JSON: matrices, names, units, poles, zeros, parameters, covariance.
+
+    Parameters
+    ----------
+    plant
+        A fit, or a model at its present values.
+    path
+        The file; its suffix becomes ``.json``.
+    at
+        The operating point: states and inputs by name, in the model's units; see `linearise`.
+    **options
+        ``dt``, ``method``, ``delay``, ``minimal``, ``samples``, ``seed``: see `write_linear`.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ModelError
+        As `write_linear`.
+
+    Examples
+    --------
+    >>> gb.export.to_json(fit, "plant.json", {"u": 0.5}, dt=1e-3, samples=50)  # doctest: +SKIP
+    """
+    return write_linear(plant, path, "json", at, **options)
+
+
+def to_numpy(
+    plant: Fit | Model,
+    path: str | Path,
+    at: Mapping[str, float] | None = None,
+    **options: Unpack[LinearExportOptions],
+) -> Path:
+    """Write a linear model as arrays of NumPy.
+
+    Parameters
+    ----------
+    plant
+        A fit, or a model at its present values.
+    path
+        The file; its suffix becomes ``.npz``.
+    at
+        The operating point: states and inputs by name, in the model's units; see `linearise`.
+    **options
+        ``dt``, ``method``, ``delay``, ``minimal``, ``samples``, ``seed``: see `write_linear`.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ModelError
+        As `write_linear`.
+
+    Examples
+    --------
+    >>> gb.export.to_numpy(fit, "plant.npz", {"u": 0.5}, dt=1e-3, samples=50)  # doctest: +SKIP
+    """
+    return write_linear(plant, path, "numpy", at, **options)
 
 
 def write_json(
     model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` as JSON, every number to the last digit; ``plant`` adds where it comes from, ``family`` its members."""
-    return _written(Path(path).with_suffix(".json"), (format_json(to_data(model, plant, family)) + "\n").encode())
+    return _write_bytes(Path(path).with_suffix(".json"), (format_json(linear_model_data(model, plant, family)) + "\n").encode())
 
 
-def to_data(model: Linearisation, plant: Plant | None = None, family: ModelFamily | None = None) -> dict[str, Any]:
+def linear_model_data(model: Linearisation, plant: Plant | None = None, family: ModelFamily | None = None) -> dict[str, Any]:
     """What `write_json` writes."""
-    data = {"format": FORMAT, **_contents(model), **_channels(model), **_origin(plant), **_members(family)}
+    data = {"format": FORMAT_VERSION, **_contents(model), **_channels(model), **_origin(plant), **_members(family)}
     return dict(to_json_data(data))
 
 
@@ -63,15 +261,15 @@ def write_mat(
         "OutputName": _cell(to_identifiers(model.output_names)),
         "StateUnit": _cell(model.state_units), "InputUnit": _cell(model.input_units), "OutputUnit": _cell(model.output_units),
         "x0": model.x0.reshape(-1, 1), "u0": model.u0.reshape(-1, 1), "y0": model.y0.reshape(-1, 1), "rates": model.rates.reshape(-1, 1),
-        "Name": model.name, "Method": model.method, "Notes": _cell(model.notes),
+        "Name": model.name, "Method": model.method, "Notes": _cell([str(finding) for finding in model.findings]),
     }  # fmt: skip
     tables = _tables(_contents(model) | _origin(plant))
     for key in ("parameters", "covariance"):
         if f"{key}_names" in tables:
             values[f"{key}_names"] = _cell(tables[f"{key}_names"])
             values[f"{key}_values"] = tables[f"{key}_values"]
-    if "origin" in (told := _origin(plant)):
-        values["Origin"] = _cell(told["origin"])
+    if plant is not None:
+        values["Origin"] = _cell(plant.origin())
     if family is not None:
         members = _members(family)["family"]
         pages = {key: np.moveaxis(np.asarray(members[key]), 0, -1) for key in ("A", "B", "C", "D")}
@@ -86,12 +284,17 @@ def write_mat(
     return target
 
 
-def write_control(model: Linearisation, path: str | Path, *, plant: Plant | None = None) -> Path:
-    """Write a Python file that makes the ``control.StateSpace`` called ``plant``, matrices and names in plain sight."""
+def write_control(
+    model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
+) -> Path:
+    """Write a Python file that makes the ``control.StateSpace`` called ``plant``, matrices and names in plain sight.
+
+    A ``family`` has no place in it and is left out.
+    """
     target = Path(path).with_suffix(".py")
     lines = docstring(
         f"Linear model of {model.name} for python-control: from {target.stem} import plant.",
-        [format_behaviour(model), list(plant.origin()) if plant else [], [f"Note: {note}" for note in model.notes]],
+        [str(describe_behaviour(model)).splitlines(), list(plant.origin()) if plant else [], [f"Note: {finding}" for finding in model.findings]],
     )
     lines += ["", "import control", "import numpy as np", ""]
     for name in ("A", "B", "C", "D"):
@@ -110,7 +313,17 @@ def write_control(model: Linearisation, path: str | Path, *, plant: Plant | None
         lines += [f"delay = {delays!r}  # s, not in the matrices"]
     names = ", ".join(f"{kind}s=list({kind}_units)" for kind in units)
     lines += [f"plant = control.ss(A, B, C, D, {model.dt!r}, {names})", ""]
-    return _written(target, "\n".join(lines).encode())
+    return _write_bytes(target, "\n".join(lines).encode())
+
+
+LinearWriter = Callable[..., Path]
+
+LINEAR_FORMATS: Mapping[str, LinearWriter] = {
+    "control": write_control,
+    "mat": write_mat,
+    "json": write_json,
+    "numpy": write_npz,
+}
 
 
 def _contents(model: Linearisation) -> dict[str, Any]:
@@ -119,54 +332,54 @@ def _contents(model: Linearisation) -> dict[str, Any]:
         "state_names": model.state_names, "input_names": model.input_names, "output_names": model.output_names,
         "state_units": model.state_units, "input_units": model.input_units, "output_units": model.output_units,
         "x0": model.x0, "u0": model.u0, "y0": model.y0, "rates": model.rates, "delay": model.delay,
-        "parameters": dict(model.parameters), "notes": model.notes,
+        "parameters": dict(model.parameters), "notes": [str(finding) for finding in model.findings],
     }  # fmt: skip
 
 
 def _channels(model: Linearisation) -> dict[str, Any]:
-    found = {}
+    channels = {}
     for output in model.output_names:
         for name in model.input_names:
-            channel = model.channel(output, name)
-            found[f"{name} -> {output}"] = {
+            channel = extract_channel(model, output, name)
+            channels[f"{name} -> {output}"] = {
                 "zeros": _complex(channel.zeros), "poles": _complex(channel.poles), "factor": channel.factor, "gain": channel.gain,
                 "integrators": channel.integrators, "bandwidth": channel.bandwidth, "unit": channel.unit,
             }  # fmt: skip
-    return {"poles": _complex(model.poles), "channels": found}
+    return {"poles": _complex(model.poles), "channels": channels}
 
 
 def _origin(plant: Plant | None) -> dict[str, Any]:
     if plant is None:
         return {}
-    found: dict[str, Any] = {
+    origin: dict[str, Any] = {
         "origin": plant.origin(),
         "provenance": {n: plant.provenance(n) for n in plant.model.values},
     }
     if plant.fit is not None:
-        found["covariance"] = {
+        origin["covariance"] = {
             name: dict(zip(plant.fit.uncertainty.free, map(float, row), strict=True))
             for name, row in zip(
                 plant.fit.uncertainty.free, np.asarray(plant.fit.uncertainty.covariance, float), strict=True
             )
         }
-    return found
+    return origin
 
 
 def _members(family: ModelFamily | None) -> dict[str, Any]:
     if family is None:
         return {}
     stacked = {key: np.array([getattr(member, key) for member in family.members]) for key in ("A", "B", "C", "D")}
-    return {"family": stacked | {"constants": family.constants, "names": family.names, "seed": family.seed}}
+    return {"family": stacked | {"constants": family.parameters, "names": family.parameter_names, "seed": family.seed}}
 
 
 def _tables(contents: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The constants and their covariance as arrays, with names beside them."""
-    constants = contents["parameters"]
-    found = {"parameters_names": np.array(list(constants)), "parameters_values": np.array(list(constants.values()))}
+    """The parameters and their covariance as arrays, with names beside them."""
+    parameters = contents["parameters"]
+    tables = {"parameters_names": np.array(list(parameters)), "parameters_values": np.array(list(parameters.values()))}
     if covariance := contents.get("covariance"):
         values = np.array([list(row.values()) for row in covariance.values()])
-        found |= {"covariance_names": np.array(list(covariance)), "covariance_values": values}
-    return found
+        tables |= {"covariance_names": np.array(list(covariance)), "covariance_values": values}
+    return tables
 
 
 def _complex(values: np.ndarray) -> list[list[float]]:
@@ -182,7 +395,7 @@ def _cell(texts: Any) -> np.ndarray:
     return cell
 
 
-def _written(target: Path, data: bytes) -> Path:
+def _write_bytes(target: Path, data: bytes) -> Path:
     target.parent.mkdir(parents=True, exist_ok=True)
     target.write_bytes(data)
     return target

@@ -13,16 +13,12 @@ from greybox.expressions.switches import Switches
 from greybox.model import Model
 from greybox.model.effect_hooks import InputDelay
 from greybox.model.signals import Input, State
-
-# Typical size, at least, of a variable that is zero where it starts.
-SMALL = 1e-3
-# A balance is met when what is left of it is below this share of its terms.
-MET, MET_OF_MOVE = 1e-9, 1e-12
+from greybox.numerics import BALANCE_MET, BALANCE_MET_OF_MOVE, SMALLEST_TYPICAL_SIZE
 
 
 @dataclass(frozen=True)
 class BalanceResidual:
-    """What is left of a balance: ``value`` in ``unit``, and the largest part of it that counts as nothing."""
+    """What is left of a balance: ``value`` in ``unit``, and the largest residual that counts as zero."""
 
     balance: str
     unit: str
@@ -32,7 +28,7 @@ class BalanceResidual:
 
     @property
     def met(self) -> bool:
-        """Whether it counts as nothing."""
+        """Whether it counts as zero."""
         return abs(self.value) <= self.tolerance
 
 
@@ -82,7 +78,7 @@ class ModelFunctions:
     def sizes(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Typical sizes of states and inputs (nx + nu,)."""
         start = np.abs(self.start(p))
-        return np.maximum(np.abs(z), np.where(start > 0, start, SMALL))
+        return np.maximum(np.abs(z), np.where(start > 0, start, SMALLEST_TYPICAL_SIZE))
 
     def direction(self, z: np.ndarray) -> np.ndarray:
         """Sign of motion of each dry friction at ``z``, 0 at standstill."""
@@ -111,24 +107,24 @@ class ModelFunctions:
         """Slopes of what each of these states is set to (number of updates, nx + nu)."""
         return self._updates(z, p)[1].full()
 
-    def left(self, z: np.ndarray, p: np.ndarray) -> list[BalanceResidual]:
+    def balance_residuals(self, z: np.ndarray, p: np.ndarray) -> list[BalanceResidual]:
         """What is left of each balance at ``z``; dry friction at standstill takes up to its static level."""
         direction = self.direction(z)
         rates = self.rates(z, p, direction)
         amounts, storages = (v.full().ravel() for v in self._amounts(z, p))
         moves = np.abs(self.slopes(z, p, direction) * self.sizes(z, p)).sum(axis=1)
         static = self._static(z, p).full().ravel()
-        found = []
+        residuals = []
         for balance in self.system.balances:
             k = self.system.state_names.index(balance.state)
             held = static[k] if k in self.bodies and z[k] == 0 else 0.0
-            nothing = MET * amounts[k] + MET_OF_MOVE * moves[k] * abs(storages[k]) + held
-            found.append(
+            tolerance = BALANCE_MET * amounts[k] + BALANCE_MET_OF_MOVE * moves[k] * abs(storages[k]) + held
+            residuals.append(
                 BalanceResidual(
-                    balance.name, balance.unit, balance.state, float(rates[k] * storages[k]), float(nothing)
+                    balance.name, balance.unit, balance.state, float(rates[k] * storages[k]), float(tolerance)
                 )
             )
-        return found
+        return residuals
 
     def seconds(self, delay: InputDelay, p: np.ndarray) -> float:
         """A delay of an input in seconds."""

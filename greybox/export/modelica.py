@@ -96,7 +96,7 @@ def modelica_text(plant: Plant) -> str:
     head = to_identifier(model.title)
     parts = [f"  {part} = {text};" for part, text in printer.shared]
     lines = [
-        *(f"// {line}".rstrip() for line in (*plant.origin(), *plant.notes)),
+        *(f"// {line}".rstrip() for line in (*plant.origin(), *map(str, plant.findings))),
         f'model {head} "{_string(model.description or model.title)}"',
         *_declarations(plant, names, printer),
         *(f"  Real {part};" for part, _ in printer.shared),

@@ -1,32 +1,41 @@
-"""The operating point: what is given is kept, what is not is found so that every balance is met."""
+"""The operating point: what is given is kept, and the rest is solved for so that every balance is met."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from greybox.errors import ModelError, nearest
+from greybox.export.findings import ExportFinding
 from greybox.export.model_functions import BalanceResidual, ModelFunctions
 from greybox.export.plant import format_signals
+from greybox.export.policy import DEFAULT_OPERATING_POINT, OperatingPointPolicy
+from greybox.findings import Finding, Severity
 from greybox.model import Model
+from greybox.numerics import FLAT_DIRECTION, FREE_POSITION, NEGLIGIBLE_MOVE, TINY
 from greybox.units import format_unit
-
-NEWTON, HALVINGS, RESTARTS = 60, 30, 25
-# A direction in which the scaled slopes are below this share of the steepest is left as it is (a piston may rest anywhere).
-FLAT = 1e-11
-# A change below this share of the typical size is none.
-STILL = 1e-13
 
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """States, inputs and outputs by name in the model's units; ``rates`` of the states, by name, in their unit per second.
+    """States, inputs and outputs at which a model is linearised.
 
-    ``equilibrium``: every balance is met (dry friction at standstill holds up to its static level). ``moving``: positions that
-    move at a constant rate while everything else stays (steady motion). ``left``: what is left of each balance that is not met,
-    by name, in its unit. ``notes`` say all this in words.
+    Attributes
+    ----------
+    states, inputs, outputs
+        Values by name, in the model's units.
+    rates
+        Rate of each state, in its unit per second.
+    equilibrium
+        Every balance is met (dry friction at standstill holds up to its static level).
+    moving
+        Positions that move at a constant rate while everything else stays (steady motion).
+    imbalance
+        Residual of each balance that is not met, by name, in its unit.
+    findings
+        What to know of the point.
     """
 
     states: Mapping[str, float]
@@ -35,8 +44,8 @@ class OperatingPoint:
     rates: Mapping[str, float]
     equilibrium: bool
     moving: tuple[str, ...] = ()
-    left: Mapping[str, float] | None = None
-    notes: tuple[str, ...] = ()
+    imbalance: Mapping[str, float] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
 
     @property
     def z(self) -> np.ndarray:
@@ -44,204 +53,269 @@ class OperatingPoint:
         return np.array([*self.states.values(), *self.inputs.values()])
 
 
-def find_operating_point(model: Model, at: Mapping[str, float] | None = None) -> OperatingPoint:
-    """The equilibrium of ``model`` that has the states and inputs named in ``at``, in the model's units.
+def find_operating_point(
+    model: Model, at: Mapping[str, float] | None = None, policy: OperatingPointPolicy = DEFAULT_OPERATING_POINT
+) -> OperatingPoint:
+    """Find the equilibrium of a model that has given states and inputs.
 
     What ``at`` does not name is solved for: the other states; and, where states are given, the other inputs, which are zero
     otherwise. Where the equations leave something open (a piston may rest anywhere) it stays at its declared start. If no
     equilibrium exists and only positions move, it is a steady motion. With every state and input given the point is taken as it is,
     equilibrium or not.
 
-    Raises ModelError for an unknown name, with the nearest ones, and where there is no equilibrium, with what is left of which
-    balance.
+    Parameters
+    ----------
+    model
+        A model at its present values.
+    at
+        States and inputs by name, in the model's units.
+    policy
+        How hard to search.
+
+    Returns
+    -------
+    OperatingPoint
+        States, inputs, outputs and rates.
+
+    Raises
+    ------
+    ModelError
+        For an unknown name, with the nearest ones, and where there is no equilibrium, with the residuals of the balances.
+
+    Examples
+    --------
+    >>> point = gb.export.find_operating_point(model, {"x": 1e-5})  # doctest: +SKIP
+    >>> point.inputs["u"]  # doctest: +SKIP
     """
-    return solve_operating_point(ModelFunctions(model), np.array(list(model.values.values())), at)
+    return solve_operating_point(ModelFunctions(model), np.array(list(model.values.values())), at, policy)
 
 
 def solve_operating_point(
-    equations: ModelFunctions, p: np.ndarray, at: Mapping[str, float] | None = None
+    functions: ModelFunctions,
+    p: np.ndarray,
+    at: Mapping[str, float] | None = None,
+    policy: OperatingPointPolicy = DEFAULT_OPERATING_POINT,
 ) -> OperatingPoint:
-    """`find_operating_point` of a model whose ``equations`` are made already, at the constants ``p`` (np,)."""
-    given = _checked(equations, at or {})
-    z = equations.start(p)
-    known = np.isin(equations.names, list(given))
-    z[known] = [given[name] for name in equations.names if name in given]
-    if not known[: equations.nx].any():
-        known[equations.nx :] = True
-    known[: equations.nx] |= ~equations.rated
+    """`find_operating_point` of a model whose ``functions`` are made already, at the parameters ``p`` (np,)."""
+    given = _check_point(functions, at or {})
+    z = functions.start(p)
+    known = np.isin(functions.names, list(given))
+    z[known] = [given[name] for name in functions.names if name in given]
+    if not known[: functions.nx].any():
+        known[functions.nx :] = True
+    known[: functions.nx] |= ~functions.rated
     if known.all():
-        return _described(equations, _settled(equations, z, p, given), p, moving=())
-    every = [k for k in range(equations.nx) if equations.rated[k]]
-    held = [k for k in every if k not in equations.bodies]  # dry friction may hold what is left of the others
-    steady = [k for k in every if k not in equations.kinematic]
-    in_place = known | np.isin(np.arange(len(z)), equations.kinematic)  # a moving position is passed where it starts
-    attempts = ((every, every, known), (held, every, known), (steady, steady, in_place), (steady, steady, known))
-    for rows, met, kept in attempts:
-        found = _settled(equations, _solved(equations, z, p, ~kept, rows, met), p, given)
-        if all(left.met for left in _of_rows(equations, found, p, met)):
-            rates = equations.rates(found, p, equations.direction(found))
-            moving = [k for k in every if k not in met and rates[k]]
-            if all(_matters_not(equations, found, p, k) or _speed_given(equations, k, given) for k in moving):
-                return _described(equations, found, p, moving)
-    raise ModelError(_nowhere(equations, z, p, known, given, every))
+        return _describe_point(functions, _apply_updates(functions, z, p, given), p, moving=())
+    rated = [k for k in range(functions.nx) if functions.rated[k]]
+    without_bodies = [k for k in rated if k not in functions.bodies]  # dry friction may hold the residual of the others
+    without_positions = [k for k in rated if k not in functions.kinematic]
+    # A moving position is passed where it starts.
+    positions_fixed = known | np.isin(np.arange(len(z)), functions.kinematic)
+    attempts = (
+        (rated, rated, known),
+        (without_bodies, rated, known),
+        (without_positions, without_positions, positions_fixed),
+        (without_positions, without_positions, known),
+    )
+    for rows, to_meet, fixed in attempts:
+        solution = _solve(functions, z, p, ~fixed, rows, to_meet, policy)
+        solution = _apply_updates(functions, solution, p, given)
+        if all(residual.met for residual in _residuals_of_rows(functions, solution, p, to_meet)):
+            rates = functions.rates(solution, p, functions.direction(solution))
+            moving = [k for k in rated if k not in to_meet and rates[k]]
+            if all(
+                _position_is_irrelevant(functions, solution, p, k) or _speed_is_given(functions, k, given)
+                for k in moving
+            ):
+                return _describe_point(functions, solution, p, moving)
+    raise ModelError(_no_equilibrium_message(functions, z, p, known, given, rated, policy))
 
 
-def _matters_not(equations: ModelFunctions, z: np.ndarray, p: np.ndarray, k: int) -> bool:
+def _position_is_irrelevant(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, k: int) -> bool:
     """Whether no rate depends on the position ``k`` where it is: then everything else can stay while it moves."""
-    moves = np.abs(equations.slopes(z, p, equations.direction(z)) * equations.sizes(z, p))
-    return bool(np.all(moves[:, k] <= 1e-9 * moves.sum(axis=1)))
+    moves = np.abs(functions.slopes(z, p, functions.direction(z)) * functions.sizes(z, p))
+    return bool(np.all(moves[:, k] <= FREE_POSITION * moves.sum(axis=1)))
 
 
-def _speed_given(equations: ModelFunctions, k: int, given: Mapping[str, float]) -> bool:
+def _speed_is_given(functions: ModelFunctions, k: int, given: Mapping[str, float]) -> bool:
     """Whether the rate of the position ``k`` was asked for: then it is a moment of a motion that is meant."""
-    return equations.system.rhs[k].name() in given
+    return functions.system.rhs[k].name() in given
 
 
-def _checked(equations: ModelFunctions, at: Mapping[str, float]) -> dict[str, float]:
+def _check_point(functions: ModelFunctions, at: Mapping[str, float]) -> dict[str, float]:
     """``at`` as numbers; refuses unknown names and values that are not finite, all in one message."""
     problems = []
     for name, value in at.items():
-        if name in equations.model.values:
+        if name in functions.model.values:
             problems.append(f"{name!r} is a constant; set it with model.start({name}=...)")
-        elif name not in equations.names:
-            problems.append(f"no state or input {name!r}; {nearest(name, equations.names)}")
+        elif name not in functions.names:
+            problems.append(f"no state or input {name!r}; {nearest(name, functions.names)}")
         elif not isinstance(value, int | float | np.number) or not np.isfinite(value):
             problems.append(f"{name} = {value!r} is not a finite number; give it in the model's unit")
     if problems:
-        raise ModelError(f"operating point of {equations.model.title}: {'; '.join(problems)}")
+        raise ModelError(f"operating point of {functions.model.title}: {'; '.join(problems)}")
     return {name: float(value) for name, value in at.items()}
 
 
-def _solved(
-    equations: ModelFunctions, z: np.ndarray, p: np.ndarray, free: np.ndarray, rows: Sequence[int], met: Sequence[int]
+def _solve(
+    functions: ModelFunctions,
+    z: np.ndarray,
+    p: np.ndarray,
+    free: np.ndarray,
+    rows: Sequence[int],
+    to_meet: Sequence[int],
+    policy: OperatingPointPolicy,
 ) -> np.ndarray:
-    """The nearest point to ``z`` that solves ``rows`` and meets the balances in ``met``, or the best that was found."""
-    if not equations.rates(z, p, equations.direction(z))[rows].any():
+    """The nearest point to ``z`` that solves ``rows`` and meets the balances in ``to_meet``, or the best point on the way."""
+    if not functions.rates(z, p, functions.direction(z))[rows].any():
         return z
     generator = np.random.default_rng(0)
-    sizes, best, least = equations.sizes(z, p), z, np.inf
-    for attempt in range(RESTARTS):
-        begin = z.copy()
-        if attempt:  # a slope may vanish where the search starts: a valve that is just shut
-            reach = np.where(z == 0, 10.0 ** (attempt % 5), 0.1) * sizes
-            begin[free] += (reach * generator.standard_normal(len(z)))[free]
-        found = _newton(equations, begin, p, free, rows)
-        found = _newton(equations, found, p, free, rows)  # now with friction against the motion that was found
-        unmet = [left for left in _of_rows(equations, found, p, met) if not left.met]
+    sizes, best, least = functions.sizes(z, p), z, np.inf
+    for attempt in range(policy.restarts):
+        start = z.copy()
+        if attempt:  # a derivative may vanish where the search starts: a valve that is just shut
+            reach = np.where(z == 0, 10.0 ** (attempt % policy.restart_decades), policy.restart_reach) * sizes
+            start[free] += (reach * generator.standard_normal(len(z)))[free]
+        solution = _run_newton(functions, start, p, free, rows, policy)
+        # Again, with friction against the motion of this solution.
+        solution = _run_newton(functions, solution, p, free, rows, policy)
+        unmet = [r for r in _residuals_of_rows(functions, solution, p, to_meet) if not r.met]
         if not unmet:
-            return _nearer(equations, z, p, free, rows, met, found) if attempt else _snapped(found, z, sizes)
-        excess = sum(abs(left.value) / max(left.tolerance, 1e-300) for left in unmet)
+            if not attempt:
+                return _snap(solution, z, sizes)
+            return _move_nearer(functions, z, p, free, rows, to_meet, solution, policy)
+        excess = sum(abs(r.value) / max(r.tolerance, TINY) for r in unmet)
         if excess < least:
-            best, least = found, excess
+            best, least = solution, excess
     return best
 
 
-def _newton(
-    equations: ModelFunctions, z: np.ndarray, p: np.ndarray, free: np.ndarray, rows: Sequence[int]
+def _run_newton(
+    functions: ModelFunctions,
+    z: np.ndarray,
+    p: np.ndarray,
+    free: np.ndarray,
+    rows: Sequence[int],
+    policy: OperatingPointPolicy,
 ) -> np.ndarray:
     """Gauss-Newton steps of least length, halved until they help, within the bounds of the states."""
-    begin, direction = z, equations.direction(z)
-    sizes = equations.sizes(z, p)[free]
+    start, direction = z, functions.direction(z)
+    sizes = functions.sizes(z, p)[free]
     low, high = np.full(len(z), -np.inf), np.full(len(z), np.inf)
-    for k, state in enumerate(equations.model.all_states):
+    for k, state in enumerate(functions.model.all_states):
         low[k], high[k] = state.bounds
-    for _ in range(NEWTON):
-        residual = equations.rates(z, p, direction)[rows]
-        slopes = equations.slopes(z, p, direction)[np.ix_(np.asarray(rows), np.flatnonzero(free))] * sizes
-        if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
+    for _ in range(policy.iterations):
+        residual = functions.rates(z, p, direction)[rows]
+        jacobian = functions.slopes(z, p, direction)[np.ix_(np.asarray(rows), np.flatnonzero(free))] * sizes
+        if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
             break
-        steep = np.abs(slopes).sum(axis=1)
-        scale = 1 / np.where(steep > 0, steep, 1.0)
-        step = -np.linalg.lstsq(scale[:, None] * slopes, scale * residual, rcond=FLAT)[0] * sizes
-        now, share = np.linalg.norm(scale * residual), 1.0
-        for _ in range(HALVINGS):
+        row_sums = np.abs(jacobian).sum(axis=1)
+        scale = 1 / np.where(row_sums > 0, row_sums, 1.0)
+        step = -np.linalg.lstsq(scale[:, None] * jacobian, scale * residual, rcond=FLAT_DIRECTION)[0] * sizes
+        before, share = np.linalg.norm(scale * residual), 1.0
+        for _ in range(policy.halvings):
             trial = z.copy()
             trial[free] = np.clip((z[free] + share * step), low[free], high[free])
-            after = np.linalg.norm(scale * equations.rates(trial, p, direction)[rows])
-            if after < now:
+            after = np.linalg.norm(scale * functions.rates(trial, p, direction)[rows])
+            if after < before:
                 break
             share /= 2
         else:
             break
         z = trial
-    return _snapped(z, begin, equations.sizes(z, p))
+    return _snap(z, start, functions.sizes(z, p))
 
 
-def _snapped(z: np.ndarray, begin: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def _snap(z: np.ndarray, begin: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """``z`` without rounding errors, which are neither a move nor sliding."""
-    return np.where(np.abs(z - begin) > STILL * sizes, z, begin)
+    return np.where(np.abs(z - begin) > NEGLIGIBLE_MOVE * sizes, z, begin)
 
 
-def _nearer(
-    equations: ModelFunctions, z: np.ndarray, p: np.ndarray, free: np.ndarray, rows: Sequence[int], met: Sequence[int], found: np.ndarray
-) -> np.ndarray:  # fmt: skip
-    """The solution next to the states of ``z`` with the inputs of ``found``, if there is one; else ``found``."""
-    begin = np.concatenate([z[: equations.nx], found[equations.nx :]])
-    again = _newton(equations, begin, p, free, rows)
-    good = all(left.met for left in _of_rows(equations, again, p, met))
-    return _snapped(again if good else found, z, equations.sizes(z, p))
+def _move_nearer(
+    functions: ModelFunctions,
+    z: np.ndarray,
+    p: np.ndarray,
+    free: np.ndarray,
+    rows: Sequence[int],
+    to_meet: Sequence[int],
+    solution: np.ndarray,
+    policy: OperatingPointPolicy,
+) -> np.ndarray:
+    """The solution next to the states of ``z`` with the inputs of ``solution``, if there is one; else ``solution``."""
+    start = np.concatenate([z[: functions.nx], solution[functions.nx :]])
+    nearer = _run_newton(functions, start, p, free, rows, policy)
+    met = all(r.met for r in _residuals_of_rows(functions, nearer, p, to_meet))
+    return _snap(nearer if met else solution, z, functions.sizes(z, p))
 
 
-def _settled(equations: ModelFunctions, z: np.ndarray, p: np.ndarray, given: Mapping[str, float]) -> np.ndarray:
+def _apply_updates(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, given: Mapping[str, float]) -> np.ndarray:
     """``z`` with the states that are set after each step as that sets them, unless they are given."""
-    kept = np.isin(equations.names, list(given))
-    return np.where(kept, z, equations.updated(z, p))
+    kept = np.isin(functions.names, list(given))
+    return np.where(kept, z, functions.updated(z, p))
 
 
-def _of_rows(equations: ModelFunctions, z: np.ndarray, p: np.ndarray, rows: Sequence[int]) -> list[BalanceResidual]:
-    states = {equations.system.state_names[k] for k in rows}
-    return [left for left in equations.left(z, p) if left.state in states]
+def _residuals_of_rows(
+    functions: ModelFunctions, z: np.ndarray, p: np.ndarray, rows: Sequence[int]
+) -> list[BalanceResidual]:
+    states = {functions.system.state_names[k] for k in rows}
+    return [residual for residual in functions.balance_residuals(z, p) if residual.state in states]
 
 
-def _described(equations: ModelFunctions, z: np.ndarray, p: np.ndarray, moving: Sequence[int]) -> OperatingPoint:
-    names, nx = equations.names, equations.nx
-    rates = equations.rates(z, p, equations.direction(z))
-    for k, (push, static) in equations.holding(z, p).items():
+def _describe_point(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, moving: Sequence[int]) -> OperatingPoint:
+    names, nx = functions.names, functions.nx
+    rates = functions.rates(z, p, functions.direction(z))
+    for k, (push, static) in functions.holding(z, p).items():
         rates[k] = 0.0 if abs(push) <= static else rates[k]
-    unmet = [left for left in equations.left(z, p) if not left.met and names.index(left.state) not in moving]
-    notes = []
+    residuals = functions.balance_residuals(z, p)
+    unmet = [r for r in residuals if not r.met and names.index(r.state) not in moving]
+    findings = []
     if unmet:
-        short = ", ".join(f"{left.balance} by {_amount(left.value, left.unit)}" for left in unmet)
-        notes.append(
-            f"{format_signals(names, z, equations.units)} is no equilibrium, out of balance: {short}; the linear model holds for deviations"
-            " from the motion that goes through it"
-        )
+        values = {
+            "point": format_signals(names, z, functions.units),
+            "imbalance": [{"balance": r.balance, "value": r.value, "unit": format_unit(r.unit)} for r in unmet],
+        }
+        findings.append(Finding(ExportFinding.NO_EQUILIBRIUM, Severity.WARNING, values=values))
     for k in moving:
-        speed = _amount(rates[k], f"({equations.units[k]})/s")
-        rest = "everything else stays" if _matters_not(equations, z, p, k) else "and the rest only for this moment"
-        notes.append(f"no equilibrium but a steady motion: {names[k]} moves at {speed}, {rest}")
+        values = {
+            "speed": float(rates[k]),
+            "unit": format_unit(f"({functions.units[k]})/s"),
+            "others_rest": _position_is_irrelevant(functions, z, p, k),
+        }
+        findings.append(Finding(ExportFinding.STEADY_MOTION, Severity.WARNING, names[k], values))
     return OperatingPoint(
         dict(zip(names[:nx], map(float, z[:nx]), strict=True)),
         dict(zip(names[nx:], map(float, z[nx:]), strict=True)),
-        {o.name: float(y) for o, y in zip(equations.model.outputs, equations.outputs(z, p), strict=True)},
+        {o.name: float(y) for o, y in zip(functions.model.outputs, functions.outputs(z, p), strict=True)},
         dict(zip(names[:nx], map(float, rates), strict=True)),
         not unmet and not moving,
         tuple(names[k] for k in moving),
-        {left.balance: left.value for left in unmet},
-        tuple(notes),
+        {r.balance: r.value for r in unmet},
+        tuple(findings),
     )
 
 
-def _nowhere(
-    equations: ModelFunctions, z: np.ndarray, p: np.ndarray, known: np.ndarray, given: Mapping[str, float], rows: Sequence[int]
-) -> str:  # fmt: skip
-    """The message where no equilibrium was found: what is given, what is left of which balance, what to do."""
-    for k in sorted(rows, key=equations.kinematic.__contains__):  # one balance alone may be what cannot be met
+def _no_equilibrium_message(
+    functions: ModelFunctions,
+    z: np.ndarray,
+    p: np.ndarray,
+    known: np.ndarray,
+    given: Mapping[str, float],
+    rows: Sequence[int],
+    policy: OperatingPointPolicy,
+) -> str:
+    """Why there is no equilibrium: what is given, the residuals of the balances, and what to do."""
+    for k in sorted(rows, key=functions.kinematic.__contains__):  # a single balance may be what cannot be met
         others = [row for row in rows if row != k]
-        best = _solved(equations, z, p, ~known, others, others)
-        if all(left.met for left in _of_rows(equations, best, p, others)):
+        best = _solve(functions, z, p, ~known, others, others, policy)
+        if all(r.met for r in _residuals_of_rows(functions, best, p, others)):
             break
     else:
-        best = _solved(equations, z, p, ~known, rows, rows)
-    unmet = [left for left in _of_rows(equations, best, p, rows) if not left.met]
-    units = dict(zip(equations.names, equations.units, strict=True))
-    said = format_signals(list(given), list(given.values()), [units[n] for n in given]) or "every input at zero"
-    short = ", ".join(f"{left.balance} by {_amount(left.value, left.unit)}" for left in unmet)
+        best = _solve(functions, z, p, ~known, rows, rows, policy)
+    unmet = [r for r in _residuals_of_rows(functions, best, p, rows) if not r.met]
+    units = dict(zip(functions.names, functions.units, strict=True))
+    point = format_signals(list(given), list(given.values()), [units[n] for n in given]) or "every input at zero"
+    imbalance = ", ".join(f"{r.balance} by {r.value:.4g} {format_unit(r.unit)}".rstrip() for r in unmet)
     return (
-        f"{equations.model.title} has no equilibrium with {said}, out of balance: {short}; give fewer of the states and"
-        f" inputs, or all of them ({', '.join(equations.names)}) to linearise there all the same"
+        f"{functions.model.title} has no equilibrium with {point}, out of balance: {imbalance}; give fewer of the states and"
+        f" inputs, or all of them ({', '.join(functions.names)}) to linearise there all the same"
     )
-
-
-def _amount(value: float, unit: str) -> str:
-    return f"{value:.4g} {format_unit(unit)}".rstrip()

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
 from greybox.errors import ModelError
+from greybox.export.findings import ExportFinding
+from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.result import Fit
 from greybox.units import format_unit
-
-# Of the range of a signal in the records: a point further out than this is far outside.
-BEYOND = 0.5
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,7 @@ class Plant:
 
     model: Model
     fit: Fit | None = None
-    notes: tuple[str, ...] = field(default=())
+    findings: tuple[Finding, ...] = ()
 
     @property
     def p(self) -> np.ndarray:
@@ -50,31 +49,26 @@ class Plant:
         low, high = estimate.interval
         return f"fitted, 95 % interval [{low:.6g}, {high:.6g}]{', at its bound' if estimate.at_bound else ''}"
 
-    def unseen(self, inputs: Mapping[str, float], outputs: Mapping[str, float]) -> tuple[str, ...]:
-        """What to know of an operating point with these ``inputs`` and ``outputs`` that lies far outside the fitted records."""
+    def find_extrapolation(
+        self, inputs: Mapping[str, float], outputs: Mapping[str, float], margin: float
+    ) -> tuple[Finding, ...]:
+        """A finding where an operating point lies outside the estimation records by more than ``margin`` of their range."""
         traces = self.fit.traces if self.fit else ()
         units = {i.name: i.unit for i in self.model.inputs} | {o.name: o.unit for o in self.model.outputs}
-        found = []
+        outside = []
         for name, value in {**inputs, **outputs}.items():
-            seen = [t.inputs.get(name, t.simulated.get(name)) for t in traces]
-            ranges = [(np.nanmin(values), np.nanmax(values)) for values in seen if values is not None]
+            recorded = [t.inputs.get(name, t.simulated.get(name)) for t in traces]
+            ranges = [(np.nanmin(values), np.nanmax(values)) for values in recorded if values is not None]
             if not ranges:
                 continue
             low, high = float(min(r[0] for r in ranges)), float(max(r[1] for r in ranges))
-            margin = BEYOND * (high - low) if high > low else abs(high)
-            if not low - margin <= value <= high + margin:
+            reach = margin * (high - low) if high > low else abs(high)
+            if not low - reach <= value <= high + reach:
                 unit = format_unit(units[name])
-                found.append(
-                    f"{name} = {value:.6g} {unit}".rstrip()
-                    + f" (records: {low:.4g} to {high:.4g} {unit}".rstrip()
-                    + ")"
-                )
-        if not found:
+                outside.append({"name": name, "value": value, "unit": unit, "low": low, "high": high})
+        if not outside:
             return ()
-        return (
-            f"the operating point lies far outside the fitted records, {', '.join(found)}: nothing was measured there, and the constants"
-            " may not hold",
-        )
+        return (Finding(ExportFinding.OUTSIDE_RECORDS, Severity.WARNING, values={"signals": outside}),)
 
     def origin(self) -> tuple[str, ...]:
         """Lines that say where the whole comes from: program, model, records, how the fit ended."""
@@ -85,18 +79,15 @@ class Plant:
         return tuple(lines)
 
 
-def to_plant(given: Fit | Model) -> Plant:
-    """The plant behind what was handed over. Raises ModelError for anything that is neither a fit nor a model."""
-    if isinstance(given, Fit):
-        failed = (
-            ()
-            if given.success
-            else (f"the fit did not succeed ({given.solver.status_message}); do not trust its numbers",)
-        )
-        return Plant(given.model, given, failed)
-    if isinstance(given, Model):
-        return Plant(given)
-    raise ModelError(f"{given!r} cannot be exported; give a fit (gb.fit, gb.load_fit, discovery.best) or a model")
+def to_plant(source: Fit | Model) -> Plant:
+    """The plant behind a fit or a model. Raises ModelError for anything that is neither."""
+    if isinstance(source, Fit):
+        values = {"status_message": source.solver.status_message}
+        failed = () if source.success else (Finding(ExportFinding.FIT_FAILED, Severity.ERROR, values=values),)
+        return Plant(source.model, source, failed)
+    if isinstance(source, Model):
+        return Plant(source)
+    raise ModelError(f"{source!r} cannot be exported; give a fit (gb.fit, gb.load_fit, discovery.best) or a model")
 
 
 def format_signals(names: Sequence[str], values: Sequence[float] | np.ndarray, units: Sequence[str]) -> str:

@@ -9,27 +9,58 @@ import numpy as np
 from scipy.linalg import expm
 
 from greybox.errors import ModelError, nearest
+from greybox.export.findings import ExportFinding
 from greybox.export.linearisation import Linearisation
+from greybox.export.policy import DEFAULT_SAMPLING, SamplingPolicy
 from greybox.export.state_scaling import balance_matrix
+from greybox.findings import Finding, Severity
+from greybox.numerics import STEP_ROUNDING
 
-SAMPLINGS = ("zoh", "tustin")
-# A mode that rings is followed by at least this many samples a period; one that does not decays over at least one sample.
-SAMPLES_A_PERIOD = 10
-RINGS = 0.7  # damping ratio below which a mode rings
-MOST_DELAY_STATES = 1000
+METHODS = ("zoh", "tustin")
 
 
-def sample(model: Linearisation, dt: float, method: str = "zoh", *, delay: float = 0.0) -> Linearisation:
-    """``model`` sampled every ``dt`` seconds; every input arrives ``delay`` seconds later, besides the delays it has already.
+def sample(
+    model: Linearisation,
+    dt: float,
+    method: str = "zoh",
+    *,
+    delay: float = 0.0,
+    policy: SamplingPolicy = DEFAULT_SAMPLING,
+) -> Linearisation:
+    """Sample a continuous linear model as a controller sees it.
 
-    ``zoh``: exact for an input that is held between samples (Van Loan 1978); a delay of ``n + f`` intervals enters as the input of
-    ``n + 1`` intervals ago for the share ``f`` of the interval and then that of ``n`` intervals ago, exact too (Franklin, Powell, Workman,
-    Digital Control of Dynamic Systems, section 4.3). ``tustin``: the trapezoidal rule, ``s = 2 (z - 1) / (dt (z + 1))``, whose states are
-    not those of the plant; a fraction of a sample is interpolated between the two inputs beside it. Past inputs become states
-    ``u_1, u_2, ...`` (1, 2, ... samples ago).
+    Parameters
+    ----------
+    model
+        A continuous linear model.
+    dt
+        Sampling time in seconds.
+    method
+        ``zoh``: exact for an input that is held between samples (Van Loan 1978); a delay of ``n + f`` intervals enters as the input
+        of ``n + 1`` intervals ago for the share ``f`` of the interval and then that of ``n`` intervals ago, exact too (Franklin,
+        Powell, Workman, Digital Control of Dynamic Systems, section 4.3). ``tustin``: the trapezoidal rule,
+        ``s = 2 (z - 1) / (dt (z + 1))``, whose states are not those of the plant; a fraction of a sample is interpolated between the
+        two inputs beside it.
+    delay
+        Seconds by which every input arrives late, besides the delays that it has already. Past inputs become states
+        ``u_1, u_2, ...`` (1, 2, ... samples ago).
+    policy
+        When a sampling time is reported as too long, and the longest delay.
 
-    Raises ModelError for a sampling time that is not above zero, an unknown method, a model that is sampled already, and a delay
-    that is negative or longer than 1000 samples. A sampling time too long for the dynamics is said in the notes.
+    Returns
+    -------
+    Linearisation
+        The sampled model; a sampling time that is too long for the dynamics is among its findings.
+
+    Raises
+    ------
+    ModelError
+        For a sampling time that is not above zero, an unknown method, a model that is sampled already, and a delay that is negative
+        or longer than 1000 samples.
+
+    Examples
+    --------
+    >>> sampled = gb.export.sample(gb.linearise(model), 1e-3)  # doctest: +SKIP
     """
     if model.dt:
         raise ModelError(
@@ -37,15 +68,15 @@ def sample(model: Linearisation, dt: float, method: str = "zoh", *, delay: float
         )
     if not (np.isfinite(dt) and dt > 0):
         raise ModelError(f"sampling time {dt} s: give a time above 0 s")
-    if method not in SAMPLINGS:
-        raise ModelError(f"unknown method {method!r} of sampling; {nearest(method, SAMPLINGS)}")
-    late = model.late(delay).delay
-    if late.max(initial=0.0) > MOST_DELAY_STATES * dt:
+    if method not in METHODS:
+        raise ModelError(f"unknown method {method!r} of sampling; {nearest(method, METHODS)}")
+    late = model.with_delay(delay).delay
+    if late.max(initial=0.0) > policy.most_delay_states * dt:
         raise ModelError(
-            f"a delay of {late.max():g} s is {late.max() / dt:.0f} samples of {dt:g} s, more than {MOST_DELAY_STATES}; sample more slowly"
+            f"a delay of {late.max():g} s is {late.max() / dt:.0f} samples of {dt:g} s, more than {policy.most_delay_states}; sample more slowly"
         )
-    parts = [_intervals(seconds, dt) for seconds in late]
-    a, c, now, before, direct = _held(model, dt, parts) if method == "zoh" else _trapezoidal(model, dt, parts)
+    parts = [_split_delay(seconds, dt) for seconds in late]
+    a, c, now, before, direct = _hold_with_delays(model, dt, parts) if method == "zoh" else _apply_tustin(model, dt, parts)
     lengths = [n + (f > 0) for n, f in parts]
     nx, extra = len(a), sum(lengths)
     A, B = np.zeros((nx + extra, nx + extra)), np.zeros((nx + extra, len(parts)))
@@ -68,34 +99,34 @@ def sample(model: Linearisation, dt: float, method: str = "zoh", *, delay: float
     return replace(
         model, A=A, B=B, C=C, D=D, state_names=tuple(names), state_units=tuple(units), dt=float(dt), method=method,
         x0=np.concatenate([model.x0, held]), rates=np.concatenate([model.rates, np.zeros(extra)]), delay=np.zeros(len(parts)),
-        notes=(*model.notes, *_warnings(model, dt, method)),
+        findings=(*model.findings, *_check_sampling_time(model, dt, method, policy)),
     )  # fmt: skip
 
 
-def _intervals(delay: float, dt: float) -> tuple[int, float]:
+def _split_delay(delay: float, dt: float) -> tuple[int, float]:
     """A delay as whole intervals and the share (0 to below 1) of one more."""
-    whole = math.floor(delay / dt + 1e-9)
+    whole = math.floor(delay / dt + STEP_ROUNDING)
     share = delay / dt - whole
-    return whole, share if share > 1e-9 else 0.0
+    return whole, share if share > STEP_ROUNDING else 0.0
 
 
 Parts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
 
 
-def _held(model: Linearisation, dt: float, parts: list[tuple[int, float]]) -> Parts:
+def _hold_with_delays(model: Linearisation, dt: float, parts: list[tuple[int, float]]) -> Parts:
     """``Phi, C``, the gains (nx, nu) of the inputs of ``n`` and ``n + 1`` intervals ago, and those (ny, nu) on the outputs."""
-    phi, gamma = _hold(model, dt)
+    phi, gamma = _hold_exactly(model, dt)
     now, before = gamma.copy(), np.zeros_like(gamma)
     here, old = model.D.copy(), np.zeros_like(model.D)
     for j, (_, share) in enumerate(parts):
         if share:
-            now[:, j] = _hold(model, (1 - share) * dt)[1][:, j]
+            now[:, j] = _hold_exactly(model, (1 - share) * dt)[1][:, j]
             before[:, j] = gamma[:, j] - now[:, j]
             here[:, j], old[:, j] = 0.0, model.D[:, j]  # at the sample itself the older one still acts
     return phi, model.C, now, before, (here, old)
 
 
-def _hold(model: Linearisation, dt: float) -> tuple[np.ndarray, np.ndarray]:
+def _hold_exactly(model: Linearisation, dt: float) -> tuple[np.ndarray, np.ndarray]:
     """``expm(A dt)`` and its integral times ``B``, in balanced coordinates."""
     n, m = model.B.shape
     a, t = balance_matrix(model.A)
@@ -103,11 +134,11 @@ def _hold(model: Linearisation, dt: float) -> tuple[np.ndarray, np.ndarray]:
     size = np.abs(model.B / t[:, None]).max(axis=0, initial=0.0)
     size = np.where(size > 0, size, 1.0)
     block[:n, :n], block[:n, n:] = a * dt, model.B / t[:, None] / size
-    e = expm(block) * _paths(block)
+    e = expm(block) * _find_paths(block)
     return t[:, None] * e[:n, :n] / t, t[:, None] * e[:n, n:] * size * dt
 
 
-def _paths(a: np.ndarray) -> np.ndarray:
+def _find_paths(a: np.ndarray) -> np.ndarray:
     """Where a function of ``a`` (n, n) can differ from zero: entry (i, j) if j acts on i, through others too. The rest is rounding."""
     reach = (a != 0) | np.eye(len(a), dtype=bool)
     for _ in range(len(a).bit_length()):
@@ -115,11 +146,11 @@ def _paths(a: np.ndarray) -> np.ndarray:
     return reach
 
 
-def _trapezoidal(model: Linearisation, dt: float, parts: list[tuple[int, float]]) -> Parts:
+def _apply_tustin(model: Linearisation, dt: float, parts: list[tuple[int, float]]) -> Parts:
     n = len(model.A)
     a, t = balance_matrix(model.A)
     b, c = model.B / t[:, None], model.C * t
-    inverse = np.linalg.inv(np.eye(n) - a * dt / 2) * _paths(a)
+    inverse = np.linalg.inv(np.eye(n) - a * dt / 2) * _find_paths(a)
     phi, gamma, seen = inverse @ (np.eye(n) + a * dt / 2), inverse @ b * dt, c @ inverse
     direct = model.D + seen @ b * dt / 2
     share = np.array([f for _, f in parts])
@@ -129,35 +160,29 @@ def _trapezoidal(model: Linearisation, dt: float, parts: list[tuple[int, float]]
     )  # fmt: skip
 
 
-def _warnings(model: Linearisation, dt: float, method: str) -> list[str]:
+def _check_sampling_time(model: Linearisation, dt: float, method: str, policy: SamplingPolicy) -> list[Finding]:
     """What is lost at this sampling time, with one that would do."""
     poles = model.poles
     poles = poles[np.abs(poles) > 0]
-    said = []
-    ringing = poles[(np.abs(poles.imag) > 0) & (-poles.real < RINGS * np.abs(poles))]
-    if len(ringing):
-        fastest = float(np.abs(ringing.imag).max())
+    findings = []
+    oscillating = poles[(np.abs(poles.imag) > 0) & (-poles.real < policy.ringing_damping * np.abs(poles))]
+    if len(oscillating):
+        fastest = float(np.abs(oscillating.imag).max())
         samples = 2 * np.pi / (fastest * dt)
-        if samples < SAMPLES_A_PERIOD:
-            lost = (
-                "it cannot be seen at all: it is beyond half the sampling rate"
-                if samples <= 2
-                else "it is followed poorly"
-            )
-            said.append(
-                f"sampling time {dt:g} s is too long: the mode at {fastest:.4g} rad/s has {samples:.2g} samples a period and"
-                f" {lost}; give {2 * np.pi / (fastest * SAMPLES_A_PERIOD):.2g} s or less"
-            )
+        if samples < policy.samples_per_period:
+            values = {
+                "dt": dt,
+                "frequency": fastest,
+                "samples": samples,
+                "proposed": 2 * np.pi / (fastest * policy.samples_per_period),
+            }
+            findings.append(Finding(ExportFinding.MODE_UNDERSAMPLED, Severity.WARNING, values=values))
     slowest = float(np.abs(poles).min()) if len(poles) else 0.0
-    if slowest * dt > 1 and not said:
-        said.append(
-            f"sampling time {dt:g} s is too long: every mode decays within one sample (the slowest takes {1 / slowest:.2g} s);"
-            f" give {0.2 / slowest:.2g} s or less"
-        )
-    real = np.abs(poles.real).max(initial=0.0)
-    if method == "tustin" and real * dt > 2:
-        said.append(
-            f"Tustin at {dt:g} s turns the pole at -{real:.4g} 1/s into one that rings from sample to sample; take zoh, or"
-            f" {2 / real:.2g} s or less"
-        )
-    return said
+    if slowest * dt > 1 and not findings:
+        values = {"dt": dt, "time_constant": 1 / slowest, "proposed": 1 / (policy.samples_per_decay * slowest)}
+        findings.append(Finding(ExportFinding.DECAY_UNDERSAMPLED, Severity.WARNING, values=values))
+    fastest_decay = float(np.abs(poles.real).max(initial=0.0))
+    if method == "tustin" and fastest_decay * dt > 2:
+        values = {"dt": dt, "pole": -fastest_decay, "proposed": 2 / fastest_decay}
+        findings.append(Finding(ExportFinding.TUSTIN_RINGS, Severity.WARNING, values=values))
+    return findings

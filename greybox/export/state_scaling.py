@@ -1,4 +1,4 @@
-"""Coordinates in which a state-space model is of one size: pascals and micrometres side by side lose digits."""
+"""Coordinates in which a state-space model is of one size (pascals and micrometres side by side lose digits), and poles in them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-SWEEPS = 50
-FARTHEST = 200  # powers of two
+from greybox.numerics import BALANCING_SWEEPS, INTEGRATING_POLE, LARGEST_SCALING_EXPONENT, REAL_PART_ONLY, TINY
 
 
 class ScaledStateSpace(NamedTuple):
@@ -41,13 +40,13 @@ def _factors(a: np.ndarray) -> np.ndarray:
     """Powers of two (n,) that make rows and columns of ``a`` equally long (Osborne 1960; Parlett, Reinsch 1969)."""
     size = np.abs(a - np.diag(np.diag(a)))
     exponents = np.zeros(len(a), int)
-    for _ in range(SWEEPS):
+    for _ in range(BALANCING_SWEEPS):
         before = exponents.copy()
         for k in range(len(a)):
             t = np.ldexp(1.0, exponents)
             column, row = size[:, k] @ (1 / t) * t[k], size[k] @ t / t[k]
             if column and row:
-                exponents[k] = np.clip(exponents[k] + round(np.log2(row / column) / 2), -FARTHEST, FARTHEST)
+                exponents[k] = np.clip(exponents[k] + round(np.log2(row / column) / 2), -LARGEST_SCALING_EXPONENT, LARGEST_SCALING_EXPONENT)
         if np.array_equal(before, exponents):
             break
     return np.ldexp(1.0, exponents)
@@ -56,3 +55,18 @@ def _factors(a: np.ndarray) -> np.ndarray:
 def _lengths(matrix: np.ndarray, axis: int) -> np.ndarray:
     lengths = np.linalg.norm(matrix, axis=axis)
     return np.where(lengths > 0, lengths, 1.0)
+
+
+def compute_poles(a: np.ndarray, dt: float) -> np.ndarray:
+    """Eigenvalues (n,) of ``a``, slowest first; a pole that integrates is 0 (or 1 in the z-plane) to the last digit."""
+    values = np.linalg.eigvals(balance_matrix(a)[0]).astype(complex) if len(a) else np.empty(0, complex)
+    values = np.where(is_at_rest(values, dt), 1.0 if dt else 0.0, values)
+    values.imag[np.abs(values.imag) <= REAL_PART_ONLY * np.abs(values)] = 0.0
+    speed = np.abs(values - 1.0) if dt else np.abs(values)
+    return values[np.lexsort((values.imag, np.round(speed / max(speed.max(initial=0.0), TINY), 9)))]
+
+
+def is_at_rest(roots: np.ndarray, dt: float, size: float | None = None) -> np.ndarray:
+    """Which of some poles or zeros are at rest: 0, or 1 in the z-plane; ``size`` is that of the fastest (None: among these)."""
+    distance = np.abs(roots - 1.0) if dt else np.abs(roots)
+    return distance <= INTEGRATING_POLE * max(np.abs(roots).max(initial=0.0) if size is None else size, TINY)

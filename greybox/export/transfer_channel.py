@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import null_space
 
+from greybox.errors import ModelError, nearest
 from greybox.export.linearisation import Linearisation
-from greybox.export.minimal_realisation import RANK, minimal_realisation
-from greybox.export.state_scaling import balance_matrix, scale_states
+from greybox.export.minimal_realisation import minimal_realisation
+from greybox.export.state_scaling import balance_matrix, compute_poles, is_at_rest, scale_states
+from greybox.numerics import REACHABILITY_RANK, TINY
+from greybox.values import Printable
 
-# A pole this near to 0 (or to 1 in the z-plane), relative to the fastest one, integrates.
-INTEGRATES = 1e-9
 HALF_POWER = 1 / np.sqrt(2)
-GRID = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +37,14 @@ class TransferChannel:
     @property
     def integrators(self) -> int:
         """Poles at 0, or at 1 in the z-plane."""
-        return int(_integrating(self.poles, self.dt).sum())
+        return int(is_at_rest(self.poles, self.dt).sum())
 
     @property
     def gain(self) -> float:
         """Gain at rest, or of the integrator."""
         rest = 1.0 if self.dt else 0.0
         steps = self.dt**self.integrators if self.dt else 1.0
-        others = self.poles[~_integrating(self.poles, self.dt)]
+        others = self.poles[~is_at_rest(self.poles, self.dt)]
         return float(np.real(self.factor * np.prod(rest - self.zeros) / np.prod(rest - others)) / steps)
 
     @property
@@ -94,53 +94,93 @@ class TransferChannel:
         """Coefficients, highest power first; the first is 1."""
         return np.atleast_1d(np.real(np.poly(self.poles)))
 
-    def _grid(self) -> np.ndarray:
+    def _grid(self, points: int = 2000) -> np.ndarray:
         """Angular frequencies around all of the poles and zeros, more of them where a mode rings."""
         roots = np.concatenate([self.poles, self.zeros])
         if self.dt:
             roots = np.log(roots[np.abs(roots) > 1e-12].astype(complex)) / self.dt
         speeds = np.abs(roots[np.abs(roots) > 0])
         low, high = (speeds.min(initial=1.0), speeds.max(initial=1.0)) if len(speeds) else (1.0, 1.0)
-        w = np.concatenate([np.geomspace(1e-3 * low, 1e3 * high, GRID), np.abs(roots.imag), speeds])
+        w = np.concatenate([np.geomspace(1e-3 * low, 1e3 * high, points), np.abs(roots.imag), speeds])
         w = np.unique(w[w > 0])
         return w[w <= np.pi / self.dt] if self.dt else w
 
 
-def extract_channel(model: Linearisation, row: int, column: int) -> TransferChannel:
-    """The channel from input number ``column`` to output number ``row``."""
-    one = replace(
-        model, B=model.B[:, [column]], C=model.C[[row]], D=model.D[[row]][:, [column]],
-        input_names=(model.input_names[column],), input_units=(model.input_units[column],),
-        output_names=(model.output_names[row],), output_units=(model.output_units[row],),
-        u0=model.u0[[column]], y0=model.y0[[row]], delay=model.delay[[column]],
-    )  # fmt: skip
-    small = minimal_realisation(one)
-    zeros, factor = _zeros(small.A, small.B, small.C, float(small.D[0, 0]))
+@dataclass(frozen=True, eq=False)
+class LinearBehaviour(Printable):
+    """Poles and channels of a linear model: what its text says about how it behaves."""
+
+    poles: np.ndarray
+    dt: float
+    channels: tuple[TransferChannel, ...]
+
+
+def describe_behaviour(model: Linearisation) -> LinearBehaviour:
+    """Poles of ``model`` and every channel from an input to an output."""
+    channels = [extract_channel(model, output, name) for output in model.output_names for name in model.input_names]
+    return LinearBehaviour(model.poles, model.dt, tuple(channels))
+
+
+def extract_channel(model: Linearisation, output: str | None = None, input: str | None = None) -> TransferChannel:
+    """Reduce a linear model to one input and one output: zeros, poles, gain, bandwidth.
+
+    Parameters
+    ----------
+    model
+        A linear model, continuous or sampled.
+    output, input
+        Names of the signals; None: the first.
+
+    Returns
+    -------
+    TransferChannel
+        The channel, from a minimal realisation.
+
+    Raises
+    ------
+    ModelError
+        For unknown names.
+
+    Examples
+    --------
+    >>> channel = gb.export.extract_channel(gb.linearise(model), "x", "u")  # doctest: +SKIP
+    >>> channel.gain, channel.bandwidth  # doctest: +SKIP
+    """
+    row = _find_signal(model, "output", output, model.output_names)
+    column = _find_signal(model, "input", input, model.input_names)
+    single = replace(
+        model,
+        B=model.B[:, [column]],
+        C=model.C[[row]],
+        D=model.D[[row]][:, [column]],
+        input_names=(model.input_names[column],),
+        input_units=(model.input_units[column],),
+        output_names=(model.output_names[row],),
+        output_units=(model.output_units[row],),
+        u0=model.u0[[column]],
+        y0=model.y0[[row]],
+        delay=model.delay[[column]],
+    )
+    small = minimal_realisation(single)
+    zeros, factor = _find_zeros(small.A, small.B, small.C, float(small.D[0, 0]))
     poles = compute_poles(small.A, model.dt) if factor else np.empty(0, complex)
-    speeds = np.abs(np.concatenate([poles, zeros])).max(initial=0.0)
-    zeros = np.where(_integrating(zeros, model.dt, speeds), 1.0 if model.dt else 0.0, zeros)
-    unit = f"({one.output_units[0] or '1'})/({one.input_units[0] or '1'})"
+    fastest = np.abs(np.concatenate([poles, zeros])).max(initial=0.0)
+    zeros = np.where(is_at_rest(zeros, model.dt, fastest), 1.0 if model.dt else 0.0, zeros)
+    unit = f"({single.output_units[0] or '1'})/({single.input_units[0] or '1'})"
     return TransferChannel(
-        one.output_names[0], one.input_names[0], zeros, poles, factor, model.dt, float(one.delay[0]), unit
-    )  # fmt: skip
+        single.output_names[0], single.input_names[0], zeros, poles, factor, model.dt, float(single.delay[0]), unit
+    )
 
 
-def compute_poles(a: np.ndarray, dt: float) -> np.ndarray:
-    """Eigenvalues (n,), slowest first; a pole that integrates is 0 (or 1) to the last digit."""
-    values = np.linalg.eigvals(balance_matrix(a)[0]).astype(complex) if len(a) else np.empty(0, complex)
-    values = np.where(_integrating(values, dt), 1.0 if dt else 0.0, values)
-    values.imag[np.abs(values.imag) <= 1e-13 * np.abs(values)] = 0.0
-    speed = np.abs(values - 1.0) if dt else np.abs(values)
-    return values[np.lexsort((values.imag, np.round(speed / max(speed.max(initial=0.0), 1e-300), 9)))]
+def _find_signal(model: Linearisation, kind: str, name: str | None, names: tuple[str, ...]) -> int:
+    if name is None and names:
+        return 0
+    if name not in names:
+        raise ModelError(f"linear model of {model.name} has no {kind} {name!r}; {nearest(str(name), names)}")
+    return names.index(name)
 
 
-def _integrating(roots: np.ndarray, dt: float, size: float | None = None) -> np.ndarray:
-    """Which of some poles or zeros are at rest: 0, or 1 in the z-plane; ``size`` is that of the fastest (None: among these)."""
-    distance = np.abs(roots - 1.0) if dt else np.abs(roots)
-    return distance <= INTEGRATES * max(np.abs(roots).max(initial=0.0) if size is None else size, 1e-300)
-
-
-def _zeros(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> tuple[np.ndarray, float]:
+def _find_zeros(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> tuple[np.ndarray, float]:
     """Zeros of a single channel, and the factor in front of them: the first Markov parameter that is not zero.
 
     With relative degree ``r`` they are the eigenvalues of ``(I - b (c a^(r-1) b)^-1 c a^(r-1)) a`` on the states that the output and its
@@ -152,15 +192,15 @@ def _zeros(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> tuple[np.nd
     if not n:
         return np.empty(0, complex), 0.0
     s = scale_states(a, b, c)
-    size = max(float(np.linalg.norm(s.a, 2)), 1e-300)
+    size = max(float(np.linalg.norm(s.a, 2)), TINY)
     rows, row, factor = [s.c], s.c, 0.0
     for degree in range(1, n + 1):
         markov = float((row @ s.b)[0, 0])
-        if abs(markov) > RANK * np.linalg.norm(row):
-            hidden = null_space(np.vstack([r / max(np.linalg.norm(r), 1e-300) for r in rows]), rcond=RANK)
+        if abs(markov) > REACHABILITY_RANK * np.linalg.norm(row):
+            zero_states = null_space(np.vstack([r / max(np.linalg.norm(r), TINY) for r in rows]), rcond=REACHABILITY_RANK)
             inner = s.a - s.b @ (row @ s.a) / markov
             factor = float((c @ np.linalg.matrix_power(a, degree - 1) @ b)[0, 0])
-            zeros = np.linalg.eigvals(hidden.T @ inner @ hidden) if hidden.shape[1] else np.empty(0)
+            zeros = np.linalg.eigvals(zero_states.T @ inner @ zero_states) if zero_states.shape[1] else np.empty(0)
             return zeros.astype(complex), factor
         row = row @ s.a / size
         rows.append(row)
