@@ -22,7 +22,7 @@ from typing import Any
 import control
 import numpy as np
 
-from greybox.export import Linearisation
+from greybox.export import Linearisation, minimal_realisation, to_state_space
 
 # Frequencies per decade, and decades below half the sampling rate, at which a margin over many plants is looked up.
 GRID = np.geomspace(1e-4, 1.0, 400)
@@ -136,7 +136,7 @@ def with_force(linear: Linearisation, body: str, mass: float) -> Linearisation:
 def channel(linear: Linearisation, output: str) -> Linearisation:
     """From the first input to one output, without states that this input does not reach or this output does not show."""
     row = linear.output_names.index(output)
-    return replace(
+    single = replace(
         linear,
         B=linear.B[:, :1],
         C=linear.C[[row]],
@@ -148,7 +148,8 @@ def channel(linear: Linearisation, output: str) -> Linearisation:
         u0=linear.u0[:1],
         y0=linear.y0[[row]],
         delay=linear.delay[:1],
-    ).minimal()
+    )
+    return minimal_realisation(single)
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,7 @@ def closest(made: Design, output: str, period: float) -> Callable[[Linearisation
     def near(linear: Linearisation) -> float:
         plant = channel(linear, output)
         size = float(np.abs(1 - plant.frequency_response(omega)[:, 0, 0] * reply).min())
-        stable = np.all(np.abs(control.feedback(made.loop(plant.state_space()), 1).poles()) < 1)
+        stable = np.all(np.abs(control.feedback(made.loop(to_state_space(plant)), 1).poles()) < 1)
         return size if stable else -size
 
     return near

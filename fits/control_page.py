@@ -21,7 +21,7 @@ physical and for black-box states), reading the position alone. The compensated 
 give: a force against the friction, in the direction of the wanted motion, and an observer that sticks where the body sticks.
 
 Each controller then runs on the rig itself, friction and all, integrated by equations and a method of its own
-(`fits/rig_twins.py`); and on {FAMILY} rigs drawn from what the records leave open (`greybox.family`). Everything is **generated,
+(`fits/rig_twins.py`); and on {FAMILY} rigs drawn from what the records leave open (`export.sample_family`). Everything is **generated,
 not measured**. A dash: it never stays within the band, or there is no margin. Margins are those of the linear loop (the compensation
 is outside it) on the linear rig; "distance from -1" is the least of the loop's Nyquist curve, on the rig, over the family, and over
 the confidence set of the constants.

@@ -3,7 +3,7 @@
 1. Two records of the rig (`fits.rig_twins`: its own equations, its own integrator); the friction is in neither model nor words.
 2. The plain model is fitted; `discover` names what it lacks; black boxes are scanned on the same record.
 3. One rule (`fits.control_design`) makes a controller of each: LQR with integral action and observer.
-4. Each runs on the rig, friction and all, and on rigs drawn from what the records leave open (`greybox.family`).
+4. Each runs on the rig, friction and all, and on rigs drawn from what the records leave open (`greybox.export.sample_family`).
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def study(setting: Setting) -> Study:
     black = min(scans.values(), key=lambda scan: scan.chosen.free_run).best
     designs = designs_of(setting, discovery.base.model, discovery.best.model, black)
     runs = {name: run_of(setting, made) for name, made in designs.items()}
-    true = channel(gb.linearise(setting.model, dt=setting.sampling_time), setting.output).state_space()
+    true = gb.export.to_state_space(channel(gb.linearise(setting.model, dt=setting.sampling_time), setting.output))
     gentler = {}
     for factor in GENTLER:
         other = replace(setting, weights=replace(setting.weights, effort=factor * setting.weights.effort))
@@ -158,8 +158,8 @@ def designs_of(setting: Setting, plain: gb.Model, best: gb.Model, black: Any) ->
 
 def grey_plant(setting: Setting, model: gb.Model) -> tuple[Any, Compensation]:
     """From `u` to the controlled output, minimal and sampled; with it what its friction needs to be compensated."""
-    linear = with_force(gb.linearise(model).minimal(), "v", model.values[setting.mass])
-    sampled = linear.sampled(setting.sampling_time)
+    linear = with_force(gb.export.minimal_realisation(gb.linearise(model)), "v", model.values[setting.mass])
+    sampled = gb.export.sample(linear, setting.sampling_time)
     row = sampled.output_names.index(setting.output)
     plant = control.ss(sampled.A, sampled.B[:, :1], sampled.C[[row]], sampled.D[[row], :1], setting.sampling_time)
     speed = np.array([float(name == "v") for name in sampled.state_names])

@@ -29,7 +29,7 @@ def hidden(setting):
 def designs():
     """As the study makes them, from the true constants: nothing is fitted."""
     black = gb.linearise(ACTUATOR.model, dt=ACTUATOR.sampling_time)
-    stand_in = type("Black", (), {"to_control": lambda self: channel(black, "x").transfer_function()})()
+    stand_in = type("Black", (), {"to_control": lambda self: gb.export.to_transfer_function(channel(black, "x"))})()
     return designs_of(ACTUATOR, ACTUATOR.model, KNOWN, stand_in)
 
 
@@ -63,8 +63,8 @@ def test_the_controller_whose_margins_are_read_is_the_one_that_runs(designs, nam
 
 def test_margins_are_where_the_loop_is_nearest_to_minus_one(designs):
     plant = channel(gb.linearise(ACTUATOR.model, dt=ACTUATOR.sampling_time), "x")
-    found = margins(designs[KNOWING], plant.state_space())
-    loop = designs[KNOWING].loop(plant.state_space())
+    found = margins(designs[KNOWING], gb.export.to_state_space(plant))
+    loop = designs[KNOWING].loop(gb.export.to_state_space(plant))
     w = np.geomspace(10, np.pi / ACTUATOR.sampling_time, 20_000)
     curve = loop(np.exp(1j * w * ACTUATOR.sampling_time))
     assert found.stable and found.distance == pytest.approx(np.abs(1 + curve).min(), rel=1e-3)

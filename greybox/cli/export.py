@@ -144,11 +144,11 @@ def export(
 
 
 def _as_json(made: Export, to: Target, report: Path | None) -> str:
-    from greybox.export.linear_files import to_data
+    from greybox.export.linear_files import linear_model_data
     from greybox.export.plant import to_plant
     from greybox.result import format_json
 
-    linear = to_data(made.linear, to_plant(made.fit), made.family) if made.linear else None
+    linear = linear_model_data(made.linear, to_plant(made.fit), made.family) if made.linear else None
     files = [str(file) for file in made.files]
     return format_json(
         {"target": to.value, "files": files, "report": str(report) if report else None, "linear": linear}
@@ -169,29 +169,25 @@ def _linear(
 ) -> tuple[LinearAnswer, Export]:
     from dataclasses import replace
 
-    from greybox.export import linearise, sample_family
-    from greybox.export.linear_files import write_control, write_json, write_mat, write_npz
+    from greybox.export import linearise, minimal_realisation, sample_family
+    from greybox.export.linear_files import LINEAR_FORMATS
     from greybox.export.plant import to_plant
     from greybox.reports.export_page import Export
 
     whole: Linearisation = linearise(fit, at, dt=dt, method=method.value, delay=delay)
-    linear = whole.minimal() if minimal else whole
+    linear = minimal_realisation(whole) if minimal else whole
     drawn: ModelFamily | None = (
         sample_family(fit, at, number=samples, seed=seed, dt=dt, method=method.value, delay=delay, minimal=minimal)
         if samples
         else None
     )
     plant = to_plant(fit)
-    for text in (*whole.notes, *(drawn.notes if drawn else ())):
-        print_note(f"warning: {text}")
-    if to is Target.control:
-        written = write_control(linear, target, plant=plant)
-    else:
-        writer = {Target.mat: write_mat, Target.json: write_json, Target.numpy: write_npz}[to]
-        written = writer(linear, target, plant=plant, family=drawn)
-    # Notes of the whole model went to stderr above; those of the reduction belong to what is shown.
-    shown = replace(linear, notes=linear.notes[len(whole.notes) :])
-    family = None if drawn is None else replace(drawn, notes=())
+    for finding in (*whole.findings, *(drawn.findings if drawn else ())):
+        print_note(f"warning: {finding}")
+    written = LINEAR_FORMATS[to.value](linear, target, plant=plant, family=drawn)
+    # Findings of the whole model went to stderr above; those of the reduction belong to what is shown.
+    shown = replace(linear, findings=linear.findings[len(whole.findings) :])
+    family = None if drawn is None else replace(drawn, findings=())
     return LinearAnswer(shown, family, (written,)), Export(fit, KIND[to], (written,), linear, drawn)
 
 
@@ -200,8 +196,8 @@ def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -
     from greybox.export.plant import to_plant
     from greybox.reports.export_page import Export
 
-    for text in to_plant(fit).notes:
-        print_note(f"warning: {text}")
+    for finding in to_plant(fit).findings:
+        print_note(f"warning: {finding}")
     files: tuple[Path, ...]
     step = (dt if dt is not None else to_plant(fit).sampling_time) if to in STEPPED else None
     if to is Target.c:

@@ -204,7 +204,7 @@ def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> Com
     plant = model.model if isinstance(model, Fit) else model
     findings = list(named.findings)
     if isinstance(model, Fit) and not model.success:
-        values = {"status": str(model.status), "status_message": model.solver.status_message}
+        values = {"status": str(model.status)}
         findings.append(Finding(ComparisonFinding.FIT_FAILED, Severity.ERROR, named.name, values))
     if filter_predictor:
         values = {"filter": str(filter_predictor.correction)}

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
-from greybox.findings import Finding
 from greybox.result import to_json_data
 
 
@@ -52,8 +50,8 @@ def comparison_data(comparison: Comparison) -> dict[str, Any]:
         "skip": comparison.skip,
         "verdict": list(map(str, comparison.verdict)),
         "notes": list(map(str, comparison.findings)),
-        "findings": [_finding_data(finding) for finding in (*comparison.verdict, *comparison.findings)],
-        "policy": asdict(comparison.policy),
+        "findings": [*comparison.verdict, *comparison.findings],
+        "policy": comparison.policy,
     }
 
 
@@ -70,7 +68,7 @@ def _entry_data(entry: ComparisonEntry) -> dict[str, Any]:
         "feedthrough": dict(entry.feedthrough),
         "seconds": entry.seconds,
         "notes": list(map(str, entry.findings)),
-        "findings": [_finding_data(finding) for finding in entry.findings],
+        "findings": entry.findings,
     }
 
 
@@ -85,13 +83,4 @@ def _scores_data(scores: Mapping[str, ComparisonScore]) -> dict[str, Any]:
             **({"ahead_rmse": {str(k): v for k, v in score.ahead_rmse.items()}} if score.ahead_rmse else {}),
         }
         for output, score in scores.items()
-    }
-
-
-def _finding_data(finding: Finding) -> dict[str, Any]:
-    return {
-        "code": str(finding.code),
-        "severity": str(finding.severity),
-        "subject": finding.subject,
-        "values": dict(finding.values),
     }

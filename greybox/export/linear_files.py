@@ -221,12 +221,23 @@ def write_json(
     model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` as JSON, every number to the last digit; ``plant`` adds where it comes from, ``family`` its members."""
-    return _write_bytes(Path(path).with_suffix(".json"), (format_json(linear_model_data(model, plant, family)) + "\n").encode())
+    return _write_bytes(
+        Path(path).with_suffix(".json"), (format_json(linear_model_data(model, plant, family)) + "\n").encode()
+    )
 
 
-def linear_model_data(model: Linearisation, plant: Plant | None = None, family: ModelFamily | None = None) -> dict[str, Any]:
+def linear_model_data(
+    model: Linearisation, plant: Plant | None = None, family: ModelFamily | None = None
+) -> dict[str, Any]:
     """What `write_json` writes."""
-    data = {"format": FORMAT_VERSION, **_contents(model), **_channels(model), **_origin(plant), **_members(family)}
+    data = {
+        "format": FORMAT_VERSION,
+        **_contents(model),
+        "findings": model.findings,
+        **_channels(model),
+        **_origin(plant),
+        **_members(family),
+    }
     return dict(to_json_data(data))
 
 
@@ -292,9 +303,11 @@ def write_control(
     A ``family`` has no place in it and is left out.
     """
     target = Path(path).with_suffix(".py")
+    notes = [f"Note: {finding}" for finding in model.findings]
+    behaviour = str(describe_behaviour(model)).splitlines()
     lines = docstring(
         f"Linear model of {model.name} for python-control: from {target.stem} import plant.",
-        [str(describe_behaviour(model)).splitlines(), list(plant.origin()) if plant else [], [f"Note: {finding}" for finding in model.findings]],
+        [behaviour, list(plant.origin()) if plant else [], notes],
     )
     lines += ["", "import control", "import numpy as np", ""]
     for name in ("A", "B", "C", "D"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -270,7 +271,7 @@ def _describe_point(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, mov
     unmet = [r for r in residuals if not r.met and names.index(r.state) not in moving]
     findings = []
     if unmet:
-        values = {
+        values: dict[str, Any] = {
             "point": format_signals(names, z, functions.units),
             "imbalance": [{"balance": r.balance, "value": r.value, "unit": format_unit(r.unit)} for r in unmet],
         }

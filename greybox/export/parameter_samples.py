@@ -92,7 +92,7 @@ def make_parameter_distribution(plant: Plant, policy: FamilyPolicy = DEFAULT_FAM
     fixed = [n for n, v in zip(free, varies, strict=True) if not v]
     if not names:
         raise ModelError(f"{model.title}: no fitted constant has a covariance; fit with records that determine some")
-    findings = ()
+    findings: tuple[Finding, ...] = ()
     if fixed:
         findings = (Finding(ExportFinding.PARAMETERS_NOT_DRAWN, Severity.WARNING, values={"parameters": fixed}),)
     block = covariance[np.ix_(varies, varies)]
@@ -106,9 +106,7 @@ def make_parameter_distribution(plant: Plant, policy: FamilyPolicy = DEFAULT_FAM
         plant.p,
         np.array([order.index(n) for n in names]),
         names,
-        np.array(
-            [q.positive and s > policy.logarithmic_std * q.value for q, s in zip(parameters, scale, strict=True)]
-        ),
+        np.array([q.positive and s > policy.logarithmic_std * q.value for q, s in zip(parameters, scale, strict=True)]),
         root,
         np.array([q.bounds[0] for q in parameters]),
         np.array([q.bounds[1] for q in parameters]),

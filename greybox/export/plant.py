@@ -82,7 +82,7 @@ class Plant:
 def to_plant(source: Fit | Model) -> Plant:
     """The plant behind a fit or a model. Raises ModelError for anything that is neither."""
     if isinstance(source, Fit):
-        values = {"status_message": source.solver.status_message}
+        values = {"status": str(source.status)}
         failed = () if source.success else (Finding(ExportFinding.FIT_FAILED, Severity.ERROR, values=values),)
         return Plant(source.model, source, failed)
     if isinstance(source, Model):

@@ -1,4 +1,4 @@
-"""Decisions of the hand-over to controller design: how an operating point is sought, when a sampling time is doubtful, how a family is drawn."""
+"""Decisions of the hand-over to controller design: operating points, sampling times, families of models, discrete steps."""
 
 from __future__ import annotations
 

@@ -80,7 +80,9 @@ def to_control(
         unused = [name for name, value in given if value and name != "minimal"]
         if unused or form == "nonlinear":
             what = ", ".join(unused) or "form='nonlinear'"
-            raise ModelError(f"{what} cannot be given for a linear model, which is taken as it is; give a fit or a model")
+            raise ModelError(
+                f"{what} cannot be given for a linear model, which is taken as it is; give a fit or a model"
+            )
         linear = plant
     elif form == "nonlinear":
         unused = [name for name, value in given if value and name != "dt"]
@@ -180,9 +182,7 @@ def to_transfer_function(model: Linearisation, pade: int = 4, policy: SamplingPo
     return system
 
 
-def approximate_delays(
-    model: Linearisation, order: int, policy: SamplingPolicy = DEFAULT_SAMPLING
-) -> Linearisation:
+def approximate_delays(model: Linearisation, order: int, policy: SamplingPolicy = DEFAULT_SAMPLING) -> Linearisation:
     """A continuous ``model`` with its delays as Pade approximations of this ``order``, and a note up to which frequency they hold.
 
     The phase of an approximation of order n is right to within a degree up to ``w delay`` of about ``1.6 n - 1``.
@@ -253,7 +253,11 @@ def to_nonlinear_system(plant: Fit | Model, dt: float | None = None, *, substeps
     >>> system = gb.export.to_nonlinear_system(fit, 1e-3)  # doctest: +SKIP
     """
     source = to_plant(plant)
-    return _make_continuous(source) if dt is None else _make_sampled(source, make_discrete_step(source, dt, substeps=substeps))
+    return (
+        _make_continuous(source)
+        if dt is None
+        else _make_sampled(source, make_discrete_step(source, dt, substeps=substeps))
+    )
 
 
 def find_discontinuous_effects(model: Model) -> list[str]:
@@ -324,4 +328,6 @@ def _changeable_parameters(plant: Plant) -> tuple[dict[str, float], Callable[[Ma
     def values(params: Mapping[str, float]) -> np.ndarray:
         return np.array([params.get(name, value) for name, value in parameters.items()])
 
-    return {name: value for (name, value), true in zip(parameters.items(), names, strict=True) if true not in fixed}, values
+    return {
+        name: value for (name, value), true in zip(parameters.items(), names, strict=True) if true not in fixed
+    }, values

@@ -98,7 +98,8 @@ def _docstring(plant: Plant) -> list[str]:
         if not _rule(rule, model)
     ]
     return docstring(
-        f"{title}.", [equations_text(model).splitlines(), source, [*plant.origin(), *map(str, plant.findings), *left_out]]
+        f"{title}.",
+        [equations_text(model).splitlines(), source, [*plant.origin(), *map(str, plant.findings), *left_out]],
     )
 
 

@@ -73,10 +73,13 @@ def sample(
     late = model.with_delay(delay).delay
     if late.max(initial=0.0) > policy.most_delay_states * dt:
         raise ModelError(
-            f"a delay of {late.max():g} s is {late.max() / dt:.0f} samples of {dt:g} s, more than {policy.most_delay_states}; sample more slowly"
+            f"a delay of {late.max():g} s is {late.max() / dt:.0f} samples of {dt:g} s, more than {policy.most_delay_states};"
+            " sample more slowly"
         )
     parts = [_split_delay(seconds, dt) for seconds in late]
-    a, c, now, before, direct = _hold_with_delays(model, dt, parts) if method == "zoh" else _apply_tustin(model, dt, parts)
+    a, c, now, before, direct = (
+        _hold_with_delays(model, dt, parts) if method == "zoh" else _apply_tustin(model, dt, parts)
+    )
     lengths = [n + (f > 0) for n, f in parts]
     nx, extra = len(a), sum(lengths)
     A, B = np.zeros((nx + extra, nx + extra)), np.zeros((nx + extra, len(parts)))

@@ -46,7 +46,9 @@ def _factors(a: np.ndarray) -> np.ndarray:
             t = np.ldexp(1.0, exponents)
             column, row = size[:, k] @ (1 / t) * t[k], size[k] @ t / t[k]
             if column and row:
-                exponents[k] = np.clip(exponents[k] + round(np.log2(row / column) / 2), -LARGEST_SCALING_EXPONENT, LARGEST_SCALING_EXPONENT)
+                exponents[k] = np.clip(
+                    exponents[k] + round(np.log2(row / column) / 2), -LARGEST_SCALING_EXPONENT, LARGEST_SCALING_EXPONENT
+                )
         if np.array_equal(before, exponents):
             break
     return np.ldexp(1.0, exponents)

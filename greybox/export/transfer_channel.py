@@ -197,7 +197,9 @@ def _find_zeros(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> tuple[
     for degree in range(1, n + 1):
         markov = float((row @ s.b)[0, 0])
         if abs(markov) > REACHABILITY_RANK * np.linalg.norm(row):
-            zero_states = null_space(np.vstack([r / max(np.linalg.norm(r), TINY) for r in rows]), rcond=REACHABILITY_RANK)
+            zero_states = null_space(
+                np.vstack([r / max(np.linalg.norm(r), TINY) for r in rows]), rcond=REACHABILITY_RANK
+            )
             inner = s.a - s.b @ (row @ s.a) / markov
             factor = float((c @ np.linalg.matrix_power(a, degree - 1) @ b)[0, 0])
             zeros = np.linalg.eigvals(zero_states.T @ inner @ zero_states) if zero_states.shape[1] else np.empty(0)

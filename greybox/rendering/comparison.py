@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.comparison.findings import ComparisonFinding
 from greybox.findings import Finding
+from greybox.rendering.estimation import status_text
 from greybox.rendering.registry import register, renders, sentences
 from greybox.rendering.tables import format_number, format_table
 from greybox.units import format_unit
@@ -68,7 +69,7 @@ register(
         ),
         ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS: _bic_of_different_outputs,
         ComparisonFinding.FAILED_FITS: _listed("The fit failed: {models}. Its errors say nothing about the model."),
-        ComparisonFinding.FIT_FAILED: "The fit failed: {status_message}.",
+        ComparisonFinding.FIT_FAILED: lambda finding: f"The fit failed: {status_text(finding.values['status'])}.",
         ComparisonFinding.PREDICTION_FILTER: "Predictions are corrected by {filter}.",
         ComparisonFinding.NO_BLACK_BOX: "{reason}",
         ComparisonFinding.RECORD_RESAMPLED: (

@@ -60,10 +60,15 @@ PARTS = {
 }
 
 
+def status_text(status: str) -> str:
+    """How a search ended, without causes and details."""
+    return STATUS.get(status, status)
+
+
 @renders("SolverReport")
 def write_status(report: SolverReport) -> str:
     """How a search ended, with its likely causes if it failed, and what its residual says."""
-    text = STATUS.get(report.status, report.status)
+    text = status_text(report.status)
     if report.status in CAUSES:
         causes = "; ".join(f"({k + 1}) {cause}" for k, cause in enumerate(CAUSES[report.status]))
         text += f". Likely causes, most likely first: {causes}"

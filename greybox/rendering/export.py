@@ -8,6 +8,7 @@ import numpy as np
 
 from greybox.export.findings import ExportFinding
 from greybox.findings import Finding
+from greybox.rendering.estimation import status_text
 from greybox.rendering.registry import register, renders, sentences
 from greybox.result.summary import format_table
 from greybox.units import format_unit
@@ -100,7 +101,9 @@ def _mode_undersampled(finding: Finding) -> str:
 
 register(
     {
-        ExportFinding.FIT_FAILED: "The fit failed ({status_message}). Do not use its parameters.",
+        ExportFinding.FIT_FAILED: lambda finding: (
+            f"The fit failed ({status_text(finding.values['status'])}). Do not use its parameters."
+        ),
         ExportFinding.NO_EQUILIBRIUM: _no_equilibrium,
         ExportFinding.STEADY_MOTION: _steady_motion,
         ExportFinding.OUTSIDE_RECORDS: _outside_records,

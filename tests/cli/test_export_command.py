@@ -10,6 +10,8 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.cli.app import app
+from greybox.export import ExportFinding
+from greybox.findings import Finding
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 
@@ -55,8 +57,8 @@ def test_poles_zeros_gain_and_bandwidth_are_printed(saved, tmp_path):
     assert done.exit_code == 0, done.output
     for text in ("poles (z)", "u -> x: gain 2.9", "bandwidth (-3 dB)", "5 models drawn from the covariance", "x = 2.9"):
         assert text in done.output
-    assert "warning: coulomb_friction cannot be linearised at v = 0" in done.output
     read = json.loads((tmp_path / "p.json").read_text())
+    assert ExportFinding.FRICTION_LEFT_OUT in [f["code"] for f in read["findings"]]
     assert len(read["family"]["A"]) == 5 and read["u0"] == [1.0]
 
 
@@ -67,8 +69,9 @@ def test_a_minimal_model_says_what_was_taken_out_and_so_is_its_family(tmp_path):
     fit = gb.fit(pneumatic_cylinder, record, noise=noise).save(tmp_path / "fit.json")
     done = export(fit, "--to", "json", "--minimal", "--samples", "3", "--dt", "0.01", "--output", tmp_path / "p.json")
     assert done.exit_code == 0, done.output
-    assert "note: minimal realisation with 3 of 4 states; taken out are p_b: not reached by any input" in done.output
     read = json.loads((tmp_path / "p.json").read_text())
+    (finding,) = (f for f in read["findings"] if f["code"] == ExportFinding.STATES_REMOVED)
+    assert finding["values"]["unreached"] == ["p_b"]
     assert np.shape(read["A"]) == (3, 3) and np.shape(read["family"]["A"]) == (3, 3, 3)
     assert all(channel["integrators"] == (name == "u -> s") for name, channel in read["channels"].items())
 
@@ -116,10 +119,10 @@ def test_a_fit_of_an_unknown_model_asks_for_its_file(saved, tmp_path):
 def test_a_fit_that_failed_is_warned_about(saved, tmp_path):
     data = json.loads(saved.read_text())
     other = tmp_path / "fit.json"
-    other.write_text(json.dumps(data | {"success": False, "meaning": "stopped early"}))
+    other.write_text(json.dumps(data | {"success": False, "status": "interrupted"}))
     done = export(other, "--to", "mat", "--output", tmp_path / "p.mat")
     assert done.exit_code == 0
-    assert "warning: the fit did not succeed (stopped early); do not trust its numbers" in done.output
+    assert f"warning: {Finding(ExportFinding.FIT_FAILED, values={'status': 'interrupted'})}\n" in done.output
 
 
 def test_the_exported_python_model_can_be_fitted_again(saved, tmp_path):

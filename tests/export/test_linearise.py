@@ -9,6 +9,7 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
 import greybox as gb
+from greybox.export import ExportFinding as Code
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance
 from models.pneumatic_cylinder import pneumatic_cylinder
 from models.pneumatic_full import pneumatic_full
@@ -28,19 +29,19 @@ def test_the_actuator_is_equation_16_1():
     found = gb.linearise(micro_actuator)
     np.testing.assert_allclose(found.A, a, rtol=1e-14)
     np.testing.assert_allclose(found.B, [[0], [0], [1 / p.La]], rtol=1e-14)
-    channel = found.channel("x", "u")
+    channel = gb.export.extract_channel(found, "x", "u")
     by_hand = [
         p.M * p.La, p.M * p.Ra + p.B * p.La, p.B * p.Ra + p.K * p.La + p.Kf * p.Kv, p.K * p.Ra
     ]  # fmt: skip
     np.testing.assert_allclose(channel.denominator, np.array(by_hand) / by_hand[0], rtol=1e-10)
     np.testing.assert_allclose(channel.numerator, [p.Kf / by_hand[0]], rtol=1e-10)
-    current = found.channel("i", "u")
+    current = gb.export.extract_channel(found, "i", "u")
     np.testing.assert_allclose(current.numerator, np.array([p.M, p.B, p.K]) / by_hand[0], rtol=1e-10)
 
 
 def test_without_inductance_it_is_equation_16_2():
     p = constants(micro_actuator_no_inductance)
-    channel = gb.linearise(micro_actuator_no_inductance).channel("x", "u")
+    channel = gb.export.extract_channel(gb.linearise(micro_actuator_no_inductance), "x", "u")
     np.testing.assert_allclose(channel.denominator, [1, (p.B + p.Kf * p.Kv / p.Ra) / p.M, p.K / p.M], rtol=1e-10)
     np.testing.assert_allclose(channel.numerator, [p.Kf / p.Ra / p.M], rtol=1e-10)
 
@@ -54,7 +55,7 @@ def test_the_cylinder_is_equation_10_9(model):
     if model is pneumatic_pva:
         np.testing.assert_allclose(found.A, [[0, 1, 0], [0, 0, 1], [0, -spring, -p.f_v]], rtol=1e-10)
         np.testing.assert_allclose(found.B, [[0], [0], [gain]], rtol=1e-10)
-    channel = found.channel("s", "u")
+    channel = gb.export.extract_channel(found, "s", "u")
     np.testing.assert_allclose(channel.denominator, [1, p.f_v, spring, 0], rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(channel.numerator, [gain], rtol=1e-10)
     assert channel.integrators == 1
@@ -65,7 +66,7 @@ def test_the_cylinder_is_equation_10_9(model):
 def test_zeros_gain_and_bandwidth_are_those_of_python_control():
     system = gb.linearise(micro_actuator)
     for output in ("x", "i"):
-        channel, theirs = system.channel(output, "u"), system.state_space()[output, "u"]
+        channel, theirs = gb.export.extract_channel(system, output, "u"), gb.export.to_state_space(system)[output, "u"]
         assert channel.gain == pytest.approx(control.dcgain(theirs), rel=1e-12)
         at_half = abs(theirs(1j * channel.bandwidth))
         assert at_half == pytest.approx(abs(channel.gain) / np.sqrt(2), rel=1e-9)
@@ -77,21 +78,25 @@ def test_zeros_gain_and_bandwidth_are_those_of_python_control():
 
 def test_what_no_input_reaches_is_taken_out_and_the_rest_keeps_its_names():
     whole = gb.linearise(pneumatic_cylinder)
-    small = whole.minimal()
+    small = gb.export.minimal_realisation(whole)
     assert small.state_names == ("s", "v", "p_a")  # p_a + p_b never changes
     w = np.geomspace(0.1, 1e3, 40)
     np.testing.assert_allclose(small.frequency_response(w), whole.frequency_response(w), rtol=1e-10)
-    assert "p_b: not reached by any input" in small.notes[-1]
-    assert gb.linearise(micro_actuator).minimal().state_names == ("x", "v", "i")
+    assert small.findings[-1].code == Code.STATES_REMOVED and small.findings[-1].values["unreached"] == ["p_b"]
+    assert gb.export.minimal_realisation(gb.linearise(micro_actuator)).state_names == ("x", "v", "i")
 
 
 def test_what_no_output_shows_is_taken_out():
     warm = (micro_actuator + gb.effect("winding_heating")).start(Rth=0.1)
-    assert gb.linearise(warm).minimal().state_names == ("x", "v", "i")  # heat goes with the square of the current
+    assert gb.export.minimal_realisation(gb.linearise(warm)).state_names == (
+        "x",
+        "v",
+        "i",
+    )  # heat goes with the square of the current
     leaky = (pneumatic_cylinder + gb.effect("chamber_leakage")).start(kl=1.0)
     # The sum of the pressures is neither reached nor seen.
     only_difference = replace(leaky, outputs=[gb.Output("s", "m")], rules=(), name="position_only")
-    small = gb.linearise(only_difference).minimal()
+    small = gb.export.minimal_realisation(gb.linearise(only_difference))
     w = np.geomspace(0.1, 1e3, 40)
     np.testing.assert_allclose(
         small.frequency_response(w), gb.linearise(only_difference).frequency_response(w), rtol=1e-10
@@ -119,7 +124,7 @@ def test_sampling_changes_neither_gain_nor_integrators(draw, method):
     )
     continuous, sampled = gb.linearise(model), gb.linearise(model, dt=0.01, method=method, delay=0.015)
     for output, integrators in (("s", 1), ("p_a", 0), ("p_b", 0)):
-        one, other = continuous.channel(output), sampled.channel(output)
+        one, other = gb.export.extract_channel(continuous, output), gb.export.extract_channel(sampled, output)
         assert one.integrators == other.integrators == integrators
         assert other.gain == pytest.approx(one.gain, rel=1e-7)
 
@@ -158,7 +163,9 @@ def test_the_models_own_delay_counts_and_a_continuous_system_approximates_it():
     plain = gb.linearise(micro_actuator).frequency_response(w)
     np.testing.assert_allclose(model.frequency_response(w), plain * np.exp(-1j * w * 5e-4)[:, None, None], rtol=1e-9)
     np.testing.assert_allclose(
-        model.state_space().frequency_response(w).complex[0, 0], model.frequency_response(w)[:, 0, 0], rtol=1e-3
+        gb.export.to_state_space(model).frequency_response(w).complex[0, 0],
+        model.frequency_response(w)[:, 0, 0],
+        rtol=1e-3,
     )
     sampled = gb.linearise(late, dt=2.5e-4)
     assert sampled.state_names == ("x", "v", "i", "u_1", "u_2")
@@ -187,7 +194,9 @@ def test_an_integrating_state_stays_where_it_starts_or_moves_steadily():
     p = constants(pneumatic_cylinder)
     assert steady.moving == ("s",)
     assert steady.states["v"] == pytest.approx(p.P_a * p.K2 / (p.rho_a * p.A_piston), rel=1e-10)
-    assert "s moves at 0.04727 m/s" in steady.notes[0]
+    (finding,) = steady.findings
+    assert (finding.code, finding.subject) == (Code.STEADY_MOTION, "s")
+    assert finding.values["speed"] == pytest.approx(0.04727, rel=1e-3) and finding.values["others_rest"]
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +213,10 @@ def test_a_valve_that_is_shut_at_first_is_opened_until_the_speed_is_there(steady
 
 def test_a_point_that_is_no_equilibrium_says_by_how_much():
     found = gb.linearise(micro_actuator, {"x": 1e-5, "v": 0, "i": 0, "u": 0})
-    assert "is no equilibrium, out of balance: force by -0.05896 N" in found.notes[0]
+    assert found.findings[0].code == Code.NO_EQUILIBRIUM
+    (residual,) = found.findings[0].values["imbalance"]
+    assert (residual["balance"], residual["unit"]) == ("force", "N")
+    assert residual["value"] == pytest.approx(-0.05896, rel=1e-3)
     assert found.rates[1] == pytest.approx(-constants(micro_actuator).K * 1e-5 / 0.01)
     with pytest.raises(
         gb.errors.ModelError, match=r"no equilibrium with x = 1e-05 m, u = 0 V, out of balance: force by"
@@ -222,7 +234,7 @@ def test_bad_names_and_numbers_come_in_one_message():
     with pytest.raises(gb.errors.ModelError, match="sampling time -1 s"):
         gb.linearise(micro_actuator, dt=-1)
     with pytest.raises(gb.errors.ModelError, match="no output 'y'"):
-        gb.linearise(micro_actuator).channel("y", "u")
+        gb.export.extract_channel(gb.linearise(micro_actuator), "y", "u")
     with pytest.raises(gb.errors.ModelError, match="cannot be exported; give a fit"):
         gb.linearise("fit.json")
 
@@ -230,9 +242,10 @@ def test_bad_names_and_numbers_come_in_one_message():
 def test_dry_friction_at_rest_is_left_out_and_named():
     stuck, free = gb.linearise(COULOMB), gb.linearise(micro_actuator)
     np.testing.assert_array_equal(stuck.A, free.A)
-    assert "coulomb_friction cannot be linearised at v = 0 (it holds up to 0.1 N)" in stuck.notes[0]
+    assert (stuck.findings[0].code, stuck.findings[0].subject) == (Code.FRICTION_LEFT_OUT, "coulomb_friction")
+    assert stuck.findings[0].values["level"] == pytest.approx(0.1) and stuck.findings[0].values["held"] == 0
     held = gb.linearise(COULOMB, {"x": 1e-5, "u": 0})
-    assert "of which 0.05896 N are in use" in held.notes[0]
+    assert held.findings[0].values["held"] == pytest.approx(0.05896, rel=1e-3)
     assert held.rates[1] == 0
 
 
@@ -242,29 +255,37 @@ def test_sliding_friction_has_the_slope_of_its_level():
     slope = 0.1 * np.exp(-1) * 2 / p.vs  # -d(level)/dv at v = vs
     found = gb.linearise(falling, {"v": 0.01})
     assert found.A[1, 1] == pytest.approx((-p.B + slope) / p.M, rel=1e-12)
-    assert not [n for n in found.notes if "stribeck" in n]
+    assert [f.code for f in found.findings] == [Code.STEADY_MOTION]  # and nothing about friction
 
 
-@pytest.mark.parametrize(("u", "gain", "said"), [
-    (0.5, 2000.0, "input_dead_zone cannot be linearised at u = 0.5 V"), (-0.5, 2000.0, "the side below it"),
-    (0.2, 0.0, "input 'u' has no effect at u = 0.2 V (input_dead_zone)"), (1.0, 2000.0, ""),
-])  # fmt: skip
-def test_the_dead_zone_and_its_edges(u, gain, said):
+@pytest.mark.parametrize(
+    ("u", "gain", "codes", "side"),
+    [
+        (0.5, 2000.0, [Code.KINK], "above"),
+        (-0.5, 2000.0, [Code.KINK], "below"),
+        (0.2, 0.0, [Code.INPUT_WITHOUT_EFFECT], None),
+        (1.0, 2000.0, [], None),
+    ],
+)
+def test_the_dead_zone_and_its_edges(u, gain, codes, side):
     found = gb.linearise(DEAD, {"u": u})
     np.testing.assert_allclose(found.B[2, 0], gain)
-    assert said in " ".join(found.notes) and bool(found.notes) == bool(said)
+    assert [f.code for f in found.findings] == codes
+    assert all(f.values["effects"] == ["input_dead_zone"] for f in found.findings)
+    assert all(f.values.get("side") == side for f in found.findings)
 
 
 def test_the_edge_of_a_saturation_takes_the_side_that_still_moves():
     clipped = (micro_actuator + gb.effect("input_saturation")).start(u_max=2.0)
     found = gb.linearise(clipped, {"u": 2.0})
     np.testing.assert_allclose(found.B[2, 0], 2000.0)
-    assert "input_saturation" in found.notes[0] and "the side below it" in found.notes[0]
+    (finding,) = found.findings
+    assert (finding.values["effects"], finding.values["side"]) == (["input_saturation"], "below")
 
 
 def test_drag_has_no_kink_where_its_slopes_agree():
     drag = (micro_actuator + gb.effect("quadratic_damping")).start(B2=3.0)
-    assert gb.linearise(drag).notes == ()
+    assert gb.linearise(drag).findings == ()
     moving = gb.linearise(drag, {"v": 0.1})
     assert moving.A[1, 1] == pytest.approx(-(0.2691 + 2 * 3.0 * 0.1) / 0.01, rel=1e-12)
 
@@ -274,7 +295,7 @@ def test_play_is_taken_as_closed():
     tight = gb.linearise(micro_actuator)
     np.testing.assert_array_equal(loose.A, tight.A)
     np.testing.assert_array_equal(loose.C, tight.C)
-    assert "backlash cannot be linearised" in loose.notes[0]
+    assert (loose.findings[0].code, loose.findings[0].subject) == (Code.PLAY_CLOSED, "backlash")
 
 
 def test_a_slope_that_is_not_finite_is_refused():
@@ -289,16 +310,23 @@ def test_a_slope_that_is_not_finite_is_refused():
         )  # fmt: skip
 
 
-@pytest.mark.parametrize(("dt", "said"), [
-    (2.5e-4, ""), (2e-3, "4.1 samples a period and it is followed poorly"), (1e-2, "beyond half the sampling rate")
-])  # fmt: skip
-def test_a_sampling_time_too_long_for_the_dynamics_is_said(dt, said):
-    notes = gb.linearise(micro_actuator, dt=dt).notes
-    assert said in " ".join(notes) and bool(notes) == bool(said)
+@pytest.mark.parametrize(("dt", "samples"), [(2.5e-4, None), (2e-3, 4.09), (1e-2, 0.82)])
+def test_a_sampling_time_too_long_for_the_dynamics_is_reported(dt, samples):
+    findings = gb.linearise(micro_actuator, dt=dt).findings
+    assert [f.code for f in findings] == ([Code.MODE_UNDERSAMPLED] if samples else [])
+    assert all(f.values["samples"] == pytest.approx(samples, rel=0.01) for f in findings)
 
 
-def test_tustin_on_a_fast_coil_is_said():
-    assert "rings from sample to sample" in gb.linearise(micro_actuator, dt=2.5e-4, method="tustin").notes[0]
+def test_tustin_on_a_fast_coil_is_reported():
+    findings = gb.linearise(micro_actuator, dt=2.5e-4, method="tustin").findings
+    assert [f.code for f in findings] == [Code.TUSTIN_RINGS]
+
+
+def test_a_linear_model_converts_as_it_is():
+    linear = gb.linearise(micro_actuator)
+    np.testing.assert_array_equal(gb.export.to_control(linear).A, linear.A)
+    with pytest.raises(gb.errors.ModelError, match="dt cannot be given for a linear model"):
+        gb.export.to_control(linear, dt=1e-3)
 
 
 def test_to_control_hands_over_names_and_warns():

@@ -9,6 +9,7 @@ from scipy.io import loadmat
 from scipy.signal import cont2discrete, dlsim
 
 import greybox as gb
+from greybox.export import ExportFinding
 from greybox.export.parameter_samples import make_parameter_distribution
 from greybox.export.plant import to_plant
 from greybox.signals import multisine
@@ -27,8 +28,8 @@ def fit():
 
 
 def test_draws_have_the_covariance_of_the_fit(fit):
-    cloud, rng = make_parameter_distribution(to_plant(fit)), np.random.default_rng(0)
-    draws = np.array([cloud.draw(rng)[cloud.which] for _ in range(4000)])
+    distribution, rng = make_parameter_distribution(to_plant(fit)), np.random.default_rng(0)
+    draws = np.array([distribution.draw(rng)[distribution.indices] for _ in range(4000)])
     expected = np.sqrt(np.diag(fit.uncertainty.covariance))
     np.testing.assert_allclose(draws.std(axis=0), expected, rtol=0.1)
     found = np.corrcoef(draws.T)
@@ -38,15 +39,15 @@ def test_draws_have_the_covariance_of_the_fit(fit):
 def test_draws_respect_the_bounds(fit):
     low = fit.model.values["B"] * 0.999
     narrow = replace(fit, model=fit.model.bound(B=(low, 1.0)))
-    values = gb.export.sample_family(narrow, number=40).constants[:, list(fit.model.values).index("B")]
+    values = gb.export.sample_family(narrow, number=40).parameters[:, list(fit.model.values).index("B")]
     assert values.min() >= low
     assert values.max() > fit.model.values["B"]
 
 
 def test_the_same_seed_draws_the_same_family(fit):
     one, two, other = (gb.export.sample_family(fit, number=3, seed=s) for s in (5, 5, 6))
-    np.testing.assert_array_equal(one.constants, two.constants)
-    assert not np.array_equal(one.constants, other.constants)
+    np.testing.assert_array_equal(one.parameters, two.parameters)
+    assert not np.array_equal(one.parameters, other.parameters)
 
 
 def test_pole_bounds_are_those_of_linear_propagation(fit):
@@ -100,13 +101,13 @@ def test_frequency_bounds_contain_the_nominal_and_most_members(fit):
 
 def test_the_worst_case_of_a_linear_criterion_is_the_edge_of_the_ellipsoid(fit):
     family = gb.export.sample_family(fit, number=20)
-    found = family.worst(lambda model: model.parameters["K"], level=0.95)
-    at = family._cloud.names.index("K")
-    reach = np.linalg.norm(family._cloud.root[at]) * np.sqrt(11.070497693516351)  # chi-square, 5 degrees, 95 %
-    assert found.nominal == fit.model.values["K"]
-    assert found.value == pytest.approx(found.nominal + reach, rel=1e-6)
+    worst = family.worst(lambda model: model.parameters["K"], level=0.95)
+    at = family.distribution.names.index("K")
+    reach = np.linalg.norm(family.distribution.root[at]) * np.sqrt(11.070497693516351)  # chi-square, 5 degrees, 95 %
+    assert worst.nominal == fit.model.values["K"]
+    assert worst.value == pytest.approx(worst.nominal + reach, rel=1e-6)
     members = max(member.parameters["K"] for member in family.members)
-    assert found.value > members * (1 - 1e-3)
+    assert worst.value > members * (1 - 1e-3)
 
 
 def test_a_constant_without_covariance_stays_where_it_is(fit):
@@ -117,8 +118,9 @@ def test_a_constant_without_covariance_stays_where_it_is(fit):
         replace(fit, uncertainty=replace(fit.uncertainty, covariance=covariance)), number=5
     )
     column = list(fit.model.values).index("La")
-    assert np.all(family.constants[:, column] == fit.model.values["La"])
-    assert "La: no covariance (at a bound, or not determined by the records)" in family.notes[0]
+    assert np.all(family.parameters[:, column] == fit.model.values["La"])
+    (finding,) = family.findings
+    assert finding.code == ExportFinding.PARAMETERS_NOT_DRAWN and finding.values["parameters"] == ["La"]
 
 
 def test_the_family_prints_its_spread(fit):
@@ -150,5 +152,7 @@ def test_what_cannot_be_drawn_is_refused(fit):
 
 
 def test_a_failed_fit_is_said(fit):
-    failed = replace(fit, solver=replace(fit.solver, success=False, status_message="stopped after 3 iterations"))
-    assert "the fit did not succeed (stopped after 3 iterations)" in gb.linearise(failed).notes[0]
+    failed = replace(fit, solver=replace(fit.solver, success=False, status="iteration_limit"))
+    finding = gb.linearise(failed).findings[0]
+    assert finding.code == ExportFinding.FIT_FAILED
+    assert finding.values["status"] == "iteration_limit"

@@ -40,10 +40,8 @@ SENTENCES = {
         "The fit failed: mass. Its errors say nothing about the model.",
     ),
     Code.FIT_FAILED: (
-        Finding(
-            Code.FIT_FAILED, subject="mass", values={"status": "x", "status_message": "stopped after 3 iterations"}
-        ),
-        "The fit failed: stopped after 3 iterations.",
+        Finding(Code.FIT_FAILED, subject="mass", values={"status": "interrupted"}),
+        "The fit failed: interrupted: this is the best point so far.",
     ),
     Code.PREDICTION_FILTER: (
         Finding(Code.PREDICTION_FILTER, subject="mass", values={"filter": "process noise on v"}),
