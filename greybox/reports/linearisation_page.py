@@ -7,10 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from greybox.export import Linearisation, ModelFamily
-from greybox.export.summary import format_channel, format_complex
+from greybox.export.transfer_channel import extract_channel
 from greybox.findings import Finding
 from greybox.plots.linear import plot_bode, plot_poles
 from greybox.rendering.english import phrase
+from greybox.rendering.export import channel_lines, complex_text
 from greybox.rendering.reports import PageText
 from greybox.reports.fit_blocks import statements
 from greybox.reports.page import (
@@ -63,8 +64,8 @@ def linear_verdict(linear: Linearisation) -> Paragraphs:
         phrase(PageText.LINEAR_VERDICT, dt=linear.dt, method=linear.method, states=len(linear.A), stability=stability),
         phrase(PageText.LINEAR_POINT, point=_point(linear)),
     ]
-    cautious = bool(linear.notes) or stability != "stable"
-    return Paragraphs([*items, *statements(linear.notes)], Tone.CAUTION if cautious else Tone.GOOD)
+    cautious = bool(linear.findings) or stability != "stable"
+    return Paragraphs([*items, *statements(linear.findings)], Tone.CAUTION if cautious else Tone.GOOD)
 
 
 def _point(linear: Linearisation) -> list[str]:
@@ -95,13 +96,13 @@ def _behaviour(linear: Linearisation, family: ModelFamily | None) -> Iterator[Bl
         line.strip()
         for output in linear.output_names
         for name in linear.input_names
-        for line in format_channel(linear.channel(output, name))
+        for line in channel_lines(extract_channel(linear, output, name))
     ]
     yield CodeBlock("\n".join(lines), phrase(PageText.LINEAR_CHANNELS))
     if family is not None:
         yield Paragraphs([phrase(PageText.LINEAR_FAMILY, models=len(family.members), seed=family.seed)])
-        if family.notes:
-            yield BulletList(statements(family.notes))
+        if family.findings:
+            yield BulletList(statements(family.findings))
 
 
 def _poles(linear: Linearisation) -> PageTable:
@@ -113,7 +114,7 @@ def _poles(linear: Linearisation) -> PageTable:
 
 def _pole_cells(linear: Linearisation, pole: complex) -> list[str]:
     if linear.dt and abs(pole) < GONE:
-        return [format_complex(pole), "zero after one sample", "", ""]
+        return [complex_text(pole), "zero after one sample", "", ""]
     s = np.log(pole) / linear.dt if linear.dt else pole
     speed = abs(s)
     return [
