@@ -321,8 +321,8 @@ def test_compare_takes_the_options_of_fit():
 
     commands = get_command(app).commands
     fit, compare = ({name for p in commands[c].params for name in p.opts} for c in ("fit", "compare"))
-    # train stands in its place; the others are about the intervals of constants, which are not compared
-    assert fit - compare == {"data", "--profile", "--bootstrap"}
+    # Options about the intervals of parameters, which are not compared.
+    assert fit - compare == {"--profile", "--bootstrap"}
 
 
 @pytest.mark.slow
