@@ -134,6 +134,9 @@ CANCELLED_RESPONSE = 1e-9
 OPEN_DIRECTION_ENTRY = 1e-3
 """A constant whose entry in a direction without information, of length one, is larger has no finite standard deviation."""
 
+FREQUENCY_ROUNDING = 1e-9
+"""A band may end at half the sampling frequency, whatever the last digits of the time stamps: share of that frequency."""
+
 MAD_TO_STD = 1.482602218505602
 """Standard deviation of normal values over the median of their sizes."""
 

@@ -15,15 +15,34 @@ from greybox.kernel import Record, make_kernel
 from greybox.model import Model
 from greybox.transcription import to_record
 
-# The step is halved until that changes no output by more than this share of its movement.
-PRECISION, HALVINGS = 1e-6, 6
+
+@dataclass(frozen=True)
+class SimulationPolicy:
+    """How fine a model is integrated."""
+
+    max_change: float = 1e-6
+    """The step is halved until that changes no output by more than this share of its movement (rms)."""
+    max_halvings: int = 6
+    """Most halvings; a run that still changes is returned as it is."""
+
+
+SIMULATION_POLICY = SimulationPolicy()
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """A free run: ``time`` (N,) in seconds; ``inputs``, ``outputs`` and ``states`` by name (N,) in the model's units.
+    """A free run of a model. Values are not finite from where a run overflows.
 
-    ``discretisation`` says how it was integrated. Values are not finite from where a run overflows.
+    Parameters
+    ----------
+    time : array (N,)
+        Time in seconds.
+    inputs, outputs, states
+        By name, each an array (N,) in the model's unit.
+    discretisation
+        How it was integrated.
+    source
+        The inputs as an experiment.
     """
 
     time: np.ndarray
@@ -43,9 +62,21 @@ class Simulation:
     def record(
         self, noise: Mapping[str, float] | None = None, generator: np.random.Generator | None = None
     ) -> Experiment:
-        """The run as a record, with white noise of the given standard deviations on the outputs.
+        """The run as a record, with white noise on the outputs.
 
-        Raises ModelError for noise on an unknown output or without a generator, DataError for a run that overflowed.
+        Parameters
+        ----------
+        noise
+            Standard deviations by output; others stay without noise.
+        generator
+            Draws the noise; needed where there is any.
+
+        Raises
+        ------
+        ModelError
+            For noise on an unknown output, or without a generator.
+        DataError
+            For a run that overflowed.
         """
         outputs = add_noise(self.outputs, noise or {}, generator)
         return self.source.with_outputs(outputs)
@@ -58,22 +89,47 @@ def simulate(
     initial: Mapping[str, float] | None = None,
     method: str = "automatic",
     substeps: int = 0,
+    policy: SimulationPolicy = SIMULATION_POLICY,
 ) -> Simulation:
-    """Run ``model`` freely over the inputs of an experiment, at the model's present values.
+    """Run a model freely over given inputs, at its present values.
 
-    ``inputs``: an `Experiment`, of which outputs are ignored, or ``{"time": ..., "u": ...}`` with arrays (N,), held
-    between samples. ``initial``: values of states at the first row, by name; the others are as declared. ``method`` and
-    ``substeps`` as in `greybox.FitOptions`; 0 substeps halves the RK4 step until nothing visible changes.
+    Parameters
+    ----------
+    model
+        The model.
+    inputs
+        An `Experiment`, of which outputs are ignored, or ``{"time": ..., "u": ...}`` with arrays (N,), held between samples.
+    initial
+        Values of states at the first row, by name; the others are as declared.
+    method, substeps
+        As in `greybox.FitOptions`; 0 substeps halves the step until nothing visible changes.
+    policy
+        What counts as visible.
 
-    Raises DataError for a missing input, ModelError for an unknown state. A run that overflows is returned: see
-    `Simulation.overflow`.
+    Returns
+    -------
+    Simulation
+        Outputs and states. A run that overflows is returned, too: see `Simulation.overflow`.
+
+    Raises
+    ------
+    DataError
+        For a missing input.
+    ModelError
+        For an unknown state.
+
+    Examples
+    --------
+    >>> time = 2.5e-4 * np.arange(2000)  # doctest: +SKIP
+    >>> run = simulate(micro_actuator, {"time": time, "u": np.ones(2000)})  # doctest: +SKIP
+    >>> run.outputs["x"][-1]  # doctest: +SKIP
     """
     experiment = inputs.with_outputs({}) if isinstance(inputs, Experiment) else _experiment(model, inputs)
     record = to_record(model, experiment)
     p, x0 = np.array(list(model.values.values())), declared_initial_state(model, initial)
     step = discretise(model.system, p, x0[None, :], record.lengths, method=method, substeps=substeps)
     y, x = _run(step, record, p, x0)
-    for _ in range(0 if substeps or step.per_interval else HALVINGS):
+    for _ in range(0 if substeps or step.per_interval else policy.max_halvings):
         visited = x[np.isfinite(x).all(axis=1)][:: max(1, len(x) // 10)]
         needed = choose_substeps(model.system, p, visited, float(record.lengths.max(initial=0.0)))
         finer = discretise(
@@ -81,7 +137,7 @@ def simulate(
         )
         before = y
         step, (y, x) = finer, _run(finer, record, p, x0)
-        if _settled(before, y):
+        if _has_settled(before, y, policy.max_change):
             break
     return Simulation(
         experiment.time, {i.name: experiment.inputs[i.name] for i in model.inputs},
@@ -137,10 +193,10 @@ def _run(step: Step, record: Record, p: np.ndarray, x0: np.ndarray) -> tuple[np.
     return record.samples(y), record.samples(x)
 
 
-def _settled(before: np.ndarray, after: np.ndarray) -> bool:
+def _has_settled(before: np.ndarray, after: np.ndarray, max_change: float) -> bool:
     """Whether halving the step changed nothing visible: no output (N, ny), and not where the run overflows."""
     rows = np.isfinite(before).all(axis=1)
     if not np.array_equal(rows, np.isfinite(after).all(axis=1)):
         return False
     change, movement = after[rows] - before[rows], after[rows] - after[0]
-    return bool(np.all(np.sum(change**2, axis=0) <= PRECISION**2 * np.sum(movement**2, axis=0)))
+    return bool(np.all(np.sum(change**2, axis=0) <= max_change**2 * np.sum(movement**2, axis=0)))

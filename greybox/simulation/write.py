@@ -12,11 +12,21 @@ from greybox.model import Model
 
 
 def write_csv(experiment: Experiment, model: Model, path: str | os.PathLike[str]) -> Path:
-    """Write ``experiment`` to ``path`` (folders are made): headers ``name [unit]`` in the units of ``model``, gaps left
-    empty.
+    """Write a record as a CSV file that `greybox.read_csv` reads back without loss.
 
-    Numbers have as many digits as it takes to read the same ones back. Signals that ``model`` does not have are left
-    out.
+    Parameters
+    ----------
+    experiment
+        The record; gaps become empty fields.
+    model
+        Its units go into the headers, ``name [unit]``; signals that it does not have are left out.
+    path
+        The file; folders are made.
+
+    Returns
+    -------
+    Path
+        The file.
     """
     target = Path(path)
     inputs = [(s.name, s.unit, experiment.inputs[s.name]) for s in model.inputs if s.name in experiment.inputs]

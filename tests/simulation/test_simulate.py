@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State, effect, read_csv
 from greybox.errors import DataError, ModelError
-from greybox.signals import chirp, multisine
+from greybox.signals import multisine
 from greybox.simulation import read_inputs, simulate, write_csv
 from greybox.twin import simulate_twin
 from models.cascaded_tanks import cascaded_tanks
@@ -152,27 +152,3 @@ def test_inputs_are_read_without_outputs(tmp_path: Path) -> None:
         read_inputs(file, micro_actuator)
     with pytest.raises(DataError, match="file not found"):
         read_inputs(tmp_path / "none.csv", micro_actuator)
-
-
-def test_a_multisine_stays_in_its_band() -> None:
-    time = 1e-3 * np.arange(1000)
-    signal = multisine(time, 20, 100, 2.5, np.random.default_rng(0))
-    size = np.abs(np.fft.rfft(signal))
-    frequency = np.fft.rfftfreq(1000, 1e-3)
-    inside = (frequency >= 20) & (frequency <= 100)
-    assert np.sqrt(np.mean(signal**2)) == pytest.approx(2.5)
-    assert size[~inside].max() < 1e-9 * size[inside].min()
-    with pytest.raises(DataError, match="has no line"):
-        multisine(time, 20.2, 20.8, 1.0, np.random.default_rng(0))
-
-
-def test_a_chirp_sweeps_evenly() -> None:
-    time = 1e-4 * np.arange(20001)
-    signal = chirp(time, 5, 105, 3.0)
-    crossings = np.flatnonzero(signal[1:-1] * signal[2:] < 0)
-    assert np.abs(signal).max() == pytest.approx(3.0, rel=1e-3)
-    # Two crossings a period, and (5 + 105) / 2 Hz over 2 s are 110 periods; half of the first and last may be missing.
-    assert abs(len(crossings) - 220) <= 2
-    assert (crossings < 10000).sum() == pytest.approx(2 * (5 + 55) / 2, abs=2)
-    with pytest.raises(DataError, match="a chirp up to 5000 Hz: samples every 0"):
-        chirp(time, 5, 5000, 3.0)
