@@ -73,7 +73,7 @@ def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
         curves = [
             Curve(run.time, factor * _cut(run.simulated, run.measured), roles[n], n, 1.4, thinning=Thinning.ENVELOPE)
             for n, run in reversed(runs.items())  # the first, as a rule the grey box, on top
-        ]  # fmt: skip
+        ]
         panels.append(Panel(output, (measured, *curves), TIME, Axis(output, unit), height=Height.TALL))
     return Figure(name, tuple(panels), phrase(FigureText.MODEL_RUNS, record), _error_sizes(comparison, record))
 
@@ -86,11 +86,15 @@ def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figu
         factor, unit = scale_to_prefix(comparison.outputs[output], typical)
         curves = [
             Curve(
-                run.time, factor * _cut(run.measured - run.simulated, run.measured), roles[n], n, 1.0,
+                run.time,
+                factor * _cut(run.measured - run.simulated, run.measured),
+                roles[n],
+                n,
+                1.0,
                 thinning=Thinning.ENVELOPE,
             )
             for n, run in reversed(runs.items())
-        ]  # fmt: skip
+        ]
         reach = DRAWING.typical_errors * factor * max(typical[np.isfinite(typical)], default=1.0) or 1.0
         axis = Axis(f"error of {output}", unit, limits=(-reach, reach))
         panels.append(Panel(output, tuple(curves), TIME, axis))

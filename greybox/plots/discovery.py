@@ -58,10 +58,13 @@ def plot_holdout_error(discovery: Discovery) -> Figure:
         panels.append(Panel(output, (bars,), x, y, height=Height.PER_CATEGORY))
         description.append(
             phrase(
-                FigureText.ERROR_BEFORE_AFTER, output, before=error.before / error.floor, after=error.after / error.floor,
+                FigureText.ERROR_BEFORE_AFTER,
+                output,
+                before=error.before / error.floor,
+                after=error.after / error.floor,
                 explained=min(error.explained_fraction, 1.0),
             )
-        )  # fmt: skip
+        )
     return Figure("gap", tuple(panels), phrase(FigureText.ERRORS_BEFORE_AFTER), tuple(description))
 
 
@@ -100,9 +103,14 @@ def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:
         height=Height.TALL,
     )
     description = phrase(
-        FigureText.EFFECT_SIGNAL_SIZE, signal.effect, site=signal.site, rms=y * root_mean_square(signal.value), unit=unit,
-        explained=signal.explained, dependence=str(signal.dependence),
-    )  # fmt: skip
+        FigureText.EFFECT_SIGNAL_SIZE,
+        signal.effect,
+        site=signal.site,
+        rms=y * root_mean_square(signal.value),
+        unit=unit,
+        explained=signal.explained,
+        dependence=str(signal.dependence),
+    )
     caption = phrase(FigureText.EFFECT_SIGNAL, signal.effect, site=signal.site)
     return Figure(name, (against, in_time), caption, (description,))
 
@@ -159,9 +167,7 @@ def plot_misfit_windows(localisation: ResidualLocalisation) -> Figure | None:
         )
         panels.append(Panel(record, (bars,), TIME, Axis("misfit / noise"), height=Height.LOW))
     worst = max(windows, key=lambda w: w.share)
-    description = phrase(
-        FigureText.WORST_WINDOW, worst.record, share=worst.share, start=worst.start, end=worst.end
-    )  # fmt: skip
+    description = phrase(FigureText.WORST_WINDOW, worst.record, share=worst.share, start=worst.start, end=worst.end)
     return Figure("when", tuple(panels), phrase(FigureText.MISFIT_WINDOWS), (description,))
 
 
@@ -178,9 +184,12 @@ def plot_candidates(discovery: Discovery) -> Figure | None:
     ]
     names, misfits = [" + ".join(c.effects) for c in shown], np.array([c.misfit for c in shown])
     bars = Bars(
-        names, misfits, roles, horizontal=True,
+        names,
+        misfits,
+        roles,
+        horizontal=True,
         texts=[typeset_exponents(f"+{c.behind:.3g}") if c.behind else "best" for c in shown],
-    )  # fmt: skip
+    )
     x = bar_axis("misfit / noise on the estimation records", "", misfits)
     series = (Reference(1.0, upright=True, dash=Dash.DOTTED), bars)
     panel = Panel("candidates", series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY)
@@ -213,6 +222,10 @@ def plot_average_spectra(discovery: Discovery) -> Figure:
 
 def _bins(dependence: Dependence, x: float, y: float) -> Points:
     return Points(
-        x * dependence.centres, y * dependence.mean, Role.REFERENCE, "mean in bins, ± 2 std", size=6,
+        x * dependence.centres,
+        y * dependence.mean,
+        Role.REFERENCE,
+        "mean in bins, ± 2 std",
+        size=6,
         half_bars=2 * y * dependence.std,
-    )  # fmt: skip
+    )

@@ -48,10 +48,15 @@ def plot_bode(linear: Linearisation, family: ModelFamily | None) -> tuple[Figure
             top = int(np.argmax(size))
             description.append(
                 phrase(
-                    FigureText.GAIN_RANGE, channel, unit=unit, gain=float(size[0]), frequency=float(hertz[0]),
-                    largest=float(size[top]), peak=float(hertz[top]),
+                    FigureText.GAIN_RANGE,
+                    channel,
+                    unit=unit,
+                    gain=float(size[0]),
+                    frequency=float(hertz[0]),
+                    largest=float(size[top]),
+                    peak=float(hertz[top]),
                 )
-            )  # fmt: skip
+            )
     return (
         Figure("gain", tuple(gains), phrase(FigureText.GAIN, family=family is not None), tuple(description)),
         Figure("phase", tuple(phases), phrase(FigureText.PHASE), tuple(description)),
@@ -73,8 +78,12 @@ def plot_poles(linear: Linearisation, family: ModelFamily | None) -> Figure | No
     series.append(Points(poles.real, poles.imag, Role.SIMULATED, "nominal", size=11, symbol=Symbol.CROSS))
     units = ("", "") if linear.dt else ("1/s", "rad/s")
     panel = Panel(
-        "poles", tuple(series), Axis("real part", units[0]), Axis("imaginary part", units[1]), height=Height.TALL,
+        "poles",
+        tuple(series),
+        Axis("real part", units[0]),
+        Axis("imaginary part", units[1]),
+        height=Height.TALL,
         equal_scales=bool(linear.dt),
-    )  # fmt: skip
+    )
     description = phrase(FigureText.POLE_PLACES, real=poles.real.tolist(), imaginary=poles.imag.tolist())
     return Figure("poles", (panel,), phrase(FigureText.POLES, sampled=bool(linear.dt)), (description,))

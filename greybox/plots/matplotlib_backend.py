@@ -72,8 +72,13 @@ def draw_sheet(sheet: Sheet, style: PictureStyle = PICTURE) -> Picture:
         entries |= {label: handle for handle, label in zip(handles, labels, strict=True) if label not in entries}
     if entries:
         picture.legend(
-            entries.values(), entries.keys(), loc="outside lower center", ncols=len(entries), fontsize=style.numbers, frameon=False
-        )  # fmt: skip
+            entries.values(),
+            entries.keys(),
+            loc="outside lower center",
+            ncols=len(entries),
+            fontsize=style.numbers,
+            frameon=False,
+        )
     picture.align_ylabels()
     return picture
 
@@ -164,10 +169,19 @@ def _draw_points(axes: Axes, points: Points, panel: Panel, style: PictureStyle) 
     if points.half_bars is not None:
         axes.errorbar(x, y, points.half_bars, fmt="none", ecolor=colour, elinewidth=style.line)
     axes.plot(
-        x, y, color=colour, ls="-" if points.joined else "none", lw=style.line, marker=MARKERS[points.symbol],
-        ms=style.mark * points.size, mfc="white" if points.hollow else colour, mec=colour,
-        mew=style.line * points.hollow, alpha=points.opacity, label=points.label or None,
-    )  # fmt: skip
+        x,
+        y,
+        color=colour,
+        ls="-" if points.joined else "none",
+        lw=style.line,
+        marker=MARKERS[points.symbol],
+        ms=style.mark * points.size,
+        mfc="white" if points.hollow else colour,
+        mec=colour,
+        mew=style.line * points.hollow,
+        alpha=points.opacity,
+        label=points.label or None,
+    )
     for place, text in zip(zip(x, y, strict=True), points.texts, strict=bool(points.texts)):
         axes.annotate(f"  {text}", place, va="center", fontsize=style.numbers)
 

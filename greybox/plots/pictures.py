@@ -88,9 +88,16 @@ def draw_discovery(discovery: Discovery, directory: str | Path) -> list[Path]:
 
 
 def draw_gap(
-    before: Trace, after: Trace, *, output: str, unit: str, noise: float, ratios: Mapping[str, float], names: tuple[str, str],
+    before: Trace,
+    after: Trace,
+    *,
+    output: str,
+    unit: str,
+    noise: float,
+    ratios: Mapping[str, float],
+    names: tuple[str, str],
     path: str | Path,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """Draw how far a record is from its model before and after an effect was added; returns the PNG file.
 
     Parameters
@@ -238,9 +245,7 @@ def _effect_signal_sheet(signal: EffectSignal) -> Sheet:
     against, in_time = plot_effect_signal(signal, "missing").panels
     shown = min(len(signal.time), DRAWING.signal_in_time)
     window = (float(signal.time[0]), float(signal.time[shown - 1]))
-    heading = phrase(
-        FigureText.EFFECT_SIGNAL_HEADING, signal.effect, explained=signal.explained, record=signal.record
-    )  # fmt: skip
+    heading = phrase(FigureText.EFFECT_SIGNAL_HEADING, signal.effect, explained=signal.explained, record=signal.record)
     cells = (Cell(against, 0), Cell(in_time, 0, 1, window=window))
     return Sheet(f"missing-{signal.effect}", cells, heading, (10.0, 4.4), widths=(1.1, 1.0))
 
@@ -275,9 +280,15 @@ def _holdout_error_sheet(discovery: Discovery) -> Sheet:
 
 
 def gap_sheet(
-    before: Trace, after: Trace, output: str, unit: str, noise: float, ratios: Mapping[str, float], names: tuple[str, str],
+    before: Trace,
+    after: Trace,
+    output: str,
+    unit: str,
+    noise: float,
+    ratios: Mapping[str, float],
+    names: tuple[str, str],
     name: str,
-) -> Sheet:  # fmt: skip
+) -> Sheet:
     """The free run and the residual of two models, and the misfit of all that are compared."""
     pair, units = (_only(before, output), _only(after, output)), {output: unit}
     run = plot_runs_before_after(*pair, units, "run", names)[output]
@@ -295,9 +306,12 @@ def _ratio_bars(ratios: Mapping[str, float], names: tuple[str, str]) -> Panel:
     roles = {names[0]: Role.BASELINE, names[1]: Role.EXTENDED}
     values = np.array(list(ratios.values()))
     bars = Bars(
-        list(ratios), values, [roles.get(n, Role.OTHER) for n in ratios], horizontal=True,
+        list(ratios),
+        values,
+        [roles.get(n, Role.OTHER) for n in ratios],
+        horizontal=True,
         texts=[f"{ratio:.3g}" for ratio in values],
-    )  # fmt: skip
+    )
     x = Axis("misfit / noise", "", Scale.LOG, (0.7, 3.0 * float(values.max())))
     series = (bars, Reference(1.0, upright=True, dash=Dash.DOTTED))
     return Panel("misfit", series, x, Axis(scale=Scale.CATEGORY, reversed=True))

@@ -142,9 +142,13 @@ def _bars(bars: Bars, panel: Panel) -> dict[str, Any]:
     across, along = ("y", "x") if bars.horizontal else ("x", "y")
     unit = (panel.x if bars.horizontal else panel.y).unit
     trace = {
-        "type": "bar", "orientation": "h" if bars.horizontal else "v", along: bars.lengths, across: _listed(bars.places),
-        "marker": {"color": [css_variable(role) for role in bars.roles]}, **_named(bars.label),
-    }  # fmt: skip
+        "type": "bar",
+        "orientation": "h" if bars.horizontal else "v",
+        along: bars.lengths,
+        across: _listed(bars.places),
+        "marker": {"color": [css_variable(role) for role in bars.roles]},
+        **_named(bars.label),
+    }
     if not isinstance(_listed(bars.places), list):
         trace["width"] = bars.width if np.ndim(bars.width) else np.full(len(bars.lengths), bars.width)
     if bars.texts:
@@ -167,10 +171,20 @@ def _heatmap(heatmap: Heatmap) -> dict[str, Any]:
     colours = [[0, css_variable(Role.RESIDUAL)], [0.5, PAPER], [1, css_variable(Role.SIMULATED)]]
     names = list(heatmap.names)
     return {
-        "type": "heatmap", "z": heatmap.values.tolist(), "x": names, "y": names, "zmin": -1, "zmax": 1, "text": cells,
-        "texttemplate": "%{text}", "colorscale": colours, "showscale": False, "xgap": 2, "ygap": 2,
+        "type": "heatmap",
+        "z": heatmap.values.tolist(),
+        "x": names,
+        "y": names,
+        "zmin": -1,
+        "zmax": 1,
+        "text": cells,
+        "texttemplate": "%{text}",
+        "colorscale": colours,
+        "showscale": False,
+        "xgap": 2,
+        "ygap": 2,
         "hovertemplate": _pointed_at("%{x}, %{y}: %{z:.3f}", ""),
-    }  # fmt: skip
+    }
 
 
 def _named(label: str) -> dict[str, Any]:
@@ -215,8 +229,12 @@ def _shape(series: Series) -> dict[str, Any] | None:
     match series:
         case Band():
             return _across("y", series.low, series.high) | {
-                "type": "rect", "fillcolor": css_variable(series.role), "line": {"width": 0}, "layer": "below", **_named(series.label),
-            }  # fmt: skip
+                "type": "rect",
+                "fillcolor": css_variable(series.role),
+                "line": {"width": 0},
+                "layer": "below",
+                **_named(series.label),
+            }
         case Reference():
             line = {"color": css_variable(series.role), "width": series.width, "dash": series.dash.value}
             ends = _across("x" if series.upright else "y", series.value, series.value)

@@ -87,11 +87,18 @@ def plot_run(trace: Trace, units: Mapping[str, str], name: str) -> Figure:
         )
         description.append(
             phrase(
-                FigureText.RUN_RANGE, output, duration=float(trace.time[-1] - trace.time[0]), low=low, high=high,
-                simulated_low=simulated_low, simulated_high=simulated_high, unit=unit, missing=int(np.isnan(measured).sum()),
+                FigureText.RUN_RANGE,
+                output,
+                duration=float(trace.time[-1] - trace.time[0]),
+                low=low,
+                high=high,
+                simulated_low=simulated_low,
+                simulated_high=simulated_high,
+                unit=unit,
+                missing=int(np.isnan(measured).sum()),
                 rows=len(measured),
             )
-        )  # fmt: skip
+        )
     return Figure(name, tuple(panels), phrase(FigureText.RUN, trace.name), tuple(description))
 
 

@@ -74,7 +74,6 @@ class PageText(StrEnum):
 
     COMPARISON_TITLE = "page_comparison_title"
     COMPARISON_QUESTION = "page_comparison_question"
-    COMPARISON_VALIDATION = "page_comparison_validation"
     COMPARISON_TRAINING = "page_comparison_training"
     COMPARISON_ERRORS = "page_comparison_errors"
     COMPARISON_LEGEND = "page_comparison_legend"
@@ -175,11 +174,11 @@ def _ratios(f: Finding) -> str:
 
 def _fit_question(f: Finding) -> str:
     v = f.values
+    records = f"{count_noun(v['records'], 'record')} ({count_noun(v['rows'], 'row')})"
     fixed = f" {join_names(v['fixed'])} {'is' if len(v['fixed']) == 1 else 'are'} fixed." if v["fixed"] else ""
-    return (
-        f"Which values of {join_names(v['free']) or 'its parameters'} make the model follow {count_noun(v['records'], 'record')}"
-        f" ({count_noun(v['rows'], 'row')})?{fixed}"
-    )
+    if not v["free"]:
+        return f"How well does the model follow {records}?{fixed}"
+    return f"Which values of {join_names(v['free'])} make the model follow {records}?{fixed}"
 
 
 def _determined(f: Finding) -> str:
@@ -216,9 +215,17 @@ def _simulation_run(f: Finding) -> str:
     )
 
 
+def _linear_question(f: Finding) -> str:
+    inputs, outputs = (join_names(f.values[key]) or "the states" for key in ("inputs", "outputs"))
+    return f"How do small deviations of {inputs} change {outputs}? For the design of a controller."
+
+
 def _linear_verdict(f: Finding) -> str:
-    kind = f"sampled every {f.values['dt']:g} s ({f.values['method']})" if f.values["dt"] else "continuous"
-    return f"A {kind} linear model with {count_noun(f.values['states'], 'state')}; it is {f.values['stability']}."
+    v = f.values
+    states = count_noun(v["states"], "state")
+    if v["dt"]:
+        return f"A linear model with {states}, sampled every {v['dt']:g} s ({v['method']}); it is {v['stability']}."
+    return f"A continuous linear model with {states}; it is {v['stability']}."
 
 
 TEMPLATES: Mapping[str, Template] = {
@@ -304,7 +311,6 @@ TEMPLATES: Mapping[str, Template] = {
     # The page of a comparison
     PageText.COMPARISON_TITLE: "Grey boxes and black boxes side by side",
     PageText.COMPARISON_QUESTION: _comparison_question,
-    PageText.COMPARISON_VALIDATION: "On the validation records",
     PageText.COMPARISON_TRAINING: "On the fitted records",
     PageText.COMPARISON_ERRORS: lambda f: (
         f"{f.subject}, {'validation' if f.values['validation'] else 'fitted'} records"
@@ -344,7 +350,7 @@ TEMPLATES: Mapping[str, Template] = {
         "A simulated micro-motion actuator has an effect that its model lacks. Does the program notice, does it name the effect, and does"
         " that pay?"
     ),
-    PageText.DEMO_PLAIN: "The residual of the plain model in {subject} is {ratio:.3g} times the noise.",
+    PageText.DEMO_PLAIN: "In {subject}, the residual of the plain model is {ratio:.3g} times the noise.",
     PageText.DEMO_TRUTH: lambda f: (
         f"The fit meets every parameter of the rig within {f.values['deviation']:.1f} standard deviations: {join_names(f.values['names'])}."
     ),
@@ -361,10 +367,7 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.EXPORT_CONTENT: "Content of {subject}",
     # The page of a linear model
     PageText.LINEAR_TITLE: "{subject} as a linear model",
-    PageText.LINEAR_QUESTION: lambda f: (
-        f"How do small deviations of {join_names(f.values['inputs']) or 'nothing'} change {join_names(f.values['outputs']) or 'nothing'}?"
-        " For the design of a controller."
-    ),
+    PageText.LINEAR_QUESTION: _linear_question,
     PageText.LINEAR_VERDICT: _linear_verdict,
     PageText.LINEAR_POINT: lambda f: f"It holds for small deviations from {join_names(f.values['point'])}.",
     PageText.LINEAR_POLES: lambda f: "Poles (z)" if f.values["sampled"] else "Poles",

@@ -31,7 +31,7 @@ from greybox.reports.page import (
     Subheading,
     Text,
     Tone,
-)  # fmt: skip
+)
 from greybox.reports.policy import REPORT
 from greybox.reports.provenance import provenance_section
 from greybox.reports.records import format_sampling_time, signal_units

@@ -26,7 +26,7 @@ from greybox.reports.page import (
     Subheading,
     Text,
     Tone,
-)  # fmt: skip
+)
 from greybox.reports.policy import REPORT
 from greybox.reports.provenance import provenance_section
 from greybox.reports.typography import format_number, typeset_number, typeset_unit

@@ -32,7 +32,7 @@ from greybox.reports.page import (
     Subheading,
     Text,
     Tone,
-)  # fmt: skip
+)
 from greybox.reports.policy import REPORT
 from greybox.reports.provenance import fit_provenance_section
 from greybox.reports.records import records_section, signal_units

@@ -33,9 +33,11 @@ MARKUP = {"hovertemplate"}  # templates hold markup of ours, and what they hold 
 
 def render_page(page: Page) -> str:
     """The page as HTML. Raises DataError where it would be larger than 6 MB."""
-    html = _environment().get_template("page.html").render(
-        page=page, style=_style(), script=_inside("page.js"), plotly=_plotly() if _drawn(page) else ""
-    )  # fmt: skip
+    html = (
+        _environment()
+        .get_template("page.html")
+        .render(page=page, style=_style(), script=_inside("page.js"), plotly=_plotly() if _drawn(page) else "")
+    )
     if len(html.encode()) > REPORT.largest_page:
         raise DataError(
             f"the report {label(page.title)!r} is larger than {REPORT.largest_page / 1e6:.0f} MB; give fewer records"
@@ -62,9 +64,12 @@ def _has_figure(block: Block) -> bool:
 @cache
 def _environment() -> Environment:
     environment = Environment(
-        loader=PackageLoader("greybox.reports", "template"), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+        loader=PackageLoader("greybox.reports", "template"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.filters |= {"mathml": mathml, "data": embedded, "kind": lambda block: type(block).__name__.lower()}
     environment.filters |= {"height": height_on_page, "say": say, "label": label}
     return environment

@@ -25,7 +25,7 @@ from greybox.plots.figure import (
     Scale,
     Symbol,
     Thinning,
-)  # fmt: skip
+)
 from greybox.plots.matplotlib_backend import draw_sheet, save_sheet
 from greybox.plots.sheet import Cell, Sheet
 from greybox.plots.style import PALETTE

@@ -151,9 +151,12 @@ def test_every_kind_of_page_opens_and_is_drawn(browser, good_fit, tmp_path):
     black = gb.blackbox.arx(made[0], output="x", inputs=["u"], na=3, nb=3, nk=1)
     compared = compare({HOSTILE: found.base, "with it": found.best, "arx": [black]}, made[1], training=made[0])
     values = {
-        "check": (check(micro_actuator), {}), "discovery": (found, {}), "linear": (gb.linearise(found.best), {}),
-        "comparison": (compared, {"fits": {HOSTILE: found.base}}), "simulation": (records[0], {"model": rig}),
-    }  # fmt: skip
+        "check": (check(micro_actuator), {}),
+        "discovery": (found, {}),
+        "linear": (gb.linearise(found.best), {}),
+        "comparison": (compared, {"fits": {HOSTILE: found.base}}),
+        "simulation": (records[0], {"model": rig}),
+    }
     for name, (value, more) in values.items():
         with opened(browser, gb.report(value, tmp_path / f"{name}.html", **more)) as page:
             undrawn = [f.get_attribute("id") for f in page.locator("figure.drawn:not(:has(svg.main-svg))").all()]
