@@ -249,7 +249,6 @@ def _to_fit(model: Model, solution: Solution, options: FitOptions) -> Fit:
         ),
         noise=FitNoise(
             to_noise_by_output(problem, misfit),
-            str(problem.noise),
             dict(problem.noise.sources),
             {
                 o.name: a.reflection

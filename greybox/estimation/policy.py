@@ -272,9 +272,6 @@ class ProcessNoisePolicy:
     limit_tolerance: float = 0.02
     """The limit is found to this share of the likelihood ratio."""
 
-    stated_noise_reach: float = 5.0
-    """An estimated noise level whose 95 % interval reaches further than a factor e to this is stated without interval."""
-
     @property
     def limit_ratio(self) -> float:
         """Likelihood ratio at an upper limit."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.estimation.covariance import LikelihoodCovariance, compute_quantile, estimate_likelihood_covariance
+from greybox.estimation.covariance import LikelihoodCovariance, estimate_likelihood_covariance
 from greybox.estimation.estimates import (
     check_priors,
     to_estimates,
@@ -30,9 +30,8 @@ from greybox.estimation.likelihood_search import (
 )
 from greybox.estimation.options import FitOptions, FitProgressCallback, Transcription
 from greybox.estimation.parameter_constancy import ConstancyInput, ParameterShift, find_parameter_shifts
-from greybox.estimation.policy import EstimationPolicy, ProcessNoisePolicy
+from greybox.estimation.policy import EstimationPolicy
 from greybox.estimation.prediction_error import (
-    LikelihoodUnknowns,
     PredictionErrorObjective,
     Runs,
     compute_free_runs,
@@ -237,6 +236,7 @@ def _to_fit(
         for j, output in enumerate(model.system.output_names)
         if unknowns.estimated[j] or output in problem.noise.sources
     }
+    estimated = [(j, o) for j, o in enumerate(model.outputs) if unknowns.estimated[j]]
     measured = [(j, output) for j, output in enumerate(model.system.output_names) if output in misfit]
     return Fit(
         model=fitted,
@@ -253,9 +253,10 @@ def _to_fit(
         ),
         noise=FitNoise(
             {output: float(unknowns.level[j]) for j, output in measured},
-            _describe_noise(problem, unknowns, covariance, policy.process_noise),
             sources,
             dict.fromkeys(misfit, ()),
+            {o.name: float(covariance.noise[j]) for j, o in estimated},
+            {o.name: o.unit for _, o in estimated},
         ),
         uncertainty=FitUncertainty(
             free, matrix, constants.kind, dict(zip(variables.names, inflation.tolist(), strict=True))
@@ -334,25 +335,6 @@ def _find_shifts(
         problem.model.noise_parameters,
     )
     return find_parameter_shifts(tested, rows, policy.constancy)
-
-
-def _describe_noise(
-    problem: EstimationProblem,
-    unknowns: LikelihoodUnknowns,
-    covariance: LikelihoodCovariance,
-    policy: ProcessNoisePolicy,
-) -> str:
-    """Where the noise of each measured output is known from, in one line."""
-    texts = {}
-    for j, output in enumerate(problem.model.outputs):
-        if unknowns.estimated[j]:
-            value, reach = unknowns.level[j], compute_quantile(np.inf) * covariance.noise[j]
-            known = reach < policy.stated_noise_reach
-            ends = f" [{value * np.exp(-reach):.3g}, {value * np.exp(reach):.3g}]" if known else " (hardly determined)"
-            texts[output.name] = f"{value:.3g}{ends} {output.unit} from the innovations"
-        elif output.name in problem.noise.sources:
-            texts[output.name] = problem.noise.sources[output.name].replace("_", " ")
-    return "; ".join(f"{name}: {text}" for name, text in texts.items())
 
 
 def _is_exact(solution: Solution) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.estimation.findings import EstimationCode
 from greybox.findings import Finding
+from greybox.rendering.policy import TEXT_LIMITS
 from greybox.rendering.registry import register, renders, sentence, sentences
 from greybox.rendering.tables import format_shares
 from greybox.units import format_unit
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from greybox.estimation import MultiStartResult, SmoothedStates
     from greybox.estimation.predictor import PredictionCorrection
     from greybox.result import SolverReport
-
-LONGEST_FORMULA = 80  # characters that are worth showing
 
 STATUS = {
     "converged": "converged",
@@ -101,7 +100,7 @@ def _write_term_not_finite(finding: Finding) -> str:
             "storage": f"in balance {v['balance']!r} one over the storage",
             "output": f"the output {v['name']!r}",
         }[v["kind"]]
-        formula = f" ({v['formula']})" if len(v["formula"]) <= LONGEST_FORMULA else ""
+        formula = f" ({v['formula']})" if len(v["formula"]) <= TEXT_LIMITS.longest_formula else ""
         what = f"{named}{formula} is {v['value']} {v['unit']}".rstrip()
     return f"{_write_place(finding)}: {what}, at {_write_point(finding)}"
 

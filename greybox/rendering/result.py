@@ -6,12 +6,15 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from greybox.noise import AutoRegression
+from greybox.rendering.noise import describe_source
+from greybox.rendering.policy import TEXT_LIMITS
 from greybox.rendering.registry import renders, sentences
 from greybox.rendering.tables import format_number, format_table, format_with_std, make_formatter
 from greybox.units import format_unit
 
 if TYPE_CHECKING:
-    from greybox.result import Estimate, Fit, Misfit
+    from greybox.result import Estimate, Fit, FitNoise, Misfit
 
 MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
 
@@ -31,7 +34,7 @@ def write_fit(fit: Fit) -> str:
     intervals = _write_interval_kind(fit)
     if intervals:
         lines += ["", f"intervals: {intervals}"]
-    lines += ["", f"noise: {fit.noise.source}", f"discretisation: {fit.discretisation.label}{_write_step_error(fit)}"]
+    lines += ["", f"noise: {fit.noise}", f"discretisation: {fit.discretisation.label}{_write_step_error(fit)}"]
     if fit.solver.strategy is not None:
         lines.append(f"search: {fit.solver.strategy}")
     lines += [f"note: {note}" for note in sentences(fit.findings)]
@@ -108,3 +111,25 @@ def _write_priors(fit: Fit) -> list[str]:
 
 def _write_misfits(title: str, misfit: Mapping[str, Misfit]) -> list[str]:
     return format_table([title, *MISFIT_HEADS], [[name, *to_misfit_cells(m)] for name, m in misfit.items()])
+
+
+@renders("FitNoise")
+def write_noise(noise: FitNoise) -> str:
+    """Where the noise of each output is known from; levels that a likelihood estimated with their 95 % interval."""
+    groups: dict[str, list[str]] = {}
+    for name, source in noise.sources.items():
+        if name in noise.log_std:
+            text = _write_estimated_level(noise, name)
+        else:
+            text = describe_source(source, AutoRegression(tuple(noise.colour.get(name, ()))))
+        groups.setdefault(text, []).append(name)
+    if len(groups) == 1 and not noise.log_std:
+        return next(iter(groups))
+    return "; ".join(f"{', '.join(names)}: {text}" for text, names in groups.items())
+
+
+def _write_estimated_level(noise: FitNoise, output: str) -> str:
+    low, high = noise.interval(output)
+    known = math.log(high / noise.std[output]) < TEXT_LIMITS.noise_reach
+    ends = f" [{low:.3g}, {high:.3g}]" if known else " (hardly determined)"
+    return f"{noise.std[output]:.3g}{ends} {noise.units[output]} from the innovations"

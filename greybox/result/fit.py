@@ -167,6 +167,8 @@ def fit_data(fit: Fit) -> dict[str, Any]:
         "validation_traces": fit.validation.traces,
         "noise_sources": fit.noise.sources,
         "noise_colour": fit.noise.colour,
+        "noise_log_std": fit.noise.log_std,
+        "noise_units": fit.noise.units,
         "interval_kind": fit.uncertainty.kind,
         "inflation": fit.uncertainty.inflation,
         "discretisation_shift": fit.discretisation.shift,
@@ -242,9 +244,10 @@ def load_fit(path: str | Path, model: Model) -> Fit:
         ),
         noise=FitNoise(
             _numbers(data["noise"]),
-            data["noise_source"],
             {name: NoiseSource(source) for name, source in get("noise_sources", {}).items()},
             {n: tuple(k) for n, k in get("noise_colour", {}).items()},
+            _numbers(get("noise_log_std", {})),
+            dict(get("noise_units", {})),
         ),
         uncertainty=FitUncertainty(
             tuple(data["free"]),

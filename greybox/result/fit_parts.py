@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.special import ndtri
 
 from greybox.experiment import Experiment
 from greybox.experiment.experiment import Hold
@@ -144,17 +145,38 @@ class Validation(ReadOnly):
 
 
 @dataclass(frozen=True)
-class FitNoise(ReadOnly):
-    """Measurement noise that a fit weighed its outputs with.
+class FitNoise(Printable, ReadOnly):
+    """Measurement noise that a fit weighed its outputs with; ``str`` says in one line where it is known from.
 
-    ``std`` standard deviation of each output in its unit; ``sources`` where each is known from, and ``source`` the same in one line;
-    ``colour`` reflection coefficients of each output's autoregression (none: white, or not known).
+    Attributes
+    ----------
+    std
+        Standard deviation of each output in its unit.
+    sources
+        Where each is known from.
+    colour
+        Reflection coefficients of each output's autoregression (none: white, or not known).
+    log_std
+        Standard deviation of the logarithm of each level that a likelihood estimated.
+    units
+        Unit of each of these.
     """
 
     std: Mapping[str, float]
-    source: str = ""
     sources: Mapping[str, NoiseSource] = field(default_factory=dict)
     colour: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    log_std: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def interval(self, output: str) -> tuple[float, float]:
+        """The 95 % interval of a level that a likelihood estimated, by a factor either way."""
+        factor = float(np.exp(min(ndtri(0.975) * self.log_std[output], 700.0)))
+        return self.std[output] / factor, self.std[output] * factor
+
+    @property
+    def source(self) -> str:
+        """Where the noise is known from, in one line."""
+        return str(self)
 
 
 @dataclass(frozen=True)

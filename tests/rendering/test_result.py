@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from greybox import Experiment, FitOptions, fit
+from greybox.noise.noise_sources import NoiseSource
 from greybox.rendering.tables import format_with_std, make_formatter
+from greybox.result import FitNoise
 from greybox.signals import multisine
 from greybox.simulation import simulate
 from models.silverbox import silverbox
@@ -50,3 +52,25 @@ def test_both_ends_of_a_printed_interval_differ_from_the_value_and_units_are_tid
         exact = found.parameters[name].interval
         assert low < value < high
         assert (high - low) == pytest.approx(exact[1] - exact[0], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("noise", "text"),
+    [
+        (FitNoise({"x": 0.1}, {"x": NoiseSource.GIVEN}), "given"),
+        (
+            FitNoise({"x": 0.1, "i": 2.0}, {"x": NoiseSource.GIVEN, "i": NoiseSource.DIFFERENCES}),
+            "x: given; i: estimated from differences of the records (too small if the noise is coloured)",
+        ),
+        (
+            FitNoise({"x": 0.1}, {"x": NoiseSource.INNOVATIONS}, {}, {"x": 0.05}, {"x": "m"}),
+            "x: 0.1 [0.0907, 0.11] m from the innovations",
+        ),
+        (
+            FitNoise({"x": 0.1}, {"x": NoiseSource.INNOVATIONS}, {}, {"x": math.inf}, {"x": "m"}),
+            "x: 0.1 (hardly determined) m from the innovations",
+        ),
+    ],
+)
+def test_the_noise_of_a_fit_says_where_it_is_known_from(noise, text):
+    assert str(noise) == text

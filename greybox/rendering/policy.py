@@ -1,0 +1,19 @@
+"""What sentences leave out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TextLimits:
+    """Up to where figures and formulas are written out."""
+
+    longest_formula: int = 80
+    """Characters of a formula that are worth showing in a sentence."""
+
+    noise_reach: float = 5.0
+    """A noise level whose 95 % interval reaches further than a factor e to this is written without the interval: it says nothing."""
+
+
+TEXT_LIMITS = TextLimits()
