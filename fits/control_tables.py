@@ -7,6 +7,7 @@ import sys
 import numpy as np
 
 from fits.control_study import BLACK, COMPENSATED, GENTLER, KNOWING, LEVEL, PLAIN, Study
+from greybox.rendering.discovery import conclusion_text
 from greybox.rendering.tables import format_table
 
 MEASURES = (
@@ -69,7 +70,7 @@ def distance(value: float) -> str:
 
 def print_tables(results: Study) -> None:
     """The tables on the terminal."""
-    lines = [results.discovery.story, "", *format_table(["", *ORDER], rows_of(results)), ""]
+    lines = [conclusion_text(results.discovery), "", *format_table(["", *ORDER], rows_of(results)), ""]
     lines += format_table(gentler_head(), gentler_rows(results))
     sys.stdout.write("\n".join(lines) + "\n")
 

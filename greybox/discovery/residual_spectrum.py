@@ -44,6 +44,11 @@ def estimate_residual_spectrum(
     stretches
         Stretches that a record gives at least.
 
+    Returns
+    -------
+    ResidualSpectrum
+        Frequencies (F,) in Hz, the density of the residual and that of the noise (F,) in the unit of the output.
+
     Raises
     ------
     DataError

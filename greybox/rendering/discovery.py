@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     )
     from greybox.discovery.misfit_windows import MisfitTiming
 
-# Stretches of time that are listed.
-_LISTED = 4
-
 
 def _quantity(value: float, unit: str, digits: int = 3) -> str:
     return f"{value:.{digits}g} {unit}".rstrip()
@@ -85,16 +82,16 @@ def _dependence(dependence: Dependence) -> str:
     return dependence_text(dependence.to_values())
 
 
-def timing_text(timing: MisfitTiming | None) -> str:
-    """When most of the misfit happens."""
+def timing_text(timing: MisfitTiming | None, listed: int = 4) -> str:
+    """When most of the misfit happens; ``listed`` stretches of time at most."""
     if timing is None:
         return "nowhere above the noise"
     if not timing.stretches:
         return "throughout the records"
-    listed = ", ".join(f"{start:.4g} to {end:.4g} s of {name}" for name, start, end in timing.stretches[:_LISTED])
-    rest = len(timing.stretches) - _LISTED
+    shown = ", ".join(f"{start:.4g} to {end:.4g} s of {name}" for name, start, end in timing.stretches[:listed])
+    rest = len(timing.stretches) - listed
     more = f" and {rest} more stretches" if rest > 0 else ""
-    return f"{100 * timing.share:.0f} % of it in {100 * timing.time_share:.0f} % of the time: {listed}{more}"
+    return f"{100 * timing.share:.0f} % of it in {100 * timing.time_share:.0f} % of the time: {shown}{more}"
 
 
 def site_text(label: str) -> str:

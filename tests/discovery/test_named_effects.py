@@ -4,10 +4,10 @@ import json
 
 import pytest
 
-from greybox import DataError
 from greybox.discovery import Verdict, discover
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.effects import effect
+from greybox.errors import DataError
 from greybox.findings import with_code
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
