@@ -207,7 +207,7 @@ def compute_free_runs(cost: PredictionErrorObjective) -> Runs:
     result = []
     for e, record in enumerate(cost.records):
         pn, x0 = evaluate_initial_state(cost, e)
-        states = cost.kalman.free_run(record, pn, x0)
+        states = cost.kalman.simulate_free_run(record, pn, x0)
         y, _ = BatchFilter(cost.kalman, record, pn).outputs(states, np.arange(len(states)))
         result.append((y, states))
     return tuple(result)

@@ -262,7 +262,7 @@ def _to_fit(
             free, matrix, constants.kind, dict(zip(variables.names, inflation.tolist(), strict=True))
         ),
         discretisation=FitDiscretisation(
-            objective.kalman.whole.label,
+            objective.kalman.filter_step.label,
             {output: float(solution.integration_error[j]) for j, output in measured},
             step_shift,
         ),

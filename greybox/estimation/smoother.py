@@ -120,7 +120,7 @@ def smooth(
         noise={o.name: float(cost.unknowns.level[j]) for j, o in measured},
         process_noise={name: value for name, value in given.model.noise_intensities.items() if value},
         units={s.name: s.unit for s in given.model.all_states},
-        discretisation=cost.kalman.whole.label,
+        discretisation=cost.kalman.filter_step.label,
     )
 
 

@@ -34,12 +34,16 @@ def discretise_process_noise(system: System) -> CoefficientFunction:
 
     def coefficients(p: np.ndarray, lengths: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values, slopes = (np.asarray(m) for m in matrices(p))
-        return _last_column(values, slopes.T.reshape(-1, size, size).transpose(0, 2, 1)[which], np.asarray(lengths))
+        return _exponential_column(
+            values, slopes.T.reshape(-1, size, size).transpose(0, 2, 1)[which], np.asarray(lengths)
+        )
 
     return coefficients
 
 
-def _last_column(generator: np.ndarray, slopes: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _exponential_column(
+    generator: np.ndarray, slopes: np.ndarray, lengths: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Last column, without its one, of the exponential over each length (nh, m), and its slopes (nh, m, n)."""
     size, n, nh = len(generator), len(slopes), len(lengths)
     scaled = generator * lengths[:, None, None]

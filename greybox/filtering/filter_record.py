@@ -14,15 +14,18 @@ def to_filter_record(record: Record, step: Step) -> Record:
 
     The filter's own outputs are compared with zero.
     """
-    seen = record.read_by(step)
-    rows, outputs = record.y.shape
+    read = record.read_by(step)
     present = np.isfinite(record.y)
+    rows = len(record.y)
     columns = [
-        seen.u, np.where(present, record.y, 0.0), present,
-        (np.arange(rows) % 2)[:, None], np.full((rows, 1), float(seen.first_order)),
-    ]  # fmt: skip
-    u, nothing = np.hstack(columns), np.zeros((rows, 2 * outputs))
-    return Record(u, nothing, seen.h, seen.row, seen.lengths, first_order=True, every=record.every)
+        read.u,
+        np.where(present, record.y, 0.0),
+        present,
+        (np.arange(rows) % 2)[:, None],
+        np.full((rows, 1), float(read.first_order)),
+    ]
+    targets = np.zeros((rows, 2 * record.y.shape[1]))
+    return Record(np.hstack(columns), targets, read.h, read.row, read.lengths, first_order=True, every=record.every)
 
 
 def remove_measurements(record: Record, outputs: int) -> Record:

@@ -20,7 +20,8 @@ from greybox.filtering.symmetric_matrices import to_lower_triangle, to_symmetric
 from greybox.integrators import Step
 from greybox.model.system import System
 
-FLAGS = 2  # last columns of a row: 0 and 1 in turn, and whether the input is linear between rows
+FLAG_COLUMNS = ("turn", "linear")
+"""Last columns of a row: 0 and 1 in turn, and whether the input is linear between rows."""
 
 
 class FilterRow(NamedTuple):
@@ -35,7 +36,7 @@ class FilterRow(NamedTuple):
 
 def count_row_columns(step: Step, outputs: int) -> int:
     """How many columns a row of the filter of ``step`` has."""
-    return step.advance.size1_in(1) + 2 * outputs + FLAGS
+    return step.advance.size1_in(1) + 2 * outputs + len(FLAG_COLUMNS)
 
 
 def split_row(row: ca.SX, step: Step, outputs: int) -> FilterRow:
@@ -61,31 +62,31 @@ class Innovation(NamedTuple):
 
 
 def correct_by_measurement(
-    step: Step, before: Moments, row: FilterRow, p: ca.SX, noise: ca.SX
+    step: Step, predicted_moments: Moments, row: FilterRow, p: ca.SX, noise: ca.SX
 ) -> tuple[Moments, Innovation]:
     """The states after the measurement in ``row`` with standard deviations ``noise`` (ny,), and its innovations."""
-    at = ca.SX.sym("x", before.x.numel())
-    whole = step.outputs(at, row.u, p)
-    predict = ca.Function("predict", [at, row.u, p], [whole, ca.jacobian(whole, at)])
-    predicted, slopes = predict(before.x, row.u, p)
-    x, P = before
+    linearised_at = ca.SX.sym("x", predicted_moments.x.numel())
+    outputs = step.outputs(linearised_at, row.u, p)
+    predict = ca.Function("predict", [linearised_at, row.u, p], [outputs, ca.jacobian(outputs, linearised_at)])
+    predicted, slopes = predict(predicted_moments.x, row.u, p)
+    x, P = predicted_moments
     standardised, logarithm = [], []
     for j in range(row.y.numel()):
-        slope, there = slopes[j, :], row.present[j]
-        innovation = row.y[j] - predicted[j] - slope @ (x - before.x)
-        reach = P @ slope.T
-        variance = slope @ reach + noise[j] ** 2
-        standardised.append(there * innovation / ca.sqrt(variance))
-        logarithm.append(there * ca.log(variance))
-        gain = there * reach / variance
-        rest = ca.SX.eye(x.numel()) - gain @ slope
+        slope, is_present = slopes[j, :], row.present[j]
+        innovation = row.y[j] - predicted[j] - slope @ (x - predicted_moments.x)
+        cross_covariance = P @ slope.T
+        variance = slope @ cross_covariance + noise[j] ** 2
+        standardised.append(is_present * innovation / ca.sqrt(variance))
+        logarithm.append(is_present * ca.log(variance))
+        gain = is_present * cross_covariance / variance
+        remaining = ca.SX.eye(x.numel()) - gain @ slope
         x = x + gain * innovation
-        P = _mirrored(rest @ P @ rest.T + gain @ gain.T * noise[j] ** 2)
+        P = _symmetrise(remaining @ P @ remaining.T + gain @ gain.T * noise[j] ** 2)
     return Moments(x, P), Innovation(ca.vertcat(*standardised), ca.vertcat(*logarithm))
 
 
 def make_filter_step(system: System, step: Step) -> Step:
-    """The filter of ``system``, moved by ``step``, as a step of its own.
+    """The Kalman filter of ``system``, moved by ``step``, as a step of its own.
 
     Parameters are those of the model and the standard deviation of each output's noise, ``[p; noise]``. ``advance`` takes ``z``, two
     rows and ``q = [q of step; p; noise; Qd]`` (no ``Qd`` where the model's step is not exact: it follows from ``F`` then).
@@ -93,45 +94,47 @@ def make_filter_step(system: System, step: Step) -> Step:
     """
     nx, ny, np_ = system.x.numel(), step.outputs.size1_out(0), system.p.numel()
     m = nx * (nx + 1) // 2
-    exact = step.per_interval
+    is_exact = step.per_interval
     x, lower, h = ca.SX.sym("x", nx), ca.SX.sym("P", m), ca.SX.sym("h")
     z, q, noise = ca.vertcat(x, lower), ca.SX.sym("q", step.advance.size1_in(3)), ca.SX.sym("noise", ny)
     ra, rb = (ca.SX.sym(name, count_row_columns(step, ny)) for name in ("ra", "rb"))
-    qd = ca.SX.sym("Qd", m if exact else 0)
+    qd = ca.SX.sym("Qd", m if is_exact else 0)
     first, second = split_row(ra, step, ny), split_row(rb, step, ny)
 
     before = Moments(x, to_symmetric(lower, nx))
     _, innovation = correct_by_measurement(step, before, first, system.p, noise)
-    seen = ca.Function("outputs", [z, ra, ca.vertcat(system.p, noise)], [ca.cse(ca.vertcat(*innovation))])
+    outputs = ca.Function("outputs", [z, ra, ca.vertcat(system.p, noise)], [ca.cse(ca.vertcat(*innovation))])
 
-    begin, ua, ub = _this_substep(first, second, exact)
-    after, _ = correct_by_measurement(step, before, begin, system.p, noise)
-    following, slope = _moved(step, after.x, ua, ub, q, h)
-    added = to_symmetric(qd, nx) if exact else _added(slope, ca.diag(system.diffusion**2), h)
-    P = slope @ after.P @ slope.T + added
-    whole = ca.vertcat(q, system.p, noise, qd)
-    advance = ca.Function("advance", [z, ra, rb, whole, h], [ca.cse(ca.vertcat(following, to_lower_triangle(P)))])
+    measured_row, ua, ub = _locate_substep(first, second, is_exact)
+    after, _ = correct_by_measurement(step, before, measured_row, system.p, noise)
+    following, slope = _advance_with_slope(step, after.x, ua, ub, q, h)
+    substep_noise = (
+        to_symmetric(qd, nx) if is_exact else _integrate_substep_noise(slope, ca.diag(system.diffusion**2), h)
+    )
+    P = slope @ after.P @ slope.T + substep_noise
+    q_of_filter = ca.vertcat(q, system.p, noise, qd)
+    advance = ca.Function("advance", [z, ra, rb, q_of_filter, h], [ca.cse(ca.vertcat(following, to_lower_triangle(P)))])
 
-    accumulated = discretise_process_noise(system) if exact else None
+    accumulated = discretise_process_noise(system) if is_exact else None
 
     def coefficients(pn: np.ndarray, lengths: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        own = np.flatnonzero(which < np_)
-        given, along = step.coefficients(pn[:np_], lengths, which[own])
-        rows = len(given)
-        values = [given, np.tile(pn, (rows, 1))]
-        slopes = [np.zeros((rows, given.shape[1], len(which))), np.tile(np.eye(len(pn))[:, which], (rows, 1, 1))]
-        slopes[0][:, :, own] = along
+        model_parameters = np.flatnonzero(which < np_)
+        q_of_step, q_slopes = step.coefficients(pn[:np_], lengths, which[model_parameters])
+        rows = len(q_of_step)
+        values = [q_of_step, np.tile(pn, (rows, 1))]
+        slopes = [np.zeros((rows, q_of_step.shape[1], len(which))), np.tile(np.eye(len(pn))[:, which], (rows, 1, 1))]
+        slopes[0][:, :, model_parameters] = q_slopes
         if accumulated is not None:
-            grown, by_p = accumulated(pn[:np_], lengths, which[own])
-            values.append(grown)
+            noise_covariance, noise_slopes = accumulated(pn[:np_], lengths, which[model_parameters])
+            values.append(noise_covariance)
             slopes.append(np.zeros((rows, m, len(which))))
-            slopes[2][:, :, own] = by_p
+            slopes[2][:, :, model_parameters] = noise_slopes
         return np.hstack(values), np.concatenate(slopes, axis=1)
 
-    return Step(f"Kalman filter, {step.name}", advance, seen, coefficients, step.substeps, step.per_interval)
+    return Step(f"Kalman filter, {step.name}", advance, outputs, coefficients, step.substeps, step.per_interval)
 
 
-def _this_substep(first: FilterRow, second: FilterRow, exact: bool) -> tuple[FilterRow, ca.SX, ca.SX]:
+def _locate_substep(first: FilterRow, second: FilterRow, exact: bool) -> tuple[FilterRow, ca.SX, ca.SX]:
     """The measurement where it counts (in the first substep alone), and the input at both ends of this substep.
 
     The kernel runs straight from row to row; ``turn`` tells which of how many substeps this is.
@@ -140,13 +143,13 @@ def _this_substep(first: FilterRow, second: FilterRow, exact: bool) -> tuple[Fil
         return first, first.u, first.u + first.linear * (second.u - first.u)
     n = ca.floor(1 / ca.fabs(second.turn - first.turn) + 0.5)
     number = ca.floor(ca.if_else(second.turn > first.turn, first.turn, 1 - first.turn) * n + 0.5)
-    run = (second.u - first.u) * n
-    held = first.u - number / n * run
-    ua, ub = (ca.if_else(first.linear > 0, end, held) for end in (first.u, second.u))
+    ramp = (second.u - first.u) * n
+    u_start = first.u - number / n * ramp
+    ua, ub = (ca.if_else(first.linear > 0, end, u_start) for end in (first.u, second.u))
     return first._replace(present=first.present * (number == 0)), ua, ub
 
 
-def _moved(step: Step, x: ca.SX, ua: ca.SX, ub: ca.SX, q: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _advance_with_slope(step: Step, x: ca.SX, ua: ca.SX, ub: ca.SX, q: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:
     """The states after a step, and their slope (nx, nx) along those before it."""
     symbols = [ca.SX.sym(f"i{k}", step.advance.size1_in(k)) for k in range(5)]
     whole = step.advance(*symbols)
@@ -155,22 +158,22 @@ def _moved(step: Step, x: ca.SX, ua: ca.SX, ub: ca.SX, q: ca.SX, h: ca.SX) -> tu
 
 def compute_substep_noise(step: Step, system: System, u: ca.SX, q: ca.SX, h: ca.SX) -> ca.SX:
     """What process noise adds to the covariance (nx, nx) in one substep from ``system.x`` under the input ``u``."""
-    _, slope = _moved(step, system.x, u, u, q, h)
-    return _added(slope, ca.diag(system.diffusion**2), h)
+    _, slope = _advance_with_slope(step, system.x, u, u, q, h)
+    return _integrate_substep_noise(slope, ca.diag(system.diffusion**2), h)
 
 
-def _added(slope: ca.SX, intensity: ca.SX, h: ca.SX) -> ca.SX:
+def _integrate_substep_noise(slope: ca.SX, intensity: ca.SX, h: ca.SX) -> ca.SX:
     """``Qd`` of a substep from its Jacobian: Simpson's rule for the integral of ``F(s) Q F(s)'``.
 
     The Jacobian of half a step is the root of ``F = I + D``, by its series ``I + D/2 - D^2/8 + D^3/16``: relative error of order
     ``(h lambda)^4``, and bounded where a mode has decayed within the step.
     """
-    one = ca.SX.eye(slope.size1())
-    d = slope - one
-    half = one + d @ (one / 2 - d @ (one / 8 - d / 16))
+    identity = ca.SX.eye(slope.size1())
+    d = slope - identity
+    half = identity + d @ (identity / 2 - d @ (identity / 8 - d / 16))
     return h / 6 * (slope @ intensity @ slope.T + 4 * (half @ intensity @ half.T) + intensity)
 
 
-def _mirrored(matrix: ca.SX) -> ca.SX:
+def _symmetrise(matrix: ca.SX) -> ca.SX:
     """A symmetric matrix from its lower triangle alone."""
     return to_symmetric(to_lower_triangle(matrix), matrix.size1())

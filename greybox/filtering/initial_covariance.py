@@ -53,8 +53,15 @@ class InitialCovariance:
         return np.asarray(self.function(*self._arguments(self.function, rows, q, pn, x0))[0]).ravel()
 
     def slopes(
-        self, rows: Record, q: np.ndarray, dq: np.ndarray, pn: np.ndarray, dpn: np.ndarray, x0: np.ndarray, dx0: np.ndarray
-    ) -> np.ndarray:  # fmt: skip
+        self,
+        rows: Record,
+        q: np.ndarray,
+        dq: np.ndarray,
+        pn: np.ndarray,
+        dpn: np.ndarray,
+        x0: np.ndarray,
+        dx0: np.ndarray,
+    ) -> np.ndarray:
         """Slopes (m, L) of the triangle along the columns of ``dq`` (nh, nq, L), ``dpn`` (np + ny, L) and ``dx0`` (nx, L)."""
         size = self.states * (self.states + 1) // 2
         if not len(rows.h):

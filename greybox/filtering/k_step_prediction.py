@@ -15,16 +15,16 @@ def predict_outputs(kalman: KalmanFilter, record: Record, pn: np.ndarray, x0: np
     The first ``steps`` samples have no measurement to go by: they are those of the free run. With process noise of intensity zero
     all of them are.
     """
-    passage = BatchFilter(kalman, record, pn)
-    free = kalman.free_run(record, pn, x0)
+    batch = BatchFilter(kalman, record, pn)
+    free = kalman.simulate_free_run(record, pn, x0)
     samples = np.arange(0, len(record.y), record.every)
     states = free[samples]
     if steps < len(samples):
         run = kalman.run(record, pn, x0)
-        filtered, _ = passage.correct(run.predicted, run.covariance)
+        filtered, _ = batch.correct(run.predicted, run.covariance)
         origin = samples[:-steps]
         x = filtered[origin]
         for row in range(steps * record.every):
-            x = passage.move(x, origin + row)
+            x = batch.move(x, origin + row)
         states[steps:] = x
-    return passage.outputs(states, samples)[0]
+    return batch.outputs(states, samples)[0]

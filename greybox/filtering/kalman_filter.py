@@ -15,7 +15,7 @@ from greybox.kernel import Kernel, Record, make_kernel
 from greybox.model.system import System
 
 LOG_TWO_PI = float(np.log(2 * np.pi))
-NONE = np.empty(0, int)
+NO_PARAMETERS = np.empty(0, int)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,31 +56,43 @@ class InnovationSensitivities:
 
 @dataclass(frozen=True, eq=False)
 class KalmanFilter:
-    """The filter of ``system`` moved by ``step``; the parameters of its calls are ``[p; noise]``, the model's constants and each output's
-    standard deviation of noise. ``kernel`` runs it. ``beginning``: how uncertain first states are of which nothing else is said; None:
-    they are known exactly.
+    """The filter of ``system`` moved by ``step``.
+
+    The parameters ``pn`` of its calls are ``[p; noise]``: the model's constants and the standard deviation of each output's noise.
     """
 
     system: System
     step: Step
-    whole: Step
+
+    filter_step: Step
+    """The filter itself, as a discrete step."""
+
     kernel: Kernel
+    """What runs the filter's step over a record."""
+
     initial_covariance: InitialCovariance | None = None
+    """How uncertain first states are of which nothing else is said; None: they are known exactly."""
 
     @classmethod
     def of(cls, system: System, step: Step, *, known_start: bool = True) -> KalmanFilter:
         """The filter, compiled where there is a compiler; ``known_start``: the first states are known exactly, see `Beginning`."""
-        whole = make_filter_step(system, step)
-        return cls(system, step, whole, make_kernel(whole), None if known_start else InitialCovariance.of(system, step))
+        step_of_filter = make_filter_step(system, step)
+        return cls(
+            system,
+            step,
+            step_of_filter,
+            make_kernel(step_of_filter),
+            None if known_start else InitialCovariance.of(system, step),
+        )
 
     def with_substeps(self, substeps: int) -> KalmanFilter:
         """The same with another number of substeps in an interval; nothing is compiled."""
-        whole, step = (replace(s, substeps=substeps) for s in (self.whole, self.step))
+        filter_step, step = (replace(s, substeps=substeps) for s in (self.filter_step, self.step))
         initial_covariance = None if self.initial_covariance is None else replace(self.initial_covariance, step=step)
         return replace(
             self,
             step=step,
-            whole=whole,
+            filter_step=filter_step,
             kernel=self.kernel.with_substeps(substeps),
             initial_covariance=initial_covariance,
         )
@@ -91,21 +103,21 @@ class KalmanFilter:
         return self.system.x.numel(), self.step.outputs.size1_out(0)
 
     def run(self, record: Record, pn: np.ndarray, x0: np.ndarray, covariance: np.ndarray | None = None) -> FilterRun:
-        """The run from first states ``x0`` (nx,) with their ``covariance`` (nx, nx); None: that of the filter's ``beginning``."""
+        """The run from first states ``x0`` (nx,) with their ``covariance`` (nx, nx); None: that of `initial_covariance`."""
         nx, ny = self.sizes
         rows = to_filter_record(record, self.step)
-        q, _ = self.whole.coefficients(pn, rows.lengths, NONE)
-        y, z = self.kernel.simulate(rows, q, pn, self._start(rows, q, pn, x0, covariance))
-        present = np.isfinite(record.y)
-        e, logarithm = np.where(present, y[:, :ny], np.nan), y[:, ny:]
-        likelihood = -0.5 * float(np.sum(e[present] ** 2 + logarithm[present] + LOG_TWO_PI))
+        q, _ = self.filter_step.coefficients(pn, rows.lengths, NO_PARAMETERS)
+        y, z = self.kernel.simulate(rows, q, pn, self._initial_filter_state(rows, q, pn, x0, covariance))
+        is_measured = np.isfinite(record.y)
+        e, logarithm = np.where(is_measured, y[:, :ny], np.nan), y[:, ny:]
+        likelihood = -0.5 * float(np.sum(e[is_measured] ** 2 + logarithm[is_measured] + LOG_TWO_PI))
         return FilterRun(z[:, :nx], to_symmetric_arrays(z[:, nx:], nx), e, likelihood)
 
-    def free_run(self, record: Record, pn: np.ndarray, x0: np.ndarray) -> np.ndarray:
+    def simulate_free_run(self, record: Record, pn: np.ndarray, x0: np.ndarray) -> np.ndarray:
         """States (N, nx) without any correction: the free run of the model."""
         nx, ny = self.sizes
         rows = remove_measurements(to_filter_record(record, self.step), ny)
-        q, _ = self.whole.coefficients(pn, rows.lengths, NONE)
+        q, _ = self.filter_step.coefficients(pn, rows.lengths, NO_PARAMETERS)
         return self.kernel.simulate(rows, q, pn, np.append(x0, np.zeros(nx * (nx + 1) // 2)))[1][:, :nx]
 
     def slopes(
@@ -113,30 +125,30 @@ class KalmanFilter:
     ) -> InnovationSensitivities | None:
         """Innovations and their slopes along the L columns of ``dpn`` (np + ny, L) and ``dx0`` (nx, L); None where the run overflows.
 
-        The first states are as uncertain as the filter's ``beginning`` says, besides what there is to ``x0`` as an unknown.
+        The first states are as uncertain as `initial_covariance` says, besides what there is to ``x0`` as an unknown.
         """
         nx, ny = self.sizes
         rows = to_filter_record(record, self.step)
         which = np.flatnonzero(dpn.any(axis=1))
-        q, along = self.whole.coefficients(pn, rows.lengths, which)
+        q, along = self.filter_step.coefficients(pn, rows.lengths, which)
         dq = along @ dpn[which]
-        begin = self.initial_covariance
-        spread = (
+        initial_covariance = self.initial_covariance
+        covariance_slopes = (
             np.zeros((nx * (nx + 1) // 2, dx0.shape[1]))
-            if begin is None
-            else begin.slopes(rows, q, dq, pn, dpn, x0, dx0)
+            if initial_covariance is None
+            else initial_covariance.slopes(rows, q, dq, pn, dpn, x0, dx0)
         )
-        start, dz0 = self._start(rows, q, pn, x0, None), np.vstack([dx0, spread])
+        start, dz0 = self._initial_filter_state(rows, q, pn, x0, None), np.vstack([dx0, covariance_slopes])
         r, jacobian = self.kernel.residuals(rows, q, dq, pn, dpn, start, dz0, np.ones(2 * ny))
         # The kernel's residuals are zero minus the filter's outputs.
-        there = np.nonzero(np.isfinite(record.y))
-        row, output = there
-        found = -r[row, output], -r[row, output + ny], -jacobian[row, output], -jacobian[row, output + ny]
-        if not all(np.isfinite(a).all() for a in found):
+        measured = np.nonzero(np.isfinite(record.y))
+        row, output = measured
+        sensitivities = -r[row, output], -r[row, output + ny], -jacobian[row, output], -jacobian[row, output + ny]
+        if not all(np.isfinite(a).all() for a in sensitivities):
             return None
-        return InnovationSensitivities(*found, row, output)
+        return InnovationSensitivities(*sensitivities, row, output)
 
-    def _start(
+    def _initial_filter_state(
         self, rows: Record, q: np.ndarray, pn: np.ndarray, x0: np.ndarray, covariance: np.ndarray | None
     ) -> np.ndarray:
         """``[x0; lower triangle of the covariance]``."""

@@ -35,28 +35,36 @@ def smooth_states(
     cases. For a nonlinear model ``F`` and ``H`` are the slopes along the filter's run.
     """
     run = kalman.run(record, pn, x0, covariance)
-    passage = BatchFilter(kalman, record, pn)
+    batch = BatchFilter(kalman, record, pn)
     rows = np.arange(len(record.y))
-    filtered, after = passage.correct(run.predicted, run.covariance)
-    _, transitions = passage.move_with_slopes(filtered[:-1], rows[:-1])
-    y, slopes = passage.outputs(run.predicted, rows)
+    filtered, after = batch.correct(run.predicted, run.covariance)
+    _, transitions = batch.move_with_slopes(filtered[:-1], rows[:-1])
+    y, slopes = batch.outputs(run.predicted, rows)
     present = np.isfinite(record.y)
     innovation = np.where(present, record.y - y, 0.0)
     slopes = np.where(present[:, :, None], slopes, 0.0)
     noise = np.where(present, pn[-y.shape[1] :] ** 2, 1.0)
     variance = slopes @ run.covariance @ slopes.transpose(0, 2, 1) + noise[:, :, None] * np.eye(y.shape[1])
     weighted = np.linalg.solve(variance, slopes)
-    push, curvature = np.einsum("tji,tj->ti", weighted, innovation), slopes.transpose(0, 2, 1) @ weighted
-    kept = np.eye(len(x0)) - run.covariance @ curvature  # L, from the state before a measurement to that after it
+    weighted_innovation, curvature = np.einsum("tji,tj->ti", weighted, innovation), slopes.transpose(0, 2, 1) @ weighted
+    correction = np.eye(len(x0)) - run.covariance @ curvature  # L, from the state before a measurement to that after it
     r, information = np.zeros(run.predicted.shape), np.zeros(run.covariance.shape)
-    below, beneath = np.zeros(len(x0)), np.zeros((len(x0), len(x0)))
+    r_after, information_after = np.zeros(len(x0)), np.zeros((len(x0), len(x0)))
     for k in rows[::-1]:
         if k < rows[-1]:
-            below, beneath = transitions[k].T @ below, transitions[k].T @ beneath @ transitions[k]
-        r[k] = below = push[k] + kept[k].T @ below
-        information[k] = beneath = curvature[k] + kept[k].T @ beneath @ kept[k]
+            r_after, information_after = (
+                transitions[k].T @ r_after,
+                transitions[k].T @ information_after @ transitions[k],
+            )
+        r[k] = r_after = weighted_innovation[k] + correction[k].T @ r_after
+        information[k] = information_after = curvature[k] + correction[k].T @ information_after @ correction[k]
     mean = run.predicted + np.einsum("tij,tj->ti", run.covariance, r)
-    whole = run.covariance - run.covariance @ information @ run.covariance
+    smoothed_covariance = run.covariance - run.covariance @ information @ run.covariance
     return SmootherRun(
-        filtered, after, mean, (whole + whole.transpose(0, 2, 1)) / 2, run.innovation, run.log_likelihood
+        filtered,
+        after,
+        mean,
+        (smoothed_covariance + smoothed_covariance.transpose(0, 2, 1)) / 2,
+        run.innovation,
+        run.log_likelihood,
     )

@@ -8,8 +8,8 @@ import numpy as np
 
 def to_symmetric(lower: ca.SX, n: int) -> ca.SX:
     """The symmetric matrix (n, n) of a lower triangle (n (n + 1) / 2,)."""
-    place = _places(n)
-    return ca.horzcat(*[ca.vertcat(*[lower[int(place[i, j])] for i in range(n)]) for j in range(n)])
+    index = _triangle_index(n)
+    return ca.horzcat(*[ca.vertcat(*[lower[int(index[i, j])] for i in range(n)]) for j in range(n)])
 
 
 def to_lower_triangle(matrix: ca.SX) -> ca.SX:
@@ -20,7 +20,7 @@ def to_lower_triangle(matrix: ca.SX) -> ca.SX:
 
 def to_symmetric_arrays(lower: np.ndarray, n: int) -> np.ndarray:
     """Symmetric matrices (..., n, n) of lower triangles (..., n (n + 1) / 2)."""
-    return lower[..., _places(n)]
+    return lower[..., _triangle_index(n)]
 
 
 def to_lower_triangle_array(matrix: np.ndarray) -> np.ndarray:
@@ -29,9 +29,9 @@ def to_lower_triangle_array(matrix: np.ndarray) -> np.ndarray:
     return np.array([matrix[i, j] for j in range(n) for i in range(j, n)])
 
 
-def _places(n: int) -> np.ndarray:
+def _triangle_index(n: int) -> np.ndarray:
     """Where each entry (n, n) stands in the lower triangle."""
-    place = np.zeros((n, n), int)
+    index = np.zeros((n, n), int)
     columns, rows = np.triu_indices(n)
-    place[rows, columns] = place[columns, rows] = np.arange(len(rows))
-    return place
+    index[rows, columns] = index[columns, rows] = np.arange(len(rows))
+    return index

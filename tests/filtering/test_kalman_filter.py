@@ -181,7 +181,7 @@ def test_without_process_noise_the_filter_runs_freely():
     data = record("gaps", rows=120)
     for method in ("exact", "rk4"):
         kalman, rows, pn = filter_of(micro_actuator, data, method)
-        assert np.array_equal(kalman.run(rows, pn, START).predicted, kalman.free_run(rows, pn, START))
+        assert np.array_equal(kalman.run(rows, pn, START).predicted, kalman.simulate_free_run(rows, pn, START))
         outputs = predict_outputs(kalman, rows, pn, START, 3)
         assert outputs == pytest.approx(predict_outputs(kalman, rows, pn, START, 50), rel=1e-9)
 
