@@ -73,7 +73,7 @@ def estimate_covariance(
     information = (information + information.T) / 2
     held = np.diag(prior[inside])
     inverse, weak, scale = invert_information(information + held)
-    degrees = float(max(evaluation.count - unknowns + int(variables.held.sum()), 1))
+    degrees = float(max(evaluation.count - unknowns + int(variables.has_prior.sum()), 1))
     variance = float(evaluation.squares.sum()) / degrees
     if noise_given:
         degrees = np.inf if variance <= 1 or variance_floor is not None else degrees

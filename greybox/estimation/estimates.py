@@ -85,7 +85,7 @@ def check_priors(variables: DecisionVector, covariance: ParameterCovariance) -> 
     whole = covariance.information[block] + np.diag(precision[inside])
     inverse = np.linalg.pinv(whole, hermitian=True)
     for j, k in enumerate(inside):
-        if not variables.held[k]:
+        if not variables.has_prior[k]:
             continue
         mean, std = map(float, variables.prior[k])
         shift, w = float(variables.base[k] - mean) / std, precision[k]

@@ -18,7 +18,7 @@ from greybox.transcription import SingleShooting
 
 def is_plain_least_squares(problem: EstimationProblem) -> bool:
     """Whether the cost is the sum of squared errors over white noise alone."""
-    return type(problem.shooting(problem.variables)) is SingleShooting and not problem.variables.held.any()
+    return type(problem.shooting(problem.variables)) is SingleShooting and not problem.variables.has_prior.any()
 
 
 def with_white_noise(problem: EstimationProblem) -> EstimationProblem:

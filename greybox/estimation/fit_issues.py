@@ -310,7 +310,7 @@ def _judge_process_noise(
     if not test.significant:
         values["p_value"] = test.p_value
         return Finding(EstimationCode.PROCESS_NOISE_NOT_SIGNIFICANT, Severity.NOTE, test.name, values)
-    period = float(np.median(np.concatenate([r.h for r in problem.records])) * problem.records[0].every)
+    period = float(np.median(np.concatenate([r.h for r in problem.records])) * problem.records[0].rows_per_sample)
     values |= {
         "intensity": estimate.value,
         "ratio": test.ratio,

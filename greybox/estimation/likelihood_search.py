@@ -65,7 +65,7 @@ def maximise_likelihood(
         scale=float(max(begin.count, 1)),
         tolerance=options.tolerance,
         iterations=options.iterations,
-        finished=finished,
+        termination_test=finished,
         thorough=False,
         progress=progress,
     )
@@ -157,7 +157,7 @@ def hold_parameters(cost: PredictionErrorObjective, values: Mapping[str, float])
     places = [names.index(name) for name in values]
     fixed = v.fixed.copy()
     fixed[places] = list(values.values())
-    return cost.at(replace(cost.unknowns, variables=replace(v, fixed=fixed).without(np.isin(v.which, places))))
+    return cost.at(replace(cost.unknowns, variables=replace(v, fixed=fixed).hold(np.isin(v.which, places))))
 
 
 def start_at(cost: PredictionErrorObjective, values: Mapping[str, float]) -> PredictionErrorObjective:
@@ -168,7 +168,7 @@ def start_at(cost: PredictionErrorObjective, values: Mapping[str, float]) -> Pre
         for label, q in zip(u.variables.names, u.variables.quantities, strict=True)
         if q.name in values
     }
-    return cost.at(replace(u, variables=u.variables.at(labels)))
+    return cost.at(replace(u, variables=u.variables.with_values(labels)))
 
 
 def raise_noise_to_innovations(cost: PredictionErrorObjective) -> PredictionErrorObjective:

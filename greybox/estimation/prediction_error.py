@@ -75,7 +75,7 @@ class LikelihoodUnknowns:
 
     def moved(self, z: np.ndarray) -> LikelihoodUnknowns:
         """The same with ``z = 0`` at the given point."""
-        return replace(self, variables=self.variables.moved(z[: self.variables.size]), level=self.noise(z))
+        return replace(self, variables=self.variables.recentre(z[: self.variables.size]), level=self.noise(z))
 
     def rescale(self, count: int, curvature: np.ndarray) -> LikelihoodUnknowns:
         """Linear scales such that a step of one changes ``-2 log L`` by about ``count``.

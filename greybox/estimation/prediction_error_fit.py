@@ -171,7 +171,7 @@ def _make_starts(
         variables = DecisionVector.of(
             working, start.initial, conditions, per_experiment, [e.name for e in problem.experiments]
         )
-        unknowns = make_likelihood_unknowns(problem, variables.at(values), policy.likelihood_search)
+        unknowns = make_likelihood_unknowns(problem, variables.with_values(values), policy.likelihood_search)
         costs.append(PredictionErrorObjective(unknowns, kalman, problem.records))
     return costs
 

@@ -68,7 +68,7 @@ def restore_problem(
         substeps=options.substeps,
         per_experiment=options.per_experiment,
     )
-    variables = problem.variables.at(_label_experiment_values(fit))
+    variables = problem.variables.with_values(_label_experiment_values(fit))
     problem = replace(problem, loss=restore_loss(fit))
     start = np.array([[t.initial_state[name] for name in problem.model.system.state_names] for t in fit.traces])
     initial = replace(variables.initial, guess=start)
@@ -130,7 +130,7 @@ def restore_likelihood(fit: Fit) -> PredictionErrorObjective:
     )
     v = cost.unknowns.variables
     start = np.array([[t.initial_state[name] for name in fit.model.system.state_names] for t in fit.traces])
-    variables = replace(v.at(_label_experiment_values(fit)), initial=replace(v.initial, guess=start))
+    variables = replace(v.with_values(_label_experiment_values(fit)), initial=replace(v.initial, guess=start))
     return cost.at(replace(cost.unknowns, variables=variables))
 
 

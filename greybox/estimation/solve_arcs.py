@@ -102,7 +102,7 @@ def _solve_with_states_eliminated(
     for halving in range(policy.halvings + 1):
         projected = ProjectedShooting(_shooting(problem))
         if halving == 0:
-            projected.carry(starts_record)
+            projected.carry_states(starts_record)
         (low, high), zero = projected.bounds(), np.zeros(projected.size)
         first = projected.evaluate(zero)
         outcome = minimise(
@@ -111,10 +111,10 @@ def _solve_with_states_eliminated(
             low,
             high,
             scale=max(first.cost, TINY),
-            first=first,
+            value_at_start=first,
             tolerance=options.tolerance,
             iterations=options.iterations,
-            finished=make_termination_test(low, high, options.policy.convergence),
+            termination_test=make_termination_test(low, high, options.policy.convergence),
             thorough=options.thorough,
             progress=ProgressMonitor(problem, report),
         )
@@ -122,7 +122,7 @@ def _solve_with_states_eliminated(
         value, seconds = outcome.value or first, seconds + outcome.seconds
         if outcome.status in NO_RESULT:
             break
-        problem = replace(problem, variables=projected.variables.moved(projected.full(outcome.z)))
+        problem = replace(problem, variables=projected.variables.recentre(projected.full(outcome.z)))
         if problem.step.per_interval:
             break
         finer, zero = halve_step(problem), np.zeros(problem.variables.size)

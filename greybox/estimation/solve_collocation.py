@@ -120,11 +120,13 @@ def _solve(
     outcome = solve_sparse(
         **program.problem(), iterations=options.iterations, progress=ProgressMonitor(problem, report)
     )
-    point = program.found(outcome.z)
+    point = program.interpret(outcome.z)
     if not outcome.status.success:
         free = SingleShooting(point.variables, problem.step, problem.kernel, records, weight)
-        return _Point(outcome, point.variables, point.states, point.held, free.evaluate(np.zeros(variables.size)), ())
-    return _Point(outcome, point.variables, point.states, point.held, *program.linearise(outcome.z))
+        return _Point(
+            outcome, point.variables, point.states, point.at_bound, free.evaluate(np.zeros(variables.size)), ()
+        )
+    return _Point(outcome, point.variables, point.states, point.at_bound, *program.linearise(outcome.z))
 
 
 def _simulate(problem: EstimationProblem, at: _Point) -> Runs:

@@ -154,14 +154,14 @@ class _Run:
             low,
             high,
             scale=max(start.cost, TINY),
-            first=start,
+            value_at_start=start,
             tolerance=self.options.tolerance,
             iterations=self.options.iterations,
-            finished=make_termination_test(low, high, self.convergence, whole=share == 1),
+            termination_test=make_termination_test(low, high, self.convergence, whole=share == 1),
             thorough=self.options.thorough and share == 1,
             progress=self.progress(share),
         )
-        self.variables, self.status, self.word = variables.moved(outcome.z), outcome.status, outcome.solver_status
+        self.variables, self.status, self.word = variables.recentre(outcome.z), outcome.status, outcome.solver_status
         self.iterations += outcome.iterations
         self.passes += outcome.evaluations
         self.seconds += outcome.seconds

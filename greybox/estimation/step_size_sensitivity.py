@@ -22,7 +22,7 @@ def polish_by_gauss_newton(solution: Solution, policy: ConvergencePolicy) -> Sol
         return solution
     variables, passes = solution.variables, 0
     for _ in range(policy.polishing_steps if problem.loss is None else policy.robust_polishing_steps):
-        moved = variables.moved(_clip_to_bounds(variables, compute_gauss_newton_step(variables, evaluation)))
+        moved = variables.recentre(_clip_to_bounds(variables, compute_gauss_newton_step(variables, evaluation)))
         after = problem.shooting(moved).evaluate(np.zeros(moved.size))
         passes += 1
         if not after.cost < evaluation.cost:

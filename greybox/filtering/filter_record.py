@@ -25,11 +25,19 @@ def to_filter_record(record: Record, step: Step) -> Record:
         np.full((rows, 1), float(read.first_order)),
     ]
     targets = np.zeros((rows, 2 * record.y.shape[1]))
-    return Record(np.hstack(columns), targets, read.h, read.row, read.lengths, first_order=True, every=record.every)
+    return Record(
+        np.hstack(columns),
+        targets,
+        read.h,
+        read.row,
+        read.lengths,
+        first_order=True,
+        rows_per_sample=record.rows_per_sample,
+    )
 
 
 def remove_measurements(record: Record, outputs: int) -> Record:
     """The rows of `to_filter_record` with every measurement taken for a gap: the filter then runs freely."""
     u = record.u.copy()
     u[:, -2 - outputs : -2] = 0.0
-    return Record(u, record.y, record.h, record.row, record.lengths, True, record.every)
+    return Record(u, record.y, record.h, record.row, record.lengths, True, record.rows_per_sample)

@@ -17,14 +17,14 @@ def predict_outputs(kalman: KalmanFilter, record: Record, pn: np.ndarray, x0: np
     """
     batch = BatchFilter(kalman, record, pn)
     free = kalman.simulate_free_run(record, pn, x0)
-    samples = np.arange(0, len(record.y), record.every)
+    samples = np.arange(0, len(record.y), record.rows_per_sample)
     states = free[samples]
     if steps < len(samples):
         run = kalman.run(record, pn, x0)
         filtered, _ = batch.correct(run.predicted, run.covariance)
         origin = samples[:-steps]
         x = filtered[origin]
-        for row in range(steps * record.every):
+        for row in range(steps * record.rows_per_sample):
             x = batch.move(x, origin + row)
         states[steps:] = x
     return batch.outputs(states, samples)[0]

@@ -17,7 +17,7 @@ class Record:
 
     ``u`` (N, nu), ``y`` (N, ny) with NaN where nothing was measured, ``h`` (N-1,) interval lengths in seconds, ``row``
     (N-1,) which row of the step's coefficients belongs to each interval, ``lengths`` (nh,) the distinct interval
-    lengths those rows stand for, ``first_order`` whether the input is linear between samples (else held). ``every``: how
+    lengths those rows stand for, ``first_order`` whether the input is linear between samples (else held). ``rows_per_sample``: how
     many rows make a sample; the rows between samples carry the course of the input and have NaN in ``y``.
 
     Raises DataError if the lengths of the arrays disagree: the kernels read them without asking again.
@@ -29,7 +29,7 @@ class Record:
     row: np.ndarray
     lengths: np.ndarray
     first_order: bool = False
-    every: int = 1
+    rows_per_sample: int = 1
 
     def __post_init__(self) -> None:
         for name in ("u", "y", "h", "row", "lengths"):
@@ -54,7 +54,7 @@ class Record:
 
     def samples(self, values: np.ndarray) -> np.ndarray:
         """Of an array with one entry for each row (N, ...) the entries that are samples."""
-        return values[:: self.every]
+        return values[:: self.rows_per_sample]
 
     def read_by(self, step: Step) -> Record:
         """The record as ``step`` reads it: one row of coefficients where it needs one, the past of a delayed input beside it.

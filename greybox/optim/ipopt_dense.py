@@ -30,10 +30,10 @@ def minimise(
     high: np.ndarray,
     *,
     scale: float = 1.0,
-    first: QuadraticModel | None = None,
+    value_at_start: QuadraticModel | None = None,
     tolerance: float = 1e-8,
     iterations: int = 200,
-    finished: TerminationTest | None = None,
+    termination_test: TerminationTest | None = None,
     thorough: bool = True,
     progress: IterationCallback | None = None,
     policy: MinimisationPolicy = DEFAULT_POLICY,
@@ -53,11 +53,11 @@ def minimise(
         The first point and the bounds (n,), infinite where there are none.
     scale
         Divides the cost, so that IPOPT's tolerance is a relative one.
-    first
+    value_at_start
         ``evaluate(start)``, where the caller has it already.
     tolerance, iterations
         IPOPT's tolerance on the scaled problem, and the most iterations it may take.
-    finished
+    termination_test
         ``(z, value) -> TerminationStatus | None``, asked at the start and after every iteration about the best point so far: a
         statistical rule knows better than a gradient norm when nothing is left to gain.
     thorough
@@ -79,9 +79,9 @@ def minimise(
         What ``evaluate`` raises.
     """
     began = time.perf_counter()
-    search = Minimisation(evaluate, scale, finished, progress, policy)
-    if first is not None:
-        search.remember(start, first)
+    search = Minimisation(evaluate, scale, termination_test, progress, policy)
+    if value_at_start is not None:
+        search.remember(start, value_at_start)
     if not np.isfinite(search(start).cost):
         seconds = time.perf_counter() - began
         return MinimisationResult(start, np.inf, TerminationStatus.NO_START, 0, search.evaluations, seconds)

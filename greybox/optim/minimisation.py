@@ -26,12 +26,12 @@ class Minimisation:
         self,
         evaluate: Callable[[np.ndarray], QuadraticModel],
         scale: float,
-        finished: TerminationTest | None,
+        termination_test: TerminationTest | None,
         progress: IterationCallback | None,
         policy: MinimisationPolicy,
     ) -> None:
         self.evaluate, self.scale, self.progress, self.policy = evaluate, scale, progress, policy
-        self.termination_test = finished
+        self.termination_test = termination_test
         self.evaluations = self.iteration = self.shortenings = 0
         self.stop = False
         self.error: BaseException | None = None

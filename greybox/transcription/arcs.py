@@ -79,7 +79,11 @@ def cut_into_arcs(whole: SingleShooting, *, seconds: float | None = None, rows: 
     """
     cuts = [
         place_cuts(
-            f"record {e + 1}", np.concatenate([[0.0], np.cumsum(r.h)]), seconds=seconds, rows=rows, every=r.every
+            f"record {e + 1}",
+            np.concatenate([[0.0], np.cumsum(r.h)]),
+            seconds=seconds,
+            rows=rows,
+            rows_per_sample=r.rows_per_sample,
         )
         for e, r in enumerate(whole.records)
     ]
@@ -133,11 +137,11 @@ def slice_rows(record: Record, a: int, b: int) -> Record:
 
 
 def place_cuts(
-    name: str, since: np.ndarray, *, seconds: float | None = None, rows: int | None = None, every: int = 1
+    name: str, since: np.ndarray, *, seconds: float | None = None, rows: int | None = None, rows_per_sample: int = 1
 ) -> tuple[int, ...]:
     """First rows of the arcs and, at the end, the number of rows, for rows ``since`` (N,) seconds after the first.
 
-    ``every``: how many rows make a sample; ``rows`` counts samples. Raises DataError as `split_into_arcs` does.
+    ``rows_per_sample``: how many rows make a sample; ``rows`` counts samples. Raises DataError as `split_into_arcs` does.
     """
     if (seconds is None) == (rows is None):
         raise DataError("arcs: give their length either in seconds or in rows")
@@ -146,17 +150,17 @@ def place_cuts(
     if rows is not None:
         if rows < least:
             raise DataError(f"arcs of {name!r}: {rows} rows; an arc needs at least {least}")
-        return _close_cuts(np.arange(0, count, rows * every), count)
+        return _close_cuts(np.arange(0, count, rows * rows_per_sample), count)
     length = float(seconds or 0.0)
     if not (np.isfinite(length) and length > 0):
         raise DataError(f"arcs of {name!r}: {seconds} s is no length; give a positive number of seconds")
     # The tolerance keeps a row that is due exactly at a cut out of the arc before.
-    arc_number = np.floor(since[::every] / length + SAME_INTERVAL)
-    starts = every * np.concatenate([[0], np.flatnonzero(np.diff(arc_number)) + 1])
+    arc_number = np.floor(since[::rows_per_sample] / length + SAME_INTERVAL)
+    starts = rows_per_sample * np.concatenate([[0], np.flatnonzero(np.diff(arc_number)) + 1])
     cuts = _close_cuts(starts, count)
-    shortest = int(np.diff(cuts).min()) // every
+    shortest = int(np.diff(cuts).min()) // rows_per_sample
     if shortest < least and len(cuts) > 2:
-        longest = float(np.diff(since[::every]).max())
+        longest = float(np.diff(since[::rows_per_sample]).max())
         raise DataError(
             f"arcs of {name!r}: one of {length:g} s has {shortest} rows; an arc needs at least {least}: give at least"
             f" {least * longest:g} s"

@@ -36,14 +36,14 @@ class CollocationResult:
     states: tuple[np.ndarray, ...]
     """States (N, nx) of each record at its samples."""
 
-    held: int = 0
+    at_bound: int = 0
     """Samples at which a state lies at one of its bounds."""
 
 
 class Collocation:
     """The sparse nonlinear program of a fit by direct collocation.
 
-    The program is ``problem()``; a solver's answer becomes a `CollocationResult` by ``found(w)``.
+    The program is ``problem()``; a solver's answer becomes a `CollocationResult` by ``interpret(w)``.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class Collocation:
         evaluation = Evaluation(float(residual @ residual), gradient, hessian, squares, counts)
         return add_prior_penalty(self.variables, w, evaluation), tuple(rows)
 
-    def found(self, w: np.ndarray) -> CollocationResult:
+    def interpret(self, w: np.ndarray) -> CollocationResult:
         """What a point ``w`` of the program means."""
         v, n = self.variables, len(self.variables.which)
         z, states, position, held = np.zeros(v.size), [], n, 0
@@ -155,7 +155,7 @@ class Collocation:
             states.append(x)
             held += int((np.abs(x[:, None, :] - edges) <= AT_BOUND * self.scale).any(axis=(1, 2)).sum())
             position += node_states.size + count
-        return CollocationResult(v.moved(z), tuple(states), held)
+        return CollocationResult(v.recentre(z), tuple(states), held)
 
     def _build_expressions(self) -> tuple[ca.MX, ca.MX, ca.MX]:
         """All variables, all residuals, all equations."""
@@ -246,7 +246,7 @@ class Collocation:
     def _prior_residuals(self, z: ca.MX) -> ca.MX:
         """What is known of the constants without the records, as further residuals."""
         v = self.variables
-        with_prior = np.flatnonzero(v.held)
+        with_prior = np.flatnonzero(v.has_prior)
         return ca.vertcat(
             *[(self._constant_expression(z, int(k)) - v.prior[k, 0]) / v.prior[k, 1] for k in with_prior], ca.MX(0, 1)
         )

@@ -11,7 +11,7 @@ from greybox.model import Model
 
 
 def resolve_conditions(
-    model: Model, conditions: Sequence[Mapping[str, float]], own: Sequence[str] = ()
+    model: Model, conditions: Sequence[Mapping[str, float]], per_experiment: Sequence[str] = ()
 ) -> tuple[dict[int, float], ...]:
     """For each experiment its conditions, as position in ``system.p`` -> value.
 
@@ -24,7 +24,7 @@ def resolve_conditions(
         The model whose parameters are meant.
     conditions
         For each experiment name -> value.
-    own
+    per_experiment
         Constants that each experiment has for itself: those may be given for some experiments only.
 
     Raises
@@ -53,7 +53,7 @@ def resolve_conditions(
             problems.append(f"{subject}, its conditions: {error}")
     for q in model.free_parameters:
         missing = [str(e + 1) for e, given in enumerate(conditions) if q.name not in given]
-        if 0 < len(missing) < len(conditions) and q.name not in own:
+        if 0 < len(missing) < len(conditions) and q.name not in per_experiment:
             problems.append(
                 f"condition {q.name!r} is free in the model but not given for experiment {', '.join(missing)}; give it for every"
                 f" experiment, or fix it: model.fix({q.name}=...)"
@@ -63,10 +63,10 @@ def resolve_conditions(
     return tuple({names.index(n): float(v) for n, v in given.items()} for given in conditions)
 
 
-def check_own_constants(model: Model, own: Sequence[str], experiments: int) -> None:
+def check_own_constants(model: Model, per_experiment: Sequence[str], experiments: int) -> None:
     """Refuse constants that cannot be each experiment's own: ModelError with all offenders, why, and what to do."""
     problems = []
-    for name in own:
+    for name in per_experiment:
         try:
             quantity = model.parameter(name)
         except ModelError as error:
@@ -74,9 +74,9 @@ def check_own_constants(model: Model, own: Sequence[str], experiments: int) -> N
             continue
         if quantity.fixed:
             problems.append(f"{name!r} is fixed at {quantity.value:g} {quantity.unit}; first free({name!r})")
-    twice = sorted({n for n in own if list(own).count(n) > 1})
+    twice = sorted({n for n in per_experiment if list(per_experiment).count(n) > 1})
     problems += [f"{name!r} is named twice; name it once" for name in twice]
-    if own and experiments < 2:
+    if per_experiment and experiments < 2:
         problems.append("there is one experiment; a constant of each experiment's own needs several")
     if problems:
         raise ModelError(f"own constants: {'; '.join(problems)}")

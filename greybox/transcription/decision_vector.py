@@ -88,7 +88,7 @@ class DecisionVector:
         model: Model,
         initial: InitialStates,
         conditions: Sequence[Mapping[str, float]] = (),
-        own: Sequence[str] = (),
+        per_experiment: Sequence[str] = (),
         experiments: Sequence[str] = (),
     ) -> DecisionVector:
         """The free constants of ``model`` at their present values, and the free initial states.
@@ -101,7 +101,7 @@ class DecisionVector:
             How the records begin.
         conditions
             For each experiment name -> value of the constants that it brings itself.
-        own
+        per_experiment
             Constants that each experiment has for itself, but for those that bring them as a condition.
         experiments
             Names of the experiments, which become part of the names of their own constants.
@@ -112,9 +112,9 @@ class DecisionVector:
             For conditions or own constants that do not go with the model, see `resolve_conditions` and `check_own_constants`.
         """
         count = len(initial.guess)
-        resolved = resolve_conditions(model, conditions, own)
-        check_own_constants(model, own, count)
-        places = _place_constants(model, own, resolved, count)
+        resolved = resolve_conditions(model, conditions, per_experiment)
+        check_own_constants(model, per_experiment, count)
+        places = _place_constants(model, per_experiment, resolved, count)
         free = [model.all_parameters[k] for k, _ in places]
         base = np.array([q.value for q in free], float)
         titles = make_unique(experiments or [f"experiment {e + 1}" for e in range(count)])
@@ -232,7 +232,7 @@ class DecisionVector:
         return float(deviation @ deviation), 2 * deviation * slope, 2 * slope**2
 
     @cached_property
-    def held(self) -> np.ndarray:
+    def has_prior(self) -> np.ndarray:
         """Which free constants (nf,) have a prior."""
         return np.isfinite(self.prior[:, 1])
 
@@ -276,19 +276,19 @@ class DecisionVector:
             states[self.free_states] *= np.exp(np.log(factor[n:]).reshape(-1, each).mean(axis=0))
         return replace(self, scale=scale, initial=replace(self.initial, scale=states))
 
-    def moved(self, z: np.ndarray) -> DecisionVector:
+    def recentre(self, z: np.ndarray) -> DecisionVector:
         """The same variables with ``z = 0`` at the given point."""
         p = self.parameters(z)
         guess = np.array([self.compute_initial_state(z, self.parameters(z, e), e)[0] for e in range(self.experiments)])
         return replace(self, base=self.constants(z), fixed=p, initial=replace(self.initial, guess=guess))
 
-    def at(self, values: Mapping[str, float]) -> DecisionVector:
+    def with_values(self, values: Mapping[str, float]) -> DecisionVector:
         """The same variables with other values of some constants at ``z = 0``, by their labels in ``names``."""
         base = np.array([values.get(name, value) for name, value in zip(self.names, self.base, strict=True)])
         changed = replace(self, base=base)
         return replace(changed, fixed=changed.parameters(np.zeros(self.size)))
 
-    def without(self, held: np.ndarray) -> DecisionVector:
+    def hold(self, held: np.ndarray) -> DecisionVector:
         """The same variables with some constants (nf,) no longer free: they are as in ``fixed``, or as the conditions have them."""
         keep = ~held
         names = tuple(np.array(self.names, object)[keep])
@@ -369,7 +369,7 @@ def make_unique(names: Sequence[str]) -> list[str]:
 
 
 def _place_constants(
-    model: Model, own: Sequence[str], conditions: Sequence[Mapping[int, float]], experiments: int
+    model: Model, per_experiment: Sequence[str], conditions: Sequence[Mapping[int, float]], experiments: int
 ) -> list[tuple[int, int]]:
     """Position in ``system.p`` and owner of each free constant; a condition is not fitted in the experiment that brings it."""
     given = {k for each in conditions for k in each}
@@ -377,7 +377,7 @@ def _place_constants(
     for k, q in enumerate(model.all_parameters):
         if q.fixed:
             continue
-        if q.name in own:
+        if q.name in per_experiment:
             places += [(k, e) for e in range(experiments) if not conditions or k not in conditions[e]]
         elif k not in given:
             places.append((k, SHARED))

@@ -29,7 +29,7 @@ def estimate_arc_states(single: SingleShooting, cuts: Sequence[Sequence[int]]) -
     """The records cut in arcs, with the initial state of each estimated in turn."""
     arcs = cut_at_rows(single, cuts)
     projected = ProjectedShooting(arcs.shooting)
-    projected.carry(arcs.starts_record)
+    projected.carry_states(arcs.starts_record)
     return projected
 
 
@@ -98,7 +98,7 @@ def initialise_without_continuity(
     free = v.free_states
     for e in range(v.experiments):
         z[v.columns(e)[arcs.size :]] = (nodes[e][0][free] - v.initial.guess[e, free]) / v.initial.scale[free]
-    return v.moved(z), [simulate_segments(single, z, e, cuts[e], nodes[e])[1] for e in range(v.experiments)]
+    return v.recentre(z), [simulate_segments(single, z, e, cuts[e], nodes[e])[1] for e in range(v.experiments)]
 
 
 def compute_bounded_step(

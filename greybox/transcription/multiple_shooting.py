@@ -81,7 +81,7 @@ class MultipleShootingResult:
 def choose_segment_rows(growth: float, record: Record, policy: SegmentPolicy = SEGMENTS) -> int:
     """Samples of a segment for a plant whose errors grow by ``exp(growth t)`` (1/s; at most zero: they do not)."""
     longest = max(len(record.samples(record.u)) // policy.max_segments, policy.usual_rows)
-    period = record.every * float(np.median(record.h)) if len(record.h) else 1.0
+    period = record.rows_per_sample * float(np.median(record.h)) if len(record.h) else 1.0
     if growth > 0:
         longest = min(longest, int(np.log(policy.max_growth) / (growth * period)))
     return max(policy.least_rows, longest)
@@ -234,7 +234,7 @@ class MultipleShooting:
         condensed = condense(segments, len(self.variables.which))
         if condensed is None:
             return None
-        if self.variables.held.any():
+        if self.variables.has_prior.any():
             condensed = condensed.with_penalty(*self.variables.penalty(point.z))
         gaps = np.concatenate([np.abs(s.defect) for record_segments in segments for s in record_segments])
         return _LinearisedPoint(
@@ -315,7 +315,7 @@ class MultipleShooting:
         evaluation = Evaluation(linearised.cost, gradient, hessian, linearised.squares, linearised.counts)
         runs = tuple(simulate_segments(self.single, z, e, self.cuts[e], point.nodes[e]) for e in range(v.experiments))
         rows = tuple(self._condense_residuals(point, e, linearised.condensed.slope[e]) for e in range(v.experiments))
-        return MultipleShootingResult(v.moved(z), evaluation, nodes, runs, rows, linearised.gap, status, *work)
+        return MultipleShootingResult(v.recentre(z), evaluation, nodes, runs, rows, linearised.gap, status, *work)
 
 
 @dataclass
@@ -355,7 +355,9 @@ def add_state_outputs(step: Step) -> Step:
 
 def place_segments(e: int, record: Record, rows: int) -> tuple[int, ...]:
     """First rows of the segments of ``rows`` samples of record ``e`` and, at the end, its number of rows."""
-    return place_cuts(f"record {e + 1}", np.arange(len(record.u), dtype=float), rows=rows, every=record.every)
+    return place_cuts(
+        f"record {e + 1}", np.arange(len(record.u), dtype=float), rows=rows, rows_per_sample=record.rows_per_sample
+    )
 
 
 def slice_segment(record: Record, a: int, b: int, nx: int) -> Record:

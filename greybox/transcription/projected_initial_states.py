@@ -53,7 +53,7 @@ class ProjectedShooting:
         self.evaluate(z)
         return np.concatenate([z, self._states.ravel()])
 
-    def carry(self, starts_record: Sequence[bool] = ()) -> None:
+    def carry_states(self, starts_record: Sequence[bool] = ()) -> None:
         """Begin each arc where the one before it ended: a first guess for arcs that follow each other.
 
         States that an output shows keep the guess they have. The search for each initial state starts there, in order of time.

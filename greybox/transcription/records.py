@@ -40,7 +40,7 @@ def to_record(model: Model, experiment: Experiment, policy: BandLimitedPolicy = 
     """An experiment as the kernels read it, its columns in the order of the model's inputs and outputs.
 
     An output that was not measured is a column of NaN. An effect of the model may say what the input does between samples; else the
-    experiment does. A band-limited input becomes a finer one that is linear between rows (`Record.every`), with NaN in the
+    experiment does. A band-limited input becomes a finer one that is linear between rows (`Record.rows_per_sample`), with NaN in the
     outputs of the rows that were put between.
 
     Raises
@@ -84,7 +84,7 @@ def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray, polic
     length = np.array([experiment.sampling_time / points])
     interpolated = interpolate_band_limited(u, points, policy)
     h = np.full(rows - 1, length[0])
-    return Record(interpolated, measured, h, np.zeros(rows - 1), length, first_order=True, every=points)
+    return Record(interpolated, measured, h, np.zeros(rows - 1), length, first_order=True, rows_per_sample=points)
 
 
 def interpolate_band_limited(u: np.ndarray, points: int, policy: BandLimitedPolicy = BAND_LIMITED) -> np.ndarray:

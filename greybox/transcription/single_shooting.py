@@ -247,7 +247,7 @@ class RobustShooting(WhitenedShooting):
 
 def add_prior_penalty(variables: DecisionVector, z: np.ndarray, evaluation: Evaluation) -> Evaluation:
     """``evaluation``, whose first entries are the constants, with what their priors add (`DecisionVector.penalty`)."""
-    if not variables.held.any() or not np.isfinite(evaluation.cost):
+    if not variables.has_prior.any() or not np.isfinite(evaluation.cost):
         return evaluation
     n = len(variables.which)
     cost, slope, curvature = variables.penalty(z)

@@ -181,7 +181,7 @@ class _HeldLikelihood:
         else:  # of the other experiments it stays a parameter of their own
             given = [dict(c) for c in v.conditions or [{}] * v.experiments]
             given[owner][which] = value
-            others = v.without(np.arange(len(v.which)) == self.k) if near is None else near
+            others = v.hold(np.arange(len(v.which)) == self.k) if near is None else near
             held = self._with(replace(others, conditions=tuple(given)))
         optimum = fisher_scoring(held, self.options.policy.likelihood_search, self.policy.likelihood_decrease)
         if not optimum.status.success:

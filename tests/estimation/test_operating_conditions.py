@@ -46,7 +46,7 @@ def fitted(p):
     shooting, zero = p.shooting(p.variables), np.zeros(p.variables.size)
     first = shooting.evaluate(zero)
     outcome = minimise(shooting.evaluate, zero, *p.variables.bounds(), scale=first.cost, tolerance=1e-13)
-    return p.variables.moved(outcome.z), outcome.cost
+    return p.variables.recentre(outcome.z), outcome.cost
 
 
 def start(factor=1.4):
@@ -73,7 +73,7 @@ def test_states_at_rest_follow_the_conditions_of_their_experiment():
     assert (
         p.variables.fixed[TRUTH.system.parameter_names.index("P_S")] == TRUTH.values["P_S"]
     )  # the model keeps its own
-    moved = p.variables.moved(np.full(p.variables.size, 0.1))
+    moved = p.variables.recentre(np.full(p.variables.size, 0.1))
     np.testing.assert_allclose(moved.initial.guess[:, 2], np.array(SUPPLIES) / 2)
 
 
@@ -120,9 +120,9 @@ def test_every_transcription_knows_the_conditions():
     ]
     program = Collocation(p.variables, p.records, weight, states, scheme="legendre", elements=2)
     given = program.problem()
-    exact = program.found(given["start"]).variables
+    exact = program.interpret(given["start"]).variables
     np.testing.assert_allclose(exact.fixed, p.variables.fixed)
-    np.testing.assert_allclose(program.found(solve_sparse(**given).z).variables.fixed, truth, rtol=1e-6)
+    np.testing.assert_allclose(program.interpret(solve_sparse(**given).z).variables.fixed, truth, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def test_an_impossible_point_is_a_step_to_be_shortened():
 
 def test_a_known_first_value_is_not_asked_for_again():
     asked = []
-    minimise(lambda z: asked.append(z.copy()) or Bowl(z), np.zeros(2), *free(2), first=Bowl(np.zeros(2)))
+    minimise(lambda z: asked.append(z.copy()) or Bowl(z), np.zeros(2), *free(2), value_at_start=Bowl(np.zeros(2)))
     assert asked and not any(np.array_equal(z, np.zeros(2)) for z in asked)
 
 
@@ -85,10 +85,12 @@ def test_the_callers_rule_ends_the_search():
         Curved,
         np.array([-1.2, 1.0]),
         *free(2),
-        finished=lambda z, v: TerminationStatus.ACCEPTABLE if v.cost < 1 else None,
+        termination_test=lambda z, v: TerminationStatus.ACCEPTABLE if v.cost < 1 else None,
     )
     assert ended.status is TerminationStatus.ACCEPTABLE and 0 < ended.cost < 1
-    at_once = minimise(Curved, np.array([-1.2, 1.0]), *free(2), finished=lambda z, v: TerminationStatus.CONVERGED)
+    at_once = minimise(
+        Curved, np.array([-1.2, 1.0]), *free(2), termination_test=lambda z, v: TerminationStatus.CONVERGED
+    )
     assert at_once.iterations == 0 and at_once.evaluations == 1
 
 
@@ -107,7 +109,7 @@ def test_a_kink_is_found_and_certified_with_few_evaluations():
 def test_a_stalled_search_goes_on_by_damped_steps(finished):
     """Stalled at once, as behind a barrier that leads away from the optimum: where the gradient is right, no kink is reported."""
     at_once = MinimisationPolicy(max_shortenings=0)
-    result = minimise(Curved, np.array([-1.2, 1.0]), *free(2), finished=finished, policy=at_once)
+    result = minimise(Curved, np.array([-1.2, 1.0]), *free(2), termination_test=finished, policy=at_once)
     assert result.status is TerminationStatus.CONVERGED
     assert result.z == pytest.approx([1, 1], abs=1e-3 if finished else 1e-9)
     assert result.evaluations < 60

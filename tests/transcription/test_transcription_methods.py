@@ -126,17 +126,17 @@ def by_collocation(p, scheme, hessian="gauss-newton", elements=1):
     )
     outcome = solve_sparse(**program.problem())
     assert outcome.status.success, outcome.solver_status
-    return program.found(outcome.z)
+    return program.interpret(outcome.z)
 
 
 def by_arcs(p, **length):
     arcs = cut_into_arcs(p.shooting(p.variables), **length)
     projected = ProjectedShooting(arcs.shooting)
-    projected.carry(arcs.starts_record)
+    projected.carry_states(arcs.starts_record)
     low, high = projected.bounds()
     first = projected.evaluate(np.zeros(len(low)))
     outcome = minimise(projected.evaluate, np.zeros(len(low)), low, high, scale=first.cost, tolerance=1e-12)
-    return projected.variables.moved(projected.full(outcome.z)), outcome
+    return projected.variables.recentre(projected.full(outcome.z)), outcome
 
 
 def error(variables, model):
@@ -301,7 +301,7 @@ def test_a_stiff_plant_is_picked_for_implicit_steps_or_for_collocation_and_fitte
     program = Collocation(prepared.variables, prepared.records, np.array([1e4]), [np.column_stack([u, np.array(y)])])
     outcome = solve_sparse(**program.problem())
     assert outcome.status.success
-    assert error(program.found(outcome.z).variables, model) < 1e-3
+    assert error(program.interpret(outcome.z).variables, model) < 1e-3
 
 
 def test_states_keep_their_physical_bounds_in_collocation():
@@ -315,7 +315,7 @@ def test_states_keep_their_physical_bounds_in_collocation():
     given = program.problem()
     assert (given["start"][len(p.variables.which) :] >= 0).all()
     outcome = solve_sparse(**given)
-    assert all((x >= low).all() for x in program.found(outcome.z).states)
+    assert all((x >= low).all() for x in program.interpret(outcome.z).states)
 
 
 def test_what_collocation_cannot_do_is_refused_in_words(duffing):
@@ -360,7 +360,7 @@ def test_eliminated_initial_states_leave_cost_slope_and_optimum_as_they_are(duff
     p = problem(start, arcs, noise, False, substeps)
     shooting = p.shooting(p.variables)
     projected = ProjectedShooting(shooting)
-    projected.carry()
+    projected.carry_states()
     z = np.array([-0.2, 0.1, 0.05, 0.1])
     here = projected.evaluate(z)
     full = shooting.evaluate(projected.full(z))
