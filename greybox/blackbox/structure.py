@@ -44,10 +44,18 @@ class PolynomialStructure:
         a, *rest = self.parts(theta)
         b, f, (c, d, constant) = rest[:n], rest[n : 2 * n], rest[2 * n :]
         return PolynomialModel(
-            kind=self.kind, output=data.output, inputs=data.inputs, sampling_time=data.sampling_time, nk=self.orders.nk,
-            a=to_monic(a), b=tuple(np.append(np.zeros(k), part) for k, part in zip(self.orders.nk, b, strict=True)),
-            f=tuple(map(to_monic, f)), c=to_monic(c), d=to_monic(d), constant=float(constant[0]) if self.offset else None,
-        )  # fmt: skip
+            kind=self.kind,
+            output=data.output,
+            inputs=data.inputs,
+            sampling_time=data.sampling_time,
+            nk=self.orders.nk,
+            a=to_monic(a),
+            b=tuple(np.append(np.zeros(k), part) for k, part in zip(self.orders.nk, b, strict=True)),
+            f=tuple(map(to_monic, f)),
+            c=to_monic(c),
+            d=to_monic(d),
+            constant=float(constant[0]) if self.offset else None,
+        )
 
     def vector(self, model: PolynomialModel) -> np.ndarray:
         """The coefficients (p,) of ``model``; polynomials that are shorter there are filled up with zeros."""

@@ -14,12 +14,12 @@ def to_identifier(name: str) -> str:
 
 def to_identifiers(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
     """Each of ``names`` as an identifier that is none of the others and not ``taken``."""
-    found: list[str] = []
+    result: list[str] = []
     for name in names:
         plain = unique = to_identifier(name)
         number = 1
-        while unique in found or unique in taken:
+        while unique in result or unique in taken:
             number += 1
             unique = f"{plain}_{number}"
-        found.append(unique)
-    return found
+        result.append(unique)
+    return result

@@ -267,13 +267,26 @@ def write_mat(
     from scipy.io import savemat
 
     values: dict[str, Any] = {
-        "A": model.A, "B": model.B, "C": model.C, "D": model.D, "Ts": model.dt, "InputDelay": model.delay.reshape(-1, 1),
-        "StateName": _cell(to_identifiers(model.state_names)), "InputName": _cell(to_identifiers(model.input_names)),
+        "A": model.A,
+        "B": model.B,
+        "C": model.C,
+        "D": model.D,
+        "Ts": model.dt,
+        "InputDelay": model.delay.reshape(-1, 1),
+        "StateName": _cell(to_identifiers(model.state_names)),
+        "InputName": _cell(to_identifiers(model.input_names)),
         "OutputName": _cell(to_identifiers(model.output_names)),
-        "StateUnit": _cell(model.state_units), "InputUnit": _cell(model.input_units), "OutputUnit": _cell(model.output_units),
-        "x0": model.x0.reshape(-1, 1), "u0": model.u0.reshape(-1, 1), "y0": model.y0.reshape(-1, 1), "rates": model.rates.reshape(-1, 1),
-        "Name": model.name, "Method": model.method, "Notes": _cell([str(finding) for finding in model.findings]),
-    }  # fmt: skip
+        "StateUnit": _cell(model.state_units),
+        "InputUnit": _cell(model.input_units),
+        "OutputUnit": _cell(model.output_units),
+        "x0": model.x0.reshape(-1, 1),
+        "u0": model.u0.reshape(-1, 1),
+        "y0": model.y0.reshape(-1, 1),
+        "rates": model.rates.reshape(-1, 1),
+        "Name": model.name,
+        "Method": model.method,
+        "Notes": _cell([str(finding) for finding in model.findings]),
+    }
     tables = _tables(_contents(model) | _origin(plant))
     for key in ("parameters", "covariance"):
         if f"{key}_names" in tables:
@@ -341,12 +354,27 @@ LINEAR_FORMATS: Mapping[str, LinearWriter] = {
 
 def _contents(model: Linearisation) -> dict[str, Any]:
     return {
-        "name": model.name, "A": model.A, "B": model.B, "C": model.C, "D": model.D, "dt": model.dt, "method": model.method,
-        "state_names": model.state_names, "input_names": model.input_names, "output_names": model.output_names,
-        "state_units": model.state_units, "input_units": model.input_units, "output_units": model.output_units,
-        "x0": model.x0, "u0": model.u0, "y0": model.y0, "rates": model.rates, "delay": model.delay,
-        "parameters": dict(model.parameters), "notes": [str(finding) for finding in model.findings],
-    }  # fmt: skip
+        "name": model.name,
+        "A": model.A,
+        "B": model.B,
+        "C": model.C,
+        "D": model.D,
+        "dt": model.dt,
+        "method": model.method,
+        "state_names": model.state_names,
+        "input_names": model.input_names,
+        "output_names": model.output_names,
+        "state_units": model.state_units,
+        "input_units": model.input_units,
+        "output_units": model.output_units,
+        "x0": model.x0,
+        "u0": model.u0,
+        "y0": model.y0,
+        "rates": model.rates,
+        "delay": model.delay,
+        "parameters": dict(model.parameters),
+        "notes": [str(finding) for finding in model.findings],
+    }
 
 
 def _channels(model: Linearisation) -> dict[str, Any]:
@@ -355,9 +383,14 @@ def _channels(model: Linearisation) -> dict[str, Any]:
         for name in model.input_names:
             channel = extract_channel(model, output, name)
             channels[f"{name} -> {output}"] = {
-                "zeros": _complex(channel.zeros), "poles": _complex(channel.poles), "factor": channel.factor, "gain": channel.gain,
-                "integrators": channel.integrators, "bandwidth": channel.bandwidth, "unit": channel.unit,
-            }  # fmt: skip
+                "zeros": _complex(channel.zeros),
+                "poles": _complex(channel.poles),
+                "factor": channel.factor,
+                "gain": channel.gain,
+                "integrators": channel.integrators,
+                "bandwidth": channel.bandwidth,
+                "unit": channel.unit,
+            }
     return {"poles": _complex(model.poles), "channels": channels}
 
 

@@ -112,7 +112,13 @@ def _with_states(
 ) -> tuple[Linearisation, list[str]]:
     left_out = [name for k, name in enumerate(model.state_names) if k not in keep]
     reduced = replace(
-        model, A=a, B=b, C=c, state_names=tuple(names), state_units=tuple(model.state_units[k] for k in keep),
-        x0=model.x0[keep], rates=model.rates[keep],
-    )  # fmt: skip
+        model,
+        A=a,
+        B=b,
+        C=c,
+        state_names=tuple(names),
+        state_units=tuple(model.state_units[k] for k in keep),
+        x0=model.x0[keep],
+        rates=model.rates[keep],
+    )
     return reduced, left_out

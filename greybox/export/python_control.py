@@ -137,10 +137,17 @@ def to_state_space(model: Linearisation, pade: int = 4, policy: SamplingPolicy =
 
     finite = approximate_delays(model, pade, policy) if model.delay.any() else model
     system = control.StateSpace(
-        finite.A, finite.B, finite.C, finite.D, finite.dt,
-        states=to_identifiers(finite.state_names), inputs=to_identifiers(finite.input_names),
-        outputs=to_identifiers(finite.output_names), name=to_identifier(finite.name), remove_useless_states=False,
-    )  # fmt: skip
+        finite.A,
+        finite.B,
+        finite.C,
+        finite.D,
+        finite.dt,
+        states=to_identifiers(finite.state_names),
+        inputs=to_identifiers(finite.input_names),
+        outputs=to_identifiers(finite.output_names),
+        name=to_identifier(finite.name),
+        remove_useless_states=False,
+    )
     system.linearisation = model
     return system
 
@@ -175,9 +182,13 @@ def to_transfer_function(model: Linearisation, pade: int = 4, policy: SamplingPo
         return [[getattr(channel, of) for channel in row] for row in rows]
 
     system = control.TransferFunction(
-        each("numerator"), each("denominator"), finite.dt, inputs=to_identifiers(finite.input_names),
-        outputs=to_identifiers(finite.output_names), name=to_identifier(finite.name),
-    )  # fmt: skip
+        each("numerator"),
+        each("denominator"),
+        finite.dt,
+        inputs=to_identifiers(finite.input_names),
+        outputs=to_identifiers(finite.output_names),
+        name=to_identifier(finite.name),
+    )
     system.linearisation = model
     return system
 
@@ -209,9 +220,18 @@ def approximate_delays(model: Linearisation, order: int, policy: SamplingPolicy 
         findings.append(Finding(ExportFinding.DELAY_APPROXIMATED, Severity.NOTE, model.input_names[j], values))
     extra = len(A) - len(model.A)
     return replace(
-        model, A=A, B=B, C=C, D=D, state_names=tuple(names), state_units=tuple(units), delay=np.zeros_like(model.delay),
-        x0=np.append(model.x0, np.zeros(extra)), rates=np.append(model.rates, np.zeros(extra)), findings=tuple(findings),
-    )  # fmt: skip
+        model,
+        A=A,
+        B=B,
+        C=C,
+        D=D,
+        state_names=tuple(names),
+        state_units=tuple(units),
+        delay=np.zeros_like(model.delay),
+        x0=np.append(model.x0, np.zeros(extra)),
+        rates=np.append(model.rates, np.zeros(extra)),
+        findings=tuple(findings),
+    )
 
 
 def _pade(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
@@ -289,9 +309,14 @@ def _make_continuous(plant: Plant) -> Any:
         return outputs(_as_row(x, s.x.numel()), _as_row(u, s.u.numel()), values(params)).full().ravel()
 
     return control.NonlinearIOSystem(
-        update, read, inputs=to_identifiers(s.input_names), outputs=to_identifiers(s.output_names),
-        states=to_identifiers(s.state_names), params=parameters, name=to_identifier(model.title),
-    )  # fmt: skip
+        update,
+        read,
+        inputs=to_identifiers(s.input_names),
+        outputs=to_identifiers(s.output_names),
+        states=to_identifiers(s.state_names),
+        params=parameters,
+        name=to_identifier(model.title),
+    )
 
 
 def _make_sampled(plant: Plant, step: DiscreteStep) -> Any:
@@ -311,9 +336,15 @@ def _make_sampled(plant: Plant, step: DiscreteStep) -> Any:
         return step.outputs(x[:nx], x[nx:], _as_row(u, s.u.numel()), values(params))
 
     return control.NonlinearIOSystem(
-        update, read, inputs=to_identifiers(s.input_names), outputs=to_identifiers(s.output_names),
-        states=to_identifiers([*s.state_names, *name_past_inputs(step)]), params=parameters, name=to_identifier(model.title), dt=step.dt,
-    )  # fmt: skip
+        update,
+        read,
+        inputs=to_identifiers(s.input_names),
+        outputs=to_identifiers(s.output_names),
+        states=to_identifiers([*s.state_names, *name_past_inputs(step)]),
+        params=parameters,
+        name=to_identifier(model.title),
+        dt=step.dt,
+    )
 
 
 def _as_row(values: Any, size: int) -> np.ndarray:

@@ -100,10 +100,20 @@ def sample(
         row += length
     held = np.concatenate([np.repeat(model.u0[j], length) for j, length in enumerate(lengths)] or [np.empty(0)])
     return replace(
-        model, A=A, B=B, C=C, D=D, state_names=tuple(names), state_units=tuple(units), dt=float(dt), method=method,
-        x0=np.concatenate([model.x0, held]), rates=np.concatenate([model.rates, np.zeros(extra)]), delay=np.zeros(len(parts)),
+        model,
+        A=A,
+        B=B,
+        C=C,
+        D=D,
+        state_names=tuple(names),
+        state_units=tuple(units),
+        dt=float(dt),
+        method=method,
+        x0=np.concatenate([model.x0, held]),
+        rates=np.concatenate([model.rates, np.zeros(extra)]),
+        delay=np.zeros(len(parts)),
         findings=(*model.findings, *_check_sampling_time(model, dt, method, policy)),
-    )  # fmt: skip
+    )
 
 
 def _split_delay(delay: float, dt: float) -> tuple[int, float]:
@@ -120,13 +130,13 @@ def _hold_with_delays(model: Linearisation, dt: float, parts: list[tuple[int, fl
     """``Phi, C``, the gains (nx, nu) of the inputs of ``n`` and ``n + 1`` intervals ago, and those (ny, nu) on the outputs."""
     phi, gamma = _hold_exactly(model, dt)
     now, before = gamma.copy(), np.zeros_like(gamma)
-    here, old = model.D.copy(), np.zeros_like(model.D)
+    direct, direct_before = model.D.copy(), np.zeros_like(model.D)
     for j, (_, share) in enumerate(parts):
         if share:
             now[:, j] = _hold_exactly(model, (1 - share) * dt)[1][:, j]
             before[:, j] = gamma[:, j] - now[:, j]
-            here[:, j], old[:, j] = 0.0, model.D[:, j]  # at the sample itself the older one still acts
-    return phi, model.C, now, before, (here, old)
+            direct[:, j], direct_before[:, j] = 0.0, model.D[:, j]  # at the sample itself the older one still acts
+    return phi, model.C, now, before, (direct, direct_before)
 
 
 def _hold_exactly(model: Linearisation, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -158,9 +168,7 @@ def _apply_tustin(model: Linearisation, dt: float, parts: list[tuple[int, float]
     direct = model.D + seen @ b * dt / 2
     share = np.array([f for _, f in parts])
     level = t[:, None] * gamma
-    return (
-        t[:, None] * phi / t, seen / t, level * (1 - share), level * share, (direct * (1 - share), direct * share)
-    )  # fmt: skip
+    return (t[:, None] * phi / t, seen / t, level * (1 - share), level * share, (direct * (1 - share), direct * share))
 
 
 def _check_sampling_time(model: Linearisation, dt: float, method: str, policy: SamplingPolicy) -> list[Finding]:

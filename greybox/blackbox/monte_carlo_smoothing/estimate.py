@@ -119,9 +119,17 @@ def monte_carlo_smoothing(
         chosen = chosen.around({axis: getattr(best_yet, axis) for axis in AXES}, policy)
     best_of_all = min((r.best for r in rounds), key=lambda c: c.error)
     return MonteCarloSmoothing(
-        step.output, step.input, step.sampling_time, step.height, best_of_all, len(y), tuple(rounds), counts, specification,
+        step.output,
+        step.input,
+        step.sampling_time,
+        step.height,
+        best_of_all,
+        len(y),
+        tuple(rounds),
+        counts,
+        specification,
         dict(units or {}),
-    )  # fmt: skip
+    )
 
 
 def _is_good_enough(rounds: Sequence[SmoothingRound], specification: float | None, policy: SmoothingPolicy) -> bool:

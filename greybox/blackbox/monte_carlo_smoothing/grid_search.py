@@ -64,9 +64,13 @@ def search_grid(time: np.ndarray, y: np.ndarray, values: dict[str, np.ndarray]) 
     error = (y @ y - 2 * chosen * along + chosen**2 * square) / len(y)
     pair, direction = np.unravel_index(np.argmin(error), error.shape)
     return StepResponseConstants(
-        float(chosen[pair, direction]), float(r[direction]), float(theta[direction]),
-        float(w[pair // len(sigma)]), float(sigma[pair % len(sigma)]), float(error[pair, direction]),
-    )  # fmt: skip
+        float(chosen[pair, direction]),
+        float(r[direction]),
+        float(theta[direction]),
+        float(w[pair // len(sigma)]),
+        float(sigma[pair % len(sigma)]),
+        float(error[pair, direction]),
+    )
 
 
 def _grams(time: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

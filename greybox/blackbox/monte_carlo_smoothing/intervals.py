@@ -72,9 +72,7 @@ def estimate_spectrum(y: np.ndarray, sampling_time: float, points: int = 1024) -
     Hann windows of ``points`` rows, side by side (a shorter record: one window, padded with zeros), the mean not taken out.
     """
     window = min(points, len(y))
-    f, density = welch(
-        y, 1 / sampling_time, "hann", nperseg=window, noverlap=0, nfft=points, detrend=False
-    )  # fmt: skip
+    f, density = welch(y, 1 / sampling_time, "hann", nperseg=window, noverlap=0, nfft=points, detrend=False)
     return 2 * np.pi * f, density / (2 * np.pi)
 
 

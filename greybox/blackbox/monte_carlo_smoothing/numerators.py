@@ -65,7 +65,7 @@ def _structure(
     remark = "; ".join(f"{name}: {text}" for name, text in (("D-E", problem), ("S-E", other)) if text)
     return NumeratorComparison(
         order, tuple(range(first, last + 1)), direct, smoothed, direct_model, smoothed_model, remark
-    )  # fmt: skip
+    )
 
 
 def _fit_arx(

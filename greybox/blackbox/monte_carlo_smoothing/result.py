@@ -116,9 +116,21 @@ class MonteCarloSmoothing(Printable):
         numbers = np.convolve(f, first)[:3] - np.append(0.0, np.convolve(f, first)[:2])
         numbers[2] = b.amplitude / self.height * f.sum() - numbers[0] - numbers[1]
         return PolynomialModel(
-            KIND, self.output, (self.input,), h, (0,), (numbers,), f=(f,), noise_std=float(np.sqrt(self.error)),
-            samples=self.samples, loss=self.error, history="zero", focus="simulation", units=self.units, findings=self.findings,
-        )  # fmt: skip
+            KIND,
+            self.output,
+            (self.input,),
+            h,
+            (0,),
+            (numbers,),
+            f=(f,),
+            noise_std=float(np.sqrt(self.error)),
+            samples=self.samples,
+            loss=self.error,
+            history="zero",
+            focus="simulation",
+            units=self.units,
+            findings=self.findings,
+        )
 
     @property
     def findings(self) -> tuple[Finding, ...]:
