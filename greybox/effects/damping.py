@@ -17,15 +17,15 @@ FAMILY = (
 )
 
 
-def _displacement(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _displacement_damping(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.D2 * x.displacement**2 * x.velocity
 
 
-def _cubic(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _cubic_damping(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.B3 * x.velocity**3
 
 
-def _directional(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _directional_damping(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.Ba * ca.fabs(x.velocity)
 
 
@@ -41,7 +41,7 @@ displacement_damping = Effect(
             "D2", "{force}/({displacement}**2*{velocity})", "damping over squared displacement, either sign"
         )
     ],
-    terms=_displacement,
+    terms=_displacement_damping,
     equation="-D2 x^2 v",
     parity="odd",
     tells_apart=FAMILY,
@@ -54,7 +54,7 @@ cubic_damping = Effect(
     "cubic_damping",
     site="force",
     parameters=[amplitude_parameter("B3", "{force}/{velocity}**3", "damping force over cubed velocity", low=0.0)],
-    terms=_cubic,
+    terms=_cubic_damping,
     equation="-B3 v^3",
     parity="odd",
     tells_apart=FAMILY,
@@ -71,7 +71,7 @@ directional_damping = Effect(
             "Ba", "{force}/{velocity}", "half the difference of the viscous friction by direction, either sign"
         )
     ],
-    terms=_directional,
+    terms=_directional_damping,
     equation="-Ba abs(v): damping B + Ba forward, B - Ba backward",
     parity="even",
     tells_apart=(

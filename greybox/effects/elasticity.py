@@ -14,11 +14,11 @@ from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, State
 
 
-def _cubic(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _cubic_spring(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.K3 * x.displacement**3
 
 
-def _quadratic(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _quadratic_spring(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.K2 * x.displacement**2
 
 
@@ -26,11 +26,11 @@ def _return_spring(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression
     return -p.Ks * x.displacement
 
 
-def _creep(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _creep_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.K1 * (x.displacement - x.z)
 
 
-def _creeping(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+def _creep_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("creep", "{displacement}", p.tau1, "z", stretch=x.displacement - x.z)]
 
 
@@ -39,11 +39,11 @@ def _creep_grid(s: Scales) -> Mapping[str, list[float]]:
     return {"tau1": geometric_grid(max(s.fastest, 4 * s.period), 0.5 * s.duration, 5)}
 
 
-def _bouc_wen(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _hysteresis_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.alpha * x.z
 
 
-def _hysteresis(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+def _hysteresis_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     # With |gamma| > beta the loop turns into a hardening spring, which has a name of its own.
     gamma = ca.fmin(ca.fmax(p.gamma, -p.beta), p.beta)
     v = x.velocity
@@ -51,19 +51,19 @@ def _hysteresis(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]
     return [Balance("loop", "{velocity}", 1, "z", motion=v, **closing)]
 
 
-def _second(x: NamedValues, p: NamedValues) -> Expression:
+def _coupling_force(x: NamedValues, p: NamedValues) -> Expression:
     """Force of the second mass on the body."""
     return p.k2 * (x.z1 - x.displacement) + p.c2 * (x.z2 - x.velocity)
 
 
-def _second_mode(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return _second(x, p)
+def _second_mode_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return _coupling_force(x, p)
 
 
-def _second_mass(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+def _second_mass_balances(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [
         Balance("second_position", "{velocity}", 1, "z1", velocity=x.z2),
-        Balance("second_force", "{force}", p.m2, "z2", reaction=-_second(x, p)),
+        Balance("second_force", "{force}", p.m2, "z2", reaction=-_coupling_force(x, p)),
     ]
 
 
@@ -81,8 +81,10 @@ def _second_grid(s: Scales) -> Mapping[str, list[float]]:
 
 
 def _second_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
-    """A body between a three-hundredth of the moving mass and all of it, on a spring that rings below half the sampling rate: what
-    is faster shows as nothing but a stiffer or a delayed plant, at the price of a thousand substeps."""
+    """A body between three thousandths of the moving mass and all of it, on a spring that rings below half the sampling rate.
+
+    What is faster shows as nothing but a stiffer or a delayed plant, at the price of a thousand substeps.
+    """
     fastest = math.pi / s.period
     return {
         "m2": (0.003 * s.storage, s.storage),
@@ -97,7 +99,7 @@ cubic_stiffness = Effect(
     parameters=[
         amplitude_parameter("K3", "{force}/{displacement}**3", "cubic stiffness, positive for a spring that hardens")
     ],
-    terms=_cubic,
+    terms=_cubic_spring,
     equation="-K3 x^3",
     parity="odd",
     tells_apart=(
@@ -117,7 +119,7 @@ quadratic_stiffness = Effect(
             "K2", "{force}/{displacement}**2", "quadratic stiffness of a spring that differs by side, either sign"
         )
     ],
-    terms=_quadratic,
+    terms=_quadratic_spring,
     equation="-K2 x^2",
     parity="even",
     tells_apart=(
@@ -137,8 +139,8 @@ viscoelastic_creep = Effect(
         shape_parameter("tau1", "s", 0.1, (1e-7, 1e6), "time in which it relaxes"),
     ],
     states=[State("z", "{displacement}", lambda p: p.sensor, relaxing=True, description="crept position")],
-    terms=_creep,
-    balances=_creeping,
+    terms=_creep_force,
+    balances=_creep_balance,
     equation="-K1 (x - z), tau1 z' = x - z",
     parity="linear",
     tells_apart=(
@@ -166,8 +168,8 @@ bouc_wen_hysteresis = Effect(
         ),
     ],
     states=[State("z", "{displacement}", relaxing=True, description="stretch of the hysteretic branch")],
-    terms=_bouc_wen,
-    balances=_hysteresis,
+    terms=_hysteresis_force,
+    balances=_hysteresis_balance,
     equation="-alpha z, z' = v - beta abs(v) z - gamma v abs(z)",
     parity="odd",
     tells_apart=(
@@ -208,8 +210,8 @@ second_mode = Effect(
         State("z1", "{displacement}", lambda p: p.sensor, description="position of the second mass"),
         State("z2", "{velocity}", description="its velocity"),
     ],
-    terms=_second_mode,
-    balances=_second_mass,
+    terms=_second_mode_force,
+    balances=_second_mass_balances,
     equation="k2 (z1 - x) + c2 (z2 - v), z1' = z2, m2 z2' = -(that)",
     parity="linear",
     tells_apart=(

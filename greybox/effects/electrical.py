@@ -10,39 +10,39 @@ from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, State
 
 
-def _droop(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+def _drooping_constants(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     left = 1 - p.a * x.displacement**2
     return {"force_constant": p.force_constant * left, "back_emf_constant": p.back_emf_constant * left}
 
 
-def _warm(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+def _warm_resistance(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     return {"resistance": p.resistance * (1 + x.z)}
 
 
-def _heat(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+def _heat_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     # The resistance as it is used already carries the factor 1 + z.
     return [Balance("heat", "1", p.tau_th, "z", power=p.Rth * p.resistance * x.current**2, cooling=-x.z)]
 
 
-def _split(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _amplifier_current(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     """Current from the amplifier when the inductance carries ``x.current`` and ``Re`` the rest."""
     return (u.drive - p.back_emf_constant * x.velocity + p.Re * x.current) / (p.resistance + p.Re)
 
 
-def _eddy_current(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
-    return {"current": _split(x, u, p)}
+def _current_with_eddies(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+    return {"current": _amplifier_current(x, u, p)}
 
 
-def _eddy_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Mapping[str, Expression]]:
+def _force_with_eddies(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Mapping[str, Expression]]:
     # Only the current in the inductance makes force; the other terms take the current from the amplifier.
     return {"force": {"coil": p.force_constant * x.current}}
 
 
-def _warming(s: Scales) -> Mapping[str, float]:
+def _heating_probe(s: Scales) -> Mapping[str, float]:
     return {"Rth": 0.1 / (s.input * s.current)}
 
 
-def _warming_grid(s: Scales) -> Mapping[str, list[float]]:
+def _heating_grid(s: Scales) -> Mapping[str, list[float]]:
     return {"tau_th": geometric_grid(0.02 * s.duration, 2 * s.duration, 4)}
 
 
@@ -52,7 +52,7 @@ force_constant_droop = Effect(
     parameters=[
         amplitude_parameter("a", "1/{displacement}**2", "share of force and back EMF lost per squared displacement")
     ],
-    on_parameter=_droop,
+    on_parameter=_drooping_constants,
     equation="Kf (1 - a x^2), Kv (1 - a x^2)",
     parity="odd",
     tells_apart=(
@@ -72,8 +72,8 @@ winding_heating = Effect(
         shape_parameter("tau_th", "s", 1.0, (1e-3, 1e7), "time in which the winding warms"),
     ],
     states=[State("z", "", description="rise of the resistance, as a share")],
-    on_parameter=_warm,
-    balances=_heat,
+    on_parameter=_warm_resistance,
+    balances=_heat_balance,
     equation="Ra (1 + z), tau_th z' = Rth Ra (1 + z) i^2 - z",
     parity="slow",
     tells_apart=(
@@ -82,8 +82,8 @@ winding_heating = Effect(
     ),
     source="temperature coefficient of copper, 0.39 % per kelvin, with one thermal time constant",
     amplitudes=("Rth",),
-    probe=_warming,
-    grid=_warming_grid,
+    probe=_heating_probe,
+    grid=_heating_grid,
 )
 
 eddy_current = Effect(
@@ -99,8 +99,8 @@ eddy_current = Effect(
             "large: absent until fitted",
         )
     ],
-    on_state=_eddy_current,
-    on_term=_eddy_force,
+    on_state=_current_with_eddies,
+    on_term=_force_with_eddies,
     equation="La iL' = Re (i - iL), u = Ra i + Re (i - iL) + Kv v, force Kf iL",
     parity="linear",
     tells_apart=(

@@ -18,7 +18,7 @@ def _leakage(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Exp
     return {"pressure_a": -across, "pressure_b": across}
 
 
-def _orifice(upstream: Expression, downstream: Expression, b: Expression) -> Expression:
+def _orifice_pressure(upstream: Expression, downstream: Expression, b: Expression) -> Expression:
     """``p_1 phi(p_2 / p_1)`` (ISO 6358) from the higher pressure to the lower one, negative where that is upwards."""
     high = ca.fmax(upstream, downstream)
     # 1 - (r - b)/(1 - b) between -1 and 1, with the sign of the flow: phi^2 is this times (2 - its size)
@@ -27,7 +27,7 @@ def _orifice(upstream: Expression, downstream: Expression, b: Expression) -> Exp
     return high * square / ca.sqrt(ca.fmax(ca.fabs(square), FLOW_LIMITS.laminar))
 
 
-def _flow(u: Expression, p: NamedValues) -> Expression:
+def _choked_rate(u: Expression, p: NamedValues) -> Expression:
     """``G max(u, 0)``, the rate of pressure by a choked flow."""
     gain = p.ambient_pressure * p.valve_gain * p.supply_pressure / (p.ambient_density * p.total_volume)
     return gain * ca.fmax(u, 0)
@@ -35,7 +35,11 @@ def _flow(u: Expression, p: NamedValues) -> Expression:
 
 def _filling(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Mapping[str, Expression]]:
     def filled(opening: Expression, pressure: Expression) -> Mapping[str, Expression]:
-        return {"valve_flow": _flow(opening, p) * _orifice(p.supply_pressure, pressure, p.b) / p.supply_pressure}
+        return {
+            "valve_flow": _choked_rate(opening, p)
+            * _orifice_pressure(p.supply_pressure, pressure, p.b)
+            / p.supply_pressure
+        }
 
     return {"pressure_a": filled(u.valve, x.chamber_a), "pressure_b": filled(-u.valve, x.chamber_b)}
 
@@ -43,16 +47,16 @@ def _filling(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Map
 def _venting(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     def vented(opening: Expression, pressure: Expression) -> Expression:
         inside = ca.fmax(pressure, FLOW_LIMITS.least_pressure * p.ambient_pressure)
-        return -p.ce * _flow(opening, p) * _orifice(inside, p.ambient_pressure, p.b) / p.supply_pressure
+        return -p.ce * _choked_rate(opening, p) * _orifice_pressure(inside, p.ambient_pressure, p.b) / p.supply_pressure
 
     return {"pressure_a": vented(-u.valve, x.chamber_a), "pressure_b": vented(u.valve, x.chamber_b)}
 
 
-def _drooped(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+def _drooping_gain(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     return {"valve_gain": p.valve_gain * (1 - x.z)}
 
 
-def _drain(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+def _droop_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("droop", "1", p.tau_d, "z", drain=p.r * ca.fabs(u.valve), recovery=-x.z)]
 
 
@@ -117,8 +121,8 @@ supply_droop = Effect(
         shape_parameter("tau_d", "s", 0.5, (1e-6, 1e6), "time in which the supply follows"),
     ],
     states=[State("z", "", relaxing=True, description="share of the flow lost")],
-    on_parameter=_drooped,
-    balances=_drain,
+    on_parameter=_drooping_gain,
+    balances=_droop_balance,
     equation="G (1 - z) u, tau_d z' = r abs(u) - z",
     parity="odd",
     tells_apart=(

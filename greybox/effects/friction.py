@@ -21,21 +21,21 @@ FRICTION_LEVELS = (
 )
 
 
-def _coulomb(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
+def _coulomb_friction(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
     # Coulomb holds at standstill exactly what it takes while sliding.
     return DryFriction(sliding=p.Fc, static=p.Fc)
 
 
-def _level(x: NamedValues, p: NamedValues) -> Expression:
+def _steady_level(x: NamedValues, p: NamedValues) -> Expression:
     """Friction of steady sliding at the present speed."""
     return p.Fc + (p.Fs - p.Fc) * ca.exp(-((x.velocity / p.vs) ** 2))
 
 
-def _stribeck(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
-    return DryFriction(sliding=_level(x, p), static=p.Fs)
+def _stribeck_friction(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
+    return DryFriction(sliding=_steady_level(x, p), static=p.Fs)
 
 
-def _speeds(s: Scales) -> list[float]:
+def _speed_grid(s: Scales) -> list[float]:
     return geometric_grid(0.01 * s.velocity, 0.5 * s.velocity, 4)
 
 
@@ -43,20 +43,20 @@ def _stribeck_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mappi
     # Between Fc and Fs is what a fitted Coulomb friction shows: both are lowered a little for the highest ratio.
     low, middle, high = START.friction_ratios
     levels = [(values["Fc"] * share, ratio) for share, ratio in ((1.0, low), (1.0, middle), (0.8, high))]
-    return [{"Fc": level, "Fs": level * ratio, "vs": vs} for (level, ratio), vs in product(levels, _speeds(s))]
+    return [{"Fc": level, "Fs": level * ratio, "vs": vs} for (level, ratio), vs in product(levels, _speed_grid(s))]
 
 
 def _bristle_rate(x: NamedValues, p: NamedValues) -> Expression:
     # Without friction (Fc = Fs = 0) the bristles bend freely and carry nothing: keep the quotient finite.
-    level = _level(x, p)
+    level = _steady_level(x, p)
     return x.velocity - p.s0 * ca.fabs(x.velocity) * x.z / ca.if_else(level > 0, level, ca.inf)
 
 
-def _lugre(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return ca.if_else(_level(x, p) > 0, -(p.s0 * x.z + p.s1 * _bristle_rate(x, p)), 0)
+def _lugre_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return ca.if_else(_steady_level(x, p) > 0, -(p.s0 * x.z + p.s1 * _bristle_rate(x, p)), 0)
 
 
-def _bristles(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+def _bristle_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("bristles", "{velocity}", 1, "z", bending=_bristle_rate(x, p))]
 
 
@@ -101,7 +101,7 @@ coulomb_friction = Effect(
     parameters=[
         amplitude_parameter("Fc", "{force}", "friction while sliding, and the most it holds at standstill", low=0.0)
     ],
-    dry=_coulomb,
+    dry=_coulomb_friction,
     equation="-Fc sign(v)",
     parity="odd",
     tells_apart=(
@@ -117,7 +117,7 @@ stribeck_friction = Effect(
     "stribeck_friction",
     site="force",
     parameters=FRICTION_LEVELS,
-    dry=_stribeck,
+    dry=_stribeck_friction,
     equation="-(Fc + (Fs - Fc) exp(-(v/vs)^2)) sign(v)",
     parents=("coulomb_friction",),
     parity="odd",
@@ -127,7 +127,7 @@ stribeck_friction = Effect(
     source=f"R. Stribeck 1902; {FULL}",
     amplitudes=("Fc", "Fs"),
     probe=lambda s: {"Fc": s.visible_force, "Fs": START.friction_ratios[1] * s.visible_force},
-    grid=lambda s: {"vs": _speeds(s)},
+    grid=lambda s: {"vs": _speed_grid(s)},
     from_parent=_stribeck_from_coulomb,
 )
 
@@ -140,8 +140,8 @@ lugre_friction = Effect(
         shape_parameter("s1", "{force}/{velocity}", 1.0, (0.0, 1e12), "damping of the bristles"),
     ),
     states=(State("z", "{displacement}", relaxing=True, description="mean bending of the bristles"),),
-    terms=_lugre,
-    balances=_bristles,
+    terms=_lugre_force,
+    balances=_bristle_balance,
     equation="-(s0 z + s1 z'), z' = v - s0 abs(v) z / (Fc + (Fs - Fc) exp(-(v/vs)^2))",
     parents=("coulomb_friction", "stribeck_friction"),
     parity="odd",

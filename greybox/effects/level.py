@@ -14,19 +14,19 @@ from greybox.model import Effect
 from greybox.model.signals import Expression, NamedValues
 
 
-def _over(level: Expression, edge: Expression, rate: Expression) -> Expression:
+def _overflow(level: Expression, edge: Expression, rate: Expression) -> Expression:
     """What runs over an edge: proportional to the height above it."""
     return rate * ca.fmax(level - edge, 0)
 
 
-def _upper(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
-    spilt = _over(x.upper_head, p.edge, p.ko)
+def _upper_overflow(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+    spilt = _overflow(x.upper_head, p.edge, p.ko)
     # The outlet tells how the same water raises the two levels: it lowers one by upper_outlet, raises the other by lower_inlet.
     return {"upper_level": -spilt, "lower_level": p.share * spilt * p.lower_inlet / p.upper_outlet}
 
 
-def _lower(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -_over(x.lower_head, p.edge, p.ko)
+def _lower_overflow(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return -_overflow(x.lower_head, p.edge, p.ko)
 
 
 def _upper_grid(s: Scales) -> Mapping[str, list[float]]:
@@ -37,21 +37,21 @@ def _lower_grid(s: Scales) -> Mapping[str, list[float]]:
     return {"edge": [share * s.peaks["lower_head"] for share in START.overflow_edges]}
 
 
-def _rate(s: Scales) -> Mapping[str, float]:
+def _overflow_probe(s: Scales) -> Mapping[str, float]:
     return {"ko": START.overflow_rate / s.period}
 
 
-def _limits(s: Scales) -> Mapping[str, tuple[float, float]]:
+def _overflow_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     # Faster than the samples follow, an edge is an edge: the rate shows no more, and explicit steps would have to shrink.
     return {"ko": (0.0, START.fastest_overflow / s.period)}
 
 
-def _curved(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _bend_reading(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     share = value / p.full
     return value + (1 - share) * (p.y0 - p.bow * value)
 
 
-def _ended(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _limit_reading(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return ca.fmin(value, p.y_max)
 
 
@@ -63,7 +63,7 @@ upper_overflow = Effect(
         shape_parameter("edge", "{upper_head}", 10.0, (1e-6, 1e6), "level of the edge"),
         shape_parameter("share", "1", 0.5, (0.0, 1.0), "share of the spilt water that falls into the lower tank"),
     ],
-    terms=_upper,
+    terms=_upper_overflow,
     equation="-ko max(x1 - edge, 0) on the upper tank, plus share k2/k1 of it on the lower",
     parity="even",
     tells_apart=(
@@ -72,9 +72,9 @@ upper_overflow = Effect(
     ),
     source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark: part of the overflow reaches the lower tank",
     amplitudes=("ko",),
-    probe=_rate,
+    probe=_overflow_probe,
     grid=_upper_grid,
-    limits=_limits,
+    limits=_overflow_limits,
 )
 
 lower_overflow = Effect(
@@ -84,7 +84,7 @@ lower_overflow = Effect(
         amplitude_parameter("ko", "1/s", "rate at which what stands above the edge runs over", low=0.0),
         shape_parameter("edge", "{lower_head}", 10.0, (1e-6, 1e6), "level of the edge"),
     ],
-    terms=_lower,
+    terms=_lower_overflow,
     equation="-ko max(x2 - edge, 0)",
     parity="even",
     tells_apart=(
@@ -93,9 +93,9 @@ lower_overflow = Effect(
     ),
     source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark",
     amplitudes=("ko",),
-    probe=_rate,
+    probe=_overflow_probe,
     grid=_lower_grid,
-    limits=_limits,
+    limits=_overflow_limits,
 )
 
 reading_curve = Effect(
@@ -114,7 +114,7 @@ reading_curve = Effect(
             fixed=True,
         ),
     ],
-    on_output=_curved,
+    on_output=_bend_reading,
     equation="y + (1 - y/full) (y0 - bow y)",
     parity="even",
     tells_apart="Read known levels at standstill: a curved reading shows there, another law of outflow does not.",
@@ -137,7 +137,7 @@ sensor_saturation = Effect(
             "large: absent until fitted",
         )
     ],
-    on_output=_ended,
+    on_output=_limit_reading,
     equation="min(y, y_max)",
     parity="even",
     tells_apart=(

@@ -7,7 +7,7 @@ from greybox.model import Effect
 from greybox.model.signals import Expression, NamedValues
 
 
-def _constant(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _constant_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return p.F0
 
 
@@ -15,7 +15,7 @@ constant_load = Effect(
     "constant_load",
     site="force",
     parameters=[amplitude_parameter("F0", "{force}", "constant external force (a weight), either sign")],
-    terms=_constant,
+    terms=_constant_force,
     equation="+F0",
     parity="even",
     tells_apart=(

@@ -14,64 +14,64 @@ from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, State
 
 
-def _offset(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _add_offset(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return value + p.u0
 
 
-def _clipped(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _clip(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return ca.fmin(ca.fmax(value, -p.u_max), p.u_max)
 
 
-def _softly_clipped(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _clip_softly(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return p.u_max * ca.tanh(value / p.u_max)
 
 
-def _softer(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+def _soft_from_hard_limit(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
     # tanh leaves off long before its limit: the same loss at the peak takes a limit that is higher.
     return [{"u_max": factor * min(values["u_max"], s.input)} for factor in (1.0, 1.5, 3.0)]
 
 
-def _dead_zone(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _subtract_dead_zone(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return value - ca.fmin(ca.fmax(value, -p.d), p.d)
 
 
-def _spool(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _spool_position(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return x.w
 
 
-def _spooling(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+def _spool_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("spool", "{valve}", p.tau_v, "w", voltage=u.valve, spool=-x.w)]
 
 
-def _delay(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _delay_seconds(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return p.delay
 
 
-def _drifted(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _add_drift(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return value + x.drift
 
 
-def _drifting(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+def _drift_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("drift", "{sensor}/s", 1, "drift", rate=p.rate)]
 
 
-def _lagging(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _lagged_reading(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return x.y
 
 
-def _lag(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+def _lag_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     return [Balance("lag", "{sensor}", p.tau_s, "y", value=x.sensor, reading=-x.y)]
 
 
-def _played(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+def _reading_with_play(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return x.w
 
 
-def _play(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+def _update_play(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     return {"w": ca.fmin(ca.fmax(x.w, x.sensor - p.gap), x.sensor + p.gap)}
 
 
-def _levels(s: Scales) -> Mapping[str, list[float]]:
+def _saturation_grid(s: Scales) -> Mapping[str, list[float]]:
     return {"u_max": [share * s.input for share in (0.97, 0.85, 0.7, 0.5)]}
 
 
@@ -88,7 +88,7 @@ input_saturation = Effect(
             "large: absent until fitted",
         )
     ],
-    on_input=_clipped,
+    on_input=_clip,
     equation="min(max(u, -u_max), u_max)",
     parity="odd",
     tells_apart=(
@@ -98,14 +98,14 @@ input_saturation = Effect(
     source="supply voltage of an amplifier, end stop of a spool",
     amplitudes=("u_max",),
     neutral={"u_max": NEUTRAL.out_of_reach},
-    grid=_levels,
+    grid=_saturation_grid,
 )
 
 soft_saturation = Effect(
     "soft_saturation",
     site="input",
     parameters=[shape_parameter("u_max", "{input}", NEUTRAL.out_of_reach, (1e-9, 1e9), "input that is never exceeded")],
-    on_input=_softly_clipped,
+    on_input=_clip_softly,
     equation="u_max tanh(u / u_max)",
     parents=("input_saturation",),
     parity="odd",
@@ -117,14 +117,14 @@ soft_saturation = Effect(
     amplitudes=("u_max",),
     neutral={"u_max": NEUTRAL.out_of_reach},
     grid=lambda s: {"u_max": [share * s.input for share in (3.0, 1.5, 0.7)]},
-    from_parent=_softer,
+    from_parent=_soft_from_hard_limit,
 )
 
 input_dead_zone = Effect(
     "input_dead_zone",
     site="drive",
     parameters=[amplitude_parameter("d", "{drive}", "half-width of the zone without effect", low=0.0)],
-    on_input=_dead_zone,
+    on_input=_subtract_dead_zone,
     equation="0 inside +-d, u -+ d outside",
     parity="odd",
     tells_apart=(
@@ -157,8 +157,8 @@ valve_lag = Effect(
         )
     ],
     states=[State("w", "{valve}", relaxing=True, description="spool position, as the voltage that would hold it")],
-    on_input=_spool,
-    balances=_spooling,
+    on_input=_spool_position,
+    balances=_spool_balance,
     equation="tau_v w' = u - w, w in the place of u",
     parity="linear",
     tells_apart=(
@@ -176,7 +176,7 @@ transport_delay = Effect(
     "transport_delay",
     site="input",
     parameters=[amplitude_parameter("delay", "s", "time by which the input arrives late", low=0.0, high=5e-3)],
-    delay=_delay,
+    delay=_delay_seconds,
     equation="u(t - delay)",
     parity="linear",
     tells_apart=(
@@ -193,7 +193,7 @@ input_offset = Effect(
     "input_offset",
     site="input",
     parameters=[amplitude_parameter("u0", "{input}", "offset between the recorded and the acting input, either sign")],
-    on_input=_offset,
+    on_input=_add_offset,
     equation="u + u0",
     parity="even",
     tells_apart=(
@@ -210,8 +210,8 @@ sensor_drift = Effect(
     site="sensor",
     parameters=[amplitude_parameter("rate", "{sensor}/s", "drift of the reading, either sign")],
     states=[State("drift", "{sensor}", description="how far the reading has drifted")],
-    balances=_drifting,
-    on_output=_drifted,
+    balances=_drift_balance,
+    on_output=_add_drift,
     equation="x + rate t",
     parity="slow",
     tells_apart=(
@@ -232,8 +232,8 @@ sensor_lag = Effect(
         )
     ],
     states=[State("y", "{sensor}", lambda p: p.sensor, relaxing=True, description="what the sensor shows")],
-    balances=_lag,
-    on_output=_lagging,
+    balances=_lag_balance,
+    on_output=_lagged_reading,
     equation="tau_s y' = x - y, y in the place of x",
     parity="linear",
     tells_apart=(
@@ -252,8 +252,8 @@ backlash = Effect(
     site="sensor",
     parameters=[amplitude_parameter("gap", "{sensor}", "half of the play between the body and its sensor", low=0.0)],
     states=[State("w", "{sensor}", lambda p: p.sensor, description="what the sensor shows")],
-    update=_play,
-    on_output=_played,
+    update=_update_play,
+    on_output=_reading_with_play,
     equation="w = min(max(w, s - gap), s + gap), w in the place of s",
     parity="odd",
     tells_apart=(
