@@ -28,9 +28,11 @@ def transfer_function_coefficients(system: System) -> list[Polynomial]:
     Empty where there are no such formulas, or only unwieldy ones.
     """
     parts = [
-        ca.jacobian(system.rhs, system.x), ca.jacobian(system.rhs, system.u), ca.jacobian(system.outputs, system.x),
+        ca.jacobian(system.rhs, system.x),
+        ca.jacobian(system.rhs, system.u),
+        ca.jacobian(system.outputs, system.x),
         ca.jacobian(system.outputs, system.u),
-    ]  # fmt: skip
+    ]
     try:
         a, b, c, d = (_matrix(part, system.p) for part in parts)
         characteristic, adjugates = _leverrier(a, system.p.numel())

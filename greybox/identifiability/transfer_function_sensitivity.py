@@ -173,8 +173,12 @@ def make_matrix_function(system: System) -> ca.Function:
     for delay in system.delays:
         tau[delay.column] += delay.seconds
     parts = [
-        ca.jacobian(system.rhs, system.x), ca.horzcat(ca.jacobian(system.rhs, system.u), zero[0]),
-        ca.jacobian(system.outputs, system.x), ca.horzcat(ca.jacobian(system.outputs, system.u), zero[1]), tau, system.start,
-    ]  # fmt: skip
+        ca.jacobian(system.rhs, system.x),
+        ca.horzcat(ca.jacobian(system.rhs, system.u), zero[0]),
+        ca.jacobian(system.outputs, system.x),
+        ca.horzcat(ca.jacobian(system.outputs, system.u), zero[1]),
+        tau,
+        system.start,
+    ]
     flat = [ca.densify(ca.vec(part)) for part in parts]
     return ca.Function("matrices", [system.p], [*flat, *(ca.densify(ca.jacobian(v, system.p)) for v in flat)])

@@ -140,10 +140,13 @@ def simulate(
         if _has_settled(before, y, policy.max_change):
             break
     return Simulation(
-        experiment.time, {i.name: experiment.inputs[i.name] for i in model.inputs},
+        experiment.time,
+        {i.name: experiment.inputs[i.name] for i in model.inputs},
         {o.name: y[:, j] for j, o in enumerate(model.outputs)},
-        {name: x[:, j] for j, name in enumerate(model.system.state_names)}, step.label, experiment,
-    )  # fmt: skip
+        {name: x[:, j] for j, name in enumerate(model.system.state_names)},
+        step.label,
+        experiment,
+    )
 
 
 def declared_initial_state(model: Model, given: Mapping[str, float] | None = None) -> np.ndarray:

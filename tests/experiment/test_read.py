@@ -446,7 +446,7 @@ BAD_LINES = [
     (dict.fromkeys(range(10, 32)), "8 rows; a record needs at least 10"),
     (dict.fromkeys(range(2, 32)), "0 rows; a record needs at least 10"),
     ({1: "0,0,0,0"}, "line 1 holds numbers where the header should be; begin the file with a line of names"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("edits", "message"), BAD_LINES, ids=[f"{k}: {m[:45]}" for k, (_, m) in enumerate(BAD_LINES)])

@@ -64,7 +64,7 @@ def tied(model: Model) -> Model:
         (pneumatic_full, ["s"], 3, 3),
     ],
     ids=lambda v: getattr(v, "name", None),
-)  # fmt: skip
+)
 def test_known_ranks(model: Model, outputs: list[str] | None, rank: int, count: int) -> None:
     found = analyse_structural_identifiability(model, outputs)
     assert (found.rank, found.count) == (rank, count)

@@ -1,0 +1,54 @@
+"""The text of a check."""
+
+import numpy as np
+import pytest
+
+from greybox.check import check
+from greybox.identifiability import OpenDirection
+from greybox.signals import multisine
+from greybox.simulation import simulate
+from models.micro_actuator import micro_actuator
+from models.silverbox import silverbox
+
+NOISE = {"x": 2e-7, "i": 5e-3}
+
+
+@pytest.fixture(scope="module")
+def lines():
+    time = 2.5e-4 * np.arange(2000)
+    run = simulate(micro_actuator, {"time": time, "u": multisine(time, 5, 800, 2, np.random.default_rng(0))})
+    return str(check(micro_actuator, run.record(NOISE, np.random.default_rng(1)), noise=NOISE)).splitlines()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "units           every term has the unit of its balance",
+        "noise           x 2e-07 m, i 0.005 A; given",
+        "input           u: persistently exciting of order 40 or more, moves below 5.03e+03 rad/s",
+        "what any record can show: from u to x, i 6 combinations of the 7 free constants can be determined, 1 direction stays open",
+        "  not determined: M, B, K, Kf scale together",
+        "  remedy: fix one of M, B, K, Kf; knowing Kf = Kv does as well",
+        "what these records can show, near the start values:",
+        "  constant  start value  expected std      unit",
+    ],
+)
+def test_a_check_is_printed_line_by_line(lines, line):
+    assert line in lines
+
+
+def test_a_check_fits_a_screen(lines):
+    assert len(lines) < 45
+
+
+def test_a_model_without_free_constants_has_nothing_to_determine():
+    text = str(check(silverbox.fix(*silverbox.values)))
+    assert text.splitlines()[-1] == "constants       no constant is free: nothing to determine"
+
+
+def test_a_check_without_records_says_what_was_assumed():
+    found = check(micro_actuator.fix("M"))
+    lines = str(found).splitlines()
+    assert "records         none given; simulated at the start values:" in lines
+    assert lines[-1] == "every free constant is determined"
+    assert not any(isinstance(d, OpenDirection) for d in found.open_directions)
