@@ -10,13 +10,14 @@ from typer.testing import CliRunner
 
 from greybox import Experiment, FitOptions, fit, simulate
 from greybox.cli.app import app
-from greybox.discovery import DiscoveryProblem, SelectionPolicy, discover, refine
+from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, SelectionPolicy, discover, refine, refinement
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import reject_on_validation, score_holdout
 from greybox.effects import effect
 from greybox.project import find_model
 from greybox.simulation.write import write_csv
 from models.silverbox import silverbox
+from tests.support.fake_candidates import candidate
 
 NOISE = 2e-5  # V
 
@@ -41,12 +42,12 @@ def hardening():
 
 def test_refining_finds_the_small_effect_and_stops(hardening):
     large, (_, test), plain = hardening
-    refinement = refine(large, test, plain=plain)
-    assert [step.name for step in refinement.steps] == ["quadratic_stiffness"]
-    assert refinement.steps[0].validation_share > 0.5
-    assert refinement.fit.parameters["K2"].value == pytest.approx(-2e4, rel=0.02)
-    assert refinement.fit.validation.misfit["y"].rmse < 1.2 * NOISE
-    passed = {(check.rule, check.subject) for check in refinement.checks if check.passed}
+    refined = refine(large, test, plain=plain)
+    assert [step.name for step in refined.steps] == ["quadratic_stiffness"]
+    assert refined.steps[0].validation_share > 0.5
+    assert refined.fit.parameters["K2"].value == pytest.approx(-2e4, rel=0.02)
+    assert refined.fit.validation.misfit["y"].rmse < 1.2 * NOISE
+    passed = {(check.rule, check.subject) for check in refined.checks if check.passed}
     assert (DiscoveryRule.VALIDATION_DECREASE, "quadratic_stiffness") in passed
 
 
@@ -92,3 +93,24 @@ def test_a_model_that_fails_on_the_validation_records_is_replaced(hardening):
     assert kept(wrong, [wrong, right]).effects == ("cubic_stiffness",)
     assert kept(right, [wrong, right]) is right
     assert kept(wrong, [wrong]) is wrong
+
+
+@pytest.mark.parametrize(
+    ("smaller", "larger", "after", "accepted", "rules"),
+    [
+        (9000.0, 4000.0, 0.5, True, [True, True, True]),
+        (9000.0, 8990.0, 0.5, False, [False, False]),  # the criterion does not pay for the constant
+        (9000.0, 8700.0, 0.5, False, [True, False]),  # 1.7 % of the rms misfit, two are needed
+        (9000.0, 4000.0, 0.96, False, [True, True, False]),  # 4 % on the validation records, five are needed
+        (9000.0, 4000.0, 0.94, True, [True, True, True]),
+    ],
+)
+def test_a_further_effect_must_remove_a_share_on_both_records(monkeypatch, smaller, larger, after, accepted, rules):
+    monkeypatch.setattr(refinement, "score_holdout", lambda *_: after)
+    checks = []
+    extension = refinement._judge_extension(
+        None, candidate(smaller), candidate(larger, "a"), (), 1.0, DiscoveryPolicy(), checks
+    )
+    assert (extension is not None) is accepted
+    assert [check.passed for check in checks] == rules
+    assert {check.subject for check in checks} == {"a"}

@@ -1,0 +1,66 @@
+"""Refits and their journal, with a problem that only counts."""
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from greybox.discovery.execution import RefitExecutor, RefitJob, RefitJournal, RefitOutcome
+from greybox.errors import DataError
+from models.micro_actuator import micro_actuator
+
+
+@dataclass
+class CountingProblem:
+    """A refit's result is its number of starts; a job without one cannot be simulated."""
+
+    refits: int = 0
+    restored: list[RefitOutcome] = field(default_factory=list)
+
+    def refit(self, job):
+        self.refits += 1
+        return len(job.starts) or None
+
+    def to_outcome(self, candidate):
+        return RefitOutcome({"starts": float(candidate)}, ((0.5, 1.5),))
+
+    def restore(self, model, outcome):
+        self.restored.append(outcome)
+        return int(outcome.values["starts"])
+
+    def job_key(self, job):
+        return f"job with {len(job.starts)} starts"
+
+
+def jobs(*counts):
+    return [RefitJob(micro_actuator, ({},) * count, 1, 10) for count in counts]
+
+
+def test_results_come_in_the_order_of_the_jobs_and_are_reported():
+    finished = []
+    executor = RefitExecutor(report=finished.append)
+    assert executor.run(CountingProblem(), jobs(3, 0, 2)) == [3, None, 2]
+    assert finished == [1, 2, 3]
+
+
+def test_a_journal_restores_what_was_finished(tmp_path):
+    path = tmp_path / "deep" / "journal.jsonl"
+    assert RefitExecutor(journal=RefitJournal(path)).run(CountingProblem(), jobs(3, 0)) == [3, None]
+    again, journal = CountingProblem(), RefitJournal(path)
+    assert RefitExecutor(journal=journal).run(again, jobs(3, 0, 4)) == [3, None, 4]
+    assert (again.refits, journal.reused) == (1, 2)
+    assert again.restored == [RefitOutcome({"starts": 3.0}, ((0.5, 1.5),))]
+
+
+def test_a_last_line_that_was_cut_short_is_left_out(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    RefitExecutor(journal=RefitJournal(path)).run(CountingProblem(), jobs(3))
+    with path.open("a") as file:
+        file.write('{"key": "cut sho')
+    assert set(RefitJournal(path).known) == {"job with 3 starts"}
+
+
+def test_a_file_that_is_no_journal_is_refused(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    path.write_text("time,x\n1,2\n3,4\n")
+    with pytest.raises(DataError, match="line 1 is no finished refit"):
+        RefitJournal(path)

@@ -1,0 +1,93 @@
+"""Level and colour of the noise, and structure left in a residual, from residuals that are given: nothing is simulated."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from greybox.discovery import residual_noise
+from greybox.discovery.policy import ResidualNoisePolicy
+from greybox.discovery.residual_noise import (
+    estimate_residual_noise,
+    excess_autocorrelation,
+    is_noise_known,
+    is_same_noise,
+)
+from greybox.noise import AutoRegression, NoiseModel, NoiseSource
+
+WHITE = AutoRegression()
+POLICY = ResidualNoisePolicy()
+RNG = np.random.default_rng(1)
+
+
+def noise(source=NoiseSource.DIFFERENCES, std=1.0, colour=WHITE):
+    return NoiseModel(("x",), np.array([std]), {"x": source}, (colour,), False)
+
+
+def coloured(rows=4000, correlation=0.8):
+    e = RNG.normal(size=rows)
+    for k in range(1, rows):
+        e[k] = correlation * e[k - 1] + np.sqrt(1 - correlation**2) * e[k]
+    return e
+
+
+@pytest.fixture
+def with_residual(monkeypatch):
+    def make(series, model=None):
+        monkeypatch.setattr(residual_noise, "_normalised_residuals", lambda candidate: [(0, np.asarray(series))])
+        outputs = [SimpleNamespace(name="x")]
+        problem = SimpleNamespace(noise=model or noise(), model=SimpleNamespace(outputs=outputs))
+        return SimpleNamespace(problem=problem)
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("source", "quiet", "known"),
+    [
+        (NoiseSource.GIVEN, True, True),
+        (NoiseSource.QUIET_RECORD, True, True),
+        (NoiseSource.GIVEN, False, False),  # its colour is not known
+        (NoiseSource.DIFFERENCES, True, False),
+        (NoiseSource.RESIDUAL, True, False),
+    ],
+)
+def test_noise_is_known_from_outside_the_fitted_records_only(source, quiet, known):
+    assert is_noise_known(noise(source), quiet) is known
+
+
+def test_a_coloured_residual_gives_the_noise_its_colour_and_level(with_residual):
+    estimated = estimate_residual_noise(with_residual(3.0 * coloured()), POLICY)
+    assert estimated.std[0] == pytest.approx(3.0, rel=0.1)
+    assert estimated.colour[0].reflection[0] == pytest.approx(0.8, abs=0.05)
+
+
+def test_a_white_residual_gives_no_colour(with_residual):
+    estimated = estimate_residual_noise(with_residual(RNG.normal(size=4000)), POLICY)
+    assert estimated.colour[0].order == 0
+
+
+def test_a_level_that_was_given_stays(with_residual):
+    estimated = estimate_residual_noise(with_residual(3.0 * coloured(), noise(NoiseSource.GIVEN)), POLICY)
+    assert estimated.std[0] == 1.0
+    assert estimated.colour[0].order == 1
+
+
+@pytest.mark.parametrize(
+    ("std", "colour", "same"),
+    [(1.04, WHITE, True), (1.06, WHITE, False), (1.0, AutoRegression((0.5,)), False)],
+)
+def test_the_noise_stands_still_within_its_tolerance(std, colour, same):
+    assert bool(is_same_noise(noise(std=std, colour=colour), noise(), POLICY)) is same
+
+
+def test_noise_leaves_no_autocorrelation_and_structure_does(with_residual):
+    assert excess_autocorrelation(with_residual(RNG.normal(size=4000)), 30) < 0.02
+    sinusoid = RNG.normal(size=4000) + np.sin(0.3 * np.arange(4000))
+    assert excess_autocorrelation(with_residual(sinusoid), 30) > 0.5
+    assert excess_autocorrelation(with_residual(coloured()), 30) > 0.5
+
+
+def test_the_colour_of_the_noise_is_no_structure(with_residual):
+    model = noise(colour=AutoRegression((0.8,)))
+    assert excess_autocorrelation(with_residual(coloured(), model), 30) < 0.02
