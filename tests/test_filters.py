@@ -15,9 +15,7 @@ from greybox.estimation.parameter_constancy import compute_running_mean
 from greybox.noise import AutoRegression
 
 SLOW = {"scipy.signal", "scipy.stats", "scipy.optimize", "scipy.ndimage", "pandas", "control", "matplotlib.pyplot"}
-NEEDED = (
-    "greybox.cli.app, greybox.discovery.pipeline, greybox.export, greybox.plots.discovery, greybox.reports.of_discovery"
-)
+NEEDED = "greybox.cli.app, greybox.discovery.pipeline, greybox.export, greybox.plots.discovery, greybox.reports.discovery_page"
 
 
 @pytest.mark.parametrize(("rows", "length"), [(1000, 512), (1000, 255), (3000, 512), (9, 8), (13, 13)])
