@@ -17,8 +17,14 @@ from greybox.integrators.step import InputHistory, Step
 from greybox.integrators.substeps import choose_substeps, refine_substeps
 from greybox.model.system import System
 
-METHODS = ("automatic", "exact", "rk4", "mixed", "midpoint", "radau")
+EXPLICIT = {"rk4": rk4}
+"""Methods whose substeps are tied to the fastest eigenvalue: ``(system, substeps, past) -> Step``."""
+
 IMPLICIT = {"midpoint": midpoint, "radau": radau}
+"""Methods that take stiff modes in one step: ``(system, substeps, past, policy) -> Step``."""
+
+METHODS = ("automatic", "exact", *EXPLICIT, "mixed", *IMPLICIT)
+"""What may be asked for."""
 
 
 def discretise(
@@ -102,4 +108,4 @@ def _make_stepped(
         return mixed(system, fast, substeps, past)
     if method in IMPLICIT:
         return IMPLICIT[method](system, substeps, past, policy)
-    return rk4(system, substeps, past)
+    return EXPLICIT.get(method, rk4)(system, substeps, past)

@@ -136,7 +136,7 @@ def test_a_delay_goes_together_with_dry_friction_and_other_changes_of_the_input(
     assert np.abs(found - expected).max(axis=0)[0] < 1e-4 * np.abs(expected[:, 0]).max()
 
 
-def test_a_finer_step_can_be_had_by_repeating_the_same_one_more_often():
+def test_a_kernel_repeats_a_delayed_step_with_other_substeps():
     model = at_delay(LATE, 1.7)
     p, data = values(model), record(INPUT, T, 2)
     coarse = discretise(model.system, p, np.zeros((1, 3)), np.array([T]), method="rk4", substeps=16)
@@ -169,7 +169,7 @@ def refused(changed):
         ),
     ],
 )
-def test_a_delay_that_cannot_be_is_refused(bad, words):
+def test_delays_that_cannot_be_stepped_are_refused(bad, words):
     with pytest.raises(ModelError, match=words):
         refused(micro_actuator + bad)
 

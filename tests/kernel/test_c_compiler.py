@@ -101,7 +101,7 @@ def test_a_damaged_library_is_compiled_anew(tmp_path, damage):
     assert make_kernel(halving()).name == "compiled"
 
 
-def test_two_processes_at_once(tmp_path):
+def test_two_processes_may_compile_the_same_kernel_at_once(tmp_path):
     context = multiprocessing.get_context("spawn")
     barrier, answers = context.Barrier(2), context.Queue()
     processes = [
@@ -149,7 +149,7 @@ def test_broken_compiler_warns_once_and_falls_back(monkeypatch):
         assert make_kernel(halving()).name == "interpreted"
 
 
-def test_compiler_that_only_knows_its_version(monkeypatch, tmp_path):
+def test_a_compiler_that_cannot_compile_falls_back(monkeypatch, tmp_path):
     script = tmp_path / "odd-cc"
     script.write_text(
         f"#!{sys.executable}\nimport sys\nsys.exit('' if '--version' in sys.argv else 'error: out of ink')\n".replace(
@@ -165,7 +165,7 @@ def test_compiler_that_only_knows_its_version(monkeypatch, tmp_path):
         make_kernel(halving())
 
 
-def test_without_a_compiler(monkeypatch, tmp_path):
+def test_without_a_compiler_the_interpreted_kernel_is_taken_silently(monkeypatch, tmp_path):
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(compiling.importlib.util, "find_spec", lambda name: None)
@@ -182,7 +182,7 @@ def test_missing_compiler_is_named(monkeypatch):
         make_kernel(halving())
 
 
-def test_operation_that_c_does_not_have(monkeypatch):
+def test_an_operation_without_a_c_form_falls_back(monkeypatch):
     step = halving(term=lambda x: ca.erfinv(x / 2))
     with pytest.warns(GreyboxWarning, match=r"OP_ERFINV\) cannot be written in C"):
         kernel = make_kernel(step)

@@ -41,20 +41,20 @@ def free(n):
     return np.full(n, -np.inf), np.full(n, np.inf)
 
 
-def test_the_valley_is_followed_to_its_end():
+def test_rosenbrocks_valley_is_minimised():
     result = minimise(Curved, np.array([-1.2, 1.0]), *free(2))
     assert result.status is TerminationStatus.CONVERGED
     assert result.z == pytest.approx([1, 1], abs=1e-6)
     assert result.value.cost == result.cost < 1e-12
 
 
-def test_a_bound_stops_the_search_exactly_there():
+def test_a_variable_ends_exactly_at_its_bound():
     result = minimise(Bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]))
     assert result.status is TerminationStatus.CONVERGED
     assert result.z[0] <= 1.0 and result.z == pytest.approx([1, 3], abs=1e-4)
 
 
-def test_an_impossible_point_is_a_step_to_be_shortened():
+def test_an_infinite_cost_shortens_the_step():
     def wall(z):
         value = Bowl(z)
         if z[0] > 3.5:
@@ -67,7 +67,7 @@ def test_an_impossible_point_is_a_step_to_be_shortened():
     assert lost.status is TerminationStatus.NO_START and lost.value is None
 
 
-def test_a_known_first_value_is_not_asked_for_again():
+def test_a_known_value_at_the_start_is_not_computed_again():
     asked = []
     minimise(lambda z: asked.append(z.copy()) or Bowl(z), np.zeros(2), *free(2), value_at_start=Bowl(np.zeros(2)))
     assert asked and not any(np.array_equal(z, np.zeros(2)) for z in asked)
@@ -80,7 +80,7 @@ def test_each_point_is_computed_once():
     assert all(a != b for a, b in pairwise(asked))
 
 
-def test_the_callers_rule_ends_the_search():
+def test_the_termination_test_ends_the_search():
     ended = minimise(
         Curved,
         np.array([-1.2, 1.0]),
@@ -94,7 +94,7 @@ def test_the_callers_rule_ends_the_search():
     assert at_once.iterations == 0 and at_once.evaluations == 1
 
 
-def test_a_kink_is_found_and_certified_with_few_evaluations():
+def test_a_search_converges_at_a_kink_with_few_evaluations():
     result = minimise(Kinked, np.array([2.0, -1.0]), *free(2))
     assert result.status is TerminationStatus.KINK and result.status.success
     assert result.cost == pytest.approx(1.0, abs=0.01)
@@ -117,7 +117,7 @@ def test_a_stalled_search_goes_on_by_damped_steps(finished):
     assert held.z == pytest.approx([1, 3], abs=1e-9)
 
 
-def test_what_the_function_raises_arrives_and_the_solver_survives():
+def test_an_exception_of_the_cost_is_raised_and_the_solver_stays_usable():
     def breaks(z):
         if z[0] > 1:
             raise ZeroDivisionError("a bug in the model")
@@ -138,7 +138,7 @@ def test_one_solver_serves_one_search_after_another(monkeypatch):
     assert len(made) == 1
 
 
-def test_searches_in_threads_and_within_each_other_do_not_mix():
+def test_concurrent_and_nested_searches_do_not_mix():
     results = {}
 
     def search(target):

@@ -244,7 +244,7 @@ def test_a_constant_stops_at_its_bound_in_multiple_shooting(duffing):
     np.testing.assert_allclose(found.variables.fixed, single.fixed, rtol=1e-4)
 
 
-def test_a_segment_that_overflows_is_a_result_and_not_an_error():
+def test_a_segment_that_overflows_at_the_start_is_a_result_and_not_an_error():
     model = Model(
         "explosive", [State("x", "m", 1.0)], [Input("u", "m")], [Output("x", "m")], [Parameter("a", "1/s/m", 50.0, (1e-3, 1e3))],
         lambda x, u, p: [Balance("growth", "m/s", 1, "x", square=p.a * x.x * x.x)],
@@ -273,7 +273,7 @@ def stiff(line):
     )  # fmt: skip
 
 
-def test_a_stiff_plant_is_picked_for_implicit_steps_or_for_collocation_and_fitted_by_radau_points():
+def test_a_stiff_plant_gets_implicit_steps_or_collocation_and_is_fitted_by_radau_points():
     """Sampled every 50 ms: RK4 would need thousands of steps a sample. Implicit steps take so many states, Radau points any number."""
     model = stiff(line=0)
     f, p = rates_of(model), values(model)
@@ -318,7 +318,7 @@ def test_states_keep_their_physical_bounds_in_collocation():
     assert all((x >= low).all() for x in program.interpret(outcome.z).states)
 
 
-def test_what_collocation_cannot_do_is_refused_in_words(duffing):
+def test_collocation_refuses_unknown_options_and_equations_that_stick(duffing):
     model, _, data, noise, rest, substeps = duffing
     p = problem(model, data, noise, rest, substeps)
     weight, start = 1 / p.noise.std, [np.zeros((500, 2))]
@@ -354,7 +354,7 @@ def test_arcs_cover_every_row_once_and_refuse_lengths_that_are_none():
         split_into_arcs(data, seconds=5e-4)
 
 
-def test_eliminated_initial_states_leave_cost_slope_and_optimum_as_they_are(duffing):
+def test_eliminating_initial_states_keeps_cost_gradient_and_optimum(duffing):
     _, start, data, noise, _, substeps = duffing
     arcs = split_into_arcs(data, rows=50)
     p = problem(start, arcs, noise, False, substeps)
@@ -417,7 +417,7 @@ def test_a_transcription_is_proposed_with_its_reason(pneumatic):
     assert propose_transcription(truth.system, values(truth), q.records[0].first(50))[0] == "single"
 
 
-def test_segments_know_their_records(duffing):
+def test_segments_of_several_records_keep_their_own_initial_states(duffing):
     """Two records with initial states of their own, given nodes, and the layout of `DecisionVector`: nothing is mixed up."""
     model, start, data, noise, rest, substeps = duffing
     other = solved_record(model, 2 * np.cos(np.arange(260) * 0.05), np.arange(260) * 0.02, [-0.2, 1.0])
