@@ -12,6 +12,7 @@ import pytest
 from typer.testing import Result
 
 from greybox.simulation import simulate, write_csv
+from greybox.transcription.findings import TranscriptionReason
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import multisine
 
@@ -45,17 +46,20 @@ def test_many_starts_print_and_save_where_each_ended(run: Run, data: Path, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "transcription", "values"),
     [
-        (["--transcription", "multiple"], "search: multiple shooting over 40 segments, as asked"),
-        (["--arc-length", "0.05"], r"search: 4 arcs of 0.05 s, each from a state of its own, as asked"),
-        ([], "picked because the model is stable and not stiff"),
+        (["--transcription", "multiple"], "multiple", {"segments": 40, "reason": ""}),
+        (["--arc-length", "0.05"], "arcs", {"arcs": 4, "arc_length": 0.05, "reason": ""}),
+        ([], "single", {"reason": TranscriptionReason.STABLE}),
     ],
 )
-def test_the_transcription_is_chosen_and_said(run: Run, data: Path, options: list[str], said: str) -> None:
+def test_the_transcription_stands_in_the_result_with_its_reason(
+    run: Run, data: Path, tmp_path: Path, options: list[str], transcription: str, values: dict[str, object]
+) -> None:
     result = run("fit", "micro_actuator", data, *KNOWN, *options, "--output", "out")
     assert result.exit_code == 0, result.output
-    assert said in result.stdout
+    search = json.loads((tmp_path / "out" / "fit.json").read_text())["search"]
+    assert search["subject"] == transcription and search["values"].items() >= values.items()
 
 
 @pytest.mark.parametrize(
