@@ -121,6 +121,10 @@ class ModelCheck(Printable):
         practical_data = _to_plain(practical) | {
             "remarks": [str(finding) for finding in practical.findings],
             "failure": str(practical.failure or ""),
+            "excitation": [
+                _to_plain(excitation) | {"warnings": [str(finding) for finding in excitation.findings]}
+                for excitation in practical.excitation
+            ],
         }
         return _to_plain(
             {

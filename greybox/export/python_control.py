@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.signal import tf2ss
 
 from greybox.errors import ModelError, nearest
 from greybox.export.discrete_step import DiscreteStep, find_delay_parameters, make_discrete_step, name_past_inputs
@@ -237,6 +236,7 @@ def approximate_delays(model: Linearisation, order: int, policy: SamplingPolicy 
 def _pade(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """State space of the Pade approximation of a delay of one second; another delay only changes the unit of time."""
     import control
+    from scipy.signal import tf2ss  # half a second to import
 
     a, b, c, d = tf2ss(*control.pade(1.0, order))
     return a, b, c, float(d[0, 0])

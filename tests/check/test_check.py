@@ -98,6 +98,22 @@ def test_findings_as_json() -> None:
     assert found["data"]["constants"]["Ra"]["determined"] is True
     assert found["data"]["constants"]["M"]["std"] is None
     assert found["complete"] is False
+    # Keys that other programs read, with sentences beside the findings.
+    assert set(found) >= {
+        "model",
+        "linear",
+        "discretisation",
+        "kernel",
+        "records",
+        "assumed",
+        "noise",
+        "structure",
+        "data",
+    }
+    assert {"remedies", "verdict", "directions", "determined"} <= set(found["structure"])
+    assert {"constants", "combinations", "remarks", "failure", "excitation"} <= set(found["data"])
+    assert found["data"]["excitation"][0]["warnings"] == []
+    assert found["policy"]["max_relative_interval"] == 0.5
 
 
 def runaway(growth: float) -> Model:
