@@ -105,5 +105,5 @@ def test_the_page_tells_the_same_story(found: Demo, tmp_path: Path) -> None:
     file = report(found, tmp_path, command="greybox demo --output here")
     text = file.read_text(encoding="utf-8")
     assert 1e6 < file.stat().st_size < 6e6
-    for words in ("greybox demo --output here", "cubic_stiffness", "output error", "The constants beside the truth"):
+    for words in ("greybox demo --output here", "cubic_stiffness", "output error", "Parameters beside the truth"):
         assert words in text

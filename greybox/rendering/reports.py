@@ -300,7 +300,7 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.CHECK_OPEN: lambda f: (
         f"{'A record such as this one does' if f.values['assumed'] else 'These records do'} not determine {join_names(f.values['open'])}."
     ),
-    PageText.CHECK_REMEDY: "Remedy: {text}.",
+    PageText.CHECK_REMEDY: "Remedy: {text}",
     PageText.CHECK_PRECISION: "Standard deviations to expect of a fit near the start values, if the model is right",
     PageText.CHECK_COMBINATIONS: "Combinations that the records determine",
     PageText.CHECK_DETERMINED: "Determined by any record",

@@ -107,7 +107,7 @@ GOLDEN = [
     (phrase(T.CHECK_COMPLETE, assumed=False), "These records determine every free parameter, if the model is right."),
     (phrase(T.CHECK_OPEN, open=["K"], assumed=True), "A record such as this one does not determine K."),
     (phrase(T.CHECK_OPEN, open=["K"], assumed=False), "These records do not determine K."),
-    (phrase(T.CHECK_REMEDY, text="fix K"), "Remedy: fix K."),
+    (phrase(T.CHECK_REMEDY, text="fix K"), "Remedy: fix K"),
     (phrase(T.CHECK_PRECISION), "Standard deviations to expect of a fit near the start values, if the model is right"),
     (phrase(T.CHECK_COMBINATIONS), "Combinations that the records determine"),
     (phrase(T.CHECK_DETERMINED), "Determined by any record"),

@@ -1,0 +1,98 @@
+"""What the figures of comparisons, parameters and linear models hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greybox.comparison import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
+from greybox.export import linearise
+from greybox.plots.comparison import model_roles, plot_model_errors, plot_model_residuals, plot_model_runs
+from greybox.plots.figure import Area, Bars, Curve, Points, Role, Scale
+from greybox.plots.linear import plot_bode, plot_poles, response_frequencies
+from greybox.plots.parameters import plot_intervals
+from greybox.plots.pictures import comparison_sheet
+from greybox.rendering.english import phrase
+from greybox.rendering.plots import FigureText
+from models.micro_actuator import micro_actuator
+
+TIME = np.arange(1000.0)
+MEASURED = np.sin(TIME / 50)
+
+
+def entry(name: str, kind: str, error: float) -> ComparisonEntry:
+    """A model that is off by a constant, and one sample ahead by half of that."""
+    score = ComparisonScore(error, 99.0, error / 2, len(TIME), "m")
+    run = ComparisonRun("a", "x", TIME, MEASURED, MEASURED - error, MEASURED)
+    scores = {"x": score}
+    return ComparisonEntry(
+        name, kind, {"x": name}, 2, scores, scores, {"a": scores}, 0.0, True, {}, validation_runs=(run,)
+    )
+
+
+@pytest.fixture
+def comparison() -> Comparison:
+    entries = (entry("arx", "black", 0.2), entry("rig", "grey", 0.1), entry("wrong", "grey", np.inf))
+    return Comparison(entries, {"x": "m"}, ("t",), ("a",))
+
+
+def test_models_are_ranked_best_first_and_one_that_diverges_is_last(comparison: Comparison) -> None:
+    bars, marks = plot_model_errors(comparison)["x"].series
+    assert isinstance(bars, Bars) and isinstance(marks, Points)
+    assert list(bars.places) == list(marks.y) == ["rig", "arx", "wrong"]
+    np.testing.assert_allclose(bars.lengths, [100.0, 200.0, np.nan])  # mm
+    np.testing.assert_allclose(marks.x, [50.0, 100.0, np.nan])
+    assert plot_model_errors(comparison).description[0].values["unit"] == "mm"
+
+
+def test_grey_boxes_have_the_first_colours(comparison: Comparison) -> None:
+    assert model_roles(comparison.entries) == {"rig": Role.MODEL_1, "wrong": Role.MODEL_2, "arx": Role.MODEL_3}
+
+
+def test_a_run_that_leaves_all_bounds_hides_no_other(comparison: Comparison) -> None:
+    run = plot_model_runs(comparison, "a", "runs")["x"]
+    by_label = {s.label: s for s in run.series if isinstance(s, Curve)}
+    assert np.isnan(by_label["wrong"].y).all()
+    np.testing.assert_allclose(by_label["rig"].y, 1e3 * (MEASURED - 0.1))  # mm
+    residual = plot_model_residuals(comparison, "a", "errors")["x"]
+    assert residual.y.limits == pytest.approx((-800.0, 800.0))  # four times the largest typical error, in mm
+
+
+def test_a_sheet_of_a_comparison_has_runs_errors_and_bars(comparison: Comparison) -> None:
+    sheet = comparison_sheet(comparison, "a")
+    assert [(c.row, c.column, c.rows) for c in sheet.cells] == [(0, 0, 1), (1, 0, 1), (0, 1, 2)]
+    assert sheet.cells[0].window is not None and sheet.cells[1].window is None
+
+
+def test_intervals_are_ranked_on_a_logarithmic_axis() -> None:
+    caption = phrase(FigureText.INTERVALS)
+    assert plot_intervals({"K": 1.0}, caption) is None
+    panel = plot_intervals({"K": 10.0, "B": 0.1}, caption).panels[0]
+    (marks,) = panel.series
+    assert list(marks.y) == ["B", "K"] and marks.x.tolist() == [0.1, 10.0]
+    assert panel.x.scale is Scale.LOG and panel.x.limits[0] < 0.1 and panel.x.limits[1] > 10.0
+
+
+def test_gain_and_phase_are_those_of_the_linear_model() -> None:
+    linear = linearise(micro_actuator)
+    gain, phase = plot_bode(linear, None)
+    assert [p.name for p in gain.panels] == [p.name for p in phase.panels] == ["u → x", "u → i"]
+    w = response_frequencies(linear)
+    response = linear.frequency_response(w)[:, 0, 0]
+    curve, angle = gain["u → x"].series[0], phase["u → x"].series[0]
+    np.testing.assert_allclose(curve.y, np.abs(response))
+    np.testing.assert_allclose(curve.x, w / (2 * np.pi))
+    np.testing.assert_allclose(angle.y, np.degrees(np.unwrap(np.angle(response))))
+    assert not any(isinstance(s, Area) for s in gain["u → x"].series)
+
+
+def test_poles_of_a_sampled_model_stand_in_the_unit_circle() -> None:
+    continuous, sampled = (plot_poles(linearise(micro_actuator, dt=dt), None).panels[0] for dt in (None, 1e-3))
+    assert [type(s) for s in continuous.series] == [Points]
+    circle, poles = sampled.series
+    np.testing.assert_allclose(np.hypot(circle.x, circle.y), 1.0)
+    assert sampled.equal_scales and not continuous.equal_scales
+    assert (np.hypot(poles.x, poles.y) < 1).all()
+    assert plot_poles(replace(linearise(micro_actuator), A=np.zeros((0, 0))), None) is None
