@@ -122,3 +122,11 @@ def test_a_record_shows_its_signals_conditions_and_findings():
         "  note      input 'u' is constant at 1",
         "  note      output 'y' has 1 gap in 40 rows",
     ]
+
+
+def test_an_irregular_record_and_an_output_without_values_are_shown_as_such():
+    time = np.cumsum(1.0 + 0.5 * np.sin(np.arange(40)))
+    record = Experiment("run", time, {"u": np.sin(time)}, {"y": np.full(40, np.nan)}, hold="first")
+    lines = str(record).splitlines()
+    assert lines[0].startswith("run: 40 rows at irregular times, ") and "input linear between samples" in lines[0]
+    assert lines[2] == "  output    y: no value"
