@@ -20,33 +20,45 @@ NO_PARAMETERS = np.empty(0, int)
 
 @dataclass(frozen=True, eq=False)
 class FilterRun:
-    """A run of the filter over a record of N rows.
-
-    ``predicted`` (N, nx) with ``covariance`` (N, nx, nx): the states of each row given the measurements before it. ``innovation``
-    (N, ny): measured minus predicted output over the standard deviation of that difference, NaN in gaps. ``log_likelihood`` of
-    all measurements. Not finite from where the run overflows.
-    """
+    """A run of the filter over a record of N rows; not finite from where it overflows."""
 
     predicted: np.ndarray
+    """States (N, nx) of each row given the measurements before it."""
+
     covariance: np.ndarray
+    """Their covariance (N, nx, nx)."""
+
     innovation: np.ndarray
+    """Measured minus predicted output over the standard deviation of that difference (N, ny), NaN in gaps."""
+
     log_likelihood: float
+    """Of all measurements."""
 
 
 @dataclass(frozen=True, eq=False)
 class InnovationSensitivities:
-    """Innovations and their slopes along L directions: ``e`` (k,) standardised innovations and ``logarithm`` (k,) of their
-    variances, of the k measurements there are, ``rows`` (k,) and ``outputs`` (k,) which they are; ``de``, ``dlogarithm`` (k, L).
+    """Innovations of the k measurements there are, and their slopes along L directions.
 
     ``-2 log L = sum e^2 + logarithm + log(2 pi)``.
     """
 
     e: np.ndarray
+    """Standardised innovations (k,)."""
+
     logarithm: np.ndarray
+    """Logarithms of their variances (k,)."""
+
     de: np.ndarray
+    """Slopes of the innovations (k, L)."""
+
     dlog_variance: np.ndarray
+    """Slopes of the logarithms (k, L)."""
+
     rows: np.ndarray
+    """Row of each measurement (k,)."""
+
     outputs: np.ndarray
+    """Output of each measurement (k,)."""
 
     @property
     def mean_slopes(self) -> np.ndarray:
@@ -75,7 +87,7 @@ class KalmanFilter:
 
     @classmethod
     def of(cls, system: System, step: Step, *, known_start: bool = True) -> KalmanFilter:
-        """The filter, compiled where there is a compiler; ``known_start``: the first states are known exactly, see `Beginning`."""
+        """The filter, compiled where there is a compiler; ``known_start``: the first states are known exactly, see `InitialCovariance`."""
         step_of_filter = make_filter_step(system, step)
         return cls(
             system,

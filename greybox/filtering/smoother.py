@@ -13,16 +13,25 @@ from greybox.kernel import Record
 
 @dataclass(frozen=True, eq=False)
 class SmootherRun:
-    """States of each of N rows: ``filtered`` (N, nx) given the measurements up to it, ``mean`` (N, nx) given all of them, each with its
-    covariance (N, nx, nx); ``innovation`` (N, ny) standardised, NaN in gaps; ``log_likelihood`` of the measurements.
-    """
+    """States of each of N rows."""
 
     filtered: np.ndarray
+    """States (N, nx) given the measurements up to each row."""
+
     filtered_covariance: np.ndarray
+    """Their covariance (N, nx, nx)."""
+
     mean: np.ndarray
+    """States (N, nx) given all measurements."""
+
     covariance: np.ndarray
+    """Their covariance (N, nx, nx)."""
+
     innovation: np.ndarray
+    """Standardised innovations (N, ny), NaN in gaps."""
+
     log_likelihood: float
+    """Of all measurements."""
 
 
 def smooth_states(

@@ -28,33 +28,36 @@ class InputHistory(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One discrete step of a model.
-
-    ``advance``: CasADi function ``(x (nx,), ua (nu,), ub (nu,), q (nq,), h) -> x_next (nx,)``, a step of length ``h`` with the input
-    moving from ``ua`` to ``ub`` (equal when the input is held). A sampling interval is ``substeps`` such steps.
-
-    ``outputs``: CasADi function ``(x, u (nu,), p (np,)) -> y (ny,)``.
-
-    ``coefficients(p, h, which)``: what the step needs to know of the parameters, one row for each interval length in ``h``, and its
-    slope along the parameters numbered ``which``. RK4 takes the parameters themselves (one row serves every length:
-    ``per_interval`` is false); the exact hold takes the entries of the discrete matrices of each length.
-
-    ``generator``: None, or for an exact hold the CasADi function ``p -> vec([A, B, c])`` (nx (nx + nu + 1),) per second whose exponential
-    has the coefficients as entries, column by column as `exact_hold` states them; a kernel may then compute them itself.
-
-    ``past``: None, or what of the past a delay needs; then ``ua``, ``ub`` and ``u`` are rows of
-    `greybox.integrators.input_delay.add_input_history`,
-    which `Record.seen_by` makes.
-    """
+    """One discrete step of a model: what every integrator makes and every kernel runs."""
 
     name: str
+    """What the step is called, such as ``RK4``."""
+
     advance: ca.Function
+    """``(x (nx,), ua (nu,), ub (nu,), q (nq,), h) -> x_next (nx,)``: a step of length ``h`` with the input moving from ``ua`` to ``ub``
+    (equal when the input is held)."""
+
     outputs: ca.Function
+    """``(x, u (nu,), p (np,)) -> y (ny,)``."""
+
     coefficients: CoefficientFunction
+    """``(p, h, which) -> (q, dq)``: what the step needs to know of the parameters, one row for each interval length in ``h``, and its
+    slope along the parameters numbered ``which``. RK4 takes the parameters themselves, one row for every length; the exact hold takes
+    the entries of the discrete matrices of each length."""
+
     substeps: int = 1
+    """How many such steps make a sampling interval."""
+
     per_interval: bool = False
+    """Whether the coefficients depend on the interval length."""
+
     past: InputHistory | None = None
+    """What of the past a delayed input needs; then ``ua``, ``ub`` and ``u`` are rows of
+    `greybox.integrators.input_delay.add_input_history`, which `Record.read_by` makes."""
+
     generator: ca.Function | None = None
+    """Of an exact hold ``p -> vec([A, B, c])`` (nx (nx + nu + 1),) per second, whose exponential has the coefficients as entries, column
+    by column as `exact_hold` states them; a kernel may then compute them itself."""
 
     def __post_init__(self) -> None:
         if self.past is not None and not self.per_interval and self.substeps < 2:

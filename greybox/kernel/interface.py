@@ -15,21 +15,27 @@ from greybox.kernel.record import Record
 class GaussNewtonSums:
     """What a Gauss-Newton step needs of one experiment, along L directions.
 
-    With residuals ``r = (measured - y) * weight`` over the samples that were measured and ``J = dr / d direction``:
-    ``cost = r'r``, ``gradient = J'r`` (L,), so that ``d cost / d direction = 2 J'r``, and ``gauss_newton = J'J`` (L,
-    L). ``squares`` (ny,) are the squared weighted residuals of each output, which add up to ``cost``; ``counts`` (ny,)
-    how many samples of it were used.
-
-    ``failed_at``: None, or the first sample with a state or output that is not finite; then ``cost`` is infinite and
-    the rest zero. It is the number of samples where the simulation went through and only a sensitivity did not.
+    The residuals are ``r = (measured - y) * weight`` over the samples that were measured, and ``J = dr / d direction``.
     """
 
     cost: float
+    """``r'r``."""
+
     gradient: np.ndarray
+    """``J'r`` (L,), so that ``d cost / d direction = 2 J'r``."""
+
     gauss_newton: np.ndarray
+    """``J'J`` (L, L)."""
+
     squares: np.ndarray
+    """The squared residuals of each output (ny,), which add up to ``cost``."""
+
     counts: np.ndarray
+    """How many samples of each output were used (ny,)."""
+
     failed_at: int | None = None
+    """The first sample with a state or output that is not finite; then ``cost`` is infinite and the rest zero. The number of samples where
+    the simulation went through and only a sensitivity did not."""
 
 
 class Kernel(Protocol):

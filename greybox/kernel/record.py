@@ -13,23 +13,34 @@ from greybox.integrators.step import Step
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Arrays are float64 (``row`` int32), C-contiguous.
+    """One experiment as plain arrays: float64 (``row`` int32), C-contiguous.
 
-    ``u`` (N, nu), ``y`` (N, ny) with NaN where nothing was measured, ``h`` (N-1,) interval lengths in seconds, ``row``
-    (N-1,) which row of the step's coefficients belongs to each interval, ``lengths`` (nh,) the distinct interval
-    lengths those rows stand for, ``first_order`` whether the input is linear between samples (else held). ``rows_per_sample``: how
-    many rows make a sample; the rows between samples carry the course of the input and have NaN in ``y``.
-
-    Raises DataError if the lengths of the arrays disagree: the kernels read them without asking again.
+    Raises
+    ------
+    DataError
+        If the lengths of the arrays disagree: the kernels read them without asking again.
     """
 
     u: np.ndarray
+    """Inputs (N, nu)."""
+
     y: np.ndarray
+    """Outputs (N, ny), NaN where nothing was measured."""
+
     h: np.ndarray
+    """Interval lengths (N-1,) in seconds."""
+
     row: np.ndarray
+    """Which row of the step's coefficients belongs to each interval (N-1,)."""
+
     lengths: np.ndarray
+    """The distinct interval lengths that those rows stand for (nh,)."""
+
     first_order: bool = False
+    """Whether the input is linear between samples, else held."""
+
     rows_per_sample: int = 1
+    """How many rows make a sample; the rows between samples carry the course of the input and have NaN in ``y``."""
 
     def __post_init__(self) -> None:
         for name in ("u", "y", "h", "row", "lengths"):
@@ -57,7 +68,7 @@ class Record:
         return values[:: self.rows_per_sample]
 
     def read_by(self, step: Step) -> Record:
-        """The record as ``step`` reads it: one row of coefficients where it needs one, the past of a delayed input beside it.
+        """The record as ``step`` reads it: one row of coefficients where one is enough, the past of a delayed input beside the inputs.
 
         Raises DataError for a delayed input and intervals of different lengths.
         """

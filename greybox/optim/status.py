@@ -61,19 +61,26 @@ class QuadraticModel(Protocol):
 
 @dataclass(frozen=True)
 class MinimisationResult:
-    """Best point ``z`` (n,), its ``cost``, how it ended, and what it took.
-
-    ``value`` is what ``evaluate`` gave at ``z``, None where it never gave anything finite.
-    """
+    """The best point of a minimisation, how it ended, and what it took."""
 
     z: np.ndarray
+    """The best point (n,)."""
+
     cost: float
+    """The cost there."""
+
     status: TerminationStatus
+    """How the minimisation ended."""
+
     iterations: int
     evaluations: int
     seconds: float
+
     solver_status: str = ""
+    """IPOPT's return status in its own words."""
+
     value: Any = None
+    """What the minimised function returned at ``z``; None where it never returned anything finite."""
 
 
 IterationCallback = Callable[[int, float], object]

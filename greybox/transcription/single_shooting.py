@@ -21,19 +21,28 @@ from greybox.transcription.robust_loss import RobustLoss
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Cost ``sum of squared weighted residuals`` at one point, its gradient (n,) and Gauss-Newton matrix (n, n), ``2 J'J``.
+    """The cost at one point with its derivatives.
 
-    ``count`` residuals went into it; ``squares`` and ``counts`` (ny,) are the same by output. Priors of constants count in the cost and
-    its derivatives, not in ``squares``. Where the simulation overflowed the cost is infinite and ``failed`` says in which experiment
-    and at which sample.
+    Priors of constants count in the cost and its derivatives, not in ``squares``.
     """
 
     cost: float
+    """Sum of the squared weighted residuals; infinite where the simulation overflowed."""
+
     gradient: np.ndarray
+    """Its gradient (n,)."""
+
     hessian: np.ndarray
+    """Its Gauss-Newton matrix ``2 J'J`` (n, n)."""
+
     squares: np.ndarray
+    """The squared residuals of each output (ny,)."""
+
     counts: np.ndarray
+    """How many residuals of each output there are (ny,)."""
+
     failed: tuple[int, int] | None = None
+    """In which experiment and at which sample the simulation overflowed."""
 
     @property
     def count(self) -> int:
