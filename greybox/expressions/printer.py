@@ -165,8 +165,24 @@ FORMULA = CodeDialect("a formula", "formula", "", "1e999")
 class Printer:
     """Writes expressions that belong together, with a name for each longer part that is used more than once.
 
-    ``symbols`` is what the symbols are called in the language; ``shared`` are the parts that got a name (``prefix``_1, ...), each to be
-    defined before its first use.
+    Parameters
+    ----------
+    dialect
+        The language: `PYTHON`, `NUMPY`, `MODELICA`, `FORMULA`, `LATEX`.
+    symbols
+        What each symbol is called in the language.
+    prefix
+        Of the names of shared parts: ``part_1``, ``part_2`` ...
+    shortest_shared
+        A shorter text is written out wherever it is used, in characters.
+    shared
+        The shared parts as (name, text), each to be defined before its first use; filled while expressions are written.
+
+    Examples
+    --------
+    >>> x = ca.SX.sym("x")
+    >>> Printer(PYTHON, {"x": "x.position"}).write(ca.sinh(x) / 2)
+    'ca.sinh(x.position) / 2'
     """
 
     dialect: CodeDialect

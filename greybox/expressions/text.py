@@ -71,7 +71,12 @@ TEXT = TextDialect()
 
 
 def expression_text(value: ca.SX | float) -> str:
-    """A scalar CasADi expression as text: ``Kf (1 - a x^2) i``, ``|v|``, ``if(condition, a, b)``."""
+    """A scalar CasADi expression as text: ``Kf (1 - a x^2) i``, ``|v|``, ``if(condition, a, b)``.
+
+    >>> x, k = ca.SX.sym("x"), ca.SX.sym("k")
+    >>> expression_text(-k * x * (1 + x**2))
+    '-k x (1 + x^2)'
+    """
     return _sum_text(_write(value))
 
 
