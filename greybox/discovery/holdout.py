@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.estimation import fit as estimate
 from greybox.estimation import validate
 from greybox.experiment import Experiment
+from greybox.findings import Check
 from greybox.result import Fit, Misfit
 from greybox.values import Printable
 
@@ -95,11 +97,16 @@ def reject_on_validation(
     validation: Sequence[Experiment],
     policy: SelectionPolicy,
     skip: int = 0,
-) -> CandidateFit:
+) -> tuple[CandidateFit, tuple[Check, ...]]:
     """``selected``, or another candidate where ``selected`` explains less than half of the gap on the validation records.
 
     The likeliest of ``candidates`` that explains most of the gap replaces it. If none does, ``selected`` remains, and its effect will
     be called unknown.
+
+    Returns
+    -------
+    tuple
+        The candidate to go on with, and the checks that this rests on.
     """
     before = score_holdout(problem, baseline, validation, skip)
 
@@ -107,13 +114,20 @@ def reject_on_validation(
         after = score_holdout(problem, candidate, validation, skip)
         return (before - after) / (before - 1) if np.isfinite(after) else -np.inf
 
-    if before <= policy.visible_rms or explained_share(selected) >= policy.partial_share:
-        return selected
+    checks: list[Check] = []
+
+    def explains(candidate: CandidateFit, rule: DiscoveryRule, limit: float) -> bool:
+        checks.append(Check.at_least(rule, explained_share(candidate), limit, " + ".join(candidate.effects)))
+        return checks[-1].passed
+
+    partly, mostly = DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, DiscoveryRule.HOLDOUT_EXPLAINED
+    if before <= policy.visible_rms or explains(selected, partly, policy.partial_share):
+        return selected, tuple(checks)
     ranked = sorted(candidates, key=lambda c: c.criterion)
     others = [c for c in ranked if c.effects and c.effects != selected.effects]
     for candidate in others[: problem.budget.holdout_candidates]:
         again = problem.refit_best(candidate.model, [candidate.model.values], keep=1, like=candidate)
         better = again if again is not None and again.cost < candidate.cost else candidate
-        if explained_share(better) >= policy.holdout_share:
-            return better
-    return selected
+        if explains(better, mostly, policy.holdout_share):
+            return better, tuple(checks)
+    return selected, tuple(checks)

@@ -46,14 +46,14 @@ from greybox.discovery.residual_noise import (
     is_same_noise,
 )
 from greybox.discovery.result import Discovery, RankedCandidate
-from greybox.discovery.selection import MessageCallback, StepwiseSelection
+from greybox.discovery.selection import MessageCallback, StepwiseSelection, checks_of
 from greybox.discovery.starting_points import estimate_scales
 from greybox.discovery.surrogate import Surrogate, fit_surrogate
 from greybox.effects import Scales, applicable_effects, tailor_to_record
 from greybox.errors import DataError
 from greybox.estimation import FitOptions
 from greybox.experiment import Experiment
-from greybox.findings import Finding
+from greybox.findings import Check, Finding
 from greybox.model import Effect, Model
 from greybox.result import Fit
 
@@ -80,6 +80,8 @@ class SelectionEvidence:
         These records, and the rows at their start that do not count.
     plain
         The model as the user gave it.
+    checks
+        Every check of the selection and of the rejection on the validation records.
     """
 
     selection: StepwiseSelection
@@ -91,6 +93,7 @@ class SelectionEvidence:
     validation: tuple[Experiment, ...]
     skip: int
     plain: Model
+    checks: tuple[Check, ...]
 
     @property
     def baseline(self) -> CandidateFit:
@@ -186,7 +189,7 @@ def discover(
     ('named', ['coulomb_friction'])
     """
     began = time.perf_counter()
-    options, policy, tell = options or FitOptions(), policy or DiscoveryPolicy(), on_message or _ignore
+    options, policy, on_message = options or FitOptions(), policy or DiscoveryPolicy(), on_message or _ignore
     validation_records = _as_tuple(validation)
     if not validation_records:
         raise DataError(
@@ -204,13 +207,13 @@ def discover(
             [tailor_to_record(e, scales) for e in effects] if effects else applicable_effects(problem.model, scales)
         )
         findings: tuple[Finding, ...] = ()
-        evidence = _gather_evidence(problem, candidates, scales, validation_records, policy, tell)
+        evidence = _gather_evidence(problem, candidates, scales, validation_records, policy, on_message)
         if problem.options.at_rest and _shows_on_validation_only(evidence):
-            tell(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
+            on_message(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
             half = min(record.rows for record in validation_records) // 2
             first_halves = tuple(record.window(0, half) for record in validation_records)
             wider = replace(problem, experiments=(*problem.experiments, *first_halves))
-            evidence = _gather_evidence(wider, candidates, scales, validation_records, policy, tell, half)
+            evidence = _gather_evidence(wider, candidates, scales, validation_records, policy, on_message, half)
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
         return replace(_conclude(evidence, findings), seconds=time.perf_counter() - began)
 
@@ -221,32 +224,36 @@ def _gather_evidence(
     scales: Scales,
     validation: tuple[Experiment, ...],
     policy: DiscoveryPolicy,
-    tell: MessageCallback,
+    on_message: MessageCallback,
     skip: int = 0,
 ) -> SelectionEvidence:
     """Noise, screening, selection and holdout."""
     misfit = problem.baseline.per_sample**0.5
-    tell(str(Finding(DiscoveryCode.BASELINE_FITTED, values={"misfit": misfit})))
-    selection = StepwiseSelection(problem, candidates, scales, policy, tell)
+    on_message(str(Finding(DiscoveryCode.BASELINE_FITTED, values={"misfit": misfit})))
+    selection = StepwiseSelection(problem, candidates, scales, policy, on_message)
     if is_noise_known(problem.baseline.problem.noise, bool(problem.quiet)):
         selected = selection.select()
     else:
         selection, selected = _select_with_unknown_noise(selection)
+    checks = list(checks_of(selection.steps))
     if selected.effects:
         fits = list(selection.fits.values())
-        selected = reject_on_validation(
+        selected, of_holdout = reject_on_validation(
             selection.problem, selection.baseline, selected, fits, validation, policy.selection, skip
         )
+        checks += of_holdout
     rivals = selection.find_rivals(selected) if selected.effects else []
     final = selection.shape_corrections.get(frozenset(selected.effects), selected)
     base, best = (validate_candidate(selection.problem, c, validation, skip) for c in (selection.baseline, final))
     holdout = compare_holdout_errors(base, best)
-    return SelectionEvidence(selection, selected, rivals, base, best, holdout, validation, skip, problem.model)
+    return SelectionEvidence(
+        selection, selected, rivals, base, best, holdout, validation, skip, problem.model, tuple(checks)
+    )
 
 
 def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSelection, CandidateFit]:
     """The selection with the noise that the best single effect leaves, and again with the one that the selected model leaves."""
-    policy, tell = selection.policy, selection.on_message
+    policy, on_message = selection.policy, selection.on_message
     level_known = is_level_known(selection.baseline.problem.noise)
     selected = selection.select() if level_known else selection.select_first()
     for _ in range(policy.noise.rounds):
@@ -254,14 +261,14 @@ def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSe
         if is_same_noise(noise, selected.problem.noise, policy.noise):
             if level_known:
                 break
-            tell(str(Finding(DiscoveryCode.NOISE_WHITE)))
+            on_message(str(Finding(DiscoveryCode.NOISE_WHITE)))
         else:
             colours = [list(colour.reflection) for colour in noise.colour]
             values = {"colours": colours, "std": noise.std.tolist()}
-            tell(str(Finding(DiscoveryCode.NOISE_FROM_RESIDUAL, subject=selected.model.title, values=values)))
+            on_message(str(Finding(DiscoveryCode.NOISE_FROM_RESIDUAL, subject=selected.model.title, values=values)))
         problem = replace(selection.problem, noise=noise, model=selection.baseline.model)
         selection = StepwiseSelection(
-            problem, _leading_candidates(selection), selection.scales, policy, tell, selection.fits
+            problem, _leading_candidates(selection), selection.scales, policy, on_message, selection.fits
         )
         before, selected = selected, selection.select()
         if before.effects == selected.effects:
@@ -342,7 +349,7 @@ def _conclude(evidence: SelectionEvidence, findings: tuple[Finding, ...]) -> Dis
         ranking,
         location,
         conclusion=_summarise(evidence, verdict, location, surrogate),
-        checks=decided.checks,
+        checks=(*evidence.checks, *decided.checks),
         path=tuple(selection.steps),
         findings=(*findings, *experiments, *limits),
         next_steps=next_steps,
@@ -355,7 +362,7 @@ def _conclude(evidence: SelectionEvidence, findings: tuple[Finding, ...]) -> Dis
 def _propose_for_unknown(
     evidence: SelectionEvidence, location: ResidualLocalisation, surrogate: Surrogate | None
 ) -> tuple[Finding, ...]:
-    """What to do next about something unknown; a look-alike is gone on with where no surrogate does better."""
+    """What to do next about something unknown; continue with a look-alike where no surrogate does better."""
     policy = evidence.selection.policy
     limit = policy.selection.holdout_share
     surrogate_fails = surrogate is None or surrogate.explained_fraction < limit

@@ -52,7 +52,7 @@ class Discovery(Printable):
     conclusion
         The answer as findings.
     checks
-        What the verdict rests on.
+        Every check in order: of the selection, of the validation records, and those that the verdict rests on.
     path
         The steps of the selection, each with its checks.
     findings

@@ -466,7 +466,7 @@ class StepwiseSelection:
     def _effect(self, name: str) -> Effect:
         return next(e for e in self.candidates if e.name == name)
 
-    # What is told
+    # Steps and messages
 
     def _accept(self, kind: StepKind, smaller: CandidateFit, larger: CandidateFit) -> bool:
         decision = judge_effect(self.baseline, smaller, larger, self.policy.selection)

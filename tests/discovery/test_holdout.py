@@ -44,16 +44,21 @@ def test_a_model_that_explains_less_than_half_gives_way(monkeypatch, errors, kep
 
     monkeypatch.setattr(holdout, "score_holdout", score)
     problem = SimpleNamespace(budget=SearchBudget(), refit_best=lambda *_, **__: None)
-    best = reject_on_validation(
+    best, checks = reject_on_validation(
         problem, candidate(100.0), SELECTED, [SELECTED, GOOD, BETTER, POOR], ["a record"], SelectionPolicy()
     )
     assert best.effects == (kept,)
+    assert checks[0].subject == "s"
+    assert [check.subject for check in checks if check.passed] == (
+        [kept] if best is not SELECTED or errors["s"] < 5 else []
+    )
 
 
 def test_without_a_gap_nothing_is_rejected(monkeypatch):
     monkeypatch.setattr(holdout, "score_holdout", lambda *_: 1.04)
-    kept = reject_on_validation(None, candidate(100.0), SELECTED, [GOOD], ["a record"], SelectionPolicy())
+    kept, checks = reject_on_validation(None, candidate(100.0), SELECTED, [GOOD], ["a record"], SelectionPolicy())
     assert kept is SELECTED
+    assert checks == ()
 
 
 def test_only_the_leading_candidates_are_scored(monkeypatch):

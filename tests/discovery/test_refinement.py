@@ -88,7 +88,7 @@ def test_a_model_that_fails_on_the_validation_records_is_replaced(hardening):
     assert score_holdout(problem, right, [test]) < 0.2 * score_holdout(problem, wrong, [test])
 
     def kept(selected, candidates):
-        return reject_on_validation(problem, problem.baseline, selected, candidates, [test], policy)
+        return reject_on_validation(problem, problem.baseline, selected, candidates, [test], policy)[0]
 
     assert kept(wrong, [wrong, right]).effects == ("cubic_stiffness",)
     assert kept(right, [wrong, right]) is right
