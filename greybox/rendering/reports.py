@@ -26,6 +26,7 @@ class PageText(StrEnum):
     COMMAND = "page_command"
     COMPUTATION = "page_computation"
     OPTIONS = "page_options"
+    POLICY_NOTE = "page_policy_note"
     VERSIONS = "page_versions"
     OPTIONS_AND_VERSIONS = "page_options_and_versions"
 
@@ -243,6 +244,7 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.COMMAND: "In the shell",
     PageText.COMPUTATION: "How it was computed",
     PageText.OPTIONS: "Options",
+    PageText.POLICY_NOTE: "Numbers of the policy that are not listed have their default values.",
     PageText.VERSIONS: "Versions",
     PageText.OPTIONS_AND_VERSIONS: "Options and versions",
     # The page of a fit

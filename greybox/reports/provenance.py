@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from greybox.estimation.options import FitOptions
 from greybox.estimation.versions import read_versions
 from greybox.rendering.english import count_noun, join_names, phrase
 from greybox.rendering.reports import PageText
@@ -40,7 +41,7 @@ def _of_fit(fit: Fit, command: str) -> Iterator[Block]:
     ]
     yield PageTable(phrase(PageText.COMPUTATION), ["what", "how"], [row for row in rows if row[1]])
     tables = [
-        name_value_table(phrase(PageText.OPTIONS), fit.provenance.options),
+        _options(fit),
         name_value_table(phrase(PageText.VERSIONS), fit.provenance.versions),
     ]
     yield Details(phrase(PageText.OPTIONS_AND_VERSIONS), tables)
@@ -49,6 +50,17 @@ def _of_fit(fit: Fit, command: str) -> Iterator[Block]:
 def name_value_table(title: Text, values: Mapping[str, Any]) -> PageTable:
     """Names and values as a table; a name within a group is ``group.name``."""
     return PageTable(title, ["name", "value"], [[name, value] for name, value in _flat(values)])
+
+
+def _options(fit: Fit) -> PageTable:
+    """The options; of the policy only what differs from the default, which the note says."""
+    usual = dict(_flat(FitOptions().to_data()))
+    rows = [
+        [name, value]
+        for name, value in _flat(fit.provenance.options)
+        if not (name.startswith("policy.") and usual.get(name) == value)
+    ]
+    return PageTable(phrase(PageText.OPTIONS), ["name", "value"], rows, phrase(PageText.POLICY_NOTE))
 
 
 def _flat(values: Mapping[str, Any], group: str = "") -> Iterator[tuple[str, str]]:

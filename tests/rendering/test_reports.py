@@ -24,6 +24,7 @@ GOLDEN = [
     (phrase(T.COMMAND), "In the shell"),
     (phrase(T.COMPUTATION), "How it was computed"),
     (phrase(T.OPTIONS), "Options"),
+    (phrase(T.POLICY_NOTE), "Numbers of the policy that are not listed have their default values."),
     (phrase(T.VERSIONS), "Versions"),
     (phrase(T.OPTIONS_AND_VERSIONS), "Options and versions"),
     (phrase(T.FIT_TITLE, "rig"), "Fit of rig"),
