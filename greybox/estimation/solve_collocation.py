@@ -33,7 +33,7 @@ _TITLES = {"radau": "Radau", "legendre": "Legendre"}
 
 
 @dataclass(frozen=True)
-class _Point:
+class _CollocationPoint:
     """What a solver ended with: the states (N, nx) of each record and, if it succeeded, the problem linearised there."""
 
     outcome: MinimisationResult
@@ -114,7 +114,7 @@ def _solve(
     elements: int,
     options: FitOptions,
     report: FitProgressCallback | None,
-) -> _Point:
+) -> _CollocationPoint:
     records, weight = problem.records, 1 / problem.noise.std
     program = Collocation(variables, records, weight, states, scheme=scheme, elements=elements, hessian=options.hessian)
     outcome = solve_sparse(
@@ -123,13 +123,13 @@ def _solve(
     point = program.interpret(outcome.z)
     if not outcome.status.success:
         free = SingleShooting(point.variables, problem.step, problem.kernel, records, weight)
-        return _Point(
+        return _CollocationPoint(
             outcome, point.variables, point.states, point.at_bound, free.evaluate(np.zeros(variables.size)), ()
         )
-    return _Point(outcome, point.variables, point.states, point.at_bound, *program.linearise(outcome.z))
+    return _CollocationPoint(outcome, point.variables, point.states, point.at_bound, *program.linearise(outcome.z))
 
 
-def _simulate(problem: EstimationProblem, at: _Point) -> Runs:
+def _simulate(problem: EstimationProblem, at: _CollocationPoint) -> Runs:
     """Outputs and states at the rows of each record."""
     output, zero = problem.model.system.output_function, np.zeros(at.variables.size)
     runs = []

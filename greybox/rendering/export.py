@@ -10,7 +10,7 @@ from greybox.export.findings import ExportFinding
 from greybox.findings import Finding
 from greybox.rendering.estimation import status_text
 from greybox.rendering.registry import register, renders, sentences
-from greybox.result.summary import format_table
+from greybox.rendering.tables import format_table
 from greybox.units import format_unit
 
 if TYPE_CHECKING:
