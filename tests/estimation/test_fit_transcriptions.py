@@ -25,8 +25,8 @@ from models.emps import emps
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import experiment, linear_matrices, linear_record, multisine, rates_of, solved_record
+from tests.support.published_plants import PREY
 from tests.transcription.test_transcription_methods import oscillator
-from tests.uncertainty.test_intervals import PREY
 
 RANGE = (1e-3, 1e3)
 LIFTED = ("multiple", "collocation-radau", "collocation-legendre")

@@ -20,7 +20,7 @@ from greybox.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.findings import codes, find
-from tests.uncertainty.test_intervals import REST, SATURATION, TIMES, VALUES
+from tests.support.published_plants import REST, SATURATION, TIMES, VALUES
 
 TRUTH = micro_actuator.fix("M", "Ra")
 LEVEL = {"x": 2e-7, "i": 5e-3}

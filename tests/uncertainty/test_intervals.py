@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 import greybox as gb
-from greybox import Balance, Model, Output, Parameter, State
 from greybox.errors import FitError, ModelError
 from greybox.estimation import FitOptions, fit
 from greybox.estimation.covariance import invert_information
@@ -23,10 +22,10 @@ from models.emps import emps
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import experiment, linear_record, multisine
 from tests.support.findings import codes, find
+from tests.support.published_plants import PREY, REST, SATURATION, TIMES, VALUES
 
 TRUTH = micro_actuator.fix("M", "Ra")
 LEVEL = {"x": 2e-7, "i": 5e-3}
-REST = FitOptions(at_rest=True)
 
 
 def actuator_record(seed, rho=0.0, rows=1500):
@@ -39,22 +38,6 @@ def actuator_record(seed, rho=0.0, rows=1500):
     return replace(clean, outputs={n: y + LEVEL[n] * noise() for n, y in clean.outputs.items()})
 
 
-# Rooney and Biegler 2001: y = a (1 - exp(-b t)), stated as the balance that it solves.
-SATURATION = Model(
-    "saturation", [State("y", "m", 0.0)], [], [Output("y", "m")],
-    [Parameter("a", "m", 15.0, (1.0, 100.0)), Parameter("b", "1/s", 0.5, (0.01, 10.0))],
-    lambda x, u, p: [Balance("uptake", "m/s", 1, "y", gap=p.b * (p.a - x.y))],
-)  # fmt: skip
-TIMES, VALUES = np.array([1.0, 2, 3, 4, 5, 7]), np.array([8.3, 10.3, 19.0, 16.0, 15.6, 19.8])
-
-PREY = Model(
-    "prey", [State("x1", "1", 1.0), State("x2", "1", 1.0)], [], [Output("x1", "1"), Output("x2", "1")],
-    [Parameter("beta", "1/s", 1.0, (0.01, 10.0)), Parameter("delta", "1/s", 0.5, (0.01, 10.0)), Parameter("one", "1/s", 1.0, fixed=True)],
-    lambda x, u, p: [
-        Balance("first", "1/s", 1, "x1", death=-p.one * x.x1, birth=p.beta * x.x1 * x.x2),
-        Balance("second", "1/s", 1, "x2", birth=p.one * x.x2, death=-p.delta * x.x1 * x.x2),
-    ],
-)  # fmt: skip
 X1 = [1.0, 0.9978287, 2.366363, 6.448709, 5.225859, 2.617129, 1.324945, 1.071534, 1.058930, 3.189685, 6.790586]
 X2 = [1.0, 2.249977, 3.215969, 1.787353, 1.050747, 0.2150848, 0.109813, 1.276422, 2.493237, 3.079619, 1.665567]
 
