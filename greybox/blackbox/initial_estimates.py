@@ -177,7 +177,7 @@ def _with_best_numerators(
 
 
 def _long_orders(orders: Orders, more: int, data: SampledData, policy: PredictionErrorPolicy) -> Orders:
-    """Orders of an ARX model that is long enough to whiten its errors, and no longer than the records bear."""
+    """Orders of an ARX model that is long enough to whiten its errors, and no longer than the records allow."""
     largest = max(1, data.measured // (policy.rows_per_long_order * (1 + len(orders.nb))))
     order = min(max(policy.long_order, policy.long_order_factor * (orders.na + more)), largest)
     return Orders(max(order, orders.na), tuple(max(order, b) for b in orders.nb), orders.nk)

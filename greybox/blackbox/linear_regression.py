@@ -1,4 +1,4 @@
-"""Linear least squares for difference equations: rows, columns with names, and what they cannot tell apart."""
+"""Linear least squares for difference equations: rows, named columns, and the dependent ones among them."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def solve_least_squares(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """``argmin |target - phi theta|``: theta (p,), ``(phi'phi)^-1`` (p, p) and the sum of squares.
 
-    Raises DataError that names the columns where they are combinations of one another.
+    Raises DataError that names the columns that are linearly dependent.
     """
     scale = np.linalg.norm(phi, axis=0)
     unexcited = [n for n, s in zip(names, scale, strict=True) if s == 0]
@@ -126,7 +126,7 @@ def solve_least_squares(
         participation = np.abs(right[-1]) / np.abs(right[-1]).max()
         dependent = [n for n, s in zip(names, participation, strict=True) if s > DEPENDENT_COLUMN_SHARE]
         raise DataError(
-            f"{label}: the columns {', '.join(dependent)} are collinear, so the record cannot tell their coefficients apart."
+            f"{label}: the columns {', '.join(dependent)} are collinear, so the record does not determine their coefficients."
             " A constant input (a step after its edge) carries one coefficient, each sine two, and without noise a structure larger"
             " than the plant is such a combination too: take a smaller nb or na,"
             " history='zero' where the record begins at rest and with the step's edge, or a record with a livelier input"

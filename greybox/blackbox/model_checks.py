@@ -1,4 +1,4 @@
-"""What a fitted black-box model should tell its user: weak excitation, instability."""
+"""Checks of a fitted black-box model: weak excitation, instability, an unfinished search."""
 
 from __future__ import annotations
 

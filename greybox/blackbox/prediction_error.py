@@ -357,12 +357,12 @@ def estimate_coefficient_covariance(gradient: np.ndarray, squares: float, freedo
 
 
 def refuse_collinear(gradient: np.ndarray, names: Sequence[str], label: str) -> None:
-    """DataError that names the coefficients whose ``gradient`` (n, p) is zero or combinations of one another."""
+    """DataError that names the coefficients whose columns of ``gradient`` (n, p) are zero or linearly dependent."""
     scale = np.linalg.norm(gradient, axis=0)
     without_effect = [n for n, s in zip(names, scale, strict=True) if s == 0]
     if without_effect:
         raise DataError(
-            f"{label}: {', '.join(without_effect)} change nothing in these records; take a smaller structure"
+            f"{label}: {', '.join(without_effect)} have no effect in these records; take a smaller structure"
         )
     _, size, right = np.linalg.svd(np.linalg.qr(gradient / scale, mode="r"))
     if size[-1] <= COLLINEAR_COLUMNS * np.sqrt(len(gradient)):

@@ -93,8 +93,9 @@ def estimate_initial_state(
 ) -> np.ndarray:
     """Shares (m,) of the free responses (N, m) that meet ``target`` (N,), NaN in gaps, on the first rows.
 
-    ``"measured"`` meets as many rows as there are responses exactly; ``"estimated"`` the first ``rows`` by least squares. What those
-    rows hardly show and the rest of the record would show more than ``largest_amplification`` times larger is left at zero.
+    ``"measured"`` meets as many rows as there are responses exactly; ``"estimated"`` the first ``rows`` by least squares. A
+    direction that these rows barely determine, and that the rest of the record would show more than ``largest_amplification`` times
+    larger, is left at zero.
     """
     if not free.shape[1]:
         return np.zeros(0)
@@ -107,7 +108,7 @@ def estimate_initial_state(
         usable[rows:] = False
     if not usable.any():
         return np.zeros(free.shape[1])
-    # Shares z = R x of responses that are orthogonal over the whole record and of unit size there
+    # Coordinates z = R x of responses that are orthogonal over the whole record and of unit size there
     _, size, right = np.linalg.svd(np.linalg.qr(free[bounded], mode="r") / np.sqrt(bounded.sum()))
     significant = size > NEGLIGIBLE_SINGULAR_VALUE * size[0]
     back = right[significant].T / size[significant]

@@ -1,4 +1,4 @@
-"""Static curves of an input: polynomials and straight pieces, as sums of known functions."""
+"""Static nonlinearities of an input: polynomials and piecewise linear functions, as sums of basis functions."""
 
 from __future__ import annotations
 
