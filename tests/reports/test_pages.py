@@ -163,7 +163,7 @@ def test_text_from_files_stays_text(good: gb.Fit, tmp_path: Path) -> None:
         good,
         traces=[replace(good.traces[0], name=HOSTILE)],
         findings=(phrase(PageText.STATEMENT, text=HOSTILE),),
-        noise=replace(good.noise, source=HOSTILE),
+        solver=replace(good.solver, status=HOSTILE),
     )
     html = write_page(build_page(named, command=f"greybox fit '{HOSTILE}'"), tmp_path / "page.html").read_text(
         encoding="utf-8"
