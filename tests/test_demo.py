@@ -11,98 +11,102 @@ import pytest
 
 from greybox import read_csv, report
 from greybox.demo import EXTENDED, PLAIN, Demo, DemoSetup, run_demo
+from greybox.estimation.findings import EstimationCode
 from models.micro_actuator import micro_actuator
+from tests.support.findings import codes
 
 SETUP = DemoSetup()
 
 
 @pytest.fixture(scope="module")
-def told() -> list[str]:
+def announced() -> list[str]:
     return []
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory, told: list[str]) -> Demo:
-    return run_demo(tmp_path_factory.mktemp("demo"), say=told.append)
+def result(tmp_path_factory: pytest.TempPathFactory, announced: list[str]) -> Demo:
+    return run_demo(tmp_path_factory.mktemp("demo"), say=announced.append)
 
 
-def test_the_model_alone_misses_the_record_by_far(found: Demo) -> None:
-    assert SETUP.hidden not in {e.name for e in found.plain.model.effects}
-    assert found.plain.misfit["x"].noise_ratio > 50
-    assert any("lacks something" in note for note in found.plain.notes)
+def test_the_model_alone_misses_the_record_by_far(result: Demo) -> None:
+    assert SETUP.hidden not in {e.name for e in result.plain.model.effects}
+    assert result.plain.misfit["x"].noise_ratio > 50
+    assert codes(result.plain.findings) & {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MODEL_DOES_NOT_FOLLOW}
 
 
-def test_the_hidden_effect_is_named_and_closes_the_gap(found: Demo) -> None:
-    assert found.discovery.verdict == "named"
-    (effect,) = found.discovery.effects
+def test_the_hidden_effect_is_named_and_closes_the_gap(result: Demo) -> None:
+    assert result.discovery.verdict == "named"
+    (effect,) = result.discovery.effects
     assert (effect["name"], effect["site"]) == (SETUP.hidden, "force")
     assert effect["parameters"]["K3"]["value"] == pytest.approx(SETUP.strength["K3"], rel=0.01)
-    assert found.discovery.holdout["x"].before > 50 * SETUP.noise["x"]
-    assert found.discovery.holdout["x"].after == pytest.approx(SETUP.noise["x"], rel=0.08)
+    assert result.discovery.holdout["x"].before > 50 * SETUP.noise["x"]
+    assert result.discovery.holdout["x"].after == pytest.approx(SETUP.noise["x"], rel=0.08)
 
 
-def test_the_constants_come_back_from_a_start_forty_percent_off(found: Demo) -> None:
+def test_the_constants_come_back_from_a_start_forty_percent_off(result: Demo) -> None:
     truth = {n: v for n, v in micro_actuator.values.items() if n not in SETUP.known} | SETUP.strength
-    assert found.truth == truth
+    assert result.truth == truth
     for name, value in truth.items():
-        if name in found.start:
-            assert abs(found.start[name] / value - 1) == pytest.approx(0.4)
-        assert abs(found.fit.parameters[name].value / value - 1) < 0.02
-        assert abs(found.deviations[name]) < 3.5
-    assert max(abs(d) for d in found.deviations.values()) > 0.05  # an error of nothing would be no measurement
+        if name in result.start:
+            assert abs(result.start[name] / value - 1) == pytest.approx(0.4)
+        assert abs(result.fit.parameters[name].value / value - 1) < 0.02
+        assert abs(result.deviations[name]) < 3.5
+    assert max(abs(d) for d in result.deviations.values()) > 0.05  # an error of nothing would be no measurement
 
 
-def test_black_boxes_stand_beside_it(found: Demo) -> None:
-    rmse = {e.name: e.validation["x"].rmse for e in found.comparison.entries}
+def test_black_boxes_stand_beside_it(result: Demo) -> None:
+    rmse = {e.name: e.validation["x"].rmse for e in result.comparison.entries}
     assert set(rmse) == {PLAIN, EXTENDED, "arx", "output error"}
     assert min(rmse, key=rmse.__getitem__) == EXTENDED
     assert rmse["arx"] > 10 * rmse[EXTENDED] and rmse["output error"] > 10 * rmse[EXTENDED]
 
 
-def test_the_state_space_is_that_of_the_rig_about_rest(found: Demo) -> None:
+def test_the_state_space_is_that_of_the_rig_about_rest(result: Demo) -> None:
     q = micro_actuator.values  # at x = 0 the hidden spring has no slope: the matrices are those of eq. 16.1
     stiffness, coil = q["K"] / q["M"], q["Kf"] / q["M"]
-    truth = np.array([
-        [0.0, 1.0, 0.0],
-        [-stiffness, -q["B"] / q["M"], coil],
-        [0.0, -q["Kv"] / q["La"], -q["Ra"] / q["La"]],
-    ])  # fmt: skip
-    np.testing.assert_allclose(found.plant.A, truth, rtol=0.02)
-    (file,) = (path for path in found.files if path.suffix == ".py")
-    np.testing.assert_array_equal(runpy.run_path(str(file))["plant"].A, found.plant.A)
+    truth = np.array(
+        [
+            [0.0, 1.0, 0.0],
+            [-stiffness, -q["B"] / q["M"], coil],
+            [0.0, -q["Kv"] / q["La"], -q["Ra"] / q["La"]],
+        ]
+    )
+    np.testing.assert_allclose(result.plant.A, truth, rtol=0.02)
+    (file,) = (path for path in result.files if path.suffix == ".py")
+    np.testing.assert_array_equal(runpy.run_path(str(file))["plant"].A, result.plant.A)
 
 
-def test_the_records_are_there_to_repeat_it(found: Demo) -> None:
-    train, test = (read_csv(path, micro_actuator) for path in found.records)
+def test_the_records_are_there_to_repeat_it(result: Demo) -> None:
+    train, test = (read_csv(path, micro_actuator) for path in result.records)
     assert (train.rows, test.rows) == (1200, 600)
-    assert train.fingerprint == found.plain.traces[0].fingerprint
-    names = {path.name: path for path in found.files}
+    assert train.fingerprint == result.plain.traces[0].fingerprint
+    names = {path.name: path for path in result.files}
     assert json.loads(names["discovery.json"].read_text())["verdict"] == "named"
     for name in ("gap.png", "fit-multisine.png", "validation-sweep.png"):
         assert names[name].read_bytes().startswith(b"\x89PNG")
         assert 20_000 < names[name].stat().st_size < 600_000
 
 
-def test_the_story_is_told_in_order(found: Demo, told: list[str]) -> None:
-    steps = [line.split(":")[0] for line in told if line[:1].isdigit()]
+def test_the_story_is_told_in_order(result: Demo, announced: list[str]) -> None:
+    steps = [line.split(":")[0] for line in announced if line[:1].isdigit()]
     assert [step[0] for step in steps] == ["1", "2", "3", "4"]
-    text = str(found)
+    text = str(result)
     order = ["parameter", SETUP.hidden, "rms error on the validation record", "black box", "linear model"]
     places = [text.index(words) for words in order]
     assert places == sorted(places)
 
 
-def test_the_command_leaves_out_the_page_if_told(run, found: Demo, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_leaves_out_the_page_if_told(run, result: Demo, monkeypatch: pytest.MonkeyPatch) -> None:
     contradiction = run("demo", "--open", "--no-report")
     assert contradiction.exit_code == 2 and "leave out one of the two" in contradiction.stderr
-    monkeypatch.setattr("greybox.demo.run_demo", lambda *_, **__: found)
-    result = run("demo", "--no-report", "--output", "there")
-    assert result.exit_code == 0 and "report:" not in result.stdout
+    monkeypatch.setattr("greybox.demo.run_demo", lambda *_, **__: result)
+    printed = run("demo", "--no-report", "--output", "there")
+    assert printed.exit_code == 0 and "report:" not in printed.stdout
     assert not Path("there", "report.html").exists()
 
 
-def test_the_page_tells_the_same_story(found: Demo, tmp_path: Path) -> None:
-    file = report(found, tmp_path, command="greybox demo --output here")
+def test_the_page_tells_the_same_story(result: Demo, tmp_path: Path) -> None:
+    file = report(result, tmp_path, command="greybox demo --output here")
     text = file.read_text(encoding="utf-8")
     assert 1e6 < file.stat().st_size < 6e6
     for words in ("greybox demo --output here", "cubic_stiffness", "output error", "Parameters beside the truth"):

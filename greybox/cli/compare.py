@@ -169,10 +169,13 @@ def _black_boxes(
     measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
     outputs = [q.name for q in measured]
     return fit_black_boxes(
-        records, outputs, [i.name for i in plain.inputs], at_rest=at_rest,
+        records,
+        outputs,
+        [i.name for i in plain.inputs],
+        at_rest=at_rest,
         units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
         report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scan_share(what, done / of, outputs)),
-    )  # fmt: skip
+    )
 
 
 def _write(

@@ -47,14 +47,26 @@ class Sampling(StrEnum):
 LINEAR = (Target.control, Target.mat, Target.json, Target.numpy)
 STEPPED = (Target.c, Target.fmu)
 SUFFIX = {
-    Target.control: ".py", Target.mat: ".mat", Target.json: ".json", Target.numpy: ".npz", Target.c: ".c", Target.fmu: ".fmu",
-    Target.modelica: ".mo", Target.python: ".py",
-}  # fmt: skip
+    Target.control: ".py",
+    Target.mat: ".mat",
+    Target.json: ".json",
+    Target.numpy: ".npz",
+    Target.c: ".c",
+    Target.fmu: ".fmu",
+    Target.modelica: ".mo",
+    Target.python: ".py",
+}
 
 KIND = {
-    Target.control: "a Python file for python-control", Target.mat: "a MATLAB file", Target.json: "JSON", Target.numpy: "NumPy arrays",
-    Target.c: "C", Target.fmu: "an FMU 2.0 for co-simulation", Target.modelica: "Modelica", Target.python: "a Python model file",
-}  # fmt: skip
+    Target.control: "a Python file for python-control",
+    Target.mat: "a MATLAB file",
+    Target.json: "JSON",
+    Target.numpy: "NumPy arrays",
+    Target.c: "C",
+    Target.fmu: "an FMU 2.0 for co-simulation",
+    Target.modelica: "Modelica",
+    Target.python: "a Python model file",
+}
 
 
 def export(
@@ -124,8 +136,13 @@ def export(
 
     point = parse_numbers("--at", at)
     given = {
-        "--at": point, "--method": method, "--delay": delay, "--minimal": minimal, "--samples": samples, "--seed": seed,
-    }  # fmt: skip
+        "--at": point,
+        "--method": method,
+        "--delay": delay,
+        "--minimal": minimal,
+        "--samples": samples,
+        "--seed": seed,
+    }
     _refuse_idle(to, dt, method, given, substeps)
     result = load_fit_with_model(fit, model)
     name = to_identifier(result.model.name)

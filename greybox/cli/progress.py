@@ -44,9 +44,12 @@ class ProgressLine:
             self.bar.start()
         left = time_left(elapsed, share)
         self.bar.update(
-            self.bar.task_ids[0], description=text, total=None if share is None else 1.0, completed=share or 0.0,
+            self.bar.task_ids[0],
+            description=text,
+            total=None if share is None else 1.0,
+            completed=share or 0.0,
             left="" if left is None else f"about {format_duration(left)} left",
-        )  # fmt: skip
+        )
 
     def stop(self) -> None:
         """Take the line away."""
@@ -59,9 +62,12 @@ def _bar(console: object) -> Bar:
     from rich.progress import Progress as Bar
 
     columns = (
-        SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=20), TimeElapsedColumn(),
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=20),
+        TimeElapsedColumn(),
         TextColumn("{task.fields[left]}"),
-    )  # fmt: skip
+    )
     bar = Bar(*columns, console=console, transient=True)  # type: ignore[arg-type]
     bar.add_task("", total=None, left="")
     return bar

@@ -182,8 +182,12 @@ def _target(path: Path, inputs: Path | None) -> Path:
 
 
 def _one_drive(
-    model: Model, inputs: Path | None, shapes: Mapping[str, float | None], shaping: Mapping[str, object], columns: Collection[str]
-) -> dict[str, float]:  # fmt: skip
+    model: Model,
+    inputs: Path | None,
+    shapes: Mapping[str, float | None],
+    shaping: Mapping[str, object],
+    columns: Collection[str],
+) -> dict[str, float]:
     """The test signal that is wanted, none beside a file of inputs; refuses two drives, and options that would change nothing."""
     chosen = {name: size for name, size in shapes.items() if size is not None}
     if (inputs is not None) + len(chosen) != 1 and model.inputs:
@@ -202,9 +206,15 @@ def _one_drive(
 
 
 def _signal(
-    model: Model, chosen: dict[str, float], band: str | None, offset: float,
-    duration: float | None, sampling_time: float | None, hold: str, generator: object,
-) -> Experiment:  # fmt: skip
+    model: Model,
+    chosen: dict[str, float],
+    band: str | None,
+    offset: float,
+    duration: float | None,
+    sampling_time: float | None,
+    hold: str,
+    generator: object,
+) -> Experiment:
     """The test signal on the first input, at the wanted pace."""
     import numpy as np
 

@@ -21,9 +21,13 @@ def offered(line: str) -> list[str]:
     """What bash is offered after ``line``, in a process of its own, as the shell asks for it."""
     words = line.split(" ")
     environment = {
-        **os.environ, "PYTHONPATH": str(ROOT), "_GREYBOX_COMPLETE": "complete_bash", "COMP_WORDS": line,
-        "COMP_CWORD": str(len(words) - 1), "_TYPER_COMPLETE_ARGS": line,
-    }  # fmt: skip
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "_GREYBOX_COMPLETE": "complete_bash",
+        "COMP_WORDS": line,
+        "COMP_CWORD": str(len(words) - 1),
+        "_TYPER_COMPLETE_ARGS": line,
+    }
     command = [sys.executable, "-m", "greybox.cli"]
     done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.stderr == ""

@@ -1,4 +1,4 @@
-"""What a fit may be told on the command line about its constants and its noise, and that it is told back."""
+"""What is known of parameters and noise, stated on the command line: it counts, and stands in the result."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from greybox.cli.app import app
+from greybox.estimation.findings import EstimationCode
 from greybox.simulation import write_csv
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, with_gaps
 
@@ -57,54 +58,58 @@ def run(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
 
     def call(records: str, *arguments: str) -> Result:
         files = [str(folder / f"{name}.csv") for name in records.split()]
-        told = [str(folder / a) if a.endswith(".csv") else a for a in arguments]
+        words = [str(folder / a) if a.endswith(".csv") else a for a in arguments]
         return CliRunner().invoke(
-            app, ["fit", str(folder / "mass.py"), *files, *told, "--output", "out", "--no-report"]
+            app, ["fit", str(folder / "mass.py"), *files, *words, "--output", "out", "--no-report"]
         )
 
     return call
 
 
 @pytest.mark.parametrize(
-    ("records", "options", "said"),
+    ("records", "options", "found", "shown"),
     [
         (
             "gaps irregular",
-            [
-                "--prior", "B=0.44+-0.001", "--own", "K", "--loss", "student:5", "--quiet", "quiet.csv", "--profile", "K",
-                "--bootstrap", "200",
-            ],
-            [
-                "the prior of B and the data disagree by", "each experiment has its own K", "robust loss (student, 5 degrees of freedom)",
-                "quiet record", "K (gaps): ", "K (irregular): ", "95 % by profile likelihood",
-                "block bootstrap, 200 replicates in blocks of",
-            ],
+            "--prior B=0.44+-0.001 --own K --loss student:5 --quiet quiet.csv --profile K --bootstrap 200",
+            {EstimationCode.PRIOR_CONFLICT, EstimationCode.MEAN_OF_EXPERIMENTS},
+            ["K (gaps): ", "K (irregular): ", "profile likelihood", "block bootstrap, 200 replicates"],
         ),
-        ("gaps irregular", ["--tie", "B=0.2*sqrt(K*M)", "--schedule", "K=M@1", "--condition", "M=1,1"], ["0.2*sqrt(K*M)"]),
+        ("gaps irregular", "--tie B=0.2*sqrt(K*M) --schedule K=M@1 --condition M=1,1", set(), ["0.2*sqrt(K*M)"]),
         (
-            "pushed", ["--process-noise", "v", "--predict", "5", "--profile", "K,noise_v"],
-            [
-                "process noise on v (noise_v = 0.", "prediction (1 step ahead)", "5 steps ahead", "Kalman filter, process noise on v",
-                "K: 4.", "noise_v: 0.", "95 % by profile likelihood",
-            ],
+            "pushed",
+            "--process-noise v --predict 5 --profile K,noise_v",
+            {EstimationCode.PROCESS_NOISE_SIGNIFICANT},
+            ["5 steps ahead", "K: 4.", "noise_v: 0.", "profile likelihood"],
         ),
     ],
-)  # fmt: skip
-def test_what_is_told_is_told_back(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, records: str, options: list[str], said: list[str]
+)
+def test_what_is_known_beforehand_counts_and_is_stored(
+    run: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    records: str,
+    options: str,
+    found: set[EstimationCode],
+    shown: list[str],
 ) -> None:
     if records != "pushed":  # drawing takes longer than all the rest: once will do
         monkeypatch.setattr(fit_module, "_draw", lambda *_, **__: None)
-    result = run(records, *options)
+    result = run(records, *options.split())
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
-    for text in (*said, "residual tests", "free run and prediction"):
+    for text in (*shown, "residual tests", "free run and prediction"):
         assert text in result.stdout, result.stdout
     saved = json.loads((tmp_path / "out" / "fit.json").read_text())
     assert saved["success"] is True
+    assert found <= {finding["code"] for finding in saved["findings"]}
+    if "student" in options:
+        assert saved["loss"] == "student" and set(saved["own"]) == {"K"}
+        assert set(saved["noise_sources"].values()) == {"quiet_record"}
     if records == "pushed":
         drawn = {f.name for f in (tmp_path / "out").glob("residual-*.png")}
         assert drawn == {"residual-x.png", "residual-v.png"}
+        assert set(saved["process_noise"]) == {"v"}
 
 
 @pytest.mark.parametrize(

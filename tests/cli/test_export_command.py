@@ -76,35 +76,41 @@ def test_a_minimal_model_says_what_was_taken_out_and_so_is_its_family(tmp_path):
     assert all(channel["integrators"] == (name == "u -> s") for name, channel in read["channels"].items())
 
 
-@pytest.mark.parametrize(("arguments", "said"), [
-    (["--to", "c", "--at", "u=1"], "--at: no effect with --to c; leave it out"),
-    (["--to", "python", "--dt", "1e-3"], "--dt: no effect with --to python"),
-    (["--to", "mat", "--at", "uu=1"], "no state or input 'uu'; did you mean 'u'"),
-    (["--to", "mat", "--at", "u=one"], "'one' is not a number"),
-    (["--to", "mat", "--method", "tustin"], "--method tustin samples the model; give --dt SECONDS too"),
-    (["--to", "mat", "--output", "p.py"], "--to mat writes .mat; give a file that ends so"),
-    (["--to", "mat", "--seed", "3"], "--seed has no effect without --samples"),
-    (["--to", "mat", "--dt", "-1"], "sampling time -1.0 s: give a time above 0 s"),
-    (["--to", "mat", "--at", "x=1e-3", "--at", "u=0"], "has no equilibrium with x = 0.001 m, u = 0 V, out of balance: force"),
-])  # fmt: skip
-def test_bad_input_is_one_sentence_and_nothing_is_written(saved, tmp_path, monkeypatch, arguments, said):
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--to", "c", "--at", "u=1"], "--at: no effect with --to c; leave it out"),
+        (["--to", "python", "--dt", "1e-3"], "--dt: no effect with --to python"),
+        (["--to", "mat", "--at", "uu=1"], "no state or input 'uu'; did you mean 'u'"),
+        (["--to", "mat", "--at", "u=one"], "'one' is not a number"),
+        (["--to", "mat", "--method", "tustin"], "--method tustin samples the model; give --dt SECONDS too"),
+        (["--to", "mat", "--output", "p.py"], "--to mat writes .mat; give a file that ends so"),
+        (["--to", "mat", "--seed", "3"], "--seed has no effect without --samples"),
+        (["--to", "mat", "--dt", "-1"], "sampling time -1.0 s: give a time above 0 s"),
+        (
+            ["--to", "mat", "--at", "x=1e-3", "--at", "u=0"],
+            "has no equilibrium with x = 0.001 m, u = 0 V, out of balance: force",
+        ),
+    ],
+)
+def test_bad_input_is_one_sentence_and_nothing_is_written(saved, tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     done = export(saved, *arguments)
     assert done.exit_code == 2
-    assert said in done.output and "Traceback" not in done.output
+    assert message in done.output and "Traceback" not in done.output
     assert not list(tmp_path.iterdir())
 
 
 def test_a_file_that_is_no_fit_is_refused(tmp_path):
     (tmp_path / "list.json").write_text("[1, 2]")
     (tmp_path / "text.json").write_text("hello")
-    for name, said in (
+    for name, message in (
         ("list.json", "not a fit of this program"),
         ("text.json", "not JSON"),
         ("gone.json", "No such file"),
     ):
         done = export(tmp_path / name, "--to", "mat")
-        assert done.exit_code == 2 and said in done.output
+        assert done.exit_code == 2 and message in done.output
 
 
 def test_a_fit_of_an_unknown_model_asks_for_its_file(saved, tmp_path):

@@ -28,9 +28,9 @@ def test_a_simulation_says_what_it_has_written(tmp_path: Path, monkeypatch: pyte
     options = ["--step", "1", "--duration", "0.05", "--sampling-time", "2.5e-4", "--output", "out/a.csv"]
     done = CliRunner().invoke(app, ["simulate", "micro_actuator", *options, "--json"])
     assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
-    assert (said["file"], said["rows"], said["outputs"]) == (str(Path("out/a.csv")), 200, ["x", "i"])
-    assert Path(said["file"]).exists() and Path(said["report"]).exists()
+    printed = json.loads(done.stdout)
+    assert (printed["file"], printed["rows"], printed["outputs"]) == (str(Path("out/a.csv")), 200, ["x", "i"])
+    assert Path(printed["file"]).exists() and Path(printed["report"]).exists()
 
 
 def test_an_export_says_its_matrices_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -41,9 +41,9 @@ def test_an_export_says_its_matrices_and_files(tmp_path: Path, monkeypatch: pyte
     fit(micro_actuator.fix("M", "Ra"), record, noise={"x": 2e-7, "i": 5e-3}, options=rest).save("fit.json")
     done = CliRunner().invoke(app, ["export", "fit.json", "--to", "mat", "--json"])
     assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
-    assert np.shape(said["linear"]["A"]) == (3, 3) and said["linear"]["state_names"] == ["x", "v", "i"]
-    assert [Path(file).suffix for file in said["files"]] == [".mat"] and Path(said["report"]).exists()
+    printed = json.loads(done.stdout)
+    assert np.shape(printed["linear"]["A"]) == (3, 3) and printed["linear"]["state_names"] == ["x", "v", "i"]
+    assert [Path(file).suffix for file in printed["files"]] == [".mat"] and Path(printed["report"]).exists()
     done = CliRunner().invoke(app, ["export", "fit.json", "--to", "python", "--json", "--no-report"])
-    said = json.loads(done.stdout)
-    assert said["linear"] is None and said["report"] is None and Path(said["files"][0]).exists()
+    printed = json.loads(done.stdout)
+    assert printed["linear"] is None and printed["report"] is None and Path(printed["files"][0]).exists()

@@ -137,13 +137,19 @@ HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
         ("modle = 'a'", "study.toml: modle: no such key; did you mean 'model' or"),
         (HEAD + "at_rset = true", "study.toml, [records] at_rset: no such key; did you mean 'at_rest'?"),
         (HEAD + "[fit]\nprofle = ['K']", "study.toml, [fit]: profle: no such key; did you mean 'profile' or"),
-        (HEAD + "[fixed]\nM = 'ten'", "study.toml, [fixed], M: 'ten' must be a number in the unit of the model, or 'as declared'"),
+        (
+            HEAD + "[fixed]\nM = 'ten'",
+            "study.toml, [fixed], M: 'ten' must be a number in the unit of the model, or 'as declared'",
+        ),
         (HEAD + "[start]\nM = true", "study.toml, [start], M: True must be a number"),
         (HEAD + "[noise]\nx = nan", "study.toml, [noise], x: nan must be finite"),
         (HEAD + "[noise]\nx = 1" + "0" * 400, "[noise], x: 1000000000000000000000000000000000"),
         (HEAD + "skip = -1", "study.toml, [records] skip: -1: give 0 or more"),
         (HEAD + "skip = 1.5", "study.toml, [records] skip: 1.5 must be a whole number"),
-        (HEAD + "hold = 'second'", "study.toml, [records] hold: there is no choice 'second'; known: zero, first, band-limited"),
+        (
+            HEAD + "hold = 'second'",
+            "study.toml, [records] hold: there is no choice 'second'; known: zero, first, band-limited",
+        ),
         (HEAD + "at_rest = 1", "study.toml, [records] at_rest: 1 must be true or false"),
         (HEAD + "quiet = [1]", "study.toml, [records] quiet: 1 must be a text in quotes"),
         (HEAD + "quiet = {a = 1}", "study.toml, [records] quiet: a table must be a list"),
@@ -153,16 +159,28 @@ HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
         ("records = 3", "study.toml, records: must be a table, as in [records]"),
         ("fit = 3\n" + HEAD, "study.toml: fit: must be a table, as in [fit]"),
         (HEAD + "[fixed]\nM = 1\n[fixed]\nRa = 1", "not TOML: Cannot declare ('fixed',) twice"),
-        (HEAD + "skip = 3\n[fit.records]\nskip = 4", "study.toml, [fit.records] skip: given twice, for all commands and for fit"),
-        ("further = true\n" + HEAD, "greybox fit does not use it, discover does; leave it out, or move it to the table [discover]"),
-        (HEAD + "[discover.ties]\nKv = 'Kf'", "[discover.ties]: greybox discover does not use it, fit and compare and check do"),
+        (
+            HEAD + "skip = 3\n[fit.records]\nskip = 4",
+            "study.toml, [fit.records] skip: given twice, for all commands and for fit",
+        ),
+        (
+            "further = true\n" + HEAD,
+            "greybox fit does not use it, discover does; leave it out, or move it to the table [discover]",
+        ),
+        (
+            HEAD + "[discover.ties]\nKv = 'Kf'",
+            "[discover.ties]: greybox discover does not use it, fit and compare and check do",
+        ),
         ("[records]\nestimation = ['a.csv']", 'study.toml: model is missing; name one, as in model = "micro_actuator"'),
         ('model = "micro_actuator"', "study.toml: [records] estimation is missing; name records"),
         (HEAD, "a.csv: file not found"),
-        (HEAD + "[fixed]\nM = 0.01\n[start]\nM = 0.02", "M: study.toml, [fixed] and study.toml, [start] contradict each other"),
+        (
+            HEAD + "[fixed]\nM = 0.01\n[start]\nM = 0.02",
+            "M: study.toml, [fixed] and study.toml, [start] contradict each other",
+        ),
         (HEAD + "\x00", "not TOML"),
     ],
-)  # fmt: skip
+)
 def test_a_mistake_in_a_study_file_is_one_line_with_its_place(
     run: Run, tmp_path: Path, text: str, message: str
 ) -> None:

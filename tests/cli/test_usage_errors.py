@@ -48,9 +48,18 @@ SHOW = "greybox fit --help"
     [
         ("chek", "chek: there is no such command; did you mean 'check'?"),
         ("--versoin", "--versoin: greybox has no such option; did you mean --version? Or see greybox --help"),
-        ("fit rig d.csv --nosie x=1", "--nosie: greybox fit has no such option; did you mean --noise or --tie or --profile?"),
-        ("fit rig d.csv --method rk5", "--method rk5: there is no such choice; did you mean 'rk4'? (known: automatic, exact, rk4, mixed"),
-        ("export f.json --to contrl", "--to contrl: there is no such choice; did you mean 'control'? (known: control, mat"),
+        (
+            "fit rig d.csv --nosie x=1",
+            "--nosie: greybox fit has no such option; did you mean --noise or --tie or --profile?",
+        ),
+        (
+            "fit rig d.csv --method rk5",
+            "--method rk5: there is no such choice; did you mean 'rk4'? (known: automatic, exact, rk4, mixed",
+        ),
+        (
+            "export f.json --to contrl",
+            "--to contrl: there is no such choice; did you mean 'control'? (known: control, mat",
+        ),
         ("fit rig d.csv --starts 0", f"--starts 0: give 1 or more; see {SHOW}"),
         ("fit rig d.csv --skip=-1", f"--skip -1: give 0 or more; see {SHOW}"),
         ("fit rig d.csv --skip ten", f"--skip ten: write a whole number; see {SHOW}"),
@@ -61,21 +70,39 @@ SHOW = "greybox fit --help"
         ("export f.json", "--to is missing; see greybox export --help"),
         ("init a b", "greybox init: got unexpected extra argument"),
         ("fit data.csv", "data.csv: a record, not a model; MODEL comes first: write greybox fit MODEL DATA"),
-        ("check data.csv", "data.csv: a record, not a model file; MODEL comes first, as in MODEL data.csv (known models: cascaded_tanks"),
+        (
+            "check data.csv",
+            "data.csv: a record, not a model file; MODEL comes first, as in MODEL data.csv (known models: cascaded_tanks",
+        ),
         ("simulate ./data.mat --step 1", "./data.mat: a record, not a model file; MODEL comes first"),
-        ("fit micro_actuator data.csv --schedule K=u@q", "--schedule K=u@q: 'q' is not a number; write it without a unit, as in"),
-        ("fit micro_actuator data.csv --schedule K=u", "--schedule K=u: u is an input; say at which value of it K holds, as in"),
-        ("fit micro_actuator data.csv --tie Kv=", "--tie Kv=: nothing stands after the '='; write --tie NAME=FORMULA without"),
+        (
+            "fit micro_actuator data.csv --schedule K=u@q",
+            "--schedule K=u@q: 'q' is not a number; write it without a unit, as in",
+        ),
+        (
+            "fit micro_actuator data.csv --schedule K=u",
+            "--schedule K=u: u is an input; say at which value of it K holds, as in",
+        ),
+        (
+            "fit micro_actuator data.csv --tie Kv=",
+            "--tie Kv=: nothing stands after the '='; write --tie NAME=FORMULA without",
+        ),
         ("fit micro_actuator data.csv --prior K=5+-q", "--prior K=5+-q: 'q' is not a number"),
-        ("fit micro_actuator data.csv --predict 100000", "--predict 100000: the longest record has 300 rows, and the first 100000 of each"),
+        (
+            "fit micro_actuator data.csv --predict 100000",
+            "--predict 100000: the longest record has 300 rows, and the first 100000 of each",
+        ),
         ("compare micro_actuator data.csv --predict 300", "--predict 300: the longest record has 300 rows"),
-        ("fit micro_actuator data.csv --arc-length 1", "arcs of 1 s: the longest record lasts 0.07475 s, so no record would be cut"),
+        (
+            "fit micro_actuator data.csv --arc-length 1",
+            "arcs of 1 s: the longest record lasts 0.07475 s, so no record would be cut",
+        ),
         (
             "simulate micro_actuator --multisine 2 --band 5:4000 --duration 0.1 --sampling-time 2.5e-4",
             "a multisine up to 4000 Hz: samples every 0.00025 s show frequencies below 2000 Hz alone; end it lower, or sample faster",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_mistake_is_told_in_one_line(run: Run, data: Path, tmp_path: Path, words: str, message: str) -> None:
     result = run(*words.split())
     assert result.exit_code == 2
@@ -105,8 +132,8 @@ def test_predictions_beyond_every_record_are_refused(fitted) -> None:
 
 
 def test_arcs_that_leave_the_record_whole_are_called_so() -> None:
-    found = fit(RIG, driven(), noise=NOISE, options=FitOptions(arc_length=0.06))
-    assert "arcs of 0.06 s, which leave every record whole" in str(found.solver.strategy)
+    result = fit(RIG, driven(), noise=NOISE, options=FitOptions(arc_length=0.06))
+    assert "arcs of 0.06 s, which leave every record whole" in str(result.solver.strategy)
 
 
 def test_an_operating_point_far_outside_the_records_is_named_with_their_range(fitted) -> None:

@@ -93,12 +93,12 @@ def test_a_project_is_found_from_below_and_its_models_come_first(folder: Path, w
 
 def test_there_is_one_module_and_one_identity(folder: Path, write: Write) -> None:
     write("models/rig.py", rig("rig"))
-    found = find_model("rig")
+    model = find_model("rig")
     import models.rig
 
-    assert models.rig.rig is found
-    assert find_model("models/rig.py") is found
-    assert find_model(str(folder / "models" / "rig.py:rig")) is found
+    assert models.rig.rig is model
+    assert find_model("models/rig.py") is model
+    assert find_model(str(folder / "models" / "rig.py:rig")) is model
 
 
 def test_another_project_has_other_models(folder: Path, write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,10 +162,10 @@ def test_a_broken_file_does_not_hide_the_others(folder: Path, write: Write) -> N
     write("models/rig.py", rig("rig", "second"))
     assert find_model("rig").name == "rig"
     assert find_model("second").name == "second"
-    found = list_models()
-    assert "rig" in {f.name for f in found.models}
-    assert len(found.problems) == 1
-    assert "a_broken.py, line 2: ZeroDivisionError" in found.problems[0]
+    listing = list_models()
+    assert "rig" in {f.name for f in listing.models}
+    assert len(listing.problems) == 1
+    assert "a_broken.py, line 2: ZeroDivisionError" in listing.problems[0]
     with pytest.raises(ModelError, match=r"no model 'third'(.|\n)*not looked into: .*a_broken.py, line 2"):
         find_model("third")
     with pytest.raises(ModelError, match="ZeroDivisionError"):
