@@ -12,6 +12,7 @@ from typer.testing import CliRunner, Result
 from greybox import FitOptions, compare, fit, linearise
 from greybox.cli.app import app
 from greybox.errors import DataError
+from greybox.export.findings import ExportFinding
 from greybox.residuals import score
 from greybox.signals import multisine
 from greybox.simulation import write_csv
@@ -99,7 +100,7 @@ SHOW = "greybox fit --help"
         ),
         (
             "simulate micro_actuator --multisine 2 --band 5:4000 --duration 0.1 --sampling-time 2.5e-4",
-            "a multisine up to 4000 Hz: samples every 0.00025 s show frequencies below 2000 Hz alone; end it lower, or sample faster",
+            "a multisine up to 4000 Hz: samples every 0.00025 s show only frequencies below 2000 Hz; end it lower, or sample faster",
         ),
     ],
 )
@@ -137,11 +138,10 @@ def test_arcs_that_leave_the_record_whole_are_called_so() -> None:
 
 
 def test_an_operating_point_far_outside_the_records_is_named_with_their_range(fitted) -> None:
-    (note,) = linearise(fitted, {"u": 1e9}).notes
-    assert note.startswith(
-        "the operating point lies far outside the fitted records, u = 1e+09 V (records: -2 to 2 V), x = "
-    )
-    assert linearise(fitted, {"u": 1.5}).notes == linearise(fitted).notes == linearise(RIG, {"u": 1e9}).notes == ()
+    (finding,) = linearise(fitted, {"u": 1e9}).findings
+    assert finding.code == ExportFinding.OUTSIDE_RECORDS
+    for inside in (linearise(fitted, {"u": 1.5}), linearise(fitted), linearise(RIG, {"u": 1e9})):
+        assert inside.findings == ()
 
 
 def test_completion_is_silent_about_an_unknown_command() -> None:

@@ -166,7 +166,7 @@ def test_a_broken_file_does_not_hide_the_others(folder: Path, write: Write) -> N
     assert "rig" in {f.name for f in listing.models}
     assert len(listing.problems) == 1
     assert "a_broken.py, line 2: ZeroDivisionError" in listing.problems[0]
-    with pytest.raises(ModelError, match=r"no model 'third'(.|\n)*not looked into: .*a_broken.py, line 2"):
+    with pytest.raises(ModelError, match=r"no model 'third'(.|\n)*not read: .*a_broken.py, line 2"):
         find_model("third")
     with pytest.raises(ModelError, match="ZeroDivisionError"):
         find_model("a_broken")
