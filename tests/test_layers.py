@@ -44,14 +44,10 @@ LEVEL = {room: level for level, row in enumerate(ROWS) for room in row}
 
 
 class Import(NamedTuple):
-    """``module`` is imported in line ``line`` of ``file``, which is the module ``importer``.
-
-    ``late`` says that it is imported inside a function, when that runs, and not together with the importer.
-    """
+    """``module`` is imported in line ``line`` of ``file``, which is the module ``importer``; at its top or inside a function."""
 
     file: Path
     line: int
-    late: bool
     importer: str
     module: str
 
@@ -79,28 +75,27 @@ def is_module(name: str) -> bool:
     return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
 
 
-def running_code(node: ast.AST, late: bool = False) -> Iterator[tuple[ast.AST, bool]]:
-    """Every node below ``node`` that runs, and whether inside a function; ``if TYPE_CHECKING`` does not run."""
-    yield node, late
-    late = late or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+def running_code(node: ast.AST) -> Iterator[ast.AST]:
+    """Every node below ``node`` that runs; ``if TYPE_CHECKING`` does not run."""
+    yield node
     for_types_only = isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING")
     for child in node.orelse if for_types_only else ast.iter_child_nodes(node):
-        yield from running_code(child, late)
+        yield from running_code(child)
 
 
 def imports(path: Path) -> Iterator[Import]:
     importer = module_name(path)
     package = importer if path.name == "__init__.py" else importer.rpartition(".")[0]
-    for node, late in running_code(parsed(path)):
+    for node in running_code(parsed(path)):
         if isinstance(node, ast.Import):
-            yield from (Import(path, node.lineno, late, importer, alias.name) for alias in node.names)
+            yield from (Import(path, node.lineno, importer, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             # `from .. import x` names its module by its distance from here
             above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
             base = ".".join([*above, *filter(None, [node.module])])
             for alias in node.names:
                 inside = f"{base}.{alias.name}"
-                yield Import(path, node.lineno, late, importer, inside if is_module(inside) else base)
+                yield Import(path, node.lineno, importer, inside if is_module(inside) else base)
 
 
 def room(module: str) -> str:
@@ -167,9 +162,9 @@ def test_rooms_of_a_row_do_not_import_in_a_circle() -> None:
 
 
 def test_no_module_imports_itself_through_others() -> None:
-    """A method may hand over to a module built upon its class, in the same room, by a late import."""
+    """Imports inside functions count as well: they hide circles, and do not remove them."""
     local = ("greybox", "models", "fits")
-    found = circle({(f.importer, f.module) for f in all_imports(*local) if top(f.module) in local and not f.late})
+    found = circle({(f.importer, f.module) for f in all_imports(*local) if top(f.module) in local})
     assert not found, f"modules import one another in a circle: {' -> '.join(found)}"
 
 

@@ -148,7 +148,7 @@ class MultipleShooting:
             Called with the number of each iteration and its cost; ends the search by an answer that is true.
         """
         began = time.perf_counter()
-        point = _Point(np.zeros(self.variables.size), self.nodes)
+        point = _ShootingPoint(np.zeros(self.variables.size), self.nodes)
         if relax and self._arcs:
             point.z[: self._arcs.size] = fit_without_continuity(self._arcs)
             point.nodes = to_nodes(self.single, self.cuts, self._arcs)
@@ -178,7 +178,7 @@ class MultipleShooting:
 
     def gauss_newton_step(self) -> np.ndarray:
         """The next Gauss-Newton step of the constants (nf,) in ``z`` from the present nodes; NaN where a segment overflows."""
-        linearised = self._linearise(_Point(np.zeros(self.variables.size), self.nodes))
+        linearised = self._linearise(_ShootingPoint(np.zeros(self.variables.size), self.nodes))
         if linearised is None:
             return np.full(len(self.variables.which), np.nan)
         return self._compute_step(linearised, 0.0)[0]
@@ -195,7 +195,9 @@ class MultipleShooting:
         patience = self.policy.patience
         return len(costs) > patience and costs[-1 - patience] - costs[-1] <= self.policy.little_gain * costs[-1]
 
-    def _search_step(self, point: _Point, linearised: _LinearisedPoint) -> tuple[_Point, _LinearisedPoint] | None:
+    def _search_step(
+        self, point: _ShootingPoint, linearised: _LinearisedPoint
+    ) -> tuple[_ShootingPoint, _LinearisedPoint] | None:
         """The next point: the longest step, ever more damped, that lowers the cost or the gaps (filter of Fletcher and Leyffer)."""
         point.filter.append((linearised.violation, linearised.cost))
         for damping in self.policy.dampings:
@@ -215,14 +217,16 @@ class MultipleShooting:
         dz = compute_bounded_step(self.variables, linearised.z, condensed.gradient, condensed.hessian, damping)
         return condensed.step(dz)
 
-    def _take_step(self, point: _Point, step: tuple[np.ndarray, list[np.ndarray]], length: float) -> _Point:
+    def _take_step(
+        self, point: _ShootingPoint, step: tuple[np.ndarray, list[np.ndarray]], length: float
+    ) -> _ShootingPoint:
         dz, ds = step
         z = point.z.copy()
         z[: len(dz)] += length * dz
         nodes = [s + length * d * self.scale for s, d in zip(point.nodes, ds, strict=True)]
-        return _Point(z, nodes, list(point.filter))
+        return _ShootingPoint(z, nodes, list(point.filter))
 
-    def _linearise(self, point: _Point) -> _LinearisedPoint | None:
+    def _linearise(self, point: _ShootingPoint) -> _LinearisedPoint | None:
         """Residuals, end states and their slopes of every segment, the nodes eliminated; None where a segment overflows, or nearly."""
         self.evaluations += 1
         segments, squares, counts = [], np.zeros(self.ny), np.zeros(self.ny, int)
@@ -247,7 +251,7 @@ class MultipleShooting:
             float(gaps.sum()),
         )
 
-    def _run_segments(self, point: _Point, e: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _run_segments(self, point: _ShootingPoint, e: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Residuals and Jacobian, along the constants and its own first state, of each segment of record ``e``; states beside outputs."""
         n, nx = len(self.variables.which), self.nx
         p = self.variables.parameters(point.z, e)
@@ -263,7 +267,7 @@ class MultipleShooting:
         ]
 
     def _linearise_record(
-        self, point: _Point, e: int, squares: np.ndarray, counts: np.ndarray
+        self, point: _ShootingPoint, e: int, squares: np.ndarray, counts: np.ndarray
     ) -> list[LinearisedSegment] | None:
         v, n, nodes = self.variables, len(self.variables.which), point.nodes[e]
         segments = []
@@ -284,7 +288,7 @@ class MultipleShooting:
             segments[0] = replace(segments[0], tie=tie)
         return segments
 
-    def _condense_residuals(self, point: _Point, e: int, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _condense_residuals(self, point: _ShootingPoint, e: int, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, ny) of record ``e`` and their Jacobian (N, ny, L), ``slope`` (segments + 1, nx, nf) being that of the nodes."""
         n, pieces = len(self.variables.which), []
         for k, ((r, j), (a, b)) in enumerate(zip(self._run_segments(point, e), pairwise(self.cuts[e]), strict=True)):
@@ -296,7 +300,7 @@ class MultipleShooting:
 
     def _make_result(
         self,
-        point: _Point,
+        point: _ShootingPoint,
         linearised: _LinearisedPoint | None,
         status: TerminationStatus,
         iteration: int,
@@ -319,7 +323,7 @@ class MultipleShooting:
 
 
 @dataclass
-class _Point:
+class _ShootingPoint:
     """``z``, the nodes of each record, and the pairs (gaps, cost) that a new point must not be worse than in both."""
 
     z: np.ndarray

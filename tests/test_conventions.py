@@ -1,0 +1,100 @@
+"""Conventions that keep the library findable: where numbers stand, what names say, what public docstrings hold."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import greybox
+
+ROOT = Path(__file__).resolve().parents[1]
+LIBRARY = sorted((ROOT / "greybox").rglob("*.py"))
+
+# Constants of nature and of file formats, and the like. Decision numbers belong to a policy, tolerances to numerics.py.
+MOST_NUMERIC_CONSTANTS = 40
+# Names that say nothing of what they hold.
+VAGUE = {"found", "said", "told", "there", "here", "own", "ways"}
+
+
+def is_number(node: ast.AST) -> bool:
+    if isinstance(node, ast.UnaryOp):
+        return is_number(node.operand)
+    if isinstance(node, ast.BinOp):
+        return is_number(node.left) and is_number(node.right)
+    if isinstance(node, ast.Tuple | ast.List):
+        return bool(node.elts) and all(map(is_number, node.elts))
+    return isinstance(node, ast.Constant) and type(node.value) in (int, float)
+
+
+def assigned(statement: ast.stmt) -> Iterator[tuple[str, ast.AST]]:
+    """Name and value of each assignment that a statement makes."""
+    if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name) and statement.value:
+        yield statement.target.id, statement.value
+    for target in statement.targets if isinstance(statement, ast.Assign) else ():
+        if isinstance(target, ast.Name):
+            yield target.id, statement.value
+        elif isinstance(target, ast.Tuple) and isinstance(statement.value, ast.Tuple):
+            names = [e.id for e in target.elts if isinstance(e, ast.Name)]
+            yield from zip(names, statement.value.elts, strict=False)
+
+
+def test_numbers_stand_in_policies_or_among_the_tolerances() -> None:
+    constants = [
+        f"{path.relative_to(ROOT)}:{statement.lineno} {name}"
+        for path in LIBRARY
+        if path.name not in ("policy.py", "numerics.py")
+        for statement in ast.parse(path.read_text(encoding="utf-8")).body
+        for name, value in assigned(statement)
+        if re.fullmatch(r"_?[A-Z][A-Z0-9_]*", name) and is_number(value)
+    ]
+    assert len(constants) <= MOST_NUMERIC_CONSTANTS, "\n".join(
+        [f"{len(constants)} numeric constants at module level, at most {MOST_NUMERIC_CONSTANTS}:", *constants]
+    )
+
+
+def test_no_two_classes_share_a_name() -> None:
+    classes = Counter(
+        node.name
+        for path in LIBRARY
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    )
+    assert not [name for name, count in classes.items() if count > 1]
+
+
+def test_variables_say_what_they_hold() -> None:
+    vague = [
+        f"{path.relative_to(ROOT)}:{node.lineno} {name}"
+        for path in LIBRARY
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if (name := node.arg if isinstance(node, ast.arg) else getattr(node, "id", "")) in VAGUE
+        and not (isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load))
+    ]
+    assert not vague, "\n".join(["names that say nothing of what they hold:", *vague])
+
+
+def called_by_users() -> dict[str, object]:
+    """The functions at the top of the package and in its namespaces."""
+    spaces = ("blackbox", "discovery", "effects", "estimation", "export", "identifiability", "signals", "uncertainty")
+    names = {name: getattr(greybox, name) for name in greybox.__all__}
+    for space in spaces:
+        module = importlib.import_module(f"greybox.{space}")
+        public = getattr(module, "__all__", None) or [n for n in vars(module) if not n.startswith("_")]
+        names |= {f"{space}.{name}": getattr(module, name) for name in public}
+    return {name: value for name, value in names.items() if inspect.isfunction(value)}
+
+
+@pytest.mark.parametrize("name", sorted(called_by_users()))
+def test_a_function_that_users_call_documents_its_parameters(name: str) -> None:
+    function = called_by_users()[name]
+    text = inspect.getdoc(function) or ""
+    if inspect.signature(function).parameters:
+        assert re.search(r"^Parameters\n-{10}$", text, re.MULTILINE), f"{name} has no section Parameters"
+    assert re.search(r"^(Returns|Yields)\n-+$", text, re.MULTILINE), f"{name} has no section Returns"
