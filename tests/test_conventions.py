@@ -8,6 +8,7 @@ import inspect
 import re
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,11 @@ LIBRARY = sorted((ROOT / "greybox").rglob("*.py"))
 MOST_NUMERIC_CONSTANTS = 40
 # Names that say nothing of what they hold.
 VAGUE = {"found", "said", "told", "there", "here", "own", "ways"}
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def is_number(node: ast.AST) -> bool:
@@ -50,7 +56,7 @@ def test_numbers_stand_in_policies_or_among_the_tolerances() -> None:
         f"{path.relative_to(ROOT)}:{statement.lineno} {name}"
         for path in LIBRARY
         if path.name not in ("policy.py", "numerics.py")
-        for statement in ast.parse(path.read_text(encoding="utf-8")).body
+        for statement in parsed(path).body
         for name, value in assigned(statement)
         if re.fullmatch(r"_?[A-Z][A-Z0-9_]*", name) and is_number(value)
     ]
@@ -61,10 +67,7 @@ def test_numbers_stand_in_policies_or_among_the_tolerances() -> None:
 
 def test_no_two_classes_share_a_name() -> None:
     classes = Counter(
-        node.name
-        for path in LIBRARY
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.ClassDef)
+        node.name for path in LIBRARY for node in ast.walk(parsed(path)) if isinstance(node, ast.ClassDef)
     )
     assert not [name for name, count in classes.items() if count > 1]
 
@@ -73,13 +76,14 @@ def test_variables_say_what_they_hold() -> None:
     vague = [
         f"{path.relative_to(ROOT)}:{node.lineno} {name}"
         for path in LIBRARY
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(parsed(path))
         if (name := node.arg if isinstance(node, ast.arg) else getattr(node, "id", "")) in VAGUE
         and not (isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load))
     ]
     assert not vague, "\n".join(["names that say nothing of what they hold:", *vague])
 
 
+@cache
 def called_by_users() -> dict[str, object]:
     """The functions at the top of the package and in its namespaces."""
     spaces = ("blackbox", "discovery", "effects", "estimation", "export", "identifiability", "signals", "uncertainty")

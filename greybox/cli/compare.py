@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from greybox.cli import ExitCode
+from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
 from greybox.cli.inputs import (
     add_effects,

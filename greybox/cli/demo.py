@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from greybox.cli import ExitCode
+from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
 from greybox.cli.options import Json, NoReport, check_writable
 from greybox.cli.progress import show_search_progress

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli import ExitCode
+from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
 from greybox.cli.inputs import build_model, print_record_notes, read_quiet_records, read_records
 from greybox.cli.options import Json, NoReport, check_writable, takes_study

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
-from greybox.cli import ExitCode
+from greybox.cli.exit_codes import ExitCode
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
-from greybox.cli import ExitCode, completion
+from greybox.cli import completion
+from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error, print_findings
 from greybox.cli.findings import CommandCode
 from greybox.cli.study import STUDY_COMMANDS, Spec, Study, fields_of

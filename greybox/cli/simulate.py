@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.cli import ExitCode, completion
+from greybox.cli import completion
 from greybox.cli.answers import SimulationAnswer
+from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error, print_findings, print_note
 from greybox.cli.findings import CommandCode
 from greybox.cli.inputs import add_effects, check_substeps

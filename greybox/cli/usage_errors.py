@@ -12,7 +12,7 @@ from typing import Any
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
-from greybox.cli import ExitCode
+from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
 from greybox.errors import nearest
 

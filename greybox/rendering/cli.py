@@ -48,11 +48,11 @@ def fit_answer(answer: FitAnswer) -> str:
         zeros = [f"{name}: zero; its limit is listed with the parameters" for name in answer.zero_noise]
         lines += ["", "profile likelihood", *_indented("\n".join([*map(str, answer.profiles), *zeros]))]
     if answer.bootstrap is not None:
-        found = answer.bootstrap
-        lines += ["", f"block bootstrap, {len(found.samples)} replicates in blocks of {found.block} rows"]
-        for name in found.names:
-            low, high = found.interval[name]
-            lines.append(f"  {name}: standard deviation {found.std[name]:.3g}, 95 % [{low:.5g}, {high:.5g}]")
+        bootstrap = answer.bootstrap
+        lines += ["", f"block bootstrap, {len(bootstrap.samples)} replicates in blocks of {bootstrap.block} rows"]
+        for name in bootstrap.names:
+            low, high = bootstrap.interval[name]
+            lines.append(f"  {name}: standard deviation {bootstrap.std[name]:.3g}, 95 % [{low:.5g}, {high:.5g}]")
     if answer.refusal:
         lines += ["", answer.refusal]
     for title, scores in (("", answer.scores), (", validation records", answer.validation_scores)):
