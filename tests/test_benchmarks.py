@@ -33,6 +33,4 @@ def test_starts_are_off_and_the_fit_ends_at_the_noise(name):
     solution = ours.solve(problem, ours.options(case))
     assert solution.status.success
     assert 0.9 < math.sqrt(solution.evaluation.cost / solution.evaluation.count) < 1.1
-    assert (
-        solution.strategy.startswith("single shooting on a growing record") or "the whole record" in solution.strategy
-    )
+    assert solution.strategy.subject == "single" and solution.strategy.values["shares"][-1] == 1
