@@ -1,6 +1,6 @@
 """Findings and checks: what a result has to say about itself, as data.
 
-A `Finding` is a fact that a reader should know before trusting a number. A `ModelCheck` is one decision: the rule, the value that it was
+A `Finding` is a fact that a reader should know before trusting a number. A `Check` is one decision: the rule, the value that it was
 applied to, the limit, and the outcome. Code branches on ``code`` and ``rule``, never on a sentence; `greybox.rendering` holds one
 template for each code.
 """

@@ -1,4 +1,4 @@
-"""Minimisation of sums of squares and of sparse programs. The only room that names IPOPT."""
+"""Minimisation of sums of squares and of sparse programs. The only package that calls IPOPT."""
 
 from greybox.optim.ipopt_dense import minimise
 from greybox.optim.ipopt_sparse import solve_sparse

@@ -35,7 +35,8 @@ def run_damped_gauss_newton(
             damping *= policy.decrease
         elif share < policy.poor_share:
             damping = max(damping, policy.initial_damping) * policy.increase
-        if search.best_cost < before:
+        is_accepted = search.best_cost < before
+        if is_accepted:
             rejections, kink_steps = 0, 0 if share > policy.kink_share else kink_steps + 1
             if search.finish_iteration():
                 return search.status is not None or search.stop

@@ -56,7 +56,7 @@ class Minimisation:
         return self.shortenings > self.policy.max_shortenings
 
     def remember(self, z: np.ndarray, value: QuadraticModel) -> None:
-        """Remember the value at ``z``, and the best one."""
+        """Remember the value at ``z``, which becomes the best point if its cost is lower."""
         self._last = z.tobytes(), value
         self.shortenings += np.isfinite(value.cost)
         if self.best_value is None or value.cost < self.best_cost:

@@ -7,7 +7,7 @@ A module of this package serves one package of the library (``rendering/estimati
   the finding to its sentence where a list or a plural has to be written.
 - ``@renders("Fit")``: the function that writes a result of the class of that name as plain text for ``print(result)``.
 
-The modules import result classes for type checking only, so that printing one result does not load the rest of the library.
+A writer is found by the name of the class, so a module needs a result class for type checking only.
 """
 
 from greybox.rendering.registry import register, renders, sentence, sentences, templates, text

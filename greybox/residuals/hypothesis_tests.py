@@ -251,7 +251,7 @@ def _free_run(fit: Fit) -> tuple[Rows, Rows, ColumnLayout]:
     variables = problem.variables
     shooting, zero = problem.shooting(variables), np.zeros(variables.size)
     rows = shooting.residuals(zero)
-    return rows, shooting.whitened(zero) if isinstance(shooting, RobustShooting) else rows, variables
+    return rows, shooting.whiten_residuals(zero) if isinstance(shooting, RobustShooting) else rows, variables
 
 
 def _innovations(fit: Fit) -> tuple[Rows, Rows, ColumnLayout]:

@@ -180,7 +180,7 @@ class WhitenedShooting(SingleShooting):
         gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
         squares, counts = np.zeros(ny), np.zeros(ny, int)
         with np.errstate(all="ignore"):  # what is not finite is found and reported
-            for e, (r, jacobian) in enumerate(self.whitened(z)):
+            for e, (r, jacobian) in enumerate(self.whiten_residuals(z)):
                 is_measured = np.isfinite(self.records[e].samples(self.records[e].y[: self.rows[e]]))
                 r, jacobian = r[: len(is_measured)], jacobian[: len(is_measured)]
                 is_lost = is_measured & ~(np.isfinite(r) & np.isfinite(jacobian).all(axis=2))
@@ -202,9 +202,9 @@ class WhitenedShooting(SingleShooting):
 
     def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each record the whitened residuals (N, ny) and their Jacobian (N, ny, L) along `DecisionVector.columns`."""
-        return self.whitened(z)
+        return self.whiten_residuals(z)
 
-    def whitened(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    def whiten_residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each record the free-run residuals (N, ny) and their Jacobian (N, ny, L) in units of their innovations."""
         if not any(colour.order for colour in self.colour):
             return super().residuals(z)
@@ -249,7 +249,7 @@ class RobustShooting(WhitenedShooting):
         curvature are those of the robust cost, and the spread of the residual is what outliers leave of it, so that every
         statement about least squares (covariance, bootstrap, tests) holds for the robust fit (Huber 1981, chapter 7).
         """
-        raw = self.whitened(z)
+        raw = self.whiten_residuals(z)
         m = np.sqrt(self.loss.mean_curvature(np.concatenate([r for r, _ in raw])))
         return [(self.loss.terms(r)[1] / m, m[:, None] * jacobian) for r, jacobian in raw]
 
