@@ -22,6 +22,11 @@ from greybox.units import ONE
 
 A, B = ca.SX.sym("a"), ca.SX.sym("b")
 POINTS = {ca.OP_ACOSH: (1.6, 1.7), ca.OP_FMOD: (3.1, 1.7), ca.OP_REMAINDER: (3.1, 1.7)}
+# Modelica Language Specification 3.6, sections 3.7 and 10.3.4: the built-in functions of numbers.
+MODELICA_FUNCTIONS = {
+    *("abs", "sign", "sqrt", "div", "mod", "rem", "ceil", "floor", "integer", "min", "max", "exp", "log", "log10"),
+    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"),
+}
 ROWS = [pytest.param(row, id=operation_name(row.code)) for row in OPERATIONS.values()]
 
 
@@ -87,6 +92,11 @@ def test_a_formula_reads_back_as_the_operation(row: Operation) -> None:
 def test_modelica_text_names_the_operands(row: Operation) -> None:
     text = written_or_refused(MODELICA, applied(row), bool(row.modelica) or row.code == ca.OP_IF_ELSE_ZERO)
     assert not text or {"a", "b"[: row.arity - 1]} - {""} <= set(re.findall(r"\w+", text))
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_modelica_text_calls_only_what_the_language_has(row: Operation) -> None:
+    assert set(re.findall(r"(\w+)\(", row.modelica)) <= MODELICA_FUNCTIONS
 
 
 @pytest.mark.parametrize("row", ROWS)

@@ -86,6 +86,18 @@ PAIRS = {
         ("backlash", "input_offset"),
     ],
 }
+# Effects of the benchmark rigs, which have no twin: tests/test_real_data.py has their formulas.
+BY_HAND = {
+    "displacement_damping",
+    "cubic_damping",
+    "directional_damping",
+    "upper_overflow",
+    "lower_overflow",
+    "reading_curve",
+    "sensor_saturation",
+    "linear_input",
+    "band_limited_input",
+}
 TRUTHS = {"micro_actuator": ACTUATOR, "pneumatic_cylinder": CYLINDER}
 CASES = [
     *((rig, (name,)) for rig, entries in TRUTHS.items() for name in entries),
@@ -139,6 +151,10 @@ def deviation(rig, names, substeps):
     plain = np.array(rig_twins.simulate(rig, model.values, {}, u, PERIOD[rig], 20))
     ours, _, _ = outputs(model, experiment, substeps)
     return np.abs(ours - twin).max(axis=0) / NOISE[rig], np.abs(twin - plain).max(axis=0) / NOISE[rig]
+
+
+def test_every_effect_of_the_catalogue_is_compared_here_or_by_hand():
+    assert {entry.name for entry in CATALOGUE} == set(ACTUATOR) | set(CYLINDER) | BY_HAND
 
 
 def test_every_effect_of_both_rigs_is_compared():
