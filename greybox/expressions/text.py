@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from greybox.expressions.operations import OPERATIONS, Operation
+from greybox.expressions.operations import OPERATIONS, Operation, operation_name
 from greybox.expressions.printer import Dialect
 
 Factors = dict[str, float]  # text that stands for itself (a name, a call, a bracket) -> exponent
@@ -61,7 +61,7 @@ class TextDialect(Dialect[Sum]):
             return (_atom(f"|{texts[0]}|"),)
         row = OPERATIONS.get(code)
         if row is None or not row.text:
-            return (_atom(f"operation{code}({', '.join(texts)})"),)
+            return (_atom(f"{operation_name(code)}({', '.join(texts)})"),)
         if row.logical:
             return (_atom(_relation(row, [_operand(operand) for operand in operands])),)
         return (_atom(row.text.format(*texts)),)

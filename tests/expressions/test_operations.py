@@ -15,6 +15,7 @@ from greybox.expressions.c import c_instruction, c_literal, c_type
 from greybox.expressions.derivatives import FLAT, Slopes
 from greybox.expressions.formula import evaluate_formula, format_formula
 from greybox.expressions.operations import Binding, function, operation_name
+from greybox.expressions.text import expression_text
 from greybox.expressions.units import infer_unit
 from greybox.kernel.interpreted import evaluate_tape
 from greybox.kernel.tape import read_tape
@@ -176,5 +177,6 @@ def test_a_function_is_one_row() -> None:
 
 
 def test_an_operation_without_a_row_is_named() -> None:
+    assert expression_text(ca.SX.binary(ca.OP_PRINTME, A, B)) == "OP_PRINTME(a, b)"
     assert operation_name(ca.OP_PRINTME) == "OP_PRINTME"
     assert operation_name(-1) == "unknown"
