@@ -3,7 +3,8 @@
 ``model + effect("coulomb_friction")`` is a new model. The effects are grouped by domain, one file each. They speak in
 roles (``x.velocity``, ``p.resistance``) and sites (``force``, ``input``, ``valve``, ``sensor``), so one entry serves every
 model that has them. Amplitudes are zero in the catalogue (or at their neutral value): an effect just added changes nothing
-until a fit, or ``model.start(Fc=1.5)``, says otherwise. The exception is ``choked_flow``, which replaces the linear law.
+until a fit, or ``model.start(Fc=1.5)``, says otherwise. The exceptions have no amplitude: ``choked_flow`` replaces the linear
+law, ``linear_input`` and ``band_limited_input`` say how the input moves between samples.
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Fitting a model's constants to records."""
+"""Fitting a model's parameters to records.
+
+`fit` makes an `EstimationProblem` of model, records and noise; `solve` chooses a transcription and minimises; the `Solution` is fitted
+again where the residual shows more of the noise, and becomes a `greybox.result.Fit` with covariance, tests and findings.
+"""
 
 from greybox.estimation.fit import fit
 from greybox.estimation.multistart import MultiStartResult, multistart
