@@ -27,9 +27,9 @@ def _weak_excitation(finding: Finding) -> str:
     order, required = finding.values["order"], finding.values["required"]
     signal = EXCITATION.get(order) or (f"as {order // 2} sines are" if order % 2 == 0 else "")
     return (
-        f"Input {finding.subject!r} is persistently exciting of order {order}{f' ({signal})' if signal else ''}, but the structure"
-        f" needs order {required}. The remaining coefficients are determined by transients and noise only. Use a smaller structure or"
-        " a richer input."
+        f"input {finding.subject!r} is persistently exciting of order {order}{f' ({signal})' if signal else ''}, but the structure"
+        f" needs order {required}: only transients and noise determine the remaining coefficients; use a smaller structure or a"
+        " richer input"
     )
 
 
@@ -42,8 +42,8 @@ def _unstable(finding: Finding) -> str:
     else:
         cause = "a structure that is too large (use a smaller one), or an integrating plant, whose pole lies at 1"
     return (
-        f"The model is unstable: its outermost pole lies at |z| = {finding.values['pole']:.6g}, and a free run grows by a factor of e"
-        f" every {finding.values['growth_samples']:.3g} samples. Likely causes: {cause}."
+        f"the model is unstable: its outermost pole lies at |z| = {finding.values['pole']:.6g}, and a free run grows by a factor of e"
+        f" every {finding.values['growth_samples']:.3g} samples; likely causes: {cause}"
     )
 
 
@@ -51,8 +51,8 @@ def _smoothing_feedthrough(finding: Finding) -> str:
     values = finding.values
     jump = f"{values['jump']:.4g} {values['unit']}".rstrip()
     return (
-        f"The response jumps by {jump} at the step, which no plant with inertia does. Its phase is that of a delay of"
-        f" {values['delay']:.4g} s ({values['samples']:.2f} samples)."
+        f"the response jumps by {jump} at the step, which a plant with inertia cannot; its phase is that of a delay of"
+        f" {values['delay']:.4g} s ({values['samples']:.2f} samples)"
     )
 
 
@@ -60,13 +60,13 @@ register(
     {
         BlackBoxFinding.WEAK_EXCITATION: _weak_excitation,
         BlackBoxFinding.UNSTABLE: _unstable,
-        BlackBoxFinding.SEARCH_UNFINISHED: "The search stopped after {iterations} iterations without converging.",
+        BlackBoxFinding.SEARCH_UNFINISHED: "the search stopped after {iterations} iterations without convergence",
         BlackBoxFinding.SMOOTHING_FEEDTHROUGH: _smoothing_feedthrough,
         BlackBoxFinding.SMOOTHING_AT_INTERVAL_END: lambda finding: (
-            f"{', '.join(finding.values['constants'])}: the best draw is the outermost of its interval. Adjust the interval."
+            f"{', '.join(finding.values['constants'])}: the best draw lies at the end of its interval; adjust the interval"
         ),
         BlackBoxFinding.SMOOTHING_ABOVE_SPECIFICATION: (
-            "The mean square error {error:.4g} exceeds the specification {specification:.4g}."
+            "the mean square error {error:.4g} exceeds the specification {specification:.4g}"
         ),
     }
 )
@@ -171,7 +171,7 @@ def structure_scan_text(scan: StructureScan) -> str:
 
 @renders("MonteCarloSmoothing")
 def monte_carlo_smoothing_text(smoothing: MonteCarloSmoothing) -> str:
-    """The five constants with the intervals they were drawn in, the error, and the transfer function."""
+    """The five parameters with the intervals they were drawn from, the error, and the transfer function."""
     from greybox.blackbox.monte_carlo_smoothing.intervals import AXES
     from greybox.blackbox.monte_carlo_smoothing.result import SYMBOLS
 
@@ -190,7 +190,7 @@ def monte_carlo_smoothing_text(smoothing: MonteCarloSmoothing) -> str:
             f" {smoothing.samples} rows",
             *([search] if smoothing.rounds else []),
             "",
-            *format_table(["constant", "value", "unit", "drawn in"], rows),
+            *format_table(["parameter", "value", "unit", "drawn from"], rows),
             "",
             f"mean square error {smoothing.error:.5g} {unit and unit + '^2'}".rstrip(),
             f"transfer function {continuous_transfer_function_text(smoothing.transfer_function)}",

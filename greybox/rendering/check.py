@@ -31,7 +31,7 @@ def write_check(check: ModelCheck) -> str:
     lines += [f"runs as         {check.kernel} ({check.kernel_reason})"]
     if not check.compiled:
         lines.append(
-            "                for the fast kernel install a C compiler (gcc, clang), or name one in the variable CC"
+            "                for the fast kernel, install a C compiler (gcc, clang) or set the environment variable CC"
         )
     if check.assumed:
         lines += ["records         none given; simulated at the start values:", f"                {check.assumed}"]
@@ -41,7 +41,7 @@ def write_check(check: ModelCheck) -> str:
         noise = ", ".join(f"{name} {format_number(std, 3)} {units[name]}".rstrip() for name, std in check.noise.items())
         lines += [f"noise           {noise}; {describe_noise_source(check)}", *_excitation(check)]
     if check.failure and not check.model.free_parameters:
-        return "\n".join([*lines, "", f"constants       {check.failure}"])
+        return "\n".join([*lines, "", f"parameters      {check.failure}"])
     return "\n".join([*lines, "", *_structure(check), "", *_constants(check)])
 
 
@@ -58,8 +58,8 @@ def _excitation(check: ModelCheck) -> list[str]:
 def _structure(check: ModelCheck) -> list[str]:
     structure = check.structure
     if structure is None:
-        return [f"what any record can show: {check.doubt}"]
-    lines = [f"what any record can show: {describe_verdict(structure)}"]
+        return [f"identifiability from any record: {check.doubt}"]
+    lines = [f"identifiability from any record: {describe_verdict(structure)}"]
     if structure.complete:
         return lines
     more = structure.rank - len(structure.determined)
@@ -71,26 +71,28 @@ def _structure(check: ModelCheck) -> list[str]:
 
 def _constants(check: ModelCheck) -> list[str]:
     if check.failure:
-        return [f"constants       {check.failure}"]
-    rows = [["constant", "start value", "expected std", "unit", ""]]
+        return [f"parameters      {check.failure}"]
+    rows = [["parameter", "start value", "expected std", "unit", ""]]
     rows += [_constant_row(name, c) for name, c in check.constants.items()]
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = [
-        "what these records can show, near the start values:" if not check.assumed else "what such a record can show:"
+        "expected precision from these records, near the start values:"
+        if not check.assumed
+        else "expected precision from such a record:"
     ]
     lines += ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
     practical = check.practical
     if not check.complete and practical.combinations:
         lines.append(f"  combinations above the noise: {_list_formulas(practical.combinations)}")
     if not check.complete and practical.by_averaging:
-        lines.append(f"  by averaging the noise alone: {_list_formulas(practical.by_averaging)}")
+        lines.append(f"  only by averaging the noise: {_list_formulas(practical.by_averaging)}")
     if practical.weakest and not check.complete:
         lines.append(
-            f"  weakest of what can be determined: {', '.join(practical.weakest)} ({100 * practical.weakest_std:.2g} %)"
+            f"  least precise combination: {', '.join(practical.weakest)} ({100 * practical.weakest_std:.2g} %)"
         )
     lines += [f"note: {finding}" for finding in practical.findings]
     if check.complete:
-        lines.append("every free constant is determined")
+        lines.append("every free parameter is determined")
     return lines
 
 
@@ -100,7 +102,7 @@ def _constant_row(name: str, c: ExpectedPrecision) -> list[str]:
     precision = (
         f"{format_number(c.std, 2)} ({100 * c.std / abs(c.value):.2g} %)" if c.value else format_number(c.std, 2)
     )
-    remark = "not determined" if not c.determined else "by averaging alone" if c.averaged else ""
+    remark = "not determined" if not c.determined else "only by averaging" if c.averaged else ""
     return [name, format_number(c.value), precision, c.unit, remark]
 
 

@@ -17,22 +17,19 @@ if TYPE_CHECKING:
 
 def _record_split(finding: Finding) -> str:
     pieces = finding.values["pieces"]
-    return (
-        f"{finding.subject} is split at the gaps in its time into {pieces} piece{'s' * (pieces != 1)},"
-        " each a record of its own"
-    )
+    return f"{finding.subject} is split into {pieces} record{'s' * (pieces != 1)} at the gaps in time"
 
 
 # The codes are those of greybox.cli.findings, a later room.
 register(
     {
-        "split_without_effect": "--split-holes has no effect: no record has a gap in its time, and none starts anew",
+        "split_without_effect": "--split-holes has no effect: time has no gap and does not restart in any record",
         "record_split": _record_split,
-        "pieces_at_rest": "with --at-rest each piece begins at rest; leave it out if the plant still moved after a gap",
+        "pieces_at_rest": "with --at-rest each piece starts at rest; omit --at-rest if the plant still moves after a gap",
         "substeps_without_effect": (
-            "--substeps {substeps} has no effect where a linear model is integrated exactly; --method rk4 has substeps"
+            "--substeps {substeps} has no effect on a linear model, which is integrated exactly; use --method rk4 for substeps"
         ),
-        "file_overwritten": "{subject} existed and has been overwritten",
+        "file_overwritten": "{subject} existed and was overwritten",
         "study_fields_unused": lambda f: f"{f.subject}: a check does not use {', '.join(f.values['places'])}",
         "unused_parameter": "parameter {subject!r} is in no equation: a term is missing, or the parameter is not needed",
     }
@@ -59,9 +56,9 @@ def fit_answer(answer: FitAnswer) -> str:
         if scores is not None:
             lines += ["", f"free run and prediction{title}", *_indented(str(scores))]
     if answer.tests is not None:
-        lines += ["", "residual tests (each alone raises a false alarm, p below 0.01, in one fit of a hundred)"]
+        lines += ["", "residual tests (p below 0.01 is an alarm; each test has a false-alarm rate of 1 %)"]
         lines.append(str(answer.tests))
-    for title, misfits in (("fitted record", answer.misfits), ("validation record", answer.validation_misfits)):
+    for title, misfits in (("estimation record", answer.misfits), ("validation record", answer.validation_misfits)):
         if misfits:
             rows = [[record, output, *to_misfit_cells(misfit)] for record, output, misfit in misfits]
             lines += ["", *format_table([title, "output", *MISFIT_HEADS], rows)]

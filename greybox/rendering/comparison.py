@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 MEASURE = {"free_run": "free run", "one_step": "one sample ahead"}
 RECORDS = {
     "validation": "on the validation records",
-    "training": "on the estimation records, which flatter every model",
+    "training": "on the estimation records, where every error is optimistic",
 }
 
 
@@ -64,21 +64,21 @@ register(
         ComparisonFinding.BEST_MODEL: _best_model,
         ComparisonFinding.UNSTABLE_MODELS: _listed("Unstable: {models}."),
         ComparisonFinding.FEEDTHROUGH_MODELS: _listed(
-            "Direct feed-through within one sample: {models}. A plant with inertia has none; it stands for a delay or for the input"
+            "Direct feed-through within one sample: {models}. A plant with inertia has none; it represents a delay or the input"
             " between the samples."
         ),
         ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS: _bic_of_different_outputs,
-        ComparisonFinding.FAILED_FITS: _listed("The fit failed: {models}. Its errors say nothing about the model."),
-        ComparisonFinding.FIT_FAILED: lambda finding: f"The fit failed: {status_text(finding.values['status'])}.",
-        ComparisonFinding.PREDICTION_FILTER: "Predictions are corrected by {filter}.",
+        ComparisonFinding.FAILED_FITS: _listed("The fit failed: {models}. Do not judge the model by these errors."),
+        ComparisonFinding.FIT_FAILED: lambda finding: f"the fit failed: {status_text(finding.values['status'])}",
+        ComparisonFinding.PREDICTION_FILTER: "predictions are corrected by {filter}",
         ComparisonFinding.NO_BLACK_BOX: "{reason}",
         ComparisonFinding.RECORD_RESAMPLED: (
-            "{subject}: resampled to {sampling_time:.6g} s for the black boxes, which need one sampling time."
+            "{subject}: resampled to {sampling_time:.6g} s for the black boxes, which need a uniform sampling time"
         ),
         ComparisonFinding.MEASURED_ROWS_ONLY: (
-            "{subject}: the black boxes use only the rows where it is measured, every {sampling_time:.6g} s."
+            "{subject}: the black boxes use only the measured rows, every {sampling_time:.6g} s"
         ),
-        ComparisonFinding.NO_SMOOTHING: "{subject}: no Monte-Carlo smoothing ({reason}).",
+        ComparisonFinding.NO_SMOOTHING: "{subject}: no Monte-Carlo smoothing ({reason})",
     }
 )
 

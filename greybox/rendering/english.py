@@ -27,9 +27,12 @@ def join_names(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
 
 
+def capitalise(text: str) -> str:
+    """With a capital at its beginning, where that is a word and not a name."""
+    return text[:1].upper() + text[1:] if _WORD.match(text) else text
+
+
 def as_sentence(text: str) -> str:
     """With a capital at its beginning, where that is a word, and a full stop at its end."""
-    text = text.strip()
-    if _WORD.match(text):
-        text = text[:1].upper() + text[1:]
+    text = capitalise(text.strip())
     return text + ("" if text.endswith((".", "!", "?", ":")) or not text else ".")

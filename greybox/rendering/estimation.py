@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.estimation.findings import EstimationCode
 from greybox.findings import Finding
+from greybox.rendering.english import capitalise
 from greybox.rendering.policy import TEXT_LIMITS
 from greybox.rendering.registry import register, renders, sentence, sentences
 from greybox.rendering.tables import format_shares
@@ -21,11 +22,11 @@ if TYPE_CHECKING:
 
 STATUS = {
     "converged": "converged",
-    "kink": "converged at a kink of the cost (dry friction has kinks): no small step in any direction lowers the cost",
-    "acceptable": "converged to a looser tolerance: the last digits may move",
-    "iteration_limit": "stopped at the iteration limit before it converged",
-    "interrupted": "interrupted: this is the best point so far",
-    "stuck": "no further progress: the search ended without meeting the convergence test",
+    "kink": "converged at a kink of the cost, as dry friction causes: no small step lowers the cost",
+    "acceptable": "converged to a looser tolerance: the last digits may change",
+    "iteration_limit": "stopped at the iteration limit before convergence",
+    "interrupted": "interrupted: the result is the best point so far",
+    "stuck": "no further progress: the search stopped before it met the convergence test",
     "no_start": "the model cannot be simulated from the start values",
     "failed": "the solver failed",
 }
@@ -33,11 +34,11 @@ CAUSES = {
     "no_start": (
         "start values far from physical ones",
         "an unstable model over a long record",
-        "a missing bound (for example a level below zero)",
+        "a missing bound (for example on a level, which cannot be negative)",
     ),
     "iteration_limit": (
         "parameters that the data do not determine: fix one",
-        "start values far off: give others with start",
+        "start values far from the solution: set others with start",
         "too few iterations",
     ),
     "stuck": (
@@ -73,7 +74,7 @@ def write_status(report: SolverReport) -> str:
         text += f". Likely causes, most likely first: {causes}"
     for finding, words in zip(report.details, sentences(report.details), strict=True):
         ratio = finding.code in (EstimationCode.MISFIT_RATIO, EstimationCode.PREDICTION_RATIO)
-        text += f"; {words}" if ratio else f". {words}"
+        text += f"; {words}" if ratio else f". {capitalise(words)}"
     return text
 
 
@@ -96,18 +97,18 @@ def _write_term_not_finite(finding: Finding) -> str:
         what = f"the initial value of state {v['name']!r} is {v['value']}"
     else:
         named = {
-            "term": f"in balance {v['balance']!r} the term {v['name']!r}",
-            "storage": f"in balance {v['balance']!r} one over the storage",
+            "term": f"the term {v['name']!r} of balance {v['balance']!r}",
+            "storage": f"the inverse storage of balance {v['balance']!r}",
             "output": f"the output {v['name']!r}",
         }[v["kind"]]
         formula = f" ({v['formula']})" if len(v["formula"]) <= TEXT_LIMITS.longest_formula else ""
         what = f"{named}{formula} is {v['value']} {v['unit']}".rstrip()
-    return f"{_write_place(finding)}: {what}, at {_write_point(finding)}"
+    return f"{_write_place(finding)}: {what} at {_write_point(finding)}"
 
 
 def _write_place(finding: Finding) -> str:
     v = finding.values
-    return f"The simulation of experiment {v['experiment']} fails at t = {v['time']:.6g} s (row {v['row']})"
+    return f"the simulation of experiment {v['experiment']} fails at t = {v['time']:.6g} s (row {v['row']})"
 
 
 def _write_point(finding: Finding) -> str:
@@ -117,7 +118,7 @@ def _write_point(finding: Finding) -> str:
 def _write_other_plant(finding: Finding) -> str:
     listed = ", ".join(f"{percent:.2g} % of {name}" for name, percent in finding.values["best_fit"].items())
     return (
-        f"the model follows only {listed} (best fit; 100 % is a perfect fit): do not use these parameters. Check the units and signs"
+        f"the model follows only {listed} (best fit; 100 % is a perfect fit): do not use these parameters; check the units and signs"
         " of the columns, the fixed parameters, and whether this is the right model"
     )
 
@@ -131,11 +132,11 @@ def _write_part(label: str) -> str:
 
 def _write_shifts(finding: Finding) -> str:
     shifts = "; ".join(
-        f"{s['name']} goes from {s['before']:.4g} to {s['after']:.4g} {s['unit']} between {_write_part(s['parts'][0])} and"
+        f"{s['name']} changes from {s['before']:.4g} to {s['after']:.4g} {s['unit']} between {_write_part(s['parts'][0])} and"
         f" {_write_part(s['parts'][1])}, {s['deviations']:.2g} standard deviations of the noise"
         for s in finding.values["shifts"]
     )
-    return f"not constant: {shifts}; it makes up for an effect that the model lacks, or the plant changes"
+    return f"not constant: {shifts}; it compensates for an effect that the model lacks, or the plant changes"
 
 
 def _write_residual_correlated(finding: Finding) -> str:
@@ -156,12 +157,12 @@ def _write_step_shifts(finding: Finding) -> str:
 
 def _write_held_by_prior(finding: Finding) -> str:
     names = finding.values["parameters"]
-    return f"held by {'its prior' if len(names) == 1 else 'their priors'}: {', '.join(names)}; the data add little or nothing"
+    return f"determined by {'its prior' if len(names) == 1 else 'their priors'}: {', '.join(names)}; the data add little or nothing"
 
 
 def _write_tied_outside(finding: Finding) -> str:
     v, unit = finding.values, format_unit(finding.values["unit"])
-    return f"{finding.subject}, which is tied, ends outside its bounds: {v['value']:.5g} {unit}, bounds [{v['low']}, {v['high']}] {unit}"
+    return f"the tied parameter {finding.subject} is outside its bounds: {v['value']:.5g} {unit}, bounds [{v['low']}, {v['high']}] {unit}"
 
 
 def _write_outliers(finding: Finding) -> str:
@@ -172,10 +173,12 @@ def _write_outliers(finding: Finding) -> str:
 
 def _write_excluded(finding: Finding) -> str:
     names = finding.values["outputs"]
-    reads, noise = ("reads", "its noise") if len(names) == 1 else ("read", "their noise")
+    verb, noise, sensors, them = (
+        ("is", "its", "sensor", "it") if len(names) == 1 else ("are", "their", "sensors", "them")
+    )
     return (
-        f"left out: {', '.join(names)}, which {reads} the same in every row and may be dead; {noise} cannot be estimated, and the"
-        " sensor counts only if its noise is given"
+        f"excluded: {', '.join(names)} {verb} constant, so {noise} noise cannot be estimated (the {sensors} may be dead); give {noise}"
+        f" noise to include {them}"
     )
 
 
@@ -184,20 +187,20 @@ def _write_process_noise(finding: Finding) -> str:
     unit = format_unit(v["unit"])
     balances = " and ".join(f"the balance {b!r}" for b in v["balances"])
     where = f"process noise on {', '.join(v['states'])}"
-    upper = "" if v["upper_limit"] is None else f"; below {v['upper_limit']:.3g} {unit} at 95 %"
+    upper = "" if v["upper_limit"] is None else f", below {v['upper_limit']:.3g} {unit} at 95 %"
     if finding.code == EstimationCode.PROCESS_NOISE_ZERO:
-        return f"{where} ({finding.subject}): none; these records show nothing missing in {balances}{upper}"
+        return f"{where} ({finding.subject}): zero{upper}; these records show no deviation from {balances}"
     if finding.code == EstimationCode.PROCESS_NOISE_NOT_SIGNIFICANT:
         return (
-            f"{where} ({finding.subject}): not significant (p = {v['p_value']:.2g}); these records show nothing missing in"
-            f" {balances} for certain{upper}"
+            f"{where} ({finding.subject}): not significant (p = {v['p_value']:.2g}){upper}; these records show no certain deviation"
+            f" from {balances}"
         )
     sizes = " and ".join(
-        f"{s['size']:.3g} {format_unit(s['unit'])} averaged over a sample of {v['period']:.3g} s" for s in v["sizes"]
+        f"{s['size']:.3g} {format_unit(s['unit'])} averaged over one sample of {v['period']:.3g} s" for s in v["sizes"]
     )
     return (
-        f"{where} ({finding.subject} = {v['intensity']:.3g} {unit}) is clearly above zero (likelihood ratio {v['ratio']:.3g}):"
-        f" {balances} lacks something, or a random disturbance acts there, as large as {sizes}"
+        f"{where} ({finding.subject} = {v['intensity']:.3g} {unit}): significant (likelihood ratio {v['ratio']:.3g}); {balances}"
+        f" {'lacks' if len(v['balances']) == 1 else 'lack'} an effect, or a random disturbance acts there, of {sizes}"
     )
 
 
@@ -215,17 +218,17 @@ def _write_starts(finding: Finding) -> str:
 def _write_strategy(finding: Finding) -> str:
     """What was searched, how it was completed, and why it was chosen."""
     v = finding.values
-    text = _write_transcription(finding.subject, v)
+    text = _write_transcription(finding.subject, v) + (", as requested" if v.get("reason") == "" else "")
+    if v.get("held_samples"):
+        text += f"; {v['held_samples']} samples lie at a bound of a state"
     text += {
-        "free_run": "; then by a free run from there, as the noise or the cost requires",
+        "free_run": "; then a free run from that result, as the noise model or the cost requires",
         "white_noise": (
-            "; the noise is taken as white, since a free run does not follow this plant; the intervals allow for its colour"
+            "; the noise is assumed to be white, because a free run does not follow this plant; the intervals allow for its colour"
         ),
     }.get(v.get("completion", ""), "")
-    if "reason" not in v:
+    if not v.get("reason"):
         return text
-    if not v["reason"]:
-        return f"{text}, as requested"
     return f"{text}; chosen because {sentence(Finding(v['reason'], values=v.get('reason_values', {})))}"
 
 
@@ -239,29 +242,30 @@ def _write_transcription(name: str, v: Mapping[str, Any]) -> str:
         return f"multiple shooting over {segments}"
     if name == "arcs":
         if v["whole"]:
-            return f"arcs of {v['arc_length']:g} s, which leave every record whole (less than half an arc is left)"
+            return (
+                f"arcs of {v['arc_length']:g} s; no record is divided (a second arc would be shorter than half an arc)"
+            )
         return f"{v['arcs']} arcs of {v['arc_length']:g} s, each with its own initial state"
     if name == "prediction":
         kind = "exact" if v["exact"] else "extended"
-        return f"prediction error through the {kind} Kalman filter, started at the free-run fit or the start values"
-    held = f"; {v['held_samples']} samples lie at a bound of a state" if v["held_samples"] else ""
-    return f"direct collocation{held}"
+        return f"prediction error with the {kind} Kalman filter, started from the free-run fit or the start values"
+    return "direct collocation"
 
 
 register(
     {
         EstimationCode.MISFIT_RATIO: _write_misfit_ratio,
         EstimationCode.PREDICTION_RATIO: (
-            "error {one_step:.3g} times the noise in {subject} one step ahead, {free_run:.3g} times in a free run"
+            "prediction error {one_step:.3g} times the noise in {subject} one step ahead, simulation error {free_run:.3g} times"
         ),
-        EstimationCode.FILTER_NOT_FINITE: "The filter of experiment {experiment} is no longer finite",
+        EstimationCode.FILTER_NOT_FINITE: "the Kalman filter diverges in experiment {experiment}: its values are not finite",
         EstimationCode.TERM_NOT_FINITE: _write_term_not_finite,
         EstimationCode.STATES_DIVERGE: lambda f: (
-            f"{_write_place(f)}: every term is finite there, but the states diverge; {f.subject!r} is largest, at {_write_point(f)}"
+            f"{_write_place(f)}: the states diverge, although every term is finite; the largest is {f.subject!r}, at {_write_point(f)}"
         ),
         EstimationCode.SENSITIVITY_NOT_FINITE: (
-            "The simulation of experiment {experiment} succeeds, but its sensitivity to the parameters is not finite: a term has an"
-            " infinite slope, as sqrt has at 0; give the state behind it a bound, or write the term without it"
+            "the simulation of experiment {experiment} succeeds, but its sensitivity to the parameters is not finite: a term has an"
+            " infinite slope, as sqrt has at 0; set a bound on the state in this term, or rewrite the term with a finite slope"
         ),
         EstimationCode.SEARCH_STRATEGY: _write_strategy,
         EstimationCode.MODEL_DOES_NOT_FOLLOW: _write_other_plant,
@@ -269,31 +273,32 @@ register(
             f"not determined by these data: {write_direction(f.values['direction'])}"
         ),
         EstimationCode.STOPPED_BY_BOUND: lambda f: (
-            f"stopped by a bound: {', '.join(f.values['parameters'])}; widen the bound, or the model needs another effect there"
+            f"stopped by a bound: {', '.join(f.values['parameters'])}; widen the bound, or add the effect that the model lacks"
         ),
         EstimationCode.PARAMETER_UNDETERMINED: lambda f: (
             f"not determined (the 95 % interval exceeds half the value): {', '.join(f.values['parameters'])}"
         ),
         EstimationCode.MISFIT_ABOVE_NOISE: (
-            "the misfit exceeds the noise: the model lacks something, and the parameters may make up for it"
+            "the misfit exceeds the noise: the model is incomplete, and its parameters may be biased"
         ),
         EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE: (
-            "the misfit exceeds the noise estimated from differences of the records: the model lacks something, or the noise is"
+            "the misfit exceeds the noise estimated from differences of the records: the model is incomplete, or the noise is"
             " coloured (a quiet record shows which)"
         ),
         EstimationCode.PARAMETER_NOT_CONSTANT: _write_shifts,
         EstimationCode.RESIDUAL_CORRELATED: _write_residual_correlated,
         EstimationCode.INNOVATIONS_CORRELATED: (
-            "the innovations are correlated from sample to sample: the model or its noise still lacks something; the intervals allow"
+            "the innovations are correlated from sample to sample: the model or its noise model is incomplete; the intervals allow"
             " for it and are up to {inflation:.2g} times as wide as for white innovations"
         ),
         EstimationCode.INTEGRATION_TOO_COARSE: lambda f: (
-            f"integration error above a tenth of the noise in {', '.join(f.values['outputs'])}: increase the number of substeps"
+            f"the integration error exceeds a tenth of the noise in {', '.join(f.values['outputs'])}: increase the number of substeps"
         ),
         EstimationCode.STEP_MOVES_PARAMETERS: _write_step_shifts,
         EstimationCode.VALIDATION_ERROR_LARGER: (
-            "the error in {subject} is {ratio:.1f} times that on the fitted records: a free run accumulates small errors of force and"
-            " offset, most of all if the plant integrates, and parameters differ from day to day; validate on shorter records as well"
+            "the simulation error in {subject} is {ratio:.1f} times that on the estimation records: a free run accumulates small errors"
+            " of force and offset, above all if the plant integrates, and parameters change from day to day; validate on shorter"
+            " records as well"
         ),
         EstimationCode.PRIOR_CONFLICT: (
             "the prior of {subject} and the data disagree by {deviations:.2g} standard deviations: one of them, or the model, is wrong"
@@ -301,19 +306,20 @@ register(
         EstimationCode.HELD_BY_PRIOR: _write_held_by_prior,
         EstimationCode.TIED_OUTSIDE_BOUNDS: _write_tied_outside,
         EstimationCode.MEAN_OF_EXPERIMENTS: lambda f: (
-            f"each experiment has a value of its own for {', '.join(f.values['parameters'])}: the fitted model holds the mean, which"
-            " a validation uses"
+            f"each experiment has its own value of {', '.join(f.values['parameters'])}: the fitted model has the mean, and a validation"
+            " uses the mean"
         ),
         EstimationCode.ROBUST_LOSS_OUTLIERS: _write_outliers,
         EstimationCode.TOO_MANY_OUTLIERS: lambda f: (
-            f"too many samples of {', '.join(f.values['outputs'])} count as outliers: the model lacks something, or the noise is larger"
+            f"too many samples of {', '.join(f.values['outputs'])} count as outliers: the model is incomplete, or the noise is"
+            " larger than assumed"
         ),
         EstimationCode.CONSTANT_OUTPUT_EXCLUDED: _write_excluded,
         EstimationCode.PROCESS_NOISE_ZERO: _write_process_noise,
         EstimationCode.PROCESS_NOISE_NOT_SIGNIFICANT: _write_process_noise,
         EstimationCode.PROCESS_NOISE_SIGNIFICANT: _write_process_noise,
         EstimationCode.NOISE_COLOUR_IGNORED: (
-            "the noise is known to be coloured; a fit with process noise takes it as white"
+            "the noise is coloured, but a fit with process noise assumes white noise"
         ),
         EstimationCode.STARTS: _write_starts,
     }
@@ -345,11 +351,11 @@ def write_smoothed_states(states: SmoothedStates) -> str:
 def write_correction(correction: PredictionCorrection) -> str:
     """How measurements correct a prediction."""
     if correction.kind == "none_white":
-        return "none: the error of the free run is white"
+        return "none: the simulation error is white"
     if correction.kind == "none_zero":
         return "none: the process noise is zero"
     if correction.kind == "autoregression":
         orders = ", ".join(f"{name} AR({c.order})" for name, c in correction.colours.items() if c.order)
-        return f"autoregression of the free run's error ({orders})"
+        return f"autoregression of the simulation error ({orders})"
     estimated = " estimated" if correction.kind == "estimated_kalman_filter" else ""
     return f"Kalman filter, process noise{estimated} on {', '.join(correction.model.noisy_states)}"

@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.experiment.findings import RecordCode
 from greybox.findings import Finding
+from greybox.rendering.english import count_noun
 from greybox.rendering.registry import register, renders, sentences
 
 if TYPE_CHECKING:
@@ -48,8 +49,8 @@ def _spikes(finding: Finding) -> str:
     count, times = finding.values["count"], finding.values["times"]
     places = _enumerate([f"{t:.6g} s" for t in times], count)
     return (
-        f"output {finding.subject!r} jumps away and back within one row, {count} time{'s' * (count != 1)} (at {places}): if the"
-        f" sensor caused this and not the plant, {_LEAVE_EMPTY}, or fit with a robust loss (shell: --loss huber)"
+        f"output {finding.subject!r} jumps away and back within one row, {count} time{'s' * (count != 1)} (at {places}): if"
+        f" this is a fault of the sensor and not the motion of the plant, {_LEAVE_EMPTY}, or fit with a robust loss (shell: --loss huber)"
     )
 
 
@@ -64,13 +65,13 @@ def _time_gap(finding: Finding) -> str:
 
 def _pieces_left_out(finding: Finding) -> str:
     pieces = finding.values["pieces"]
-    named = [f"{start:.6g} to {stop:.6g} s ({rows})" for start, stop, rows in pieces[:5]]
-    return f"left out, too few rows between two gaps in time: {_enumerate(named, len(pieces))}"
+    named = [f"{start:.6g} to {stop:.6g} s ({rows} rows)" for start, stop, rows in pieces[:5]]
+    return f"excluded, too few rows between two gaps in time: {_enumerate(named, len(pieces))}"
 
 
 def _units_assumed(finding: Finding) -> str:
     units = finding.values["units"]
-    return f"no unit in the header of {', '.join(units)}: taken as {', '.join(units.values())}"
+    return f"the header gives no unit for {', '.join(units)}: {', '.join(units.values())} assumed"
 
 
 def _columns_ignored(finding: Finding) -> str:
@@ -82,11 +83,11 @@ _SOURCES = {"column": "mean of its column", "comment": "from a comment of the fi
 
 _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.INPUT_CONSTANT: "input '{subject}' is constant at {value:g}",
-    RecordCode.OUTPUT_CONSTANT: "output '{subject}' is constant at {value:g}: a sensor that never moves carries no information;"
-    " leave it out",
+    RecordCode.OUTPUT_CONSTANT: "output '{subject}' is constant at {value:g}: a constant signal carries no information; leave"
+    " it out",
     RecordCode.OUTPUT_GAPS: _gaps,
     RecordCode.SENSOR_FROZEN: "output '{subject}' stays at exactly {value:g} for {rows} rows, from {start:.6g} to {stop:.6g} s,"
-    " while the input moves, and jumps there: if the sensor or the logger failed, " + _LEAVE_EMPTY,
+    " while the input moves, with a jump before or after: if the sensor or the logger failed, " + _LEAVE_EMPTY,
     RecordCode.SENSOR_DEAD: "output '{subject}' stays at exactly {value:g} from {start:.6g} s to the end ({rows} rows) while the"
     " input keeps moving: if the sensor or the logger failed, " + _LEAVE_EMPTY,
     RecordCode.SENSOR_SPIKES: _spikes,
@@ -94,14 +95,14 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     " {stays} times: if the sensor or the converter saturates, "
     + _LEAVE_EMPTY
     + " (an end stop of the plant looks the same)",
-    RecordCode.TIME_ROUNDED: "time looks rounded: steps from {shortest:.6g} to {longest:.6g} s differ by no more than one printed"
-    " unit; taken as uniform, every {sampling_time:.6g} s",
+    RecordCode.TIME_ROUNDED: "time is rounded: steps from {shortest:.6g} to {longest:.6g} s differ by at most one unit of the last"
+    " digit; a uniform step of {sampling_time:.6g} s is assumed",
     RecordCode.TIME_GAP: lambda f: (
         f"{_time_gap(f)}; split the record there with split_at_time_gaps() (shell: --split-holes)"
     ),
     RecordCode.INPUT_HELD_THROUGH_GAP: _time_gap,
     RecordCode.TIME_ROWS_MISSING: "{rows} rows are missing in {places} places (usual step {usual_step:.6g} s): the input is assumed"
-    " to continue through each, which is wrong where it moved",
+    " to continue through each, which is wrong if it moved there",
     RecordCode.TIME_IRREGULAR: "time is irregular: steps from {shortest:.6g} to {longest:.6g} s; each interval is used as it is",
     RecordCode.PIECES_LEFT_OUT: _pieces_left_out,
     RecordCode.OUTPUT_NOT_MEASURED: lambda f: f"not measured: output {' and '.join(map(repr, f.values['outputs']))}",
@@ -110,10 +111,10 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.CONDITION_READ: lambda f: (
         f"condition {f.subject}: {f.values['value']:.6g} {f.values['unit']}, {_SOURCES[f.values['source']]}"
     ),
-    RecordCode.ONE_OF_RUNS: "one of {runs} runs in its file, in which time starts anew",
+    RecordCode.ONE_OF_RUNS: "one of {runs} runs in its file: time restarts with each run",
     RecordCode.RESAMPLED: "resampled to every {sampling_time:.6g} s from {rows} rows",
-    RecordCode.ALSO_FITTED: "the same data as {record}, which is fitted: it does not validate the model; use a record that was not"
-    " fitted",
+    RecordCode.ALSO_FITTED: "the same data as the estimation record {record}: it cannot validate the model; use a record that was"
+    " not fitted",
 }
 register({code: _about_records(template) for code, template in _TEMPLATES.items()})
 
@@ -123,7 +124,7 @@ def describe_range(values: np.ndarray) -> str:
     known = values[~np.isnan(values)]
     if not len(known):
         return "no value"
-    return f"{known.min():.6g} to {known.max():.6g}, {len(values) - len(known)} gaps"
+    return f"{known.min():.6g} to {known.max():.6g}, {count_noun(len(values) - len(known), 'gap')}"
 
 
 @renders("Experiment")

@@ -26,17 +26,19 @@ def _amount(value: float, unit: str, digits: int = 4) -> str:
 def _no_equilibrium(finding: Finding) -> str:
     imbalance = ", ".join(f"{r['balance']} by {_amount(r['value'], r['unit'])}" for r in finding.values["imbalance"])
     return (
-        f"{finding.values['point']} is not an equilibrium. Out of balance: {imbalance}. The linear model holds for deviations from the"
-        " motion through this point."
+        f"{finding.values['point']} is not an equilibrium (out of balance: {imbalance}): the linear model holds for deviations from the"
+        " motion through this point"
     )
 
 
 def _steady_motion(finding: Finding) -> str:
     others = (
-        "all other states rest" if finding.values["others_rest"] else "the other states are constant only for a moment"
+        "all other states are at rest"
+        if finding.values["others_rest"]
+        else "the other states are constant only for a moment"
     )
     speed = _amount(finding.values["speed"], finding.values["unit"])
-    return f"The operating point is a steady motion, not an equilibrium: {finding.subject} moves at {speed}, {others}."
+    return f"the operating point is a steady motion, not an equilibrium: {finding.subject} moves at {speed}, {others}"
 
 
 def _outside_records(finding: Finding) -> str:
@@ -44,7 +46,9 @@ def _outside_records(finding: Finding) -> str:
         f"{_amount_of(s['name'], s['value'], s['unit'])} (records: {s['low']:.4g} to {_amount(s['high'], s['unit'])})"
         for s in finding.values["signals"]
     )
-    return f"The operating point is far outside the estimation records: {signals}. The parameters may not hold there."
+    return (
+        f"the operating point is far outside the estimation records: {signals}; the parameters may not be valid there"
+    )
 
 
 def _amount_of(name: str, value: float, unit: str) -> str:
@@ -56,17 +60,17 @@ def _friction_left_out(finding: Finding) -> str:
     level = _amount(values["level"], values["unit"])
     used = f", of which {_amount(values['held'], values['unit'])} are used" if values["held"] else ""
     return (
-        f"{finding.subject} cannot be linearised at {values['state']} = 0, where it holds up to {level}{used}. The matrices describe the"
-        f" sliding body without friction. Treat friction as a disturbance of up to {level}, or compensate it."
+        f"{finding.subject} cannot be linearised at {values['state']} = 0, where it holds up to {level}{used}; the matrices describe the"
+        f" sliding body without friction; treat friction as a disturbance of up to {level}, or compensate it"
     )
 
 
 def _kink(finding: Finding) -> str:
     values = finding.values
-    who = " and ".join(values["effects"]) or f"The equations of {values['model']}"
+    who = " and ".join(values["effects"]) or f"the equations of {values['model']}"
     return (
-        f"{who} cannot be linearised at {_amount_of(values['variable'], values['value'], values['unit'])}: the derivative differs by"
-        f" side. The derivative {values['side']} this point is used."
+        f"{who} cannot be linearised at {_amount_of(values['variable'], values['value'], values['unit'])}: the derivative is"
+        f" discontinuous there; the derivative {values['side']} this point is used"
     )
 
 
@@ -75,34 +79,34 @@ def _input_without_effect(finding: Finding) -> str:
     cause = f" ({', '.join(values['effects'])})" if values["effects"] else ""
     point = _amount_of(finding.subject, values["value"], values["unit"])
     return (
-        f"Input {finding.subject!r} has no effect at {point}{cause}, so its gain is zero. Choose an operating point with another"
-        f" {finding.subject}."
+        f"input {finding.subject!r} has no effect at {point}{cause}, so its gain is zero; choose an operating point with another"
+        f" {finding.subject}"
     )
 
 
 def _states_removed(finding: Finding) -> str:
     values = finding.values
-    reasons = (("unreached", "not reached by any input"), ("unobserved", "not seen in any output"))
+    reasons = (("unreached", "not controllable"), ("unobserved", "not observable"))
     removed = "; ".join(f"{', '.join(values[key])} ({reason})" for key, reason in reasons if values[key])
-    return f"The minimal realisation has {values['states']} of {values['of']} states. Removed: {removed}."
+    return f"the minimal realisation has {values['states']} of {values['of']} states; removed: {removed}"
 
 
 def _mode_undersampled(finding: Finding) -> str:
     values = finding.values
     if values["samples"] <= 2:
-        effect = "it lies above half the sampling rate and cannot be seen"
+        effect = "the mode lies above half the sampling rate"
     else:
-        effect = f"it has {values['samples']:.2g} samples in a period and is followed poorly"
+        effect = f"one period has only {values['samples']:.2g} samples"
     return (
-        f"The sampling time {values['dt']:g} s is too long for the mode at {values['frequency']:.4g} rad/s: {effect}. Use"
-        f" {values['proposed']:.2g} s or less."
+        f"the sampling time {values['dt']:g} s is too long for the mode at {values['frequency']:.4g} rad/s: {effect}; use"
+        f" {values['proposed']:.2g} s or less"
     )
 
 
 register(
     {
         ExportFinding.FIT_FAILED: lambda finding: (
-            f"The fit failed ({status_text(finding.values['status'])}). Do not use its parameters."
+            f"the fit failed ({status_text(finding.values['status'])}): do not use its parameters"
         ),
         ExportFinding.NO_EQUILIBRIUM: _no_equilibrium,
         ExportFinding.STEADY_MOTION: _steady_motion,
@@ -110,27 +114,27 @@ register(
         ExportFinding.FRICTION_LEFT_OUT: _friction_left_out,
         ExportFinding.KINK: _kink,
         ExportFinding.PLAY_CLOSED: (
-            "{subject} cannot be linearised: {state} either stays or moves with the rest. The play is taken as closed, as in a large"
-            " motion in one direction."
+            "{subject} cannot be linearised: {state} either stays or moves with the plant; the play is assumed to be closed, as in a"
+            " large motion in one direction"
         ),
         ExportFinding.INPUT_WITHOUT_EFFECT: _input_without_effect,
         ExportFinding.DELAY_APPROXIMATED: (
-            "The delay of {delay:.4g} s of {subject} is a Pade approximation of order {order}, accurate up to about {limit:.3g} rad/s."
-            " A sampled model (dt) holds it exactly."
+            "the delay of {delay:.4g} s of {subject} is a Pade approximation of order {order}, accurate up to about {limit:.3g} rad/s;"
+            " use a sampled model (dt) for the exact delay"
         ),
         ExportFinding.STATES_REMOVED: _states_removed,
         ExportFinding.MODE_UNDERSAMPLED: _mode_undersampled,
         ExportFinding.DECAY_UNDERSAMPLED: (
-            "The sampling time {dt:g} s is too long: every mode decays within one sample (the slowest in {time_constant:.2g} s). Use"
-            " {proposed:.2g} s or less."
+            "the sampling time {dt:g} s is too long: every mode decays within one sample (the slowest in {time_constant:.2g} s); use"
+            " {proposed:.2g} s or less"
         ),
         ExportFinding.TUSTIN_RINGS: (
-            "Tustin's method at {dt:g} s turns the pole at {pole:.4g} 1/s into one that alternates from sample to sample. Use zoh, or"
-            " {proposed:.2g} s or less."
+            "Tustin's method at {dt:g} s maps the pole at {pole:.4g} 1/s to one that alternates from sample to sample; use zoh, or"
+            " {proposed:.2g} s or less"
         ),
         ExportFinding.PARAMETERS_NOT_DRAWN: lambda finding: (
-            f"{', '.join(finding.values['parameters'])}: no covariance (at a bound, or not determined by the records), kept at the"
-            " fitted value."
+            f"{', '.join(finding.values['parameters'])}: no covariance (at a bound, or not determined by the records); kept at the"
+            " fitted value"
         ),
     }
 )
@@ -198,7 +202,7 @@ def pole_table(poles: np.ndarray, dt: float) -> list[str]:
     rows = []
     for pole in poles[poles.imag >= 0]:
         if dt and abs(pole) < 1e-12:
-            rows.append([complex_text(pole), "gone after one sample", "", ""])
+            rows.append([complex_text(pole), "decays within one sample", "", ""])
             continue
         s = np.log(pole) / dt if dt else pole
         speed = abs(s)

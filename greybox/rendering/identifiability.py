@@ -27,11 +27,11 @@ def describe_closing(closing: Mapping[str, Any]) -> str:
     if missing == 1:
         text = f"fix one of {', '.join(constants)}" if len(constants) > 1 else f"fix {constants[0]}"
     else:
-        text = f"fix {missing} constants" + (f", such as {join_words(constants)}" if constants else "")
+        text = f"fix {missing} parameters" + (f", such as {join_words(constants)}" if constants else "")
     if not closing["relations"]:
         return text
     relations = " or ".join(map(_describe_relation, closing["relations"]))
-    does = "does as well" if missing == 1 else "closes one of the gaps"
+    does = "also suffices" if missing == 1 else "replaces one of them"
     return f"{text}; knowing {relations} {does}"
 
 
@@ -45,7 +45,7 @@ def _recommend_signals(finding: Finding) -> str:
 
 
 def _doubt(certain: bool) -> str:
-    return "" if certain else "; the numbers show no clear gap, so this is uncertain"
+    return "" if certain else "; the singular values show no clear gap, so this is uncertain"
 
 
 def _where(inputs: Sequence[str], outputs: Sequence[str]) -> str:
@@ -55,9 +55,11 @@ def _where(inputs: Sequence[str], outputs: Sequence[str]) -> str:
 
 def _recommend_richer_record(finding: Finding) -> str:
     v = finding.values
-    inputs = f": move {', '.join(v['inputs'])} more, and over a wider band" if v["inputs"] else ""
-    can = f"{_where(v['inputs'], v['outputs'])} all {v['count']} free constants can be determined{_doubt(v['certain'])}"
-    return f"{can} by a record that is rich enough{inputs}"
+    inputs = f": excite {', '.join(v['inputs'])} more strongly and over a wider band" if v["inputs"] else ""
+    where = _where(v["inputs"], v["outputs"])
+    return (
+        f"a sufficiently rich record {where} determines all {v['count']} free parameters{inputs}{_doubt(v['certain'])}"
+    )
 
 
 def _simulated_record(finding: Finding) -> str:
@@ -78,17 +80,18 @@ register(
         IdentifiabilityCode.RICHER_RECORD: _recommend_richer_record,
         IdentifiabilityCode.NO_INPUT_MOVES: "no input moves: only the response to the initial state carries information",
         IdentifiabilityCode.EXCITATION_ORDER_LOW: lambda f: (
-            f"{', '.join(f.values['inputs'])}: order {f.values['order']}, but the model has {f.values['needed']} coefficients for each"
-            " output, so the rest shows in transients alone; use more tones, a sweep or random levels"
+            f"{', '.join(f.values['inputs'])}: persistently exciting of order {f.values['order']}, but the model has"
+            f" {f.values['needed']} coefficients for each output: only transients determine the rest; use more tones, a sweep or random"
+            " levels"
         ),
-        IdentifiabilityCode.EXCITATION_BAND_NARROW: "the input stops at {band:.3g} rad/s, but the model's fastest motion is at"
-        " {fastest:.3g} rad/s and hardly shows; excite up to it",
-        IdentifiabilityCode.RECORDS_SHOW_FEWER: "the structure allows {structure} combinations, these records show {records}: use another"
-        " input or reduce the noise; another sensor does not help",
-        IdentifiabilityCode.AVERAGING_ONLY: "{averaged} of {total} combinations come from averaging the noise, which holds only if the"
-        " noise is white and the model is right to a fraction of it: do not rely on them",
-        IdentifiabilityCode.NO_FREE_CONSTANT: "no constant is free: nothing to determine",
-        IdentifiabilityCode.MODEL_OVERFLOWS: "the model overflows on {subject} after {time:.3g} s at the start values; give other values"
+        IdentifiabilityCode.EXCITATION_BAND_NARROW: "the input excites up to {band:.3g} rad/s, but the fastest mode of the model is"
+        " at {fastest:.3g} rad/s; excite up to that frequency",
+        IdentifiabilityCode.RECORDS_SHOW_FEWER: "any record can determine {structure} combinations, these records only {records}: use"
+        " another input or reduce the noise; another sensor does not help",
+        IdentifiabilityCode.AVERAGING_ONLY: "{averaged} of {total} combinations are determined only by averaging the noise, which requires"
+        " white noise and a model error far below the noise: do not rely on them",
+        IdentifiabilityCode.NO_FREE_CONSTANT: "no parameter is free: nothing to determine",
+        IdentifiabilityCode.MODEL_OVERFLOWS: "at the start values, the model overflows on {subject} after {time:.3g} s; set other values"
         " with --start",
         IdentifiabilityCode.SIMULATED_RECORD: _simulated_record,
     }
@@ -103,7 +106,7 @@ def write_open_direction(direction: OpenDirection) -> str:
         return f"{names[0]} has no influence on the measured outputs"
     listed = ", ".join(names)
     if not direction.scaling:
-        return f"{listed} can be traded against one another"
+        return f"{listed} compensate for one another"
     if set(direction.weights.values()) == {1.0}:
         return f"{listed} scale together"
 
@@ -112,7 +115,7 @@ def write_open_direction(direction: OpenDirection) -> str:
 
     down = factors(-1)
     divided = f" and dividing {join_words(down)}" if down else ""
-    return f"multiplying {join_words(factors(1))}{divided} changes nothing, for any c"
+    return f"multiplying {join_words(factors(1))}{divided} leaves the outputs unchanged, for any c"
 
 
 def _power(exponent: float) -> str:
@@ -122,14 +125,14 @@ def _power(exponent: float) -> str:
 def describe_verdict(structure: StructuralIdentifiability) -> str:
     """What the measured outputs can show, in one sentence."""
     if not structure.count:
-        return "no constant is free: nothing to determine"
+        return "no parameter is free: nothing to determine"
     where, doubt = _where(structure.inputs, structure.outputs), _doubt(structure.certain)
     if structure.complete:
-        return f"{where} all {structure.count} free constants can be determined{doubt}"
+        return f"{where}, all {structure.count} free parameters can be determined{doubt}"
     rank, missing = structure.rank, structure.count - structure.rank
-    combinations = f"{rank} combination{'s' * (rank != 1)} of the {structure.count} free constants can be determined"
+    combinations = f"{rank} combination{'s' * (rank != 1)} of the {structure.count} free parameters can be determined"
     left = f"{missing} direction{'s' * (missing != 1)} stay{'s' * (missing == 1)} open"
-    return f"{where} {combinations}, {left}{doubt}"
+    return f"{where}, {combinations}, {left}{doubt}"
 
 
 @renders("StructuralIdentifiability")
@@ -139,7 +142,7 @@ def write_structural_identifiability(structure: StructuralIdentifiability) -> st
     if structure.complete:
         return lines[0]
     more = structure.rank - len(structure.determined)
-    others = [f"{more} more that {'is' if more == 1 else 'are'} no such formula"] if more else []
+    others = [f"{more} more without a simple formula"] if more else []
     if structure.rank:
         lines.append(f"  determined  {', '.join([*structure.determined, *others])}")
     lines += [f"  open        {direction}{_suggest(direction)}" for direction in structure.directions]
@@ -157,7 +160,7 @@ def _suggest(direction: OpenDirection) -> str:
 def describe_inputs(excitation: Excitation) -> list[str]:
     """A line for each input: its order of excitation and its band."""
     return [
-        f"{name}: persistently exciting of order {f'{order} or more' if order == excitation.limit else order}, moves below"
+        f"{name}: persistently exciting of order {f'{order} or more' if order == excitation.limit else order}, band up to"
         f" {excitation.bands[name]:.3g} rad/s"
         for name, order in excitation.orders.items()
     ]

@@ -23,7 +23,7 @@ SOURCES: Mapping[NoiseSource, str] = {
 # What to hold against a source that cannot show the colour of the noise.
 _CAVEATS = {
     NoiseSource.DIFFERENCES: " (too small if the noise is coloured)",
-    NoiseSource.RESIDUAL: " (too few samples for anything better)",
+    NoiseSource.RESIDUAL: " (too few samples for a better estimate)",
 }
 
 

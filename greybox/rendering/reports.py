@@ -254,9 +254,9 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.FIT_NUMBERS_OF_FAILURE: (
         "The numbers below are where the search stopped. Use them to find the reason, not as results."
     ),
-    PageText.RESIDUAL_IS_NOISE: lambda f: f"The model explains the fitted records: the residual is {_ratios(f)}.",
+    PageText.RESIDUAL_IS_NOISE: lambda f: f"The model explains the estimation records: the residual is {_ratios(f)}.",
     PageText.RESIDUAL_EXCEEDS_NOISE: lambda f: (
-        f"The model does not explain the fitted records: the residual is {_ratios(f)}. Either the model lacks an effect, which"
+        f"The model does not explain the estimation records: the residual is {_ratios(f)}. Either the model lacks an effect, which"
         " `greybox discover` searches for, or the noise is larger than assumed."
     ),
     PageText.NOISE_UNKNOWN: "The noise is not known, so the misfit cannot be judged.",
@@ -277,8 +277,8 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.INTERVALS_GAUSS_NEWTON: "The intervals are from the Gauss-Newton covariance; the residual is white.",
     PageText.WOULD_DETERMINE: "What would determine the rest",
     PageText.MOVE_TOGETHER: "Correlation of the fitted parameters",
-    PageText.MISFIT_FITTED: "Free run on the fitted records",
-    PageText.MISFIT_ONE_STEP: "Prediction one sample ahead on the fitted records",
+    PageText.MISFIT_FITTED: "Free run on the estimation records",
+    PageText.MISFIT_ONE_STEP: "Prediction one sample ahead on the estimation records",
     PageText.MISFIT_VALIDATION: "Free run on the validation records",
     PageText.MISFIT_BY_RECORD: "Record by record",
     PageText.FIT_NOT_TESTED: "The fit did not succeed, so its residual was not tested.",
@@ -313,14 +313,14 @@ TEMPLATES: Mapping[str, Template] = {
     # The page of a comparison
     PageText.COMPARISON_TITLE: "Grey boxes and black boxes side by side",
     PageText.COMPARISON_QUESTION: _comparison_question,
-    PageText.COMPARISON_TRAINING: "On the fitted records",
+    PageText.COMPARISON_TRAINING: "On the estimation records",
     PageText.COMPARISON_ERRORS: lambda f: (
         f"{f.subject}, {'validation' if f.values['validation'] else 'fitted'} records"
     ),
     PageText.COMPARISON_LEGEND: "Click a name in the legend to hide that model; double-click to show it alone.",
     PageText.COMPARISON_MODELS: "Models",
     PageText.COMPARISON_MODELS_NOTE: (
-        "Numbers: fitted parameters or coefficients. BIC: of the free run on the fitted records; lower is better."
+        "Numbers: fitted parameters or coefficients. BIC: of the free run on the estimation records; lower is better."
     ),
     PageText.COMPARISON_SKIP: "The first {rows} rows of each judging record do not count.",
     # The page of a discovery

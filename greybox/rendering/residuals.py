@@ -19,7 +19,7 @@ _SENTENCES: dict[ResidualTestKind, tuple[Callable[[ResidualTest], str], Callable
     ),
     ResidualTestKind.INPUT_INDEPENDENCE: (
         lambda t: f"independent of the input {t.input}",
-        lambda t: f"follows the input {t.input}: the model misses part of its effect",
+        lambda t: f"correlated with the input {t.input}: the model lacks part of its effect",
     ),
     ResidualTestKind.NORMALITY: (
         lambda t: "consistent with a normal distribution",
@@ -64,7 +64,7 @@ def write_residual_tests(tests: ResidualTests) -> str:
     ]
     if tests.whitened:
         outputs = ", ".join(tests.whitened)
-        lines.append(f"The residual of {outputs} was whitened with the colour of its noise before the tests")
+        lines.append(f"the residual of {outputs} was whitened with the noise model before the tests")
     return "\n".join(lines)
 
 

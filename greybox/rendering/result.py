@@ -23,7 +23,7 @@ MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
 def write_fit(fit: Fit) -> str:
     """Status beside misfit over noise, the parameters with intervals, the misfit by output, and what to know before trusting them."""
     lines = [f"{fit.model.title}: {fit.solver}", ""]
-    lines += format_table(["constant", "value", "95 % interval", "unit", ""], to_constant_rows(fit))
+    lines += format_table(["parameter", "value", "95 % interval", "unit", ""], to_constant_rows(fit))
     if fit.constraints.priors:
         lines += ["", *_write_priors(fit)]
     lines += ["", *_write_misfits("misfit (free run)", fit.misfit)]
@@ -44,12 +44,12 @@ def write_fit(fit: Fit) -> str:
 def _write_interval_kind(fit: Fit) -> str:
     sandwich = fit.uncertainty.kind == "sandwich"
     if fit.prediction.process_noise and not sandwich:
-        return "information of the likelihood, the innovations are white"
+        return "information matrix of the likelihood; the innovations are white"
     if sandwich and fit.uncertainty.inflation:
         widest = max(fit.uncertainty.inflation.values(), default=1.0)
-        return f"they allow for the residual's colour, widened up to {widest:.3g} times"
+        return f"sandwich covariance, which allows for the colour of the residual (up to {widest:.3g} times as wide)"
     if any(e.std is not None for e in fit.parameters.values()):
-        return "Gauss-Newton covariance, the residual is white"
+        return "Gauss-Newton covariance; the residual is white"
     return ""
 
 
@@ -59,7 +59,7 @@ def _write_step_error(fit: Fit) -> str:
     shift = max((s for s in fit.discretisation.shift.values() if math.isfinite(s)), default=0.0)
     if not error and not shift:
         return ""
-    return f"; error {error:.2g} x noise, half the step changes no constant by more than {shift:.2g} std"
+    return f"; error {error:.2g} x noise, half the step changes no parameter by more than {shift:.2g} std"
 
 
 def to_constant_rows(fit: Fit) -> list[list[str]]:
@@ -106,7 +106,7 @@ def _write_priors(fit: Fit) -> list[str]:
         conflict = "" if c.conflict is None else f"{format_number(abs(c.conflict), 2)} std"
         reduction = f"{100 * c.variance_reduction:.3g} %"
         rows.append([name, format_with_std(c.mean, c.std), f"{format_number(c.shift, 2)} std", reduction, conflict])
-    return format_table(["prior", "known before", "moved by", "told by the data", "disagreement"], rows)
+    return format_table(["prior", "prior value", "shift", "variance reduction", "conflict"], rows)
 
 
 def _write_misfits(title: str, misfit: Mapping[str, Misfit]) -> list[str]:
@@ -131,5 +131,5 @@ def write_noise(noise: FitNoise) -> str:
 def _write_estimated_level(noise: FitNoise, output: str) -> str:
     low, high = noise.interval(output)
     known = math.log(high / noise.std[output]) < TEXT_LIMITS.noise_reach
-    ends = f" [{low:.3g}, {high:.3g}]" if known else " (hardly determined)"
+    ends = f" [{low:.3g}, {high:.3g}]" if known else " (poorly determined)"
     return f"{noise.std[output]:.3g}{ends} {noise.units[output]} from the innovations"

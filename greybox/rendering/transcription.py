@@ -8,7 +8,7 @@ from greybox.findings import Finding
 from greybox.rendering.registry import register
 from greybox.transcription.findings import TranscriptionReason
 
-_STIFF = "the model is stiff: its fastest mode moves within {fastest:.2g} s and asks for {substeps:.0f} explicit steps a sample"
+_STIFF = "the model is stiff: its fastest mode has a time constant of {fastest:.2g} s and needs {substeps:.0f} explicit steps a sample"
 
 
 def _write_integrating(ending: str) -> Callable[[Finding], str]:
@@ -29,22 +29,22 @@ register(
             "the model is unstable: errors grow at {rate:.3g} 1/s, by e^{exponent:.3g} over the record of {duration:.4g} s, too far for"
             " a free run"
         ),
-        TranscriptionReason.STIFF_IMPLICIT: f"{_STIFF}; a few implicit steps follow it",
+        TranscriptionReason.STIFF_IMPLICIT: f"{_STIFF}; a few implicit steps suffice",
         TranscriptionReason.STIFF_NOT_SMOOTH: (
-            f"{_STIFF}; collocation cannot take equations that stick, switch or are delayed, so these steps are taken"
+            f"{_STIFF}; collocation does not handle sticking, switching or delays, so the fit takes these steps"
         ),
         TranscriptionReason.STIFF_LONG: (
-            f"{_STIFF}; {{samples}} samples are too many for collocation, so these steps are taken"
+            f"{_STIFF}; {{samples}} samples are too many for collocation, so the fit takes these steps"
         ),
-        TranscriptionReason.STIFF_COLLOCATION: f"{_STIFF}; collocation at Radau points takes one",
+        TranscriptionReason.STIFF_COLLOCATION: f"{_STIFF}; collocation at Radau points needs one",
         TranscriptionReason.INTEGRATING_SHORT: _write_integrating(
-            "over so short a time a free run stays near the data"
+            "a free run stays near the data over this short time"
         ),
         TranscriptionReason.INTEGRATING_GROWING: _write_integrating(
             "a growing part of the record keeps the free run near the data"
         ),
         TranscriptionReason.INTEGRATING_SEGMENTS: _write_integrating(
-            "errors add up along the record and are never forgotten"
+            "errors accumulate along the record and do not decay"
         ),
     }
 )

@@ -103,7 +103,7 @@ def _expected(c: ExpectedPrecision) -> list[str]:
     if c.std is None:
         return [typeset_number(format_number(c.value)), "", "", unit, "not determined"]
     share = f"{100 * c.std / abs(c.value):.2g} %" if c.value else ""
-    remark = "not determined" if not c.determined else "by averaging the noise alone" if c.averaged else ""
+    remark = "not determined" if not c.determined else "only by averaging" if c.averaged else ""
     cells = (format_number(c.value), format_number(c.std, 2), share)
     return [*map(typeset_number, cells), unit, remark]
 

@@ -152,7 +152,7 @@ def command(*arguments: str) -> str:
 def test_the_command_asks_what_if(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # where it writes its results
     page = command("micro_actuator", "--outputs", "x")
-    assert "from u to x 4 combinations of the 7 free constants can be determined, 3 directions stay open" in page
+    assert "from u to x, 4 combinations of the 7 free parameters can be determined, 3 directions stay open" in page
     found = json.loads(command("micro_actuator", "--outputs", "x,i", "--fix", "M", "--json"))
     assert found["complete"] is True
     assert found["structure"]["verdict"] == "complete"

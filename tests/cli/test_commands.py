@@ -118,7 +118,7 @@ def test_notes_of_the_records_go_to_stderr_once(run: Run, data: Path, tmp_path: 
     assert result.exit_code == 0, result.output
     assert result.stderr.splitlines() == [
         "note: a.csv, b.csv: not measured: output 'i'",
-        "note: a.csv, b.csv: no unit in the header of time, u, x: taken as s, V, m",
+        "note: a.csv, b.csv: the header gives no unit for time, u, x: s, V, m assumed",
         "note: a.csv, b.csv: columns ignored: 'temp'",
     ]
     assert run(*arguments, "-q").output == ""
@@ -398,7 +398,7 @@ def test_simulate_never_overwrites_its_own_input(run: Run, tmp_path: Path) -> No
     assert run("simulate", "micro_actuator", "u.csv", "--output", "y.csv").stderr == ""
     again = run("simulate", "micro_actuator", "u.csv", "--output", "y.csv")
     assert again.exit_code == 0
-    assert again.stderr == "note: y.csv existed and has been overwritten\n"
+    assert again.stderr == "note: y.csv existed and was overwritten\n"
 
 
 def test_a_constant_in_no_equation_is_noted(run: Run, tmp_path: Path) -> None:
@@ -417,7 +417,7 @@ def test_check_names_what_the_record_leaves_open(run: Run, data: Path) -> None:
     for text in ("exact hold", "linear", "1500 rows every 0.00025 s", "noise", "not determined: M, B, K, Kf"):
         assert text in result.stdout
     closed = run("check", "micro_actuator", data / "train.csv", "--fix", "M")
-    assert "every free constant is determined" in closed.stdout
+    assert "every free parameter is determined" in closed.stdout
 
 
 def test_init_and_a_fit_inside(run: Run, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -134,7 +134,7 @@ def test_predictions_beyond_every_record_are_refused(fitted) -> None:
 
 def test_arcs_that_leave_the_record_whole_are_called_so() -> None:
     result = fit(RIG, driven(), noise=NOISE, options=FitOptions(arc_length=0.06))
-    assert "arcs of 0.06 s, which leave every record whole" in str(result.solver.strategy)
+    assert "arcs of 0.06 s; no record is divided" in str(result.solver.strategy)
 
 
 def test_an_operating_point_far_outside_the_records_is_named_with_their_range(fitted) -> None:

@@ -160,7 +160,7 @@ def test_a_dead_sensor_beside_a_moving_one_counts_for_nothing(path, rows):
         assert found.parameters[n].value == pytest.approx(alone.parameters[n].value, rel=1e-6)
         assert found.parameters[n].std == pytest.approx(alone.parameters[n].std, rel=1e-4)
     assert find(found.findings, EstimationCode.CONSTANT_OUTPUT_EXCLUDED).values["outputs"] == ["v"]
-    assert list(check(MASS, data).noise) == ["x"] and "left out: v" in str(check(MASS, data))
+    assert list(check(MASS, data).noise) == ["x"] and "excluded: v" in str(check(MASS, data))
 
 
 def test_a_dead_sensor_whose_noise_is_given_counts():

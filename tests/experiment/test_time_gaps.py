@@ -162,7 +162,7 @@ def test_runs_in_one_file_are_read_apart_where_time_starts_anew(run, tmp_path):
 def test_without_a_gap_the_option_is_idle_and_a_simulation_goes_on_through_one(run, torn, tmp_path):
     write_csv(driven(100), micro_actuator, tmp_path / "whole.csv")
     checked = run("check", "micro_actuator", "whole.csv", "--fix", "Ra=8", "--split-holes", "--no-report")
-    assert "--split-holes has no effect: no record has a gap in its time" in checked.stderr
+    assert "--split-holes has no effect: time has no gap" in checked.stderr
     simulated = run("simulate", "micro_actuator", torn, "--output", "again.csv", "--no-report")
     assert simulated.exit_code == 0
     assert "run.csv: time has a gap from 0.04975 to 0.0825 s" in simulated.stderr

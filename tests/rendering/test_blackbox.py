@@ -11,18 +11,18 @@ from greybox.findings import Finding
 SENTENCES = {
     Code.WEAK_EXCITATION: (
         Finding(Code.WEAK_EXCITATION, subject="u", values={"order": 6, "required": 8}),
-        "Input 'u' is persistently exciting of order 6 (as 3 sines are), but the structure needs order 8. The remaining coefficients are"
-        " determined by transients and noise only. Use a smaller structure or a richer input.",
+        "input 'u' is persistently exciting of order 6 (as 3 sines are), but the structure needs order 8: only transients and"
+        " noise determine the remaining coefficients; use a smaller structure or a richer input",
     ),
     Code.UNSTABLE: (
         Finding(Code.UNSTABLE, subject="y", values={"pole": 1.02, "growth_samples": 50.498, "equation_error": True}),
-        "The model is unstable: its outermost pole lies at |z| = 1.02, and a free run grows by a factor of e every 50.5 samples."
-        " Likely causes: more noise on the output than the structure allows for (use an output-error or ARMAX model, or"
-        " focus='simulation'), or an integrating plant, whose pole lies at 1.",
+        "the model is unstable: its outermost pole lies at |z| = 1.02, and a free run grows by a factor of e every 50.5 samples;"
+        " likely causes: more noise on the output than the structure allows for (use an output-error or ARMAX model, or"
+        " focus='simulation'), or an integrating plant, whose pole lies at 1",
     ),
     Code.SEARCH_UNFINISHED: (
         Finding(Code.SEARCH_UNFINISHED, values={"iterations": 100}),
-        "The search stopped after 100 iterations without converging.",
+        "the search stopped after 100 iterations without convergence",
     ),
     Code.SMOOTHING_FEEDTHROUGH: (
         Finding(
@@ -30,16 +30,16 @@ SENTENCES = {
             subject="x",
             values={"jump": 0.12, "unit": "um", "delay": 3.1e-4, "samples": 1.24},
         ),
-        "The response jumps by 0.12 um at the step, which no plant with inertia does. Its phase is that of a delay of 0.00031 s"
-        " (1.24 samples).",
+        "the response jumps by 0.12 um at the step, which a plant with inertia cannot; its phase is that of a delay of 0.00031 s"
+        " (1.24 samples)",
     ),
     Code.SMOOTHING_AT_INTERVAL_END: (
         Finding(Code.SMOOTHING_AT_INTERVAL_END, values={"constants": ["r", "theta"]}),
-        "r, theta: the best draw is the outermost of its interval. Adjust the interval.",
+        "r, theta: the best draw lies at the end of its interval; adjust the interval",
     ),
     Code.SMOOTHING_ABOVE_SPECIFICATION: (
         Finding(Code.SMOOTHING_ABOVE_SPECIFICATION, values={"error": 0.02, "specification": 0.01}),
-        "The mean square error 0.02 exceeds the specification 0.01.",
+        "the mean square error 0.02 exceeds the specification 0.01",
     ),
 }
 

@@ -25,12 +25,13 @@ def lines():
     [
         "units           every term has the unit of its balance",
         "noise           x 2e-07 m, i 0.005 A; given",
-        "input           u: persistently exciting of order 40 or more, moves below 5.03e+03 rad/s",
-        "what any record can show: from u to x, i 6 combinations of the 7 free constants can be determined, 1 direction stays open",
+        "input           u: persistently exciting of order 40 or more, band up to 5.03e+03 rad/s",
+        "identifiability from any record: from u to x, i, 6 combinations of the 7 free parameters can be determined, 1 direction"
+        " stays open",
         "  not determined: M, B, K, Kf scale together",
-        "  remedy: fix one of M, B, K, Kf; knowing Kf = Kv does as well",
-        "what these records can show, near the start values:",
-        "  constant  start value  expected std      unit",
+        "  remedy: fix one of M, B, K, Kf; knowing Kf = Kv also suffices",
+        "expected precision from these records, near the start values:",
+        "  parameter  start value  expected std      unit",
     ],
 )
 def test_a_check_is_printed_line_by_line(lines, line):
@@ -41,14 +42,14 @@ def test_a_check_fits_a_screen(lines):
     assert len(lines) < 45
 
 
-def test_a_model_without_free_constants_has_nothing_to_determine():
+def test_a_model_without_free_parameters_has_nothing_to_determine():
     text = str(check(silverbox.fix(*silverbox.values)))
-    assert text.splitlines()[-1] == "constants       no constant is free: nothing to determine"
+    assert text.splitlines()[-1] == "parameters      no parameter is free: nothing to determine"
 
 
 def test_a_check_without_records_says_what_was_assumed():
     found = check(micro_actuator.fix("M"))
     lines = str(found).splitlines()
     assert "records         none given; simulated at the start values:" in lines
-    assert lines[-1] == "every free constant is determined"
+    assert lines[-1] == "every free parameter is determined"
     assert not any(isinstance(d, OpenDirection) for d in found.open_directions)

@@ -17,23 +17,23 @@ from greybox.result import Misfit
 SENTENCES = {
     Code.SPLIT_WITHOUT_EFFECT: (
         Finding(Code.SPLIT_WITHOUT_EFFECT),
-        "--split-holes has no effect: no record has a gap in its time, and none starts anew",
+        "--split-holes has no effect: time has no gap and does not restart in any record",
     ),
     Code.RECORD_SPLIT: (
         Finding(Code.RECORD_SPLIT, subject="a.csv", values={"pieces": 3}),
-        "a.csv is split at the gaps in its time into 3 pieces, each a record of its own",
+        "a.csv is split into 3 records at the gaps in time",
     ),
     Code.PIECES_AT_REST: (
         Finding(Code.PIECES_AT_REST),
-        "with --at-rest each piece begins at rest; leave it out if the plant still moved after a gap",
+        "with --at-rest each piece starts at rest; omit --at-rest if the plant still moves after a gap",
     ),
     Code.SUBSTEPS_WITHOUT_EFFECT: (
         Finding(Code.SUBSTEPS_WITHOUT_EFFECT, values={"substeps": 4}),
-        "--substeps 4 has no effect where a linear model is integrated exactly; --method rk4 has substeps",
+        "--substeps 4 has no effect on a linear model, which is integrated exactly; use --method rk4 for substeps",
     ),
     Code.FILE_OVERWRITTEN: (
         Finding(Code.FILE_OVERWRITTEN, subject="y.csv"),
-        "y.csv existed and has been overwritten",
+        "y.csv existed and was overwritten",
     ),
     Code.STUDY_FIELDS_UNUSED: (
         Finding(Code.STUDY_FIELDS_UNUSED, subject="study.toml", values={"places": ["[priors]", "[records] skip"]}),
@@ -52,8 +52,8 @@ def test_each_code_has_its_sentence(code: Code) -> None:
     assert str(finding) == sentence
 
 
-def test_one_piece_is_written_in_the_singular() -> None:
-    assert "into 1 piece, each" in str(Finding(Code.RECORD_SPLIT, subject="a.csv", values={"pieces": 1}))
+def test_one_record_is_written_in_the_singular() -> None:
+    assert "into 1 record at" in str(Finding(Code.RECORD_SPLIT, subject="a.csv", values={"pieces": 1}))
 
 
 class Text(SimpleNamespace):
@@ -98,12 +98,12 @@ def test_a_fit_prints_what_was_asked_for_in_order() -> None:
         "free run and prediction",
         "  table",
         "free run and prediction, validation records",
-        "residual tests (each alone raises a false alarm, p below 0.01, in one fit of a hundred)",
+        "residual tests (p below 0.01 is an alarm; each test has a false-alarm rate of 1 %)",
         "white",
     ]
     places = [lines.index(line) for line in order]
     assert places == sorted(places)
-    assert "fitted record" in text and "validation record " not in text
+    assert "estimation record" in text and "validation record " not in text
 
 
 def test_a_plain_fit_prints_no_more() -> None:

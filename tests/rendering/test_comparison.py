@@ -28,8 +28,8 @@ SENTENCES = {
     Code.UNSTABLE_MODELS: (Finding(Code.UNSTABLE_MODELS, values={"models": ["arx", "oe"]}), "Unstable: arx, oe."),
     Code.FEEDTHROUGH_MODELS: (
         Finding(Code.FEEDTHROUGH_MODELS, values={"models": ["arx"]}),
-        "Direct feed-through within one sample: arx. A plant with inertia has none; it stands for a delay or for the input between the"
-        " samples.",
+        "Direct feed-through within one sample: arx. A plant with inertia has none; it represents a delay or the input between"
+        " the samples.",
     ),
     Code.BIC_OF_DIFFERENT_OUTPUTS: (
         Finding(Code.BIC_OF_DIFFERENT_OUTPUTS, values={"outputs": {"a": ["y"], "b": ["y", "z"]}}),
@@ -37,28 +37,28 @@ SENTENCES = {
     ),
     Code.FAILED_FITS: (
         Finding(Code.FAILED_FITS, values={"models": ["mass"]}),
-        "The fit failed: mass. Its errors say nothing about the model.",
+        "The fit failed: mass. Do not judge the model by these errors.",
     ),
     Code.FIT_FAILED: (
         Finding(Code.FIT_FAILED, subject="mass", values={"status": "interrupted"}),
-        "The fit failed: interrupted: this is the best point so far.",
+        "the fit failed: interrupted: the result is the best point so far",
     ),
     Code.PREDICTION_FILTER: (
         Finding(Code.PREDICTION_FILTER, subject="mass", values={"filter": "process noise on v"}),
-        "Predictions are corrected by process noise on v.",
+        "predictions are corrected by process noise on v",
     ),
     Code.NO_BLACK_BOX: (Finding(Code.NO_BLACK_BOX, subject="y", values={"reason": "too few rows"}), "too few rows"),
     Code.RECORD_RESAMPLED: (
         Finding(Code.RECORD_RESAMPLED, subject="bench", values={"sampling_time": 0.05}),
-        "bench: resampled to 0.05 s for the black boxes, which need one sampling time.",
+        "bench: resampled to 0.05 s for the black boxes, which need a uniform sampling time",
     ),
     Code.MEASURED_ROWS_ONLY: (
         Finding(Code.MEASURED_ROWS_ONLY, subject="T", values={"sampling_time": 1.0}),
-        "T: the black boxes use only the rows where it is measured, every 1 s.",
+        "T: the black boxes use only the measured rows, every 1 s",
     ),
     Code.NO_SMOOTHING: (
         Finding(Code.NO_SMOOTHING, subject="x", values={"reason": "no resonance"}),
-        "x: no Monte-Carlo smoothing (no resonance).",
+        "x: no Monte-Carlo smoothing (no resonance)",
     ),
 }
 

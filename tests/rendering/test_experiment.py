@@ -14,14 +14,14 @@ GOLDEN = {
     RecordCode.OUTPUT_CONSTANT: (
         "x",
         {"value": 3e-6},
-        "output 'x' is constant at 3e-06: a sensor that never moves carries no information; leave it out",
+        "output 'x' is constant at 3e-06: a constant signal carries no information; leave it out",
     ),
     RecordCode.OUTPUT_GAPS: ("x", {"gaps": 1, "rows": 40}, "output 'x' has 1 gap in 40 rows"),
     RecordCode.SENSOR_FROZEN: (
         "x",
         {"value": 0.731, "rows": 40, "start": 0.6, "stop": 0.99},
-        "output 'x' stays at exactly 0.731 for 40 rows, from 0.6 to 0.99 s, while the input moves, and jumps there: if the sensor or the"
-        " logger failed, leave these fields empty",
+        "output 'x' stays at exactly 0.731 for 40 rows, from 0.6 to 0.99 s, while the input moves, with a jump before or after:"
+        " if the sensor or the logger failed, leave these fields empty",
     ),
     RecordCode.SENSOR_DEAD: (
         "x",
@@ -32,8 +32,8 @@ GOLDEN = {
     RecordCode.SENSOR_SPIKES: (
         "x",
         {"count": 3, "times": [0.4, 1.41]},
-        "output 'x' jumps away and back within one row, 3 times (at 0.4 s, 1.41 s and 1 more): if the sensor caused this and not the"
-        " plant, leave these fields empty, or fit with a robust loss (shell: --loss huber)",
+        "output 'x' jumps away and back within one row, 3 times (at 0.4 s, 1.41 s and 1 more): if this is a fault of the sensor"
+        " and not the motion of the plant, leave these fields empty, or fit with a robust loss (shell: --loss huber)",
     ),
     RecordCode.SENSOR_SATURATED: (
         "x",
@@ -44,7 +44,8 @@ GOLDEN = {
     RecordCode.TIME_ROUNDED: (
         "",
         {"shortest": 2e-4, "longest": 3e-4, "sampling_time": 2.5e-4},
-        "time looks rounded: steps from 0.0002 to 0.0003 s differ by no more than one printed unit; taken as uniform, every 0.00025 s",
+        "time is rounded: steps from 0.0002 to 0.0003 s differ by at most one unit of the last digit; a uniform step of 0.00025 s"
+        " is assumed",
     ),
     RecordCode.TIME_GAP: (
         "",
@@ -60,8 +61,8 @@ GOLDEN = {
     RecordCode.TIME_ROWS_MISSING: (
         "",
         {"rows": 39, "places": 38, "usual_step": 0.01},
-        "39 rows are missing in 38 places (usual step 0.01 s): the input is assumed to continue through each, which is wrong where it"
-        " moved",
+        "39 rows are missing in 38 places (usual step 0.01 s): the input is assumed to continue through each, which is wrong if"
+        " it moved there",
     ),
     RecordCode.TIME_IRREGULAR: (
         "",
@@ -71,13 +72,13 @@ GOLDEN = {
     RecordCode.PIECES_LEFT_OUT: (
         "",
         {"pieces": [[0.3, 0.30075, 4]]},
-        "left out, too few rows between two gaps in time: 0.3 to 0.30075 s (4)",
+        "excluded, too few rows between two gaps in time: 0.3 to 0.30075 s (4 rows)",
     ),
     RecordCode.OUTPUT_NOT_MEASURED: ("", {"outputs": ["x", "i"]}, "not measured: output 'x' and 'i'"),
     RecordCode.UNITS_ASSUMED: (
         "",
         {"units": {"time": "s", "x": "m"}},
-        "no unit in the header of time, x: taken as s, m",
+        "the header gives no unit for time, x: s, m assumed",
     ),
     RecordCode.COLUMNS_IGNORED: ("", {"columns": ["a", "b"]}, "columns ignored: 'a', 'b'"),
     RecordCode.CONDITION_READ: (
@@ -85,7 +86,7 @@ GOLDEN = {
         {"value": 801e3, "unit": "Pa", "source": "comment"},
         "condition P_S: 801000 Pa, from a comment of the file",
     ),
-    RecordCode.ONE_OF_RUNS: ("", {"runs": 2}, "one of 2 runs in its file, in which time starts anew"),
+    RecordCode.ONE_OF_RUNS: ("", {"runs": 2}, "one of 2 runs in its file: time restarts with each run"),
     RecordCode.RESAMPLED: (
         "",
         {"sampling_time": 0.5, "rows": 100},
@@ -94,7 +95,7 @@ GOLDEN = {
     RecordCode.ALSO_FITTED: (
         "",
         {"record": "low.csv"},
-        "the same data as low.csv, which is fitted: it does not validate the model; use a record that was not fitted",
+        "the same data as the estimation record low.csv: it cannot validate the model; use a record that was not fitted",
     ),
 }
 
@@ -117,7 +118,7 @@ def test_a_record_shows_its_signals_conditions_and_findings():
     assert str(record).splitlines() == [
         f"run: 40 rows every 0.5 s, 19.5 s, input held between samples, data {record.fingerprint}",
         "  input     u: 1 to 1, 0 gaps",
-        "  output    y: -0.997172 to 1, 1 gaps",
+        "  output    y: -0.997172 to 1, 1 gap",
         "  condition T: 293",
         "  note      input 'u' is constant at 1",
         "  note      output 'y' has 1 gap in 40 rows",

@@ -16,7 +16,7 @@ REMOVED = {"states": 3, "of": 5, "unreached": ["p_b"], "unobserved": ["T"]}
 SENTENCES = {
     Code.FIT_FAILED: (
         Finding(Code.FIT_FAILED, values={"status": "failed"}),
-        "The fit failed (the solver failed). Do not use its parameters.",
+        "the fit failed (the solver failed): do not use its parameters",
     ),
     Code.NO_EQUILIBRIUM: (
         Finding(
@@ -26,66 +26,68 @@ SENTENCES = {
                 "imbalance": [{"balance": "force", "value": -0.05896, "unit": "N"}],
             },
         ),
-        "x = 1e-05 m, u = 0 V is not an equilibrium. Out of balance: force by -0.05896 N. The linear model holds for deviations from"
-        " the motion through this point.",
+        "x = 1e-05 m, u = 0 V is not an equilibrium (out of balance: force by -0.05896 N): the linear model holds for deviations"
+        " from the motion through this point",
     ),
     Code.STEADY_MOTION: (
         Finding(Code.STEADY_MOTION, subject="s", values={"speed": 0.04727, "unit": "m/s", "others_rest": True}),
-        "The operating point is a steady motion, not an equilibrium: s moves at 0.04727 m/s, all other states rest.",
+        "the operating point is a steady motion, not an equilibrium: s moves at 0.04727 m/s, all other states are at rest",
     ),
     Code.OUTSIDE_RECORDS: (
         Finding(
             Code.OUTSIDE_RECORDS,
             values={"signals": [{"name": "u", "value": 9.0, "unit": "V", "low": -1.0, "high": 1.0}]},
         ),
-        "The operating point is far outside the estimation records: u = 9 V (records: -1 to 1 V). The parameters may not hold there.",
+        "the operating point is far outside the estimation records: u = 9 V (records: -1 to 1 V); the parameters may not be valid"
+        " there",
     ),
     Code.FRICTION_LEFT_OUT: (
         Finding(Code.FRICTION_LEFT_OUT, subject="coulomb_friction", values=FRICTION),
-        "coulomb_friction cannot be linearised at v = 0, where it holds up to 0.1 N, of which 0.0589 N are used. The matrices describe"
-        " the sliding body without friction. Treat friction as a disturbance of up to 0.1 N, or compensate it.",
+        "coulomb_friction cannot be linearised at v = 0, where it holds up to 0.1 N, of which 0.0589 N are used; the matrices"
+        " describe the sliding body without friction; treat friction as a disturbance of up to 0.1 N, or compensate it",
     ),
     Code.KINK: (
         Finding(Code.KINK, subject="u", values=KINK),
-        "dead_zone cannot be linearised at u = 0.5 V: the derivative differs by side. The derivative above this point is used.",
+        "dead_zone cannot be linearised at u = 0.5 V: the derivative is discontinuous there; the derivative above this point is"
+        " used",
     ),
     Code.PLAY_CLOSED: (
         Finding(Code.PLAY_CLOSED, subject="backlash", values={"state": "z"}),
-        "backlash cannot be linearised: z either stays or moves with the rest. The play is taken as closed, as in a large motion in one"
-        " direction.",
+        "backlash cannot be linearised: z either stays or moves with the plant; the play is assumed to be closed, as in a large"
+        " motion in one direction",
     ),
     Code.INPUT_WITHOUT_EFFECT: (
         Finding(
             Code.INPUT_WITHOUT_EFFECT, subject="u", values={"value": 0.2, "unit": "V", "effects": ["input_dead_zone"]}
         ),
-        "Input 'u' has no effect at u = 0.2 V (input_dead_zone), so its gain is zero. Choose an operating point with another u.",
+        "input 'u' has no effect at u = 0.2 V (input_dead_zone), so its gain is zero; choose an operating point with another u",
     ),
     Code.DELAY_APPROXIMATED: (
         Finding(Code.DELAY_APPROXIMATED, subject="u", values={"delay": 5e-4, "order": 4, "limit": 10800.0}),
-        "The delay of 0.0005 s of u is a Pade approximation of order 4, accurate up to about 1.08e+04 rad/s. A sampled model (dt) holds"
-        " it exactly.",
+        "the delay of 0.0005 s of u is a Pade approximation of order 4, accurate up to about 1.08e+04 rad/s; use a sampled model"
+        " (dt) for the exact delay",
     ),
     Code.STATES_REMOVED: (
         Finding(Code.STATES_REMOVED, values=REMOVED),
-        "The minimal realisation has 3 of 5 states. Removed: p_b (not reached by any input); T (not seen in any output).",
+        "the minimal realisation has 3 of 5 states; removed: p_b (not controllable); T (not observable)",
     ),
     Code.MODE_UNDERSAMPLED: (
         Finding(Code.MODE_UNDERSAMPLED, values={"dt": 2e-3, "frequency": 767.9, "samples": 4.09, "proposed": 8.2e-4}),
-        "The sampling time 0.002 s is too long for the mode at 767.9 rad/s: it has 4.1 samples in a period and is followed poorly. Use"
-        " 0.00082 s or less.",
+        "the sampling time 0.002 s is too long for the mode at 767.9 rad/s: one period has only 4.1 samples; use 0.00082 s or"
+        " less",
     ),
     Code.DECAY_UNDERSAMPLED: (
         Finding(Code.DECAY_UNDERSAMPLED, values={"dt": 1.0, "time_constant": 0.5, "proposed": 0.1}),
-        "The sampling time 1 s is too long: every mode decays within one sample (the slowest in 0.5 s). Use 0.1 s or less.",
+        "the sampling time 1 s is too long: every mode decays within one sample (the slowest in 0.5 s); use 0.1 s or less",
     ),
     Code.TUSTIN_RINGS: (
         Finding(Code.TUSTIN_RINGS, values={"dt": 2.5e-4, "pole": -16000.0, "proposed": 1.25e-4}),
-        "Tustin's method at 0.00025 s turns the pole at -1.6e+04 1/s into one that alternates from sample to sample. Use zoh, or"
-        " 0.00013 s or less.",
+        "Tustin's method at 0.00025 s maps the pole at -1.6e+04 1/s to one that alternates from sample to sample; use zoh, or"
+        " 0.00013 s or less",
     ),
     Code.PARAMETERS_NOT_DRAWN: (
         Finding(Code.PARAMETERS_NOT_DRAWN, values={"parameters": ["La", "Kv"]}),
-        "La, Kv: no covariance (at a bound, or not determined by the records), kept at the fitted value.",
+        "La, Kv: no covariance (at a bound, or not determined by the records); kept at the fitted value",
     ),
 }
 

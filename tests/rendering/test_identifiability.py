@@ -13,18 +13,18 @@ GOLDEN = {
     IdentifiabilityCode.MEASURE_OUTPUT: (
         "",
         {"signals": ["i"], "rank": 6, "count": 7, "then": ONE},
-        "measure i as well: 6 of 7 determined; then fix one of M, B; knowing Kf = Kv does as well",
+        "measure i as well: 6 of 7 determined; then fix one of M, B; knowing Kf = Kv also suffices",
     ),
     IdentifiabilityCode.ADD_SENSOR: (
         "",
         {"signals": ["x1", "x2"], "rank": 4, "count": 4, "then": {}},
         "add a sensor for x1 or x2: 4 of 4 determined",
     ),
-    IdentifiabilityCode.FIX_CONSTANTS: ("", ONE, "fix one of M, B; knowing Kf = Kv does as well"),
+    IdentifiabilityCode.FIX_CONSTANTS: ("", ONE, "fix one of M, B; knowing Kf = Kv also suffices"),
     IdentifiabilityCode.RICHER_RECORD: (
         "",
         {"inputs": ["u"], "outputs": ["x", "i"], "count": 6, "certain": True},
-        "from u to x, i all 6 free constants can be determined by a record that is rich enough: move u more, and over a wider band",
+        "a sufficiently rich record from u to x, i determines all 6 free parameters: excite u more strongly and over a wider band",
     ),
     IdentifiabilityCode.NO_INPUT_MOVES: (
         "",
@@ -34,30 +34,31 @@ GOLDEN = {
     IdentifiabilityCode.EXCITATION_ORDER_LOW: (
         "",
         {"inputs": ["u"], "order": 1, "needed": 3},
-        "u: order 1, but the model has 3 coefficients for each output, so the rest shows in transients alone; use more tones, a sweep or"
-        " random levels",
+        "u: persistently exciting of order 1, but the model has 3 coefficients for each output: only transients determine the"
+        " rest; use more tones, a sweep or random levels",
     ),
     IdentifiabilityCode.EXCITATION_BAND_NARROW: (
         "",
         {"band": 5.09, "fastest": 80.0},
-        "the input stops at 5.09 rad/s, but the model's fastest motion is at 80 rad/s and hardly shows; excite up to it",
+        "the input excites up to 5.09 rad/s, but the fastest mode of the model is at 80 rad/s; excite up to that frequency",
     ),
     IdentifiabilityCode.RECORDS_SHOW_FEWER: (
         "",
         {"structure": 6, "records": 4},
-        "the structure allows 6 combinations, these records show 4: use another input or reduce the noise; another sensor does not help",
+        "any record can determine 6 combinations, these records only 4: use another input or reduce the noise; another sensor"
+        " does not help",
     ),
     IdentifiabilityCode.AVERAGING_ONLY: (
         "",
         {"averaged": 1, "total": 3},
-        "1 of 3 combinations come from averaging the noise, which holds only if the noise is white and the model is right to a fraction of"
-        " it: do not rely on them",
+        "1 of 3 combinations are determined only by averaging the noise, which requires white noise and a model error far below"
+        " the noise: do not rely on them",
     ),
-    IdentifiabilityCode.NO_FREE_CONSTANT: ("", {}, "no constant is free: nothing to determine"),
+    IdentifiabilityCode.NO_FREE_CONSTANT: ("", {}, "no parameter is free: nothing to determine"),
     IdentifiabilityCode.MODEL_OVERFLOWS: (
         "run",
         {"time": 1.25},
-        "the model overflows on run after 1.25 s at the start values; give other values with --start",
+        "at the start values, the model overflows on run after 1.25 s; set other values with --start",
     ),
     IdentifiabilityCode.SIMULATED_RECORD: (
         "",
@@ -78,14 +79,14 @@ def test_each_code_has_its_sentence(code):
     [
         ({}, ""),
         ({"missing": 1, "constants": ["M"], "relations": []}, "fix M"),
-        ({"missing": 2, "constants": ["M", "Ra"], "relations": []}, "fix 2 constants, such as M and Ra"),
+        ({"missing": 2, "constants": ["M", "Ra"], "relations": []}, "fix 2 parameters, such as M and Ra"),
         (
             {"missing": 2, "constants": [], "relations": [{"constants": ["a", "b"], "equal": False}]},
-            "fix 2 constants; knowing the ratio a/b closes one of the gaps",
+            "fix 2 parameters; knowing the ratio a/b replaces one of them",
         ),
     ],
 )
-def test_closing_constants_are_listed(closing, text):
+def test_closing_parameters_are_listed(closing, text):
     assert describe_closing(closing) == text
 
 
@@ -93,12 +94,12 @@ def test_closing_constants_are_listed(closing, text):
     ("weights", "scaling", "text"),
     [
         ({"T": 1.0}, True, "T has no influence on the measured outputs"),
-        ({"B": 1.0, "Kv": -0.5}, False, "B, Kv can be traded against one another"),
+        ({"B": 1.0, "Kv": -0.5}, False, "B, Kv compensate for one another"),
         ({"Kf": 1.0, "Ra": 1.0}, True, "Kf, Ra scale together"),
         (
             {"m": 2.0, "l": -1.0, "g": -1.0},
             True,
-            "multiplying m by c^2 and dividing l by c and g by c changes nothing, for any c",
+            "multiplying m by c^2 and dividing l by c and g by c leaves the outputs unchanged, for any c",
         ),
     ],
 )
@@ -114,11 +115,11 @@ def test_a_structural_result_names_what_is_determined_open_and_missing():
         "m", ("u",), ("x",), names, False, 2, 3, (direction,), ("M",), (remedy,), 1e9, False, ""
     )
     assert str(result).splitlines() == [
-        "from u to x 2 combinations of the 3 free constants can be determined, 1 direction stays open; the numbers show no clear gap, so"
-        " this is uncertain",
-        "  determined  M, 1 more that is no such formula",
+        "from u to x, 2 combinations of the 3 free parameters can be determined, 1 direction stays open; the singular values show no clear"
+        " gap, so this is uncertain",
+        "  determined  M, 1 more without a simple formula",
         "  open        Kf, Ra scale together: fix one of them, or measure i",
-        "  remedy      fix one of M, B; knowing Kf = Kv does as well",
+        "  remedy      fix one of M, B; knowing Kf = Kv also suffices",
     ]
 
 
@@ -126,7 +127,7 @@ def test_excitation_names_order_and_band_of_each_input():
     finding = Finding(IdentifiabilityCode.NO_INPUT_MOVES)
     lines = str(Excitation({"u": 40, "w": 2}, {"u": 100.0, "w": 3.0}, 40, findings=(finding,))).splitlines()
     assert lines == [
-        "u: persistently exciting of order 40 or more, moves below 100 rad/s",
-        "w: persistently exciting of order 2, moves below 3 rad/s",
+        "u: persistently exciting of order 40 or more, band up to 100 rad/s",
+        "w: persistently exciting of order 2, band up to 3 rad/s",
         sentence(finding),
     ]

@@ -22,7 +22,7 @@ GOLDEN = [
         WHITE,
         "estimated from differences of the records (too small if the noise is coloured)",
     ),
-    (NoiseSource.RESIDUAL, WHITE, "estimated from the residual of the fit (too few samples for anything better)"),
+    (NoiseSource.RESIDUAL, WHITE, "estimated from the residual of the fit (too few samples for a better estimate)"),
     (NoiseSource.INNOVATIONS, WHITE, "estimated from the innovations (white)"),
 ]
 

@@ -43,13 +43,13 @@ GOLDEN = [
     ),
     (
         phrase(T.RESIDUAL_IS_NOISE, ratios={"x": 0.989, "i": 1.1}),
-        "The model explains the fitted records: the residual is 0.989 times the noise in x and 1.1 times the noise in i.",
+        "The model explains the estimation records: the residual is 0.989 times the noise in x and 1.1 times the noise in i.",
     ),
     (
         phrase(T.RESIDUAL_EXCEEDS_NOISE, ratios={"x": 113.0}),
         (
-            "The model does not explain the fitted records: the residual is 113 times the noise in x. Either the model lacks an "
-            "effect, which `greybox discover` searches for, or the noise is larger than assumed."
+            "The model does not explain the estimation records: the residual is 113 times the noise in x. Either the model lacks"
+            " an effect, which `greybox discover` searches for, or the noise is larger than assumed."
         ),
     ),
     (phrase(T.NOISE_UNKNOWN), "The noise is not known, so the misfit cannot be judged."),
@@ -83,8 +83,8 @@ GOLDEN = [
     (phrase(T.INTERVALS_GAUSS_NEWTON), "The intervals are from the Gauss-Newton covariance; the residual is white."),
     (phrase(T.WOULD_DETERMINE), "What would determine the rest"),
     (phrase(T.MOVE_TOGETHER), "Correlation of the fitted parameters"),
-    (phrase(T.MISFIT_FITTED), "Free run on the fitted records"),
-    (phrase(T.MISFIT_ONE_STEP), "Prediction one sample ahead on the fitted records"),
+    (phrase(T.MISFIT_FITTED), "Free run on the estimation records"),
+    (phrase(T.MISFIT_ONE_STEP), "Prediction one sample ahead on the estimation records"),
     (phrase(T.MISFIT_VALIDATION), "Free run on the validation records"),
     (phrase(T.MISFIT_BY_RECORD), "Record by record"),
     (phrase(T.FIT_NOT_TESTED), "The fit did not succeed, so its residual was not tested."),
@@ -128,13 +128,13 @@ GOLDEN = [
         phrase(T.COMPARISON_QUESTION, models=1, outputs=["x"], validation=False),
         "Does the physics pay? 1 model of x, judged on the same rows of the records that they were fitted to.",
     ),
-    (phrase(T.COMPARISON_TRAINING), "On the fitted records"),
+    (phrase(T.COMPARISON_TRAINING), "On the estimation records"),
     (phrase(T.COMPARISON_ERRORS, "x", validation=True), "x, validation records"),
     (phrase(T.COMPARISON_LEGEND), "Click a name in the legend to hide that model; double-click to show it alone."),
     (phrase(T.COMPARISON_MODELS), "Models"),
     (
         phrase(T.COMPARISON_MODELS_NOTE),
-        "Numbers: fitted parameters or coefficients. BIC: of the free run on the fitted records; lower is better.",
+        "Numbers: fitted parameters or coefficients. BIC: of the free run on the estimation records; lower is better.",
     ),
     (phrase(T.COMPARISON_SKIP, rows=20), "The first 20 rows of each judging record do not count."),
     (phrase(T.DISCOVERY_TITLE, "rig"), "Effects that rig lacks"),

@@ -15,7 +15,7 @@ GOLDEN = {
     (ResidualTestKind.INPUT_INDEPENDENCE, False): ("independence of u", "independent of the input u"),
     (ResidualTestKind.INPUT_INDEPENDENCE, True): (
         "independence of u",
-        "follows the input u: the model misses part of its effect",
+        "correlated with the input u: the model lacks part of its effect",
     ),
     (ResidualTestKind.NORMALITY, False): ("normality", "consistent with a normal distribution"),
     (ResidualTestKind.NORMALITY, True): (
@@ -41,7 +41,7 @@ def test_tests_are_printed_as_a_table():
     assert str(tests).splitlines() == [
         "output  test       statistic  p",
         "x       normality  12.35      0.0021  not normal: look for outliers, quantisation or two regimes",
-        "The residual of x was whitened with the colour of its noise before the tests",
+        "the residual of x was whitened with the noise model before the tests",
     ]
 
 

@@ -68,7 +68,7 @@ def test_both_ends_of_a_printed_interval_differ_from_the_value_and_units_are_tid
         ),
         (
             FitNoise({"x": 0.1}, {"x": NoiseSource.INNOVATIONS}, {}, {"x": math.inf}, {"x": "m"}),
-            "x: 0.1 (hardly determined) m from the innovations",
+            "x: 0.1 (poorly determined) m from the innovations",
         ),
     ],
 )

@@ -6,7 +6,7 @@ from greybox.findings import Finding
 from greybox.transcription.findings import TranscriptionReason
 
 STIFF = {"fastest": 2e-5, "substeps": 512.4}
-STIFF_TEXT = "the model is stiff: its fastest mode moves within 2e-05 s and asks for 512 explicit steps a sample"
+STIFF_TEXT = "the model is stiff: its fastest mode has a time constant of 2e-05 s and needs 512 explicit steps a sample"
 INTEGRATING = {"duration": 12.5, "time_constants": 83.4}
 INTEGRATING_TEXT = "the model integrates (12.5 s are 83 time constants of its slowest other mode)"
 
@@ -20,22 +20,22 @@ INTEGRATING_TEXT = "the model integrates (12.5 s are 83 time constants of its sl
             {"rate": 4.4295, "exponent": 88.59, "duration": 20.0},
             "the model is unstable: errors grow at 4.43 1/s, by e^88.6 over the record of 20 s, too far for a free run",
         ),
-        (TranscriptionReason.STIFF_IMPLICIT, STIFF, f"{STIFF_TEXT}; a few implicit steps follow it"),
+        (TranscriptionReason.STIFF_IMPLICIT, STIFF, f"{STIFF_TEXT}; a few implicit steps suffice"),
         (
             TranscriptionReason.STIFF_NOT_SMOOTH,
             STIFF,
-            f"{STIFF_TEXT}; collocation cannot take equations that stick, switch or are delayed, so these steps are taken",
+            f"{STIFF_TEXT}; collocation does not handle sticking, switching or delays, so the fit takes these steps",
         ),
         (
             TranscriptionReason.STIFF_LONG,
             STIFF | {"samples": 40000},
-            f"{STIFF_TEXT}; 40000 samples are too many for collocation, so these steps are taken",
+            f"{STIFF_TEXT}; 40000 samples are too many for collocation, so the fit takes these steps",
         ),
-        (TranscriptionReason.STIFF_COLLOCATION, STIFF, f"{STIFF_TEXT}; collocation at Radau points takes one"),
+        (TranscriptionReason.STIFF_COLLOCATION, STIFF, f"{STIFF_TEXT}; collocation at Radau points needs one"),
         (
             TranscriptionReason.INTEGRATING_SHORT,
             {"duration": 0.5, "time_constants": None},
-            "the model integrates (0.5 s); over so short a time a free run stays near the data",
+            "the model integrates (0.5 s); a free run stays near the data over this short time",
         ),
         (
             TranscriptionReason.INTEGRATING_GROWING,
@@ -45,7 +45,7 @@ INTEGRATING_TEXT = "the model integrates (12.5 s are 83 time constants of its sl
         (
             TranscriptionReason.INTEGRATING_SEGMENTS,
             INTEGRATING,
-            f"{INTEGRATING_TEXT}; errors add up along the record and are never forgotten",
+            f"{INTEGRATING_TEXT}; errors accumulate along the record and do not decay",
         ),
     ],
 )
