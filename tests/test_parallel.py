@@ -23,9 +23,13 @@ from tests.oracles.independent import linear_record
 def lag(name="lag"):
     """A model of lambdas, which pickle refuses."""
     return Model(
-        name, [State("x", "m")], [Input("u", "m")], [Output("x", "m")], [Parameter("T", "s", 0.1, (1e-3, 10.0))],
+        name,
+        [State("x", "m")],
+        [Input("u", "m")],
+        [Output("x", "m")],
+        [Parameter("T", "s", 0.1, (1e-3, 10.0))],
         lambda x, u, p: [Balance("lag", "m", p.T, "x", drive=u.u, own=-x.x)],
-    )  # fmt: skip
+    )
 
 
 def squared(common, item):

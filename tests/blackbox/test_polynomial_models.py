@@ -100,9 +100,12 @@ def test_armax_is_that_of_statsmodels():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a remark on VARMA models of several outputs
         theirs = VARMAX(
-            y[:, None], exog=np.column_stack([lagged(u, 1), lagged(u, 2)]), order=(2, 1), trend="n",
+            y[:, None],
+            exog=np.column_stack([lagged(u, 1), lagged(u, 2)]),
+            order=(2, 1),
+            trend="n",
             error_cov_type="diagonal",
-        )  # fmt: skip
+        )
     names = ["L1.y.y", "L2.y.y", "L1.e(y).y", "beta.x1.y", "beta.x2.y", "sigma2.y"]
     assert theirs.param_names == names
 
@@ -240,8 +243,15 @@ def test_the_digits_asked_for_keep_stability_and_response(pole):
 def test_the_printed_digits_of_an_integrator_keep_it_stable():
     # the pneumatic chapter prints four digits of such a model and makes it unstable
     model = gb.blackbox.PolynomialModel(
-        "arx", "y", ("u",), 0.01, (0,), ([0.00778812345, -0.00767123456],), a=np.poly([1 - 3e-9, 0.98761234567]), samples=10001
-    )  # fmt: skip
+        "arx",
+        "y",
+        ("u",),
+        0.01,
+        (0,),
+        ([0.00778812345, -0.00767123456],),
+        a=np.poly([1 - 3e-9, 0.98761234567]),
+        samples=10001,
+    )
     assert model.stable and not gb.blackbox.round_coefficients(model, 4).stable
     rows = dict(line.split()[:2] for line in str(model).splitlines() if line.strip()[:2] in ("a1", "a2", "b1", "b2"))
     a1, a2 = (float(rows[name]) for name in ("a1", "a2"))

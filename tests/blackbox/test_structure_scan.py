@@ -28,9 +28,16 @@ def scan():
     told = []
     judge = record(300, 2)
     found = gb.blackbox.scan_structures(
-        record(400, 1), "output error", nb=(1, 2, 400), nf=(1, 2), nk=(1, 2), validation=judge, skip=40, units={"y": "mm"},
+        record(400, 1),
+        "output error",
+        nb=(1, 2, 400),
+        nf=(1, 2),
+        nk=(1, 2),
+        validation=judge,
+        skip=40,
+        units={"y": "mm"},
         report=lambda done, of, candidate: told.append((done, of, candidate.label)),
-    )  # fmt: skip
+    )
     return found, judge, told
 
 

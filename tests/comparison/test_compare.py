@@ -92,9 +92,11 @@ def compared(model, records):
     train, *judges = records
     fit = gb.fit(model, train, options=gb.FitOptions(at_rest=True))
     models = {
-        "physics": fit, "arx": gb.blackbox.arx(train, na=2, nb=2), "oe": gb.blackbox.output_error(train, nb=2, nf=2, history="zero"),
+        "physics": fit,
+        "arx": gb.blackbox.arx(train, na=2, nb=2),
+        "oe": gb.blackbox.output_error(train, nb=2, nf=2, history="zero"),
         "unstable": gb.blackbox.PolynomialModel("arx", "y", ("F",), STEP, (0,), ([0.1],), a=[1, -1.9], samples=100),
-    }  # fmt: skip
+    }
     return models, gb.compare(models, judges, training=train, skip=20, steps=[3])
 
 

@@ -33,10 +33,24 @@ def written(rig, tmp_path_factory):
     for name, record in zip(("train", "test"), rig, strict=True):
         write_csv(record, micro_actuator, folder / f"{name}.csv")
     command = [
-        "discover", "micro_actuator", str(folder / "train.csv"), "--validate", str(folder / "test.csv"), "--at-rest",
-        "--effects", "coulomb_friction,cubic_stiffness", "--noise", "x=2e-7", "--noise", "i=5e-3", "--output", str(folder),
-        *(f"--fix={n}={ACTUATOR[n]}" for n in ("M", "Ra")), "--start=K=4300", "--start=B=0.35",
-    ]  # fmt: skip
+        "discover",
+        "micro_actuator",
+        str(folder / "train.csv"),
+        "--validate",
+        str(folder / "test.csv"),
+        "--at-rest",
+        "--effects",
+        "coulomb_friction,cubic_stiffness",
+        "--noise",
+        "x=2e-7",
+        "--noise",
+        "i=5e-3",
+        "--output",
+        str(folder),
+        *(f"--fix={n}={ACTUATOR[n]}" for n in ("M", "Ra")),
+        "--start=K=4300",
+        "--start=B=0.35",
+    ]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
     return folder

@@ -26,14 +26,29 @@ AIR, POSITION = (2e-4, 500.0, 500.0), (2e-4,)
 # What was hidden, and which other effects it is offered with: the ones that look most like it.
 SHORT = [
     (micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, WELL, ("quadratic_damping", "bouc_wen_hysteresis")),
-    (micro_actuator, {"stribeck_friction": {"Fc": 0.04, "Fs": 0.08, "vs": 0.01}}, WELL, ("coulomb_friction", "quadratic_damping")),
+    (
+        micro_actuator,
+        {"stribeck_friction": {"Fc": 0.04, "Fs": 0.08, "vs": 0.01}},
+        WELL,
+        ("coulomb_friction", "quadratic_damping"),
+    ),
     (micro_actuator, {"quadratic_damping": {"B2": 5.0}}, WELL, ("coulomb_friction", "cubic_stiffness")),
     (micro_actuator, {"cubic_stiffness": {"K3": 1e10}}, POOR, ("force_constant_droop", "input_saturation")),
     (micro_actuator, {"quadratic_stiffness": {"K2": 4e5}}, WELL, ("cubic_stiffness", "constant_load")),
-    (micro_actuator, {"viscoelastic_creep": {"K1": 400.0, "tau1": 0.03}}, WELL, ("bouc_wen_hysteresis", "winding_heating")),
+    (
+        micro_actuator,
+        {"viscoelastic_creep": {"K1": 400.0, "tau1": 0.03}},
+        WELL,
+        ("bouc_wen_hysteresis", "winding_heating"),
+    ),
     (micro_actuator, {"second_mode": {"m2": 4e-4, "k2": 400.0, "c2": 0.02}}, WELL, ("transport_delay", "sensor_lag")),
     (micro_actuator, {"force_constant_droop": {"a": 2e5}}, WELL, ("cubic_stiffness", "input_saturation")),
-    (micro_actuator, {"winding_heating": {"Rth": 1.0, "tau_th": 0.1}}, WELL, ("viscoelastic_creep", "input_saturation")),
+    (
+        micro_actuator,
+        {"winding_heating": {"Rth": 1.0, "tau_th": 0.1}},
+        WELL,
+        ("viscoelastic_creep", "input_saturation"),
+    ),
     (micro_actuator, {"eddy_current": {"Re": 30.0}}, WELL, ("transport_delay", "sensor_lag")),
     (micro_actuator, {"constant_load": {"F0": 0.05}}, WELL, ("input_offset", "sensor_drift")),
     (micro_actuator, {"input_saturation": {"u_max": 2.2}}, WELL, ("cubic_stiffness", "force_constant_droop")),
@@ -48,18 +63,34 @@ SHORT = [
     (pneumatic_cylinder, {"valve_lag": {"tau_v": 0.08}}, AIR, ("transport_delay", "sensor_lag")),
     (pneumatic_cylinder, {"backlash": {"gap": 2e-3}}, AIR, ("coulomb_friction", "sensor_lag")),
     # Refits from afar are lost without damped steps, a weak effect beside a strong one unless it is looked for nearly absent.
-    (micro_actuator, {"bouc_wen_hysteresis": {"alpha": 60.0, "beta": 8e3, "gamma": -3e3}}, WELL, ("viscoelastic_creep", "second_mode")),
-    (micro_actuator, {"lugre_friction": {"Fc": 0.04, "Fs": 0.07, "vs": 0.01, "s0": 9000.0, "s1": 2.0}}, WELL, ("bouc_wen_hysteresis",)),
+    (
+        micro_actuator,
+        {"bouc_wen_hysteresis": {"alpha": 60.0, "beta": 8e3, "gamma": -3e3}},
+        WELL,
+        ("viscoelastic_creep", "second_mode"),
+    ),
+    (
+        micro_actuator,
+        {"lugre_friction": {"Fc": 0.04, "Fs": 0.07, "vs": 0.01, "s0": 9000.0, "s1": 2.0}},
+        WELL,
+        ("bouc_wen_hysteresis",),
+    ),
     (micro_actuator, {"soft_saturation": {"u_max": 5.0}}, WELL, ("input_saturation", "winding_heating")),
-    (micro_actuator, {"cubic_stiffness": {"K3": 2e10}, "coulomb_friction": {"Fc": 1e-3}}, WELL, ("input_offset", "sensor_lag")),
+    (
+        micro_actuator,
+        {"cubic_stiffness": {"K3": 2e10}, "coulomb_friction": {"Fc": 1e-3}},
+        WELL,
+        ("input_offset", "sensor_lag"),
+    ),
     (micro_actuator, {}, WELL, ("cubic_stiffness", "coulomb_friction")),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(
-    ("rig", "effects", "noise", "others"), SHORT,
+    ("rig", "effects", "noise", "others"),
+    SHORT,
     ids=[f"{rig.name}-{'-'.join(effects) or 'nothing'}" for rig, effects, _, _ in SHORT],
-)  # fmt: skip
+)
 def test_the_hidden_effect_is_told_from_its_look_alikes(rig, effects, noise, others):
     rows = 600 if rig is micro_actuator else 500
     train, test = simulate_records(rig, effects, noise, rows=rows)

@@ -35,9 +35,13 @@ def rig():
 @pytest.fixture(scope="module")
 def found(rig):
     return discover(
-        plain_model(micro_actuator), rig[0], validation=rig[1], noise=NOISE, effects=[gb.effect("input_offset")],
+        plain_model(micro_actuator),
+        rig[0],
+        validation=rig[1],
+        noise=NOISE,
+        effects=[gb.effect("input_offset")],
         options=FitOptions(),
-    )  # fmt: skip
+    )
 
 
 def test_a_hum_is_a_tone_at_its_site_and_explains_the_gap(found):

@@ -100,8 +100,9 @@ def test_several_experiments_have_their_own_initial_states():
     noise = {"x": 2e-7, "i": 5e-3}
     starts = [[2e-5, 0.0, 0.05], [-1e-5, 0.02, 0.0], [0.0, 0.0, 0.0]]
     records = [
-        linear_record(truth, actuator_input(s, 1500), 2.5e-4, x0, noise, seed=s, name=f"run {s}") for s, x0 in enumerate(starts)
-    ]  # fmt: skip
+        linear_record(truth, actuator_input(s, 1500), 2.5e-4, x0, noise, seed=s, name=f"run {s}")
+        for s, x0 in enumerate(starts)
+    ]
     found = fit(off(truth, 1.3, "K", "B", "Kf"), records, noise=noise)
     assert found.success
     for trace, x0 in zip(found.traces, starts, strict=True):
@@ -140,9 +141,12 @@ def test_a_fit_begins_at_the_initial_states_it_is_given():
         begins = [t.initial_state["x"] for t in found.traces]
         assert begins == pytest.approx([2.0 * signs[0], 0.5 * signs[1]], rel=1e-8)
     again = fit(
-        given.model, records, noise=noise, initial=[t.initial_state for t in given.traces],
+        given.model,
+        records,
+        noise=noise,
+        initial=[t.initial_state for t in given.traces],
         options=FitOptions(progressive=False),
-    )  # fmt: skip
+    )
     assert again.traces[0].initial_state["x"] == pytest.approx(-2.0, rel=1e-8)
     assert again.solver.statistics["passes"] < given.solver.statistics["passes"]
 
@@ -152,11 +156,13 @@ WIDTH = Parameter("w", "m", 0.1, fixed=True, source="a test")
 
 def test_a_constant_that_acts_far_from_the_records_is_not_determined():
     far = replace(
-        SQUARED, name="far", parameters=[*SQUARED.parameters, Parameter("c", "m/s", 0.1, source="a test"), WIDTH],
+        SQUARED,
+        name="far",
+        parameters=[*SQUARED.parameters, Parameter("c", "m/s", 0.1, source="a test"), WIDTH],
         balances=lambda x, u, p: [
             Balance("rate", "m/s", 1, "x", decay=-p.k * x.x, drive=u.u, bump=p.c * ca.exp(-((x.x / p.w - 35) ** 2)))
         ],
-    )  # fmt: skip
+    )
     found = fit(far, decaying(1.6, 1.4), noise={"y": 1e-3})
     assert found.parameters["k"].value == pytest.approx(3.0, rel=1e-6)
     assert found.parameters["c"].std is None or found.parameters["c"].std > 1e10

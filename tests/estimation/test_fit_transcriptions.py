@@ -25,8 +25,8 @@ from models.emps import emps
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import experiment, linear_matrices, linear_record, multisine, rates_of, solved_record
+from tests.support.oscillator import oscillator
 from tests.support.published_plants import PREY
-from tests.transcription.test_transcription_methods import oscillator
 
 RANGE = (1e-3, 1e3)
 LIFTED = ("multiple", "collocation-radau", "collocation-legendre")
@@ -38,13 +38,16 @@ ONE_OF_EACH = ("multiple", "collocation-radau", pytest.param("collocation-legend
 def levitation() -> Model:
     """A ball under a magnet, linear about its gap: ``x'' = k x + b u``, unstable with exponent sqrt(k)."""
     return Model(
-        "levitation", [State("x", "mm"), State("v", "mm/s")], [Input("u", "A")], [Output("x", "mm")],
+        "levitation",
+        [State("x", "mm"), State("v", "mm/s")],
+        [Input("u", "A")],
+        [Output("x", "mm")],
         [Parameter("k", "1/s**2", 900.0, (1.0, 1e5)), Parameter("b", "mm/(s**2*A)", 400.0, (1.0, 1e5))],
         lambda x, u, p: [
             Balance("position", "mm/s", 1, "x", velocity=x.v),
             Balance("force", "mm/s**2", 1, "v", gap=p.k * x.x, current=p.b * u.u),
         ],
-    )  # fmt: skip
+    )
 
 
 def held_up(model: Model, rows: int, period: float, noise: dict[str, float] | None = None, seed: int = 1):
@@ -152,16 +155,21 @@ def test_the_default_transcription_is_stated_with_its_reason(case, transcription
 def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
     """The spool settles within 0.1 ms, samples are 10 ms apart: an explicit step is stable with 90 of them in a sample."""
     model = Model(
-        "stiff", [State("s", "m"), State("x", "m")], [Input("u", "m")], [Output("x", "m")],
+        "stiff",
+        [State("s", "m"), State("x", "m")],
+        [Input("u", "m")],
+        [Output("x", "m")],
         [
-            Parameter("a", "1/s", 2.0, RANGE), Parameter("c", "1/m**2", 0.5, RANGE),
-            Parameter("f", "1/s", 1e4, (1, 1e6), fixed=True), Parameter("g", "1/s", 1.0, fixed=True),
+            Parameter("a", "1/s", 2.0, RANGE),
+            Parameter("c", "1/m**2", 0.5, RANGE),
+            Parameter("f", "1/s", 1e4, (1, 1e6), fixed=True),
+            Parameter("g", "1/s", 1.0, fixed=True),
         ],
         lambda x, u, p: [
             Balance("spool", "m/s", 1, "s", command=p.f * u.u, back=-p.f * x.s, hardening=-p.f * p.c * x.s**3),
             Balance("slow", "m/s", 1, "x", inflow=p.g * x.s, decay=-p.a * x.x),
         ],
-    )  # fmt: skip
+    )
     f, p, u = rates_of(model), np.array(list(model.values.values())), 1.5 * np.sin(0.08 * np.arange(80))
     x, y = np.zeros(2), []
     for value in u:
@@ -383,9 +391,13 @@ def test_a_fit_over_segments_is_saved_and_loaded(tmp_path):
 
 def test_a_start_that_cannot_be_simulated_in_any_segment_says_so():
     model = Model(
-        "explosive", [State("x", "m", 1.0)], [Input("u", "m")], [Output("x", "m")], [Parameter("a", "1/s/m", 50.0, (1e-3, 1e3))],
+        "explosive",
+        [State("x", "m", 1.0)],
+        [Input("u", "m")],
+        [Output("x", "m")],
+        [Parameter("a", "1/s/m", 50.0, (1e-3, 1e3))],
         lambda x, u, p: [Balance("growth", "m/s", 1, "x", square=p.a * x.x * x.x)],
-    )  # fmt: skip
+    )
     t = np.arange(100) * 0.1
     data = experiment(model, t, np.ones((100, 1)), 2 + np.cos(t)[:, None])
     for options in (FitOptions(transcription="multiple"), FitOptions(arc_length=2.0)):

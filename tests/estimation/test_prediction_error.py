@@ -15,7 +15,7 @@ from greybox.estimation.restore import restore_likelihood
 from greybox.filtering import KalmanFilter
 from greybox.result import load_fit
 from models.cascaded_tanks import cascaded_tanks
-from tests.filtering.test_kalman_filter import check_slopes, filter_of, tank, tank_record
+from tests.support.filters import check_slopes, filter_of, tank, tank_record
 from tests.support.findings import codes, find
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, PERIOD, discrete, record, states, three
 

@@ -80,9 +80,14 @@ def test_the_gradient_is_that_of_the_robust_cost(text, rho):
     silent = {n: s * lfilter([1.0], [1.0, -rho], rng.normal(size=900))[300:] for n, s in LEVEL.items()}
     quiet = Experiment("quiet", 2.5e-4 * np.arange(600), {"u": np.zeros(600)}, silent)
     problem = prepare_problem(
-        TRUTH.start(K=5800), replace(data, outputs=gap), LEVEL, at_rest=False, method="automatic", substeps=0,
+        TRUTH.start(K=5800),
+        replace(data, outputs=gap),
+        LEVEL,
+        at_rest=False,
+        method="automatic",
+        substeps=0,
         quiet=quiet if rho else (),
-    )  # fmt: skip
+    )
     assert problem.noise.coloured == bool(rho)
     loss = replace(parse_loss(text), scale=np.array([1.2, 1.0]))
     problem = replace(problem, loss=loss)

@@ -15,10 +15,13 @@ from tests.support.explosive import explosive
 def tank(start=1.0, output=None, bounds=(-np.inf, np.inf)):
     """Level that is drained by a pump, with Torricelli's outflow: the root of a negative level once it is empty."""
     return Model(
-        "tank", [State("level", "m", start, bounds)], [Input("pump", "m/s")], [Output("level", "m", output)],
+        "tank",
+        [State("level", "m", start, bounds)],
+        [Input("pump", "m/s")],
+        [Output("level", "m", output)],
         [Parameter("k", "m**0.5/s", 0.1, (1e-3, 1.0)), Parameter("edge", "m", 0.9, fixed=True)],
         lambda x, u, p: [Balance("volume", "m/s", 1, "level", pump=-u.pump, outflow=-p.k * ca.sqrt(x.level))],
-    )  # fmt: skip
+    )
 
 
 def failure_of(model, rows=200):

@@ -20,10 +20,37 @@ pytestmark = pytest.mark.skipif(
     not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler on the path"
 )
 VALUES = {
-    "Fc": 0.05, "Fs": 0.08, "vs": 0.01, "s0": 1e4, "s1": 1.0, "gap": 1e-6, "delay": 4e-4, "d": 0.3, "B2": 1.0, "K3": 1e11, "a": 1e6,
-    "alpha": 500.0, "beta": 2e4, "K1": 300.0, "tau1": 0.01, "F0": 0.05, "u0": 0.1, "rate": 1e-5, "Rth": 0.1, "u_max": 1.5, "tau_v": 2e-3,
-    "tau_s": 1e-3, "kl": 1.0, "r": 0.05, "scale": 1.0, "k2": 2e3, "c2": 0.1, "m2": 1e-3, "Re": 10.0, "Ks": 100.0,
-}  # fmt: skip
+    "Fc": 0.05,
+    "Fs": 0.08,
+    "vs": 0.01,
+    "s0": 1e4,
+    "s1": 1.0,
+    "gap": 1e-6,
+    "delay": 4e-4,
+    "d": 0.3,
+    "B2": 1.0,
+    "K3": 1e11,
+    "a": 1e6,
+    "alpha": 500.0,
+    "beta": 2e4,
+    "K1": 300.0,
+    "tau1": 0.01,
+    "F0": 0.05,
+    "u0": 0.1,
+    "rate": 1e-5,
+    "Rth": 0.1,
+    "u_max": 1.5,
+    "tau_v": 2e-3,
+    "tau_s": 1e-3,
+    "kl": 1.0,
+    "r": 0.05,
+    "scale": 1.0,
+    "k2": 2e3,
+    "c2": 0.1,
+    "m2": 1e-3,
+    "Re": 10.0,
+    "Ks": 100.0,
+}
 BIG = {
     "Fc": 20.0,
     "Fs": 30.0,
@@ -45,9 +72,16 @@ def with_effect(base, entry):
 # What makes the step itself another one: friction that sticks, bristles, play, delays, lags. The others only write longer
 # expressions, which all of them together show; each alone is a matter for the slow run.
 OWN_STEP = {
-    micro_actuator: ("coulomb_friction", "stribeck_friction", "lugre_friction", "transport_delay", "sensor_lag", "input_saturation"),
+    micro_actuator: (
+        "coulomb_friction",
+        "stribeck_friction",
+        "lugre_friction",
+        "transport_delay",
+        "sensor_lag",
+        "input_saturation",
+    ),
     pneumatic_cylinder: ("choked_flow", "valve_lag", "backlash"),
-}  # fmt: skip
+}
 CASES = [
     pytest.param(
         base, entry, id=f"{base.name}-{entry.name}", marks=[pytest.mark.slow] * (entry.name not in OWN_STEP[base])
@@ -56,13 +90,30 @@ CASES = [
     for entry in applicable_effects(base)
 ]
 TOGETHER = [
-    (micro_actuator, (
-        "quadratic_damping", "cubic_stiffness", "quadratic_stiffness", "viscoelastic_creep", "bouc_wen_hysteresis", "second_mode",
-        "force_constant_droop", "winding_heating", "constant_load", "soft_saturation", "input_dead_zone", "input_offset", "sensor_drift",
-    )),
+    (
+        micro_actuator,
+        (
+            "quadratic_damping",
+            "cubic_stiffness",
+            "quadratic_stiffness",
+            "viscoelastic_creep",
+            "bouc_wen_hysteresis",
+            "second_mode",
+            "force_constant_droop",
+            "winding_heating",
+            "constant_load",
+            "soft_saturation",
+            "input_dead_zone",
+            "input_offset",
+            "sensor_drift",
+        ),
+    ),
     (micro_actuator, ("eddy_current",)),
-    (pneumatic_cylinder, ("return_spring", "chamber_leakage", "supply_droop", "position_dependent_volume", "valve_dead_zone")),
-]  # fmt: skip
+    (
+        pneumatic_cylinder,
+        ("return_spring", "chamber_leakage", "supply_droop", "position_dependent_volume", "valve_dead_zone"),
+    ),
+]
 
 
 def drive(model, rows=150):
@@ -161,7 +212,7 @@ def run_fmu(path, t, u, outputs, **options):
     step = t[1] - t[0]
     found = fmpy.simulate_fmu(
         str(path), stop_time=t[-1], output_interval=step, step_size=step, input=signal, output=outputs, **options
-    )  # fmt: skip
+    )
     return np.column_stack([found[name] for name in outputs])
 
 
@@ -238,8 +289,11 @@ def test_the_state_of_an_fmu_can_be_kept_and_taken_up_again(tmp_path, fmu):
     described = fmpy.read_model_description(str(fmu))
     folder = fmpy.extract(str(fmu), str(tmp_path / "unzipped"))
     slave = FMU2Slave(
-        guid=described.guid, unzipDirectory=folder, modelIdentifier=described.coSimulation.modelIdentifier, instanceName="one"
-    )  # fmt: skip
+        guid=described.guid,
+        unzipDirectory=folder,
+        modelIdentifier=described.coSimulation.modelIdentifier,
+        instanceName="one",
+    )
     slave.instantiate()
     slave.setupExperiment(startTime=0.0)
     slave.enterInitializationMode()

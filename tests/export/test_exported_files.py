@@ -155,9 +155,13 @@ def test_an_expression_keeps_its_meaning_in_python(tmp_path):
         ]
 
     model = gb.Model(
-        "tricky", [gb.State("a", "1", 0.7)], [gb.Input("u", "1")], [gb.Output("a", "1")],
-        [gb.Parameter("k", "1", 1.3), gb.Parameter("r", "1/s", 1.0)], balances,
-    )  # fmt: skip
+        "tricky",
+        [gb.State("a", "1", 0.7)],
+        [gb.Input("u", "1")],
+        [gb.Output("a", "1")],
+        [gb.Parameter("k", "1", 1.3), gb.Parameter("r", "1/s", 1.0)],
+        balances,
+    )
     back = read_back(model, tmp_path)
     rng = np.random.default_rng(0)
     for x, u in rng.uniform(-2, 2, (50, 2)):
@@ -169,9 +173,13 @@ def test_modelica_refuses_what_it_cannot_say(tmp_path):
     with pytest.raises(gb.errors.ModelError, match=r"backlash .* is set after each step and has no equation"):
         gb.export.to_modelica(micro_actuator + gb.effect("backlash"), tmp_path / "p.mo")
     bell = gb.Model(
-        "bell", [gb.State("a", "1")], [gb.Input("u", "1")], [gb.Output("a", "1")], [gb.Parameter("r", "1/s", 1.0)],
+        "bell",
+        [gb.State("a", "1")],
+        [gb.Input("u", "1")],
+        [gb.Output("a", "1")],
+        [gb.Parameter("r", "1/s", 1.0)],
         lambda x, u, p: [gb.Balance("rate", "1/s", 1, "a", bell=p.r * ca.erf(x.a - u.u))],
-    )  # fmt: skip
+    )
     with pytest.raises(gb.GreyboxError, match="Modelica has no erf"):
         gb.export.to_modelica(bell, tmp_path / "p.mo")
     assert not list(tmp_path.iterdir())

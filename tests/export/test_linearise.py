@@ -30,9 +30,7 @@ def test_the_actuator_is_equation_16_1():
     np.testing.assert_allclose(found.A, a, rtol=1e-14)
     np.testing.assert_allclose(found.B, [[0], [0], [1 / p.La]], rtol=1e-14)
     channel = gb.export.extract_channel(found, "x", "u")
-    by_hand = [
-        p.M * p.La, p.M * p.Ra + p.B * p.La, p.B * p.Ra + p.K * p.La + p.Kf * p.Kv, p.K * p.Ra
-    ]  # fmt: skip
+    by_hand = [p.M * p.La, p.M * p.Ra + p.B * p.La, p.B * p.Ra + p.K * p.La + p.Kf * p.Kv, p.K * p.Ra]
     np.testing.assert_allclose(channel.denominator, np.array(by_hand) / by_hand[0], rtol=1e-10)
     np.testing.assert_allclose(channel.numerator, [p.Kf / by_hand[0]], rtol=1e-10)
     current = gb.export.extract_channel(found, "i", "u")
@@ -302,12 +300,15 @@ def test_a_slope_that_is_not_finite_is_refused():
     with pytest.raises(gb.errors.ModelError, match="not finite; an equation has no finite slope"):
         gb.linearise(
             gb.Model(
-                "orifice", [gb.State("h", "m")], [gb.Input("q", "m/s")], [gb.Output("h", "m")],
+                "orifice",
+                [gb.State("h", "m")],
+                [gb.Input("q", "m/s")],
+                [gb.Output("h", "m")],
                 [gb.Parameter("c", "m**0.5/s", 1.0)],
                 lambda x, u, p: [gb.Balance("level", "m/s", 1, "h", inflow=u.q, outflow=-p.c * x.h**0.5)],
             ),
             {"h": 0, "q": 0},
-        )  # fmt: skip
+        )
 
 
 @pytest.mark.parametrize(("dt", "samples"), [(2.5e-4, None), (2e-3, 4.09), (1e-2, 0.82)])

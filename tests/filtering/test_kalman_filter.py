@@ -1,11 +1,9 @@
 """The Kalman filter, its slopes, the smoother and predictions against statsmodels, scipy and finite differences."""
 
-import casadi as ca
 import numpy as np
 import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.effects import effect
 from greybox.experiment import Experiment
 from greybox.filtering import KalmanFilter, predict_outputs, smooth_states
@@ -16,29 +14,11 @@ from greybox.transcription import to_record
 from models.micro_actuator import micro_actuator
 from models.pneumatic_full import pneumatic_full
 from tests.oracles.independent import linear_matrices, multisine, values
+from tests.support.filters import NOISE, check_slopes, discrete, filter_of, intensity, tank_record
 
-NOISE = {"x": 2e-7, "i": 5e-3}
 START = np.array([2e-6, 1e-3, 0.05])
 ACTUATOR = micro_actuator.with_process_noise(v=0.5, i=0.2)
 KINDS = ("held", "linear", "irregular", "gaps")
-
-
-def discrete(model, h):
-    """Transition, gains of the input at both ends, constant, and noise covariance of one interval, by Gauss's quadrature."""
-    a, b, _, _, constant, _ = linear_matrices(model)
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    share, weights = (nodes + 1) / 2, weights / 2 * h
-    decay = expm(a * (h * (1 - share))[:, None, None])
-    early = np.einsum("s,sij,jk->ik", weights * (1 - share), decay, b)
-    late = np.einsum("s,sij,jk->ik", weights * share, decay, b)
-    steady = np.einsum("s,sij,j->i", weights, decay, constant)
-    noise = np.einsum("s,sij,jk,slk->il", weights, decay, intensity(model), decay)
-    return expm(a * h), early, late, steady, noise
-
-
-def intensity(model):
-    """Diagonal matrix of squared process noise intensities."""
-    return np.diag(ca.Function("d", [model.system.p], [model.system.diffusion])(values(model)).full().ravel() ** 2)
 
 
 def once(steps, model, h):
@@ -71,15 +51,6 @@ def record(kind, rows=300, seed=1, model=ACTUATOR):
         y[100:130] = np.nan
     outputs = {o.name: y[:, j] for j, o in enumerate(model.outputs)}
     return Experiment("twin", time, {"u": u}, outputs, hold="first" if kind == "linear" else "zero")
-
-
-def filter_of(model, data, method="automatic", substeps=0):
-    rows = to_record(model, data)
-    p = values(model)
-    step = discretise(
-        model.system, p, np.zeros((1, model.system.x.numel())), rows.lengths, method=method, substeps=substeps
-    )
-    return KalmanFilter.of(model.system, step), rows, np.append(p, [NOISE.get(o.name, 1.0) for o in model.outputs])
 
 
 def statsmodels_smoother(model, data, x0, covariance):
@@ -143,27 +114,6 @@ def test_slopes_of_the_likelihood_are_finite_differences(kind):
     check_slopes(kalman, rows, pn, START)
 
 
-def check_slopes(kalman, rows, pn, x0, relative=1e-5):
-    """The exact slope of the likelihood, along everything, against central differences of two widths (Richardson)."""
-    nx = len(x0)
-    moving = np.flatnonzero(pn)
-    directions = len(moving) + nx
-    dpn, dx0 = np.zeros((len(pn), directions)), np.zeros((nx, directions))
-    dpn[moving, np.arange(len(moving))] = pn[moving]
-    dx0[:, len(moving) :] = np.diag(np.where(x0 != 0, np.abs(x0), 1.0))
-    found = kalman.slopes(rows, pn, dpn, x0, dx0)
-    exact = -0.5 * (2 * found.e @ found.de + found.dlog_variance.sum(axis=0))
-
-    def difference(k, width):
-        ends = [kalman.run(rows, pn + w * dpn[:, k], x0 + w * dx0[:, k]).log_likelihood for w in (width, -width)]
-        return (ends[0] - ends[1]) / (2 * width)
-
-    for k in range(directions):
-        numerical = (4 * difference(k, 1e-4) - difference(k, 2e-4)) / 3
-        size = np.sqrt(np.sum(found.de[:, k] ** 2)) + 1e-3 * abs(exact[k])
-        assert exact[k] == pytest.approx(numerical, abs=relative * max(size, 1e-3 * np.abs(exact).max()))
-
-
 def test_runge_kutta_meets_the_exact_filter():
     """The extended filter on a linear model is the exact one, to the fourth order of its step."""
     data = record("held", rows=300)
@@ -215,16 +165,6 @@ def test_noise_that_gathers_over_a_stiff_interval_stays_finite():
     assert found == pytest.approx(forever - decay @ forever @ decay.T, rel=1e-6)
 
 
-def tank():
-    """A tank that drains through a hole, with an unsteady inflow."""
-    return Model(
-        "tank", [State("h", "m", 0.4, bounds=(0.0, 1.0), noise="gust")], [Input("q", "m/s")],
-        [Output("h", "m"), Output("out", "m/s", lambda x, u, p: p.c * ca.sqrt(x.h))],
-        [Parameter("c", "m^0.5/s", 0.05, (1e-3, 1.0)), Parameter("gust", "m/s^0.5", 0.003, (0.0, 1.0))],
-        lambda x, u, p: [Balance("volume", "m/s", 1, "h", inflow=u.q, outflow=-p.c * ca.sqrt(x.h))],
-    )  # fmt: skip
-
-
 def extended_filter(model, data, x0, noise, sub=2000):
     """The textbook extended filter of a scalar model by itself: fine Euler steps of mean and variance, joint update."""
     c, gust = model.values["c"], model.values["gust"]
@@ -252,29 +192,12 @@ def extended_filter(model, data, x0, noise, sub=2000):
     return -total / 2
 
 
-def tank_record(rows=60, seed=2):
-    rng = np.random.default_rng(seed)
-    model, period = tank(), 5.0
-    x, h = 0.4, []
-    q = 0.03 + 0.01 * np.sign(np.sin(0.05 * np.arange(rows)))
-    for k in range(rows):
-        h.append(x)
-        for _ in range(500):
-            x += (q[k] - 0.05 * np.sqrt(x)) * period / 500 + 0.003 * np.sqrt(period / 500) * rng.normal()
-    h = np.array(h)
-    outputs = {"h": h + 0.005 * rng.normal(size=rows), "out": 0.05 * np.sqrt(h) + 1e-3 * rng.normal(size=rows)}
-    outputs["out"][20:30] = np.nan
-    return model, Experiment("tank", np.arange(rows) * period, {"q": q}, outputs)
-
-
 def test_the_extended_filter_is_the_textbook_one():
     model, data = tank_record()
     kalman, rows, _ = filter_of(model, data)
     pn = np.array([0.05, 0.003, 0.005, 1e-3])
     expected = extended_filter(model, data, 0.4, pn[2:])
-    errors = [
-        abs(kalman.with_substeps(n).run(rows, pn, np.array([0.4])).log_likelihood - expected) for n in (1, 4, 16)
-    ]  # fmt: skip
+    errors = [abs(kalman.with_substeps(n).run(rows, pn, np.array([0.4])).log_likelihood - expected) for n in (1, 4, 16)]
     assert errors[-1] < 1e-5 * abs(expected)
     assert errors[0] > errors[-1]
     check_slopes(kalman, rows, pn, np.array([0.4]))
@@ -306,8 +229,12 @@ def test_the_filter_of_every_kind_of_step_follows_its_record_and_has_exact_slope
     spread = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2).max(axis=0))
     assert np.all(np.linalg.eigvalsh(found.covariance / np.outer(spread, spread)) > -1e-9)
     ahead = predict_outputs(kalman, rows, pn, x0, 1)
-    expected = np.array([kalman.step.outputs(x, u, pn[: model.system.p.numel()]).full().ravel() for x, u in
-                         zip(found.predicted, rows.read_by(kalman.step).u, strict=True)])  # fmt: skip
+    expected = np.array(
+        [
+            kalman.step.outputs(x, u, pn[: model.system.p.numel()]).full().ravel()
+            for x, u in zip(found.predicted, rows.read_by(kalman.step).u, strict=True)
+        ]
+    )
     assert ahead == pytest.approx(expected, rel=1e-7, abs=1e-12)
 
 

@@ -42,8 +42,13 @@ def shifted(model, u, seconds, first_order=False):
     x, found = np.zeros(model.system.x.numel()), {0.0: np.zeros(model.system.x.numel())}
     for a, b in pairwise(cuts):
         x = solve_ivp(
-            lambda t, x, a=a, b=b: f(x, arriving(t, (a + b) / 2), p).full().ravel(), (a, b), x, method="DOP853", rtol=1e-9, atol=1e-12
-        ).y[:, -1]  # fmt: skip
+            lambda t, x, a=a, b=b: f(x, arriving(t, (a + b) / 2), p).full().ravel(),
+            (a, b),
+            x,
+            method="DOP853",
+            rtol=1e-9,
+            atol=1e-12,
+        ).y[:, -1]
         found[b] = x
     return np.array([found[min(found, key=lambda t, r=r: abs(t - r))] for r in rows])
 
@@ -104,10 +109,17 @@ def test_the_answer_is_continuous_where_the_delay_passes_a_whole_sample(method):
 
 
 def test_an_output_that_shows_the_input_shows_the_delayed_one():
-    seen = Model(
-        micro_actuator.name, micro_actuator.states, micro_actuator.inputs, [Output("w", "V", lambda x, u, p: u.u)],
-        micro_actuator.parameters, micro_actuator.balances,
-    ) + delay()  # fmt: skip
+    seen = (
+        Model(
+            micro_actuator.name,
+            micro_actuator.states,
+            micro_actuator.inputs,
+            [Output("w", "V", lambda x, u, p: u.u)],
+            micro_actuator.parameters,
+            micro_actuator.balances,
+        )
+        + delay()
+    )
     for method in ("exact", "rk4"):
         for intervals, expected in ((0.0, INPUT), (1.0, np.r_[0, INPUT[:-1]]), (1.7, np.r_[0, 0, INPUT[:-2]])):
             model = at_delay(seen, intervals)

@@ -56,8 +56,13 @@ def test_the_exact_hold_follows_a_ramp_exactly(model):
     )(values(model))
     slope = (ub - ua) / h
     exact = solve_ivp(
-        lambda t, x: a @ x + b[:, 0] * (ua + slope * t) + c.full().ravel(), (0, h), x0, method="DOP853", rtol=1e-12, atol=1e-14
-    ).y[:, -1]  # fmt: skip
+        lambda t, x: a @ x + b[:, 0] * (ua + slope * t) + c.full().ravel(),
+        (0, h),
+        x0,
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-14,
+    ).y[:, -1]
     mine = step.advance(x0, ua, ub, q[0], h).full().ravel()
     assert np.allclose(mine, exact, rtol=1e-9, atol=1e-12 * np.abs(exact).max())
 
@@ -95,8 +100,13 @@ def duffing():
 def test_rk4_converges_with_order_four():
     model = duffing()
     exact = solve_ivp(
-        lambda t, x: [x[1], 1.5 * t - 0.4 * x[1] - 4 * x[0] - 3 * x[0] ** 3], (0, 1), [1.0, 0.0], method="DOP853", rtol=1e-13, atol=1e-14
-    ).y[:, -1]  # fmt: skip
+        lambda t, x: [x[1], 1.5 * t - 0.4 * x[1] - 4 * x[0] - 3 * x[0] ** 3],
+        (0, 1),
+        [1.0, 0.0],
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-14,
+    ).y[:, -1]
     errors = []
     for n in (10, 20, 40, 80):
         step, x = rk4(model.system), np.array([1.0, 0.0])
@@ -117,9 +127,11 @@ def test_substeps_are_tied_to_the_fastest_eigenvalue():
 def rubbing(level, static=None):
     """A mass on a spring with dry friction."""
     friction = Effect(
-        "rubbing", "force", [Parameter("Fc", "N", level, (0, 1e6)), Parameter("Fs", "N", static or level, (0, 1e6))],
+        "rubbing",
+        "force",
+        [Parameter("Fc", "N", level, (0, 1e6)), Parameter("Fs", "N", static or level, (0, 1e6))],
         dry=lambda x, u, p: DryFriction(p.Fc, p.Fs),
-    )  # fmt: skip
+    )
     spring = Model(
         "spring",
         [State("x", "m"), State("v", "m/s")],

@@ -39,9 +39,14 @@ def solved(model, u, period, x0, rtol=1e-9, atol=1e-12, slope=None):
     for k in range(len(u) - 1):
         rise = 0.0 if slope is None else (u[k + 1] - u[k]) / period
         x = solve_ivp(
-            lambda t, x, k=k, rise=rise: f(x, u[k] + rise * t, p), (0, period), x, method="Radau", rtol=rtol, atol=atol,
+            lambda t, x, k=k, rise=rise: f(x, u[k] + rise * t, p),
+            (0, period),
+            x,
+            method="Radau",
+            rtol=rtol,
+            atol=atol,
             jac=lambda t, x, k=k: j(x, u[k], p),
-        ).y[:, -1]  # fmt: skip
+        ).y[:, -1]
         found.append(x)
     return np.array(found)
 
@@ -59,15 +64,17 @@ def coil(stiffness=1e-4):
         [Input("u", "V")],
         [Output("x", "m")],
         [
-            Parameter("K3", "1/(m**2*s**2)", 5.0), Parameter("T", "s", stiffness, (1e-9, 1.0)),
-            Parameter("R", "ohm", 1.0), Parameter("k", "m/(A*s**2)", 1.0),
+            Parameter("K3", "1/(m**2*s**2)", 5.0),
+            Parameter("T", "s", stiffness, (1e-9, 1.0)),
+            Parameter("R", "ohm", 1.0),
+            Parameter("k", "m/(A*s**2)", 1.0),
         ],
         lambda x, u, p: [
             Balance("position", "m/s", 1, "x", velocity=x.v),
             Balance("force", "m/s**2", 1, "v", coil=p.k * x.i, spring=-p.K3 * x.x**3),
             Balance("voltage", "V", p.R * p.T, "i", supply=u.u, drop=-p.R * x.i),
         ],
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(
@@ -212,8 +219,14 @@ def test_slopes_of_implicit_methods_are_those_of_finite_differences(method, kern
 
 def test_implicit_methods_refuse_large_models():
     states = [State(f"x{k}", "m") for k in range(9)]
-    chain = Model("chain", states, [], [Output("x0", "m")], [Parameter("T", "s", 1.0)],
-                  lambda x, u, p: [Balance(s.name, "m/s", 1, s.name, decay=-x[s.name] / p.T) for s in states])  # fmt: skip
+    chain = Model(
+        "chain",
+        states,
+        [],
+        [Output("x0", "m")],
+        [Parameter("T", "s", 1.0)],
+        lambda x, u, p: [Balance(s.name, "m/s", 1, s.name, decay=-x[s.name] / p.T) for s in states],
+    )
     with pytest.raises(ModelError, match=r"implicit methods take up to 8 states, this model has 9"):
         radau(chain.system)
 
@@ -238,9 +251,12 @@ def test_the_number_of_substeps_meets_an_error_target():
 
 def test_a_relaxing_state_must_be_linear_in_itself():
     bent = Effect(
-        "bent", "force", [Parameter("c", "1/({displacement}*s)", 1.0)], states=[State("z", "{displacement}", relaxing=True)],
+        "bent",
+        "force",
+        [Parameter("c", "1/({displacement}*s)", 1.0)],
+        states=[State("z", "{displacement}", relaxing=True)],
         balances=lambda x, u, p: [Balance("loop", "{velocity}", 1, "z", decay=-p.c * x.z**2)],
-    )  # fmt: skip
+    )
     with pytest.raises(
         ModelError, match=r"rate of the relaxing state 'z' is not linear in it; write it as alpha - beta z"
     ):
@@ -307,9 +323,11 @@ def test_stribeck_friction_breaks_away_slides_and_sticks_with_order_two():
 def test_static_friction_above_sliding_breaks_away_within_a_step():
     """A ramp passes Fs between two rows: with the level falling at once the start of motion is where the ramp passes."""
     stiction = Effect(
-        "stiction", "force", [Parameter("Fc", "{force}", 20.0, (0.0, 1e4)), Parameter("Fs", "{force}", 30.0, (0.0, 1e4))],
+        "stiction",
+        "force",
+        [Parameter("Fc", "{force}", 20.0, (0.0, 1e4)), Parameter("Fs", "{force}", 30.0, (0.0, 1e4))],
         dry=lambda x, u, p: DryFriction(p.Fc, p.Fs),
-    )  # fmt: skip
+    )
     model = oscillator(K=1e-9, B=1e-9) + stiction
     u = 29.0 + 4.0 * np.arange(6) / 5  # passes 30 N after 1.25 rows
     for substeps in (1, 4):

@@ -28,15 +28,17 @@ def oscillator(stiffness, damping):
         [Input("u", "V"), Input("w", "m/s**2")],
         [Output("x", "m")],
         [
-            Parameter("k", "1/s**2", stiffness), Parameter("c", "1/s", damping),
-            Parameter("g", "m/(V*s**2)", 2.0), Parameter("f", "m/s**2", -0.3),
+            Parameter("k", "1/s**2", stiffness),
+            Parameter("c", "1/s", damping),
+            Parameter("g", "m/(V*s**2)", 2.0),
+            Parameter("f", "m/s**2", -0.3),
         ],
         lambda x, u, p: [
             Balance("position", "m/s", 1, "x", velocity=x.v),
             Balance("force", "m/s**2", 1, "v", spring=-p.k * x.x, damping=-p.c * x.v, drive=p.g * u.u, rest=u.w + p.f),
             Balance("sum", "m", 1, "s", position=x.x),
         ],
-    )  # fmt: skip
+    )
 
 
 def generator(k, c, g, f, h):

@@ -302,8 +302,13 @@ def run(problem: Problem, folder: Path, records: Path, checkout: Path, shared: P
         program = ["-c", VERBS, str(records)] if words[0] == "verbs" else ["-m", "greybox.cli", *words, "--no-report"]
         done = subprocess.run(
             [sys.executable, *program],
-            cwd=place, env=environment(checkout), capture_output=True, text=True, timeout=LIMIT, check=False,
-        )  # fmt: skip
+            cwd=place,
+            env=environment(checkout),
+            capture_output=True,
+            text=True,
+            timeout=LIMIT,
+            check=False,
+        )
         if words[0] == "verbs" and not done.returncode:
             (place / "verbs.json").write_text(done.stdout)
         with (place / "log.txt").open("a") as log:

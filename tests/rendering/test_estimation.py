@@ -25,191 +25,296 @@ ONE, TWO = {"parameters": ["K"]}, {"parameters": ["K", "B"]}
 
 GOLDEN = [
     ("misfit_ratio", "x", {"ratio": 1.2, "without_outliers": False}, "misfit 1.2 times the noise in x"),
-    ("misfit_ratio", "x", {"ratio": 1.2, "without_outliers": True}, "misfit 1.2 times the noise in x, outliers excluded"),
     (
-        "prediction_ratio", "x", {"one_step": 1.0, "free_run": 7.5},
+        "misfit_ratio",
+        "x",
+        {"ratio": 1.2, "without_outliers": True},
+        "misfit 1.2 times the noise in x, outliers excluded",
+    ),
+    (
+        "prediction_ratio",
+        "x",
+        {"one_step": 1.0, "free_run": 7.5},
         "prediction error 1 times the noise in x one step ahead, simulation error 7.5 times",
     ),
-    ("filter_not_finite", "", {"experiment": 2}, "the Kalman filter diverges in experiment 2: its values are not finite"),
     (
-        "term_not_finite", "outflow", {**PLACE, **TERM},
+        "filter_not_finite",
+        "",
+        {"experiment": 2},
+        "the Kalman filter diverges in experiment 2: its values are not finite",
+    ),
+    (
+        "term_not_finite",
+        "outflow",
+        {**PLACE, **TERM},
         "the simulation of experiment 2 fails at t = 0.5 s (row 6): the term 'outflow' of balance 'volume' (k*sqrt(level)) is nan"
         " m/s at level = -0.1 m, pump = 0.1 m/s",
     ),
     (
-        "term_not_finite", "volume", {**PLACE, **TERM, "kind": "storage", "formula": "1/A", "value": "inf", "unit": ""},
+        "term_not_finite",
+        "volume",
+        {**PLACE, **TERM, "kind": "storage", "formula": "1/A", "value": "inf", "unit": ""},
         "the simulation of experiment 2 fails at t = 0.5 s (row 6): the inverse storage of balance 'volume' (1/A) is inf at level"
         " = -0.1 m, pump = 0.1 m/s",
     ),
     (
-        "term_not_finite", "y", {**PLACE, **TERM, "kind": "output", "name": "y", "formula": "x" * 81},
+        "term_not_finite",
+        "y",
+        {**PLACE, **TERM, "kind": "output", "name": "y", "formula": "x" * 81},
         "the simulation of experiment 2 fails at t = 0.5 s (row 6): the output 'y' is nan m/s at level = -0.1 m, pump = 0.1 m/s",
     ),
     (
-        "term_not_finite", "x", {**PLACE, **TERM, "kind": "start", "name": "x"},
+        "term_not_finite",
+        "x",
+        {**PLACE, **TERM, "kind": "start", "name": "x"},
         "the simulation of experiment 2 fails at t = 0.5 s (row 6): the initial value of state 'x' is nan at level = -0.1 m, pump"
         " = 0.1 m/s",
     ),
     (
-        "states_diverge", "level", PLACE,
+        "states_diverge",
+        "level",
+        PLACE,
         "the simulation of experiment 2 fails at t = 0.5 s (row 6): the states diverge, although every term is"
         " finite; the largest is 'level', at level = -0.1 m, pump = 0.1 m/s",
     ),
     (
-        "sensitivity_not_finite", "", {"experiment": 2},
+        "sensitivity_not_finite",
+        "",
+        {"experiment": 2},
         "the simulation of experiment 2 succeeds, but its sensitivity to the parameters is not finite: a term has an infinite"
         " slope, as sqrt has at 0; set a bound on the state in this term, or rewrite the term with a finite slope",
     ),
     ("search_strategy", "single", {"shares": [1.0], "reason": ""}, "single shooting on the whole record, as requested"),
     (
-        "search_strategy", "single", {"shares": [0.26, 1.0], "reason": "transcription_stable"},
+        "search_strategy",
+        "single",
+        {"shares": [0.26, 1.0], "reason": "transcription_stable"},
         "single shooting on a growing record (26 %, 100 %); chosen because the model is stable and not stiff",
     ),
     ("search_strategy", "multiple", {"segments": 1, "reason": ""}, "multiple shooting over one segment, as requested"),
     (
-        "search_strategy", "multiple", {"segments": 4, "reason": "", "completion": "white_noise"},
+        "search_strategy",
+        "multiple",
+        {"segments": 4, "reason": "", "completion": "white_noise"},
         "multiple shooting over 4 segments, as requested; the noise is assumed to be white, because a free run does not follow"
         " this plant; the intervals allow for its colour",
     ),
     (
-        "search_strategy", "collocation-radau", {"held_samples": 3, "reason": "", "completion": "free_run"},
+        "search_strategy",
+        "collocation-radau",
+        {"held_samples": 3, "reason": "", "completion": "free_run"},
         "direct collocation, as requested; 3 samples lie at a bound of a state; then a free run from that result, as the noise"
         " model or the cost requires",
     ),
     (
-        "search_strategy", "arcs", {"arcs": 8, "arc_length": 0.1, "whole": False, "reason": ""},
+        "search_strategy",
+        "arcs",
+        {"arcs": 8, "arc_length": 0.1, "whole": False, "reason": ""},
         "8 arcs of 0.1 s, each with its own initial state, as requested",
     ),
     (
-        "search_strategy", "arcs", {"arcs": 1, "arc_length": 0.1, "whole": True, "reason": ""},
+        "search_strategy",
+        "arcs",
+        {"arcs": 1, "arc_length": 0.1, "whole": True, "reason": ""},
         "arcs of 0.1 s; no record is divided (a second arc would be shorter than half an arc), as requested",
     ),
     (
-        "search_strategy", "prediction", {"exact": True},
+        "search_strategy",
+        "prediction",
+        {"exact": True},
         "prediction error with the exact Kalman filter, started from the free-run fit or the start values",
     ),
     (
-        "model_does_not_follow", "", {"best_fit": {"x": 12.0, "i": 0.0}},
+        "model_does_not_follow",
+        "",
+        {"best_fit": {"x": 12.0, "i": 0.0}},
         "the model follows only 12 % of x, 0 % of i (best fit; 100 % is a perfect fit): do not use these parameters; check the"
         " units and signs of the columns, the fixed parameters, and whether this is the right model",
     ),
     (
-        "direction_undetermined", "", {"direction": {"Kf": 1.0}},
+        "direction_undetermined",
+        "",
+        {"direction": {"Kf": 1.0}},
         "not determined by these data: Kf has no influence on the measured outputs",
     ),
     (
-        "direction_undetermined", "", {"direction": {"Kf": 1.0, "La": 0.5}},
+        "direction_undetermined",
+        "",
+        {"direction": {"Kf": 1.0, "La": 0.5}},
         "not determined by these data: Kf, La can change together without changing the outputs: fix one of them, or measure another output",
     ),
     ("stopped_by_bound", "", TWO, "stopped by a bound: K, B; widen the bound, or add the effect that the model lacks"),
     ("parameter_undetermined", "", TWO, "not determined (the 95 % interval exceeds half the value): K, B"),
     (
-        "misfit_above_noise", "", {"ratios": {"x": 2.0}},
+        "misfit_above_noise",
+        "",
+        {"ratios": {"x": 2.0}},
         "the misfit exceeds the noise: the model is incomplete, and its parameters may be biased",
     ),
     (
-        "misfit_above_difference_noise", "", {"ratios": {"x": 2.0}},
+        "misfit_above_difference_noise",
+        "",
+        {"ratios": {"x": 2.0}},
         "the misfit exceeds the noise estimated from differences of the records: the model is incomplete, or the noise is"
         " coloured (a quiet record shows which)",
     ),
     (
-        "parameter_not_constant", "",
-        {"shifts": [{
-            "name": "K", "unit": "N/m", "before": 10.0, "after": 12.0, "deviations": 4.0,
-            "parts": ["experiment:'day 1'", "experiment:'day 2'"],
-        }]},
+        "parameter_not_constant",
+        "",
+        {
+            "shifts": [
+                {
+                    "name": "K",
+                    "unit": "N/m",
+                    "before": 10.0,
+                    "after": 12.0,
+                    "deviations": 4.0,
+                    "parts": ["experiment:'day 1'", "experiment:'day 2'"],
+                }
+            ]
+        },
         "not constant: K changes from 10 to 12 N/m between experiment 'day 1' and experiment 'day 2', 4 standard deviations of"
         " the noise; it compensates for an effect that the model lacks, or the plant changes",
     ),
     (
-        "parameter_not_constant", "",
-        {"shifts": [{
-            "name": "K", "unit": "N/m", "before": 10.0, "after": 12.0, "deviations": 4.0, "parts": ["first_half:1", "second_half:1"],
-        }]},
+        "parameter_not_constant",
+        "",
+        {
+            "shifts": [
+                {
+                    "name": "K",
+                    "unit": "N/m",
+                    "before": 10.0,
+                    "after": 12.0,
+                    "deviations": 4.0,
+                    "parts": ["first_half:1", "second_half:1"],
+                }
+            ]
+        },
         "not constant: K changes from 10 to 12 N/m between the first half of the record and the second half of the record, 4"
         " standard deviations of the noise; it compensates for an effect that the model lacks, or the plant changes",
     ),
     (
-        "residual_correlated", "", {"outputs": ["x"], "inflation": 3.0},
+        "residual_correlated",
+        "",
+        {"outputs": ["x"], "inflation": 3.0},
         "the residual of x is correlated from sample to sample: the intervals allow for it and are up to 3 times as wide as for white"
         " noise",
     ),
     (
-        "innovations_correlated", "", {"inflation": 3.0},
+        "innovations_correlated",
+        "",
+        {"inflation": 3.0},
         "the innovations are correlated from sample to sample: the model or its noise model is incomplete; the intervals allow"
         " for it and are up to 3 times as wide as for white innovations",
     ),
     (
-        "integration_too_coarse", "", {"outputs": ["x", "i"]},
+        "integration_too_coarse",
+        "",
+        {"outputs": ["x", "i"]},
         "the integration error exceeds a tenth of the noise in x, i: increase the number of substeps",
     ),
     (
-        "step_moves_parameters", "", {"shifts": {"K": 0.25}},
+        "step_moves_parameters",
+        "",
+        {"shifts": {"K": 0.25}},
         "with half the integration step the parameters change by more than a tenth of their standard deviation (K by 0.25 standard"
         " deviations): increase the number of substeps",
     ),
     (
-        "validation_error_larger", "x", {"ratio": 2.5},
+        "validation_error_larger",
+        "x",
+        {"ratio": 2.5},
         "the simulation error in x is 2.5 times that on the estimation records: a free run accumulates small errors of force and"
         " offset, above all if the plant integrates, and parameters change from day to day; validate on shorter records as well",
     ),
     (
-        "prior_conflict", "K", {"deviations": 3.1},
+        "prior_conflict",
+        "K",
+        {"deviations": 3.1},
         "the prior of K and the data disagree by 3.1 standard deviations: one of them, or the model, is wrong",
     ),
     ("held_by_prior", "", ONE, "determined by its prior: K; the data add little or nothing"),
     ("held_by_prior", "", TWO, "determined by their priors: K, B; the data add little or nothing"),
     (
-        "tied_outside_bounds", "Kv", {"value": 3.0, "unit": "V*s/m", "low": "0", "high": "2"},
+        "tied_outside_bounds",
+        "Kv",
+        {"value": 3.0, "unit": "V*s/m", "low": "0", "high": "2"},
         "the tied parameter Kv is outside its bounds: 3 V*s/m, bounds [0, 2] V*s/m",
     ),
     (
-        "mean_of_experiments", "", ONE,
+        "mean_of_experiments",
+        "",
+        ONE,
         "each experiment has its own value of K: the fitted model has the mean, and a validation uses the mean",
     ),
     (
-        "robust_loss_outliers", "", {"loss": "huber:1.345", "shares": {"x": 0.031}},
+        "robust_loss_outliers",
+        "",
+        {"loss": "huber:1.345", "shares": {"x": 0.031}},
         "robust loss (huber:1.345): 3.1 % of x count as outliers",
     ),
     (
-        "robust_loss_outliers", "", {"loss": "huber:1.345", "shares": {}},
+        "robust_loss_outliers",
+        "",
+        {"loss": "huber:1.345", "shares": {}},
         "robust loss (huber:1.345): no sample counts as an outlier",
     ),
     (
-        "too_many_outliers", "", {"outputs": ["x"]},
+        "too_many_outliers",
+        "",
+        {"outputs": ["x"]},
         "too many samples of x count as outliers: the model is incomplete, or the noise is larger than assumed",
     ),
     (
-        "constant_output_excluded", "", {"outputs": ["v"]},
+        "constant_output_excluded",
+        "",
+        {"outputs": ["v"]},
         "excluded: v is constant, so its noise cannot be estimated (the sensor may be dead); give its noise to include it",
     ),
     (
-        "process_noise_zero", "noise_v", NOISE,
+        "process_noise_zero",
+        "noise_v",
+        NOISE,
         "process noise on v (noise_v): zero, below 0.0002 m/s^1.5 at 95 %; these records show no deviation from the balance"
         " 'force'",
     ),
     (
-        "process_noise_not_significant", "noise_v", {**NOISE, "p_value": 0.2},
+        "process_noise_not_significant",
+        "noise_v",
+        {**NOISE, "p_value": 0.2},
         "process noise on v (noise_v): not significant (p = 0.2), below 0.0002 m/s^1.5 at 95 %; these records show no certain"
         " deviation from the balance 'force'",
     ),
     (
-        "process_noise_significant", "noise_v",
-        {**NOISE, "upper_limit": None, "intensity": 0.3, "ratio": 42.0, "period": 0.1, "sizes": [{"size": 0.95, "unit": "N"}]},
+        "process_noise_significant",
+        "noise_v",
+        {
+            **NOISE,
+            "upper_limit": None,
+            "intensity": 0.3,
+            "ratio": 42.0,
+            "period": 0.1,
+            "sizes": [{"size": 0.95, "unit": "N"}],
+        },
         "process noise on v (noise_v = 0.3 m/s^1.5): significant (likelihood ratio 42); the balance 'force' lacks an effect, or a"
         " random disturbance acts there, of 0.95 N averaged over one sample of 0.1 s",
     ),
     ("noise_colour_ignored", "", {}, "the noise is coloured, but a fit with process noise assumes white noise"),
     (
-        "starts", "", {"counts": [3, 2, 1], "ratios": [1.0, 3.4, 9.0], "without_result": 1},
+        "starts",
+        "",
+        {"counts": [3, 2, 1], "ratios": [1.0, 3.4, 9.0], "without_result": 1},
         "3 of 7 starts ended at the best optimum (misfit 1 x noise), 2 at a worse one (3.4 x), 1 at a worse one (9 x), 1 without a result",
     ),
     (
-        "starts", "", {"counts": [1] * 6, "ratios": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "without_result": 0},
+        "starts",
+        "",
+        {"counts": [1] * 6, "ratios": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "without_result": 0},
         "1 of 6 starts ended at the best optimum (misfit 1 x noise), 1 at a worse one (2 x), 1 at a worse one (3 x), 1 at a worse one"
         " (4 x), 2 at still worse ones (from 5 x)",
     ),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("code", "subject", "values", "text"), GOLDEN)

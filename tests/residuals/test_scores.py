@@ -8,7 +8,7 @@ from greybox import Experiment, FitOptions, fit
 from greybox.blackbox import armax, arx, box_jenkins, hammerstein, output_error
 from greybox.residuals import score
 from greybox.simulation import simulate
-from tests.filtering.test_kalman_filter import tank, tank_record
+from tests.support.filters import tank, tank_record
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, record
 
 # name -> what is fitted to a record that something pushes at random

@@ -19,8 +19,8 @@ from greybox.estimation import fit
 from greybox.experiment import Experiment
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
-from tests.filtering.test_kalman_filter import discrete
 from tests.oracles.independent import linear_matrices, linear_record, multisine
+from tests.support.filters import discrete
 
 ROWS = 1500
 RIGS = {
@@ -65,8 +65,15 @@ def pushed(rig, seed):
     values, vectors = np.linalg.eigh(noise / np.outer(spread, spread))
     root = spread[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     record, rng = simulated(rig, 0.0, seed)[1], np.random.default_rng([seed, 77])
-    x, y = np.array([model.values["P_S"] / 2 * (n in ("p_a", "p_b")) if "P_S" in model.values else 0.0
-                     for n in model.system.state_names]), []  # fmt: skip
+    x, y = (
+        np.array(
+            [
+                model.values["P_S"] / 2 * (n in ("p_a", "p_b")) if "P_S" in model.values else 0.0
+                for n in model.system.state_names
+            ]
+        ),
+        [],
+    )
     for u in record.inputs["u"]:
         y.append(c @ x + d[:, 0] * u + offset)
         x = phi @ x + (early + late)[:, 0] * u + steady + root @ rng.normal(size=len(x))

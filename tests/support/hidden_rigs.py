@@ -9,9 +9,15 @@ from models.micro_actuator import micro_actuator
 
 ACTUATOR = {"M": 0.010, "B": 0.27, "K": 5900.0, "Kf": 1.39, "Kv": 1.39, "Ra": 8.0, "La": 1e-3}
 CYLINDER = {
-    "M_piston": 2.0, "f_v": 25.0, "A_piston": 1.2566e-3, "V_total": 6.283e-4, "P_S": 7e5, "P_a": 101300.0, "K2": 6e-10,
+    "M_piston": 2.0,
+    "f_v": 25.0,
+    "A_piston": 1.2566e-3,
+    "V_total": 6.283e-4,
+    "P_S": 7e5,
+    "P_a": 101300.0,
+    "K2": 6e-10,
     "rho_a": 1.185,
-}  # fmt: skip
+}
 AT_REST = FitOptions(at_rest=True)
 
 

@@ -36,35 +36,28 @@ from models.emps import emps
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import experiment, linear_record, multisine, rates_of, solved_record, values
+from tests.support.oscillator import oscillator
 
 RANGE = (1e-3, 1e3)
-
-
-def oscillator(name, d, k, c, b):
-    """``v' = b u - d v - k x - c x^3``: hardening for k, c > 0, two wells (chaotic when driven) for k < 0."""
-    return Model(
-        name, [State("x", "m"), State("v", "m/s")], [Input("u", "m/s**2")], [Output("x", "m")],
-        [
-            Parameter("d", "1/s", d, RANGE), Parameter("k", "1/s**2", k, (-1e3, 1e3)),
-            Parameter("c", "1/(m**2*s**2)", c, RANGE), Parameter("b", "1", b, RANGE),
-        ],
-        lambda x, u, p: [
-            Balance("position", "m/s", 1, "x", velocity=x.v),
-            Balance("force", "m/s**2", 1, "v", drive=p.b * u.u, damping=-p.d * x.v, spring=-p.k * x.x, hardening=-p.c * x.x**3),
-        ],
-    )  # fmt: skip
 
 
 def pendulum():
     """Inverted pendulum on a cart, measured angle from upright."""
     return Model(
-        "pendulum", [State("a", "rad"), State("w", "rad/s")], [Input("u", "m/s**2")], [Output("a", "rad")],
-        [Parameter("g_l", "rad/s**2", 20.0, RANGE), Parameter("d", "1/s", 0.3, RANGE), Parameter("b", "rad/m", 2.0, RANGE)],
+        "pendulum",
+        [State("a", "rad"), State("w", "rad/s")],
+        [Input("u", "m/s**2")],
+        [Output("a", "rad")],
+        [
+            Parameter("g_l", "rad/s**2", 20.0, RANGE),
+            Parameter("d", "1/s", 0.3, RANGE),
+            Parameter("b", "rad/m", 2.0, RANGE),
+        ],
         lambda x, u, p: [
             Balance("angle", "rad/s", 1, "a", rate=x.w),
             Balance("moment", "rad/s**2", 1, "w", gravity=p.g_l * ca.sin(x.a), damping=-p.d * x.w, cart=p.b * u.u),
         ],
-    )  # fmt: skip
+    )
 
 
 def balanced(model, rows, period, noise, seed=1):
@@ -246,9 +239,13 @@ def test_a_constant_stops_at_its_bound_in_multiple_shooting(duffing):
 
 def test_a_segment_that_overflows_at_the_start_is_a_result_and_not_an_error():
     model = Model(
-        "explosive", [State("x", "m", 1.0)], [Input("u", "m")], [Output("x", "m")], [Parameter("a", "1/s/m", 50.0, (1e-3, 1e3))],
+        "explosive",
+        [State("x", "m", 1.0)],
+        [Input("u", "m")],
+        [Output("x", "m")],
+        [Parameter("a", "1/s/m", 50.0, (1e-3, 1e3))],
         lambda x, u, p: [Balance("growth", "m/s", 1, "x", square=p.a * x.x * x.x)],
-    )  # fmt: skip
+    )
     t = np.arange(100) * 0.1
     p = problem(model, experiment(model, t, np.ones((100, 1)), 2 + np.cos(t)[:, None]), {"x": 0.1}, False, 4)
     found = lifted(p, 50).solve()
@@ -260,17 +257,22 @@ def stiff(line):
     """A spool that follows within 20 us ahead of a slow state, and ``line`` lags after that."""
     lags = [f"l{k}" for k in range(line)]
     return Model(
-        "stiff", [State("s", "m"), State("x", "m"), *(State(n, "m") for n in lags)], [Input("u", "m")], [Output("x", "m")],
+        "stiff",
+        [State("s", "m"), State("x", "m"), *(State(n, "m") for n in lags)],
+        [Input("u", "m")],
+        [Output("x", "m")],
         [
-            Parameter("a", "1/s", 2.0, RANGE), Parameter("c", "1/m**2", 0.5, RANGE),
-            Parameter("f", "1/s", 5e4, (1, 1e6), fixed=True), Parameter("g", "1/s", 1.0, fixed=True),
+            Parameter("a", "1/s", 2.0, RANGE),
+            Parameter("c", "1/m**2", 0.5, RANGE),
+            Parameter("f", "1/s", 5e4, (1, 1e6), fixed=True),
+            Parameter("g", "1/s", 1.0, fixed=True),
         ],
         lambda x, u, p: [
             Balance("spool", "m/s", 1, "s", command=p.f * u.u, back=-p.f * x.s, hardening=-p.f * p.c * x.s**3),
             Balance("slow", "m/s", 1, "x", inflow=p.g * x.s, decay=-p.a * x.x),
             *(Balance(n, "m/s", 1, n, inflow=p.a * x[m], decay=-p.a * x[n]) for m, n in pairwise(["x", *lags])),
         ],
-    )  # fmt: skip
+    )
 
 
 def test_a_stiff_plant_gets_implicit_steps_or_collocation_and_is_fitted_by_radau_points():

@@ -15,7 +15,7 @@ import pytest
 
 from greybox.project.template import STUDIES
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 # Each pattern has a letter in brackets, so that it does not match its own line.

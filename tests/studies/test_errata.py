@@ -27,7 +27,7 @@ from models.pneumatic_pistons import viscous_piston
 from models.pneumatic_pva import pneumatic_pva
 from models.pneumatic_valves import linear_valve
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "errata.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "errata.md"
 SIGMA, W = wang.SMOOTHED.decay, wang.SMOOTHED.frequency
 TS = wang.SAMPLING_TIME
 

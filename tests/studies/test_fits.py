@@ -9,7 +9,7 @@ import pytest
 from fits import cascaded_tanks_base, emps_dry_friction, silverbox_hardening
 from greybox.project import write_project
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 STUDIES = ("emps_dry_friction", "cascaded_tanks_base", "silverbox_hardening")
 
 

@@ -19,7 +19,7 @@ from fits import pneumatic_printed as chapter
 from fits.paper_page import rms_log
 from greybox.blackbox.monte_carlo_smoothing.intervals import find_resonance
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "paper_tables.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "paper_tables.md"
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ import pytest
 
 import greybox
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = sorted((ROOT / "greybox").rglob("*.py"))
 
 # Constants of nature and of file formats, and the like. Decision numbers belong to a policy, tolerances to numerics.py.

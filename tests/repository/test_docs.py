@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import greybox
-from tests.documented import ROOT, blocks, commands, missing, run_page, same
+from tests.support.documented import ROOT, blocks, commands, missing, run_page, same
 
 DOCS = ROOT / "docs"
 # Pages that are run here, quickly: without the parts marked slow. The others are run by the slow tests.

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 # A room is the first path component under greybox/. It may import from the rows above it, and from its own row as
 # long as the rooms of that row do not import one another in a circle.

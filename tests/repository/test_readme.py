@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.documented import ROOT, Run, blocks, run_page
+from tests.support.documented import ROOT, Run, blocks, run_page
 
 README = ROOT / "README.md"
 
