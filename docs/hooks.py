@@ -7,6 +7,7 @@ studies write into this folder join the navigation by themselves.
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import re
@@ -155,9 +156,31 @@ def catalogue() -> str:
     return "\n\n".join(sections)
 
 
+def modules() -> str:
+    """A table a package: each module with the first sentence of its docstring, read without importing it."""
+    folder = FOLDER.parent / "greybox"
+    rows = re.findall(r"^\| (`[^|]+) \|", (FOLDER / "architecture.md").read_text(encoding="utf-8"), re.MULTILINE)
+    order = [name for row in rows for name in re.findall(r"`(\w+)`", row) if (folder / name).is_dir()]
+    return "\n".join(line for package in order for line in _module_table(folder / package))
+
+
+def _module_table(folder: Path) -> Iterator[str]:
+    yield from (f"## {folder.name}", "", _first_sentence(folder / "__init__.py"), "", "| module | holds |", "|---|---|")
+    for path in sorted(folder.rglob("*.py")):
+        if path.name not in ("__init__.py", "__main__.py"):
+            yield f"| `{path.relative_to(folder).as_posix()}` | {_first_sentence(path)} |"
+    yield ""
+
+
+def _first_sentence(path: Path) -> str:
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return " ".join(text.split("\n\n")[0].split()).replace("|", "\\|")
+
+
 GENERATED: dict[str, Callable[[], str]] = {
     "public names": public_names,
     "commands": commands,
     "study fields": study_fields,
     "catalogue": catalogue,
+    "modules": modules,
 }
