@@ -27,7 +27,7 @@ from greybox.simulation import write_csv
 from greybox.twin import simulate_twin
 from greybox.values import Printable
 
-PLAIN, EXTENDED = "plain model", "with what was found"
+PLAIN, EXTENDED = "plain model", "extended model"
 """The names of the two physical models in the comparison."""
 
 Say = Callable[[str], None]
@@ -137,7 +137,7 @@ def run_demo(
     options = FitOptions(at_rest=True)
     tell(f"1. fit: {', '.join(start)} from {train.rows} rows; {' and '.join(setup.known)} are known")
     plain = fit(known.start(**start), train, noise=setup.noise, validation=test, options=options)
-    tell(f"   the residual in x is {plain.misfit['x'].noise_ratio:.0f} times the noise: the model lacks something")
+    tell(f"   the residual in x is {plain.misfit['x'].noise_ratio:.0f} times the noise: the model is incomplete")
     tell("2. discover: which effect of the catalogue explains the residual?")
     discovery = discover(
         known.start(**start),
@@ -153,7 +153,7 @@ def run_demo(
     tell("4. export the state space, draw")
     plant = linearise(discovery.best)
     files = {
-        plain.save(folder / "plain.json"): "the fit of the model as it was",
+        plain.save(folder / "plain.json"): "the fit of the plain model",
         discovery.best.save(folder / "fit.json"): "the fit with the effect, for greybox export",
         discovery.save(folder / "discovery.json"): "what is missing, and the evidence",
         save_comparison(comparison, folder / "compare.json"): "beside the black boxes",

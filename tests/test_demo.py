@@ -109,5 +109,5 @@ def test_the_page_tells_the_same_story(result: Demo, tmp_path: Path) -> None:
     file = report(result, tmp_path, command="greybox demo --output here")
     text = file.read_text(encoding="utf-8")
     assert 1e6 < file.stat().st_size < 6e6
-    for words in ("greybox demo --output here", "cubic_stiffness", "output error", "Parameters beside the truth"):
+    for words in ("greybox demo --output here", "cubic_stiffness", "output error", "Parameters and true values"):
         assert words in text

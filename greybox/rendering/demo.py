@@ -1,4 +1,4 @@
-"""The story of the demonstration."""
+"""The text of the demonstration."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from greybox.demo import Demo
     from greybox.result import Estimate
 
-HEAD = ("parameter", "true", "start", "plain model", "with what was found", "off by", "unit")
+HEAD = ("parameter", "true", "start", "plain model", "extended model", "deviation", "unit")
 
 
 @renders("Demo")
 def demo_text(demo: Demo) -> str:
-    """Constants beside the truth, what is missing, the gap, the best model, the state space."""
+    """Parameters and true values, the missing effect, the errors before and after, the best model, the state space."""
     gaps = [
         f"  {output}: rms error on the validation record {gap.before:.3g} -> {gap.after:.3g} {format_unit(gap.unit)}"
         f" (noise {gap.floor:.3g})"
@@ -32,7 +32,7 @@ def demo_text(demo: Demo) -> str:
 
 
 def constants_table(demo: Demo) -> str:
-    """Each parameter beside the truth: with the model as it was, and with the effect that was found."""
+    """Each parameter with its true value: of the plain model, and of the extended model."""
     rows = []
     for name, truth in demo.truth.items():
         estimate, before = demo.fit.parameters.get(name), demo.plain.parameters.get(name)
@@ -56,7 +56,7 @@ def format_estimate(estimate: Estimate | None) -> str:
 
 
 def demo_answer(demo: Demo, folder: Path) -> str:
-    """What `greybox demo` prints: the story, the files, and the commands that repeat it."""
+    """What `greybox demo` prints: the results, the files, and the commands that repeat it."""
     setup, (first, second) = demo.setup, demo.records
     known = " ".join(f"--fix {name}={demo.fit.parameters[name].value:g}" for name in setup.known)
     noise = " ".join(f"--noise {name}={std:g}" for name, std in setup.noise.items())
@@ -68,10 +68,10 @@ def demo_answer(demo: Demo, folder: Path) -> str:
             "",
             str(demo),
             "",
-            f"{demo.seconds:.1f} s; everything is in {folder}:",
+            f"files in {folder} (computed in {demo.seconds:.1f} s):",
             *(f"  {path.name:20s} {what}" for path, what in demo.files.items()),
             "",
-            "to repeat it step by step on these records:",
+            "to repeat the demonstration step by step:",
             f"  greybox fit {arguments}",
             f"  greybox discover {arguments}",
             f"  greybox export {folder / 'fit.json'} --to control",

@@ -103,7 +103,7 @@ def site_text(label: str) -> str:
 def sites_text(labels: Sequence[str]) -> str:
     """The likeliest sites."""
     if len(labels) > 1:
-        return f"{' or '.join(map(site_text, labels))} (the sensors cannot tell which)"
+        return f"{' or '.join(map(site_text, labels))} (these sensors cannot distinguish them)"
     return site_text(labels[0]) if labels else "no particular site"
 
 
@@ -111,7 +111,7 @@ def sites_text(labels: Sequence[str]) -> str:
 def _localisation(location: ResidualLocalisation) -> str:
     lines = [f"misfit {location.misfit:.4g} times the noise; noise alone stays below {location.threshold:.4g}"]
     if not location.is_missing:
-        return "\n".join([*lines, "nothing is missing"])
+        return "\n".join([*lines, "no effect is missing"])
     lines.append(f"when:  {timing_text(location.timing)}")
     if location.likeliest:
         site = location.sites[0]
@@ -142,8 +142,12 @@ def _surrogate_title(values: Mapping[str, Any]) -> str:
 
 
 def explained_share_text(share: float) -> str:
-    """``explains 98.8 % of the gap``; a model that is farther off than the plain one explains nothing."""
-    return f"explains {_percent(min(share, 1.0))} of the gap" if share > 0 else "explains none of the gap"
+    """``explains 98.8 % of the excess error``; a model with a larger error than the plain one explains nothing."""
+    return (
+        f"explains {_percent(min(share, 1.0))} of the excess error"
+        if share > 0
+        else "explains none of the excess error"
+    )
 
 
 @renders("Surrogate")
@@ -162,7 +166,7 @@ def surrogate_text(values: Mapping[str, Any]) -> str:
     sizes = sorted(tone["amplitude"].values())
     size = f"{sizes[0]:.3g}" if sizes[-1] <= 1.05 * sizes[0] else f"{sizes[0]:.3g} to {sizes[-1]:.3g}"
     others = " or ".join(map(site_text, tone["alike"]))
-    alike = f" (or {others}: these records cannot tell)" if others else ""
+    alike = f" (or {others}: these records cannot distinguish them)" if others else ""
     amplitude = f"{size} {values['unit']}".rstrip()
     return (
         f"{title} at {site_text(values['site'])}{alike}, with an amplitude of {amplitude}, {explained} (amplitude and phase there are"
@@ -180,7 +184,7 @@ def _holdout_error(error: HoldoutError) -> str:
 
 @renders("EffectTest")
 def _effect_test(test: EffectTest) -> str:
-    decision = "keep it: the records demand it" if test.is_needed else "leave it out: the records do not demand it"
+    decision = "keep it: the records require it" if test.is_needed else "omit it: the records do not require it"
     lines = [f"{test.name}: {decision}"]
     lines += [f"  {sentence(check)}" for check in test.checks]
     lines.append(f"  explains {_percent(test.explained_fraction)} of the misfit above the noise")
@@ -207,9 +211,11 @@ def _refinement_step(step: RefinementStep) -> str:
 def refinement_text(refinement: Refinement) -> str:
     """What a refinement found, in a sentence."""
     if not refinement.steps:
-        return "No further effect removes a share of what is left on records that its parameters have not seen."
+        return "No further effect reduces the remaining misfit on records that were not fitted."
     steps = "; ".join(map(str, refinement.steps))
-    return f"Further effects: {steps}. The validation records chose them: quote the misfit on another record."
+    return (
+        f"Further effects: {steps}. They were selected on the validation records: report the misfit on another record."
+    )
 
 
 @renders("Refinement")
@@ -270,14 +276,14 @@ def _parameter(name: str, values: Mapping[str, Any]) -> str:
 def _explained(finding: Finding) -> str:
     values = finding.values
     share = f"{100 * min(values['share'], 1.0):.1f} %"
-    return f"it explains {share} of the gap in {values['output']} on the validation records"
+    return f"it explains {share} of the excess error in {values['output']} on the validation records"
 
 
 def _effects_tied(finding: Finding) -> str:
     rivals = "; ".join(finding.values["rivals"])
     return (
-        f"The records are consistent with {finding.subject} ({_explained(finding)}), and equally with: {rivals}. They cannot tell"
-        " these apart."
+        f"The records are consistent with {finding.subject} ({_explained(finding)}), and equally with: {rivals}. They cannot"
+        " distinguish these effects."
     )
 
 
@@ -285,8 +291,8 @@ def _nearest_look_alike(finding: Finding) -> str:
     values = finding.values
     only = "only " if values["partly"] else ""
     return (
-        f"The nearest look-alike, {finding.subject}, explains {only}{_percent(values['share'])} of the gap in {values['output']} on the"
-        " validation records."
+        f"The nearest look-alike, {finding.subject}, explains {only}{_percent(values['share'])} of the excess error in"
+        f" {values['output']} on the validation records."
     )
 
 
@@ -299,7 +305,7 @@ def _missing_signal(finding: Finding) -> str:
     else:
         dependence = "no function of any one variable"
     size = _quantity(values["size"], values["unit"])
-    return f"The plain model lacks {size} rms at {sites_text(values['sites'])}. It is {dependence}."
+    return f"The plain model lacks a signal of {size} rms at {sites_text(values['sites'])}. The signal is {dependence}."
 
 
 def _check_noise(finding: Finding) -> str:
@@ -307,8 +313,8 @@ def _check_noise(finding: Finding) -> str:
     each = zip(values["std"], values["units"], values["outputs"], strict=True)
     sizes = ", ".join(f"{_quantity(std, unit)} in {output}" for std, unit, output in each)
     return (
-        f"check that the sensors have a noise of {sizes}: it was estimated from these records, and if it is smaller, something is"
-        " missing; give it as a number or as a quiet record"
+        f"check that the sensor noise is {sizes}: it was estimated from these records, and a smaller noise would mean that an effect is"
+        " missing; give the noise as a number or as a quiet record"
     )
 
 
@@ -343,7 +349,7 @@ def _discriminating_experiment(finding: Finding) -> str:
 
 def _noise_from_residual(finding: Finding) -> str:
     shown = ", ".join("white" if not colour else f"correlation {colour[0]:.3g}" for colour in finding.values["colours"])
-    return f"noise as the residual of {finding.subject} shows it: {shown}"
+    return f"noise estimated from the residual of {finding.subject}: {shown}"
 
 
 def _first_effect(finding: Finding) -> str:
@@ -353,59 +359,60 @@ def _first_effect(finding: Finding) -> str:
 
 def _detection_limit(finding: Finding) -> str:
     v = finding.values
-    return f"{finding.subject} could still be hidden below {v['parameter']} = {_quantity(v['limit'], v['unit'], 2)}"
+    return f"{finding.subject} is not detectable below {v['parameter']} = {_quantity(v['limit'], v['unit'], 2)}"
 
 
 register(
     {
         # The answer.
-        DiscoveryCode.NOTHING_MISSING: "Nothing is missing: the plain model explains the records down to the noise.",
+        DiscoveryCode.NOTHING_MISSING: "No effect is missing: the plain model explains the records down to the noise.",
         DiscoveryCode.EFFECT_NAMED: lambda f: f"The records are consistent with {f.subject}: {_explained(f)}.",
         DiscoveryCode.EFFECTS_TIED: _effects_tied,
-        DiscoveryCode.UNKNOWN_EFFECT: "Something is missing that no effect of the catalogue explains.",
+        DiscoveryCode.UNKNOWN_EFFECT: "The model lacks an effect, and no effect of the catalogue explains it.",
         DiscoveryCode.NO_LOOK_ALIKE: "No effect improves on the plain model on the validation records; the best one on the estimation"
         " records is {subject}.",
         DiscoveryCode.NEAREST_LOOK_ALIKE: _nearest_look_alike,
-        DiscoveryCode.HARDLY_VISIBLE: "It hardly shows in the estimation records: there the misfit of the plain model is {misfit:.3g}"
+        DiscoveryCode.HARDLY_VISIBLE: "The estimation records hardly show it: the misfit of the plain model there is {misfit:.3g}"
         " times the noise.",
         DiscoveryCode.MISSING_SIGNAL: _missing_signal,
         DiscoveryCode.SURROGATE_FITTED: lambda f: f"As a surrogate, {surrogate_text(f.values)}.",
         # What a reader should know.
-        DiscoveryCode.LEARNT_FROM_VALIDATION: "the effect does not show in the estimation records: it was learnt from the first half of"
+        DiscoveryCode.LEARNT_FROM_VALIDATION: "the estimation records do not show the effect: it was identified from the first half of"
         " the validation records",
         DiscoveryCode.SHAPE_CORRECTED: lambda f: (
-            f"the family is certain, but the shape is not quite that of {f.subject}: {' + '.join(f.values['correction'])} corrects it"
+            f"the family of the effect is certain, but its shape differs from {f.subject}: {' + '.join(f.values['correction'])} corrects it"
         ),
         DiscoveryCode.DISCRIMINATING_EXPERIMENT: _discriminating_experiment,
-        DiscoveryCode.NO_DISCRIMINATING_EXPERIMENT: "none of the experiments that were tried would separate {subject} with these"
+        DiscoveryCode.NO_DISCRIMINATING_EXPERIMENT: "no simulated experiment would separate {subject} with these"
         " sensors (chi-square {cost:.2g} at best)",
         DiscoveryCode.DETECTION_LIMIT: _detection_limit,
         # What to do next.
-        DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE: "continue with {subject} and look for effects that remove a share of the rest (greybox"
-        " discover --further; gb.discovery.refine in Python)",
-        DiscoveryCode.STATE_NOISE: "state the noise of {subject} (a number, or a quiet record): it was estimated from these records and"
-        " may hold part of what is missing",
+        DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE: "continue with {subject} and search for further effects (greybox discover --further;"
+        " gb.discovery.refine in Python)",
+        DiscoveryCode.STATE_NOISE: "give the noise of {subject} (a number or a quiet record): it was estimated from these records and"
+        " may contain part of the missing effect",
         DiscoveryCode.CHECK_NOISE: _check_noise,
-        DiscoveryCode.EXTEND_ESTIMATION_RECORDS: "use longer estimation records, or records that reach as far as the validation records:"
-        " what is missing hardly shows in these",
+        DiscoveryCode.EXTEND_ESTIMATION_RECORDS: "use longer estimation records, or records with the range of the validation records:"
+        " these hardly show the missing effect",
         DiscoveryCode.COVER_VALIDATION_RANGE: _cover_validation_range,
         DiscoveryCode.SUSPECT_MAINS: "check grounding, shields and the supply of drive and sensor: the tone is at the mains frequency of"
-        " {mains:.0f} Hz or a multiple",
-        DiscoveryCode.SUSPECT_MACHINE: "look for what turns or switches at {frequency:.4g} Hz near the rig; a record with the input at"
-        " zero shows it alone",
-        DiscoveryCode.USE_TONE_MODEL: "if the tone stays, use the model with its generator in an observer or a notch that rejects it",
-        DiscoveryCode.SUSPECT_MEMORY: "record the same motion slowly and fast, and at two amplitudes: no curve over one variable explains"
-        " what is missing, so it may have memory (play, hysteresis, creep, a part that moves by itself)",
-        DiscoveryCode.SUSPECT_PERIODIC_PART: "look for magnets, teeth, a thread or a bearing with a period of {period:.3g} {unit}: what"
-        " is missing repeats over {subject}",
-        DiscoveryCode.SUSPECT_CONTACT: "look at the rig where {subject} is about {position:.3g} {unit}: a curve that bends there comes"
-        " from a stop, a contact or a guide that ends",
-        DiscoveryCode.USE_CURVE_MODEL: "continue with the model that has the curve, or read its law off the figure and write an effect"
-        " of your own",
+        " {mains:.0f} Hz or a multiple of it",
+        DiscoveryCode.SUSPECT_MACHINE: "look for a rotating or switching machine at {frequency:.4g} Hz near the rig; a record with zero"
+        " input shows the tone alone",
+        DiscoveryCode.USE_TONE_MODEL: "if the tone remains, reject it with a notch filter, or with an observer that contains the model"
+        " and its tone generator",
+        DiscoveryCode.SUSPECT_MEMORY: "record the same motion slowly and fast, and at two amplitudes: no function of one variable"
+        " explains the missing signal, so the effect may have memory (play, hysteresis, creep, a part with its own motion)",
+        DiscoveryCode.SUSPECT_PERIODIC_PART: "look for magnets, teeth, a thread or a bearing with a period of {period:.3g} {unit}: the"
+        " missing signal is periodic in {subject}",
+        DiscoveryCode.SUSPECT_CONTACT: "inspect the rig where {subject} is about {position:.3g} {unit}: the curve bends there, as with"
+        " a stop, a contact or the end of a guide",
+        DiscoveryCode.USE_CURVE_MODEL: "continue with the model that contains the curve, or take its law from the figure and write your"
+        " own effect",
         DiscoveryCode.VARY_SPEED_AND_AMPLITUDE: "record the same motion slowly and fast, and at two amplitudes: the curve explains a part,"
         " and the rest depends on more than {subject}",
         DiscoveryCode.MEASURE_MORE: lambda f: (
-            f"measure {' and '.join(f.values['outputs'])} as well: that narrows down the site"
+            f"measure {' and '.join(f.values['outputs'])} as well, to narrow down the site"
         ),
         # Steps of the search.
         DiscoveryCode.BASELINE_FITTED: "plain model: misfit {misfit:.3g} times the noise",
@@ -413,8 +420,8 @@ register(
         DiscoveryCode.NOISE_FROM_RESIDUAL: _noise_from_residual,
         DiscoveryCode.FIRST_EFFECT: _first_effect,
         DiscoveryCode.FURTHER_EFFECT: "{subject}: misfit {after:.3g} times the noise",
-        DiscoveryCode.SHAPE_CORRECTION_SUFFICES: "what is left is due to the shape of {subject}: no further effect",
-        DiscoveryCode.LEARNING_FROM_VALIDATION: "the plain model fails on the validation records only: learning from their first half",
+        DiscoveryCode.SHAPE_CORRECTION_SUFFICES: "the remaining misfit is due to the shape of {subject}: no further effect",
+        DiscoveryCode.LEARNING_FROM_VALIDATION: "the plain model fails only on the validation records: the search uses their first half",
         DiscoveryCode.REFINEMENT_STARTED: "{subject}: misfit on the validation records {misfit:.3g} times that of the fit",
     }
 )
@@ -439,18 +446,18 @@ register(
         DiscoveryRule.VALIDATION_ONLY: _check("excess of the validation error over noise", ">="),
         DiscoveryRule.CRITERION_GAIN: _check("decrease of Schwarz's criterion", ">"),
         DiscoveryRule.EXPLAINED_EXCESS: _check("decrease of the cost", ">="),
-        DiscoveryRule.ONLY_NOISE_LEFT: _check("cost per sample, brought down to the noise", "<="),
+        DiscoveryRule.ONLY_NOISE_LEFT: _check("cost per sample, reduced to the noise", "<="),
         DiscoveryRule.SIMPLER_MEMBER: _check("increase of the cost over the richer member of the family", "<="),
         DiscoveryRule.SHAPE_CORRECTION: _check("criterion with a corrected shape, against a further effect", "<="),
-        DiscoveryRule.SWAP: _check("criterion with a better effect in its place", "<"),
-        DiscoveryRule.TIE: _check("criterion behind the selected model", "<"),
+        DiscoveryRule.SWAP: _check("criterion with the effect replaced by a better one", "<"),
+        DiscoveryRule.TIE: _check("criterion above that of the selected model", "<"),
         DiscoveryRule.CLEAN_RESIDUAL: _check("cost per sample", "<="),
-        DiscoveryRule.SMALL_REMAINDER: _check("excess cost left", "<="),
+        DiscoveryRule.SMALL_REMAINDER: _check("remaining excess cost", "<="),
         DiscoveryRule.WHITE_RESIDUAL: _check("excess autocorrelation of the residual", "<="),
         DiscoveryRule.HOLDOUT_GAP: _check("validation error of the plain model over noise", ">"),
-        DiscoveryRule.HOLDOUT_EXPLAINED: _check("share of the validation gap explained", ">="),
+        DiscoveryRule.HOLDOUT_EXPLAINED: _check("share of the excess validation error explained", ">="),
         DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED: _check(
-            "share of the validation gap explained, down to the noise", ">="
+            "share of the excess validation error explained, down to the noise", ">="
         ),
         DiscoveryRule.HOLDOUT_NOISE: _check("validation error of the extended model over noise", "<="),
         DiscoveryRule.ESTIMATION_DECREASE: _check("share of the rms misfit removed", ">="),

@@ -90,13 +90,14 @@ def _quantity(value: float, unit: str, digits: int = 3) -> str:
 
 
 def _interval(low: float, high: float, unit: str) -> str:
-    return f"{low:.4g} to {high:.4g} {unit}".rstrip() if math.isfinite(low) else "no value at all"
+    return f"{low:.4g} to {high:.4g} {unit}".rstrip() if math.isfinite(low) else "no values"
 
 
 def _signal_range(f: Finding) -> str:
     v = f.values
     missing = f"; {v['missing']} values are missing" if v["missing"] else ""
-    return f"{f.subject} ranges from {_interval(v['low'], v['high'], v['unit'])}{missing}"
+    verb = "ranges from" if math.isfinite(v["low"]) else "has"
+    return f"{f.subject} {verb} {_interval(v['low'], v['high'], v['unit'])}{missing}"
 
 
 def _run_range(f: Finding) -> str:
@@ -138,7 +139,7 @@ def _colours(f: Finding) -> str:
 def _explained(f: Finding) -> str:
     v = f.values
     if v["explained"] is None:
-        return f"{f.subject}: the plain model leaves only noise"
+        return f"{f.subject}: the residual of the plain model is noise"
     return f"{f.subject}: {100 * v['explained']:.1f} % of the excess error explained"
 
 
@@ -155,27 +156,27 @@ TEMPLATES: Mapping[str, Template] = {
     ),
     FigureText.SPECTRUM: (
         "Spectrum of the residual of record {subject}; the dashed line is white noise of the same standard deviation as the sensor noise."
-        " Zoom into the residual over time to see the spectrum of that stretch."
+        " Zoom into the residual over time to see the spectrum of that interval."
     ),
     FigureText.RESIDUALS_BEFORE_AFTER: (
         "Residual of record {subject} with the plain and with the extended model; the band is two standard deviations of the noise."
     ),
     FigureText.SPECTRA_BEFORE_AFTER: (
-        "Spectra of both residuals of record {subject}. Zoom into the residuals over time to see the spectra of that stretch."
+        "Spectra of both residuals of record {subject}. Zoom into the residuals over time to see the spectra of that interval."
     ),
     FigureText.RUNS_BEFORE_AFTER: "Record {subject}: measured outputs and the free runs of both models.",
     FigureText.RESIDUAL_TESTS: "Tests of the residual of {subject}.",
-    FigureText.INTERVALS: "Half width of each 95 % interval: further left is better.",
-    FigureText.EXPECTED_INTERVALS: "Half width of each 95 % interval to expect: further left is better.",
+    FigureText.INTERVALS: "Half width of each 95 % interval: smaller is better.",
+    FigureText.EXPECTED_INTERVALS: "Expected half width of each 95 % interval: smaller is better.",
     FigureText.CORRELATION: (
         "Correlation of the fitted parameters. Near 1 or -1 the records determine a combination of two parameters, not each of them."
     ),
     FigureText.ERRORS_BEFORE_AFTER: "Rms error of the free run on the validation records, before and after.",
-    FigureText.EFFECT_SIGNAL: "The signal that the plain model misses at the {site}, from the records, and that of {subject}.",
+    FigureText.EFFECT_SIGNAL: (
+        "The signal that the plain model lacks at the {site}, estimated from the records, and the signal of {subject}."
+    ),
     FigureText.SURROGATE: lambda f: (
-        "A tone stands in for the unknown effect."
-        if f.values["tone"]
-        else "A smooth curve stands in for the unknown effect."
+        "A tone represents the unknown effect." if f.values["tone"] else "A smooth curve represents the unknown effect."
     ),
     FigureText.UNEXPLAINED: (
         "The signal that the fitted plain model does not explain at the {subject}, against each variable. Its parameters have absorbed"
@@ -183,29 +184,29 @@ TEMPLATES: Mapping[str, Template] = {
     ),
     FigureText.MISFIT_WINDOWS: "Misfit of the plain model along each record.",
     FigureText.CANDIDATES: lambda f: (
-        f"Candidates, best first by Schwarz's criterion.{_colours(f)} Numbers: how far the criterion is above the best."
+        f"Candidates, best first by Schwarz's criterion.{_colours(f)} Numbers: difference of the criterion from the best."
     ),
     FigureText.AVERAGE_SPECTRA: "Averaged spectra of the error on the validation records, before and after.",
     FigureText.MODEL_ERRORS: (
-        "Rms error of the free run (bars, with the best fit in percent) and one sample ahead (diamonds): further left is better."
+        "Rms error of the free run (bars, with the best fit in percent) and one sample ahead (diamonds): smaller is better."
     ),
     FigureText.MODEL_RUNS: "Record {subject}: measured outputs and the free run of every model.",
     FigureText.MODEL_RESIDUALS: "Record {subject}: measured minus simulated.",
     FigureText.GAIN: lambda f: (
-        "Gain over frequency" + ("; the band holds 95 % of the drawn models." if f.values["family"] else ".")
+        "Gain over frequency" + ("; the band contains 95 % of the drawn models." if f.values["family"] else ".")
     ),
     FigureText.PHASE: "Phase over frequency.",
     FigureText.POLES: lambda f: (
         f"Poles in the complex plane. Modes decay {'inside the unit circle' if f.values['sampled'] else 'left of the imaginary axis'}."
     ),
     FigureText.FIT_HEADING: lambda f: (
-        f"{f.values['model']}: free run over {'validation' if f.values['validation'] else 'fitted'} record {f.subject}"
+        f"{f.values['model']}: free run over {'validation' if f.values['validation'] else 'estimation'} record {f.subject}"
     ),
     FigureText.RESIDUAL_TESTS_HEADING: lambda f: (
         f"{f.values['model']}: residual of {f.subject}" if f.values["model"] else f"Residual of {f.subject}"
     ),
     FigureText.COMPARISON_HEADING: lambda f: (
-        f"{'Validation' if f.values['validation'] else 'Fitted'} record {f.subject}: free run of every model"
+        f"{'Validation' if f.values['validation'] else 'Estimation'} record {f.subject}: free run of every model"
     ),
     FigureText.EFFECT_SIGNAL_HEADING: lambda f: (
         f"{f.subject} explains {100 * f.values['explained']:.1f} % of the missing signal in {f.values['record']}"
@@ -214,7 +215,7 @@ TEMPLATES: Mapping[str, Template] = {
         f"Unknown effect: a {f.subject} explains {100 * min(f.values['explained'], 1.0):.0f} % of the excess error"
     ),
     FigureText.CANDIDATES_HEADING: lambda f: (
-        f"Candidates ({f.values['verdict']}).{_colours(f)} Numbers: criterion above the best"
+        f"Candidates ({f.values['verdict']}).{_colours(f)} Numbers: difference of the criterion from the best"
     ),
     FigureText.BEFORE_AFTER_HEADING: "{subject}: error on the validation records; extended: {extended}",
     FigureText.HOLDOUT_HEADING: "Rms error of the free run on the validation records",
@@ -224,13 +225,13 @@ TEMPLATES: Mapping[str, Template] = {
         + (f"misfit {f.values['noise_ratio']:.3g} × noise, " if f.values["noise_ratio"] is not None else "")
         + f"best fit {f.values['best_fit_percent']:.2f} %"
     ),
-    FigureText.CLOSER_LOOK: "closer look",
+    FigureText.CLOSER_LOOK: "detail",
     FigureText.FREE_RUN: "free run",
     FigureText.ERROR_BARS: "bar: free run, with best fit",
     FigureText.EXPLAINED_TITLE: _explained,
     FigureText.UNSEEN_RUN: "{subject}: free run on a record not used for the fit",
     FigureText.WHAT_IS_LEFT: "residual",
-    FigureText.MISFIT_OF_EACH: "misfit (1: only noise is left)",
+    FigureText.MISFIT_OF_EACH: "misfit / noise (1: noise only)",
     FigureText.RESIDUAL_TEST: "{test} (p = {p_value:.2g}): {statement}",
     FigureText.SIGNAL_RANGE: _signal_range,
     FigureText.RUN_RANGE: _run_range,
@@ -253,7 +254,7 @@ TEMPLATES: Mapping[str, Template] = {
         f" {100 * f.values['explained']:.1f} % of the excess error is explained"
     ),
     FigureText.EFFECT_SIGNAL_SIZE: lambda f: (
-        f"The plain model misses a signal of {_quantity(f.values['rms'], f.values['unit'])} rms at the {f.values['site']}. {f.subject}"
+        f"The plain model lacks a signal of {_quantity(f.values['rms'], f.values['unit'])} rms at the {f.values['site']}. {f.subject}"
         f" explains {100 * f.values['explained']:.1f} % of its variance. The signal is {f.values['dependence']}"
     ),
     FigureText.SURROGATE_STATEMENT: "{statement}",

@@ -147,7 +147,7 @@ SECTIONS: Mapping[str, str] = {
     "section_fit": "The fit",
     "section_further": "Further effects",
     "section_gap": "Error before and after",
-    "section_localisation": "Where, when and as a function of what",
+    "section_localisation": "Localisation of the missing effect",
     "section_matrices": "Matrices",
     "section_misfit": "Measured and simulated",
     "section_missing": "The missing signal",
@@ -156,14 +156,14 @@ SECTIONS: Mapping[str, str] = {
     "section_parameters": "Parameters",
     "section_parameters-before-after": "Parameters before and after",
     "section_physics": "The physical models",
-    "section_plain": "The model as it was",
+    "section_plain": "The plain model",
     "section_point": "Operating point and parameters",
     "section_repeat": "How to repeat it",
     "section_residual": "Tests of the residual",
     "section_run": "The run",
     "section_runs": "Runs",
     "section_structure": "What any record could determine",
-    "section_truth": "Parameters beside the truth",
+    "section_truth": "Parameters and true values",
 }
 """Titles of sections: ``section_`` and the name of the section."""
 
@@ -192,7 +192,7 @@ def _determined(f: Finding) -> str:
 
 def _alarms(f: Finding) -> str:
     alarms, count = f.values["alarms"], f.values["tests"]
-    return f"{alarms} of {count} tests {'raises' if alarms == 1 else 'raise'} an alarm: the residual is not only noise."
+    return f"{alarms} of {count} tests {'raises' if alarms == 1 else 'raise'} an alarm: the residual contains more than noise."
 
 
 def _comparison_question(f: Finding) -> str:
@@ -200,7 +200,9 @@ def _comparison_question(f: Finding) -> str:
         "records that no model was fitted to" if f.values["validation"] else "the records that they were fitted to"
     )
     models = count_noun(f.values["models"], "model")
-    return f"Does the physics pay? {models} of {join_names(f.values['outputs'])}, judged on the same rows of {records}."
+    return (
+        f"Which model of {join_names(f.values['outputs'])} is best? {models}, compared on the same rows of {records}."
+    )
 
 
 def _effect(f: Finding) -> str:
@@ -218,7 +220,7 @@ def _simulation_run(f: Finding) -> str:
 
 def _linear_question(f: Finding) -> str:
     inputs, outputs = (join_names(f.values[key]) or "the states" for key in ("inputs", "outputs"))
-    return f"How do small deviations of {inputs} change {outputs}? For the design of a controller."
+    return f"How do small deviations of {inputs} change {outputs}? This model is for controller design."
 
 
 def _linear_verdict(f: Finding) -> str:
@@ -231,7 +233,7 @@ def _linear_verdict(f: Finding) -> str:
 
 TEMPLATES: Mapping[str, Template] = {
     PageText.RECORD: "Record {subject}",
-    PageText.RECORD_USE: lambda f: f"{'Validation' if f.values['validation'] else 'Fitted'} record {f.subject}",
+    PageText.RECORD_USE: lambda f: f"{'Validation' if f.values['validation'] else 'Estimation'} record {f.subject}",
     PageText.RECORD_FINDING: "Record {text}",
     PageText.RECORDS: "Records",
     PageText.SIGNALS: "Signals over all records",
@@ -252,7 +254,7 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.FIT_QUESTION: _fit_question,
     PageText.FIT_FAILED: "The fit did not succeed: {reason}.",
     PageText.FIT_NUMBERS_OF_FAILURE: (
-        "The numbers below are where the search stopped. Use them to find the reason, not as results."
+        "The numbers below are those of the last point of the search. Use them only for diagnosis."
     ),
     PageText.RESIDUAL_IS_NOISE: lambda f: f"The model explains the estimation records: the residual is {_ratios(f)}.",
     PageText.RESIDUAL_EXCEEDS_NOISE: lambda f: (
@@ -263,19 +265,19 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.NOTHING_FITTED: "No parameter was fitted.",
     PageText.PARAMETERS_DETERMINED: _determined,
     PageText.PARAMETERS_OPEN: lambda f: (
-        f"The records do not determine {join_names(f.values['open'])}: the 95 % interval reaches further than half the value."
+        f"The records do not determine {join_names(f.values['open'])}: the 95 % interval exceeds half the value."
     ),
     PageText.VALIDATED: lambda f: (
         f"On {count_noun(f.values['records'], 'validation record')} the residual is {_ratios(f)}."
     ),
-    PageText.NOT_VALIDATED: "The fit was not validated. A second record would show whether the parameters hold there.",
+    PageText.NOT_VALIDATED: "The fit was not validated. Give a second record to validate the parameters.",
     PageText.PARAMETERS: "Parameters with standard deviations and 95 % intervals",
     PageText.INTERVALS_SANDWICH: (
         "The residual is not white. The intervals allow for its colour, which widened them up to {widening:.3g} times."
     ),
     PageText.INTERVALS_LIKELIHOOD: "The intervals are from the information matrix of the likelihood; the innovations are white.",
     PageText.INTERVALS_GAUSS_NEWTON: "The intervals are from the Gauss-Newton covariance; the residual is white.",
-    PageText.WOULD_DETERMINE: "What would determine the rest",
+    PageText.WOULD_DETERMINE: "How to determine the other parameters",
     PageText.MOVE_TOGETHER: "Correlation of the fitted parameters",
     PageText.MISFIT_FITTED: "Free run on the estimation records",
     PageText.MISFIT_ONE_STEP: "Prediction one sample ahead on the estimation records",
@@ -283,16 +285,16 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.MISFIT_BY_RECORD: "Record by record",
     PageText.FIT_NOT_TESTED: "The fit did not succeed, so its residual was not tested.",
     PageText.STATES_NOT_TESTED: (
-        "The residual was not tested: states that are estimated anew along the record absorb what the model lacks."
+        "The residual was not tested: states that are estimated along the record absorb the missing effects."
     ),
     PageText.TESTS_ALARM: _alarms,
-    PageText.TESTS_CLEAR: "None of {tests} tests raises an alarm: the residual looks like noise.",
+    PageText.TESTS_CLEAR: "None of {tests} tests raises an alarm: the residual is consistent with noise.",
     PageText.TESTS: "Tests of the residual",
-    PageText.TESTS_NOTE: "Each test raises a false alarm (p below {level:g}) in one good fit of a hundred.",
+    PageText.TESTS_NOTE: "Each test raises a false alarm (p below {level:g}) in one of a hundred correct fits.",
     # The page of a check
     PageText.CHECK_TITLE: "Check of {subject}",
     PageText.CHECK_QUESTION: lambda f: (
-        f"Can {join_names(f.values['free']) or 'the parameters'} be determined? Checked before anything is fitted."
+        f"Can {join_names(f.values['free']) or 'the parameters'} be determined? This is checked before the fit."
     ),
     PageText.CHECK_DOUBT: "The check has no answer: {reason}",
     PageText.CHECK_COMPLETE: lambda f: (
@@ -303,7 +305,7 @@ TEMPLATES: Mapping[str, Template] = {
         f"{'A record such as this one does' if f.values['assumed'] else 'These records do'} not determine {join_names(f.values['open'])}."
     ),
     PageText.CHECK_REMEDY: "Remedy: {text}",
-    PageText.CHECK_PRECISION: "Standard deviations to expect of a fit near the start values, if the model is right",
+    PageText.CHECK_PRECISION: "Expected standard deviations of a fit near the start values, if the model is right",
     PageText.CHECK_COMBINATIONS: "Combinations that the records determine",
     PageText.CHECK_DETERMINED: "Determined by any record",
     PageText.CHECK_UNDETERMINED: "Not determined by any record",
@@ -311,25 +313,25 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.CHECK_ASSUMED: "No records were given. The check uses a simulated one: {text}",
     PageText.CHECK_NOISE: lambda f: f"Noise: {join_names(f.values['sizes'])}; {f.values['source']}",
     # The page of a comparison
-    PageText.COMPARISON_TITLE: "Grey boxes and black boxes side by side",
+    PageText.COMPARISON_TITLE: "Comparison of grey-box and black-box models",
     PageText.COMPARISON_QUESTION: _comparison_question,
     PageText.COMPARISON_TRAINING: "On the estimation records",
     PageText.COMPARISON_ERRORS: lambda f: (
-        f"{f.subject}, {'validation' if f.values['validation'] else 'fitted'} records"
+        f"{f.subject}, {'validation' if f.values['validation'] else 'estimation'} records"
     ),
     PageText.COMPARISON_LEGEND: "Click a name in the legend to hide that model; double-click to show it alone.",
     PageText.COMPARISON_MODELS: "Models",
     PageText.COMPARISON_MODELS_NOTE: (
         "Numbers: fitted parameters or coefficients. BIC: of the free run on the estimation records; lower is better."
     ),
-    PageText.COMPARISON_SKIP: "The first {rows} rows of each judging record do not count.",
+    PageText.COMPARISON_SKIP: "The comparison omits the first {rows} rows of each record.",
     # The page of a discovery
     PageText.DISCOVERY_TITLE: "Effects that {subject} lacks",
     PageText.DISCOVERY_QUESTION: "Which effect, if any, does {subject} lack?",
     PageText.DISCOVERY_COMPLETE: "No effect is missing.",
-    PageText.DISCOVERY_NAMED: "An effect is missing, and the records name it.",
-    PageText.DISCOVERY_AMBIGUOUS: "An effect is missing; the records agree with more than one.",
-    PageText.DISCOVERY_UNKNOWN: "An effect is missing that the catalogue does not explain.",
+    PageText.DISCOVERY_NAMED: "An effect is missing, and the records identify it.",
+    PageText.DISCOVERY_AMBIGUOUS: "An effect is missing; the records are consistent with more than one.",
+    PageText.DISCOVERY_UNKNOWN: "An effect is missing, and no effect of the catalogue explains it.",
     PageText.DISCOVERY_EFFECT: _effect,
     PageText.DISCOVERY_NEXT: "Next step: {text}",
     PageText.DISCOVERY_ERRORS: "Rms error of the free run on the validation records",
@@ -342,29 +344,30 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.DISCOVERY_ALL_CANDIDATES: lambda f: f"All {count_noun(f.values['count'], 'candidate')}",
     PageText.DISCOVERY_CANDIDATES: "Candidates",
     PageText.DISCOVERY_CANDIDATES_NOTE: (
-        "Behind: how far Schwarz's criterion is above that of the best candidate; 10 and more are decisive."
+        "Behind: difference of Schwarz's criterion from that of the best candidate; 10 or more is decisive."
     ),
-    PageText.DISCOVERY_PARAMETERS: "Parameters: those of the plain model absorb part of what it lacks",
+    PageText.DISCOVERY_PARAMETERS: "Parameters: those of the plain model absorb part of the missing effect",
     PageText.DISCOVERY_REFINEMENT: "Further effects, each with the share of the rms misfit that it removes",
     # The page of the demonstration
-    PageText.DEMO_TITLE: "A rig that hides an effect: from the first fit to the controller",
+    PageText.DEMO_TITLE: "Demonstration: from the first fit to the controller",
     PageText.DEMO_QUESTION: (
-        "A simulated micro-motion actuator has an effect that its model lacks. Does the program notice, does it name the effect, and does"
-        " that pay?"
+        "A simulated micro-motion actuator has an effect that its model lacks. Does the program detect and identify the effect, and does"
+        " the extended model have smaller errors?"
     ),
     PageText.DEMO_PLAIN: "In {subject}, the residual of the plain model is {ratio:.3g} times the noise.",
     PageText.DEMO_TRUTH: lambda f: (
-        f"The fit meets every parameter of the rig within {f.values['deviation']:.1f} standard deviations: {join_names(f.values['names'])}."
+        f"Every fitted parameter is within {f.values['deviation']:.1f} standard deviations of its true value:"
+        f" {join_names(f.values['names'])}."
     ),
     PageText.DEMO_PARAMETERS: "Start values, estimates and true values",
     # The page of an export
     PageText.EXPORT_TITLE: "{subject} as {kind}",
-    PageText.EXPORT_QUESTION: "The fitted model {subject}, to run outside this program.",
+    PageText.EXPORT_QUESTION: "The fitted model {subject}, for use outside this program.",
     PageText.EXPORT_VERDICT: "The nonlinear model with the fitted parameters, as {kind}.",
     PageText.EXPORT_WRITTEN: lambda f: (
         f"{count_noun(len(f.values['files']), 'file')} written: {', '.join(f.values['files'])}."
     ),
-    PageText.EXPORT_OF_FAILED_FIT: "The fit behind it did not succeed: do not use it.",
+    PageText.EXPORT_OF_FAILED_FIT: "The fit did not succeed: do not use this export.",
     PageText.EXPORT_FILES: "Files",
     PageText.EXPORT_CONTENT: "Content of {subject}",
     # The page of a linear model
@@ -373,13 +376,13 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.LINEAR_VERDICT: _linear_verdict,
     PageText.LINEAR_POINT: lambda f: f"It holds for small deviations from {join_names(f.values['point'])}.",
     PageText.LINEAR_POLES: lambda f: "Poles (z)" if f.values["sampled"] else "Poles",
-    PageText.LINEAR_CHANNELS: "Channel by channel",
+    PageText.LINEAR_CHANNELS: "Channels",
     PageText.LINEAR_FAMILY: lambda f: (
         f"{count_noun(f.values['models'], 'model')} drawn from the covariance of the parameters (seed {f.values['seed']}) show the"
         " uncertainty."
     ),
     PageText.LINEAR_MATRIX: "Matrix {subject}: effect of the columns on the rows",
-    PageText.LINEAR_DIGITS: "All digits, to copy",
+    PageText.LINEAR_DIGITS: "Matrices with all digits",
     PageText.LINEAR_OPERATING_POINT: "Operating point",
     PageText.LINEAR_DELAYS: "Delays that the matrices do not include",
     PageText.LINEAR_PARAMETERS: "Parameters of the model",
@@ -388,9 +391,9 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.SIMULATION_QUESTION: lambda f: (
         f"How does {f.subject} respond to {join_names(f.values['inputs']) or 'no input'}?"
     ),
-    PageText.SIMULATION_OVERFLOW: "The run overflows {time:.4g} s after its start; nothing follows.",
+    PageText.SIMULATION_OVERFLOW: "The run overflows {time:.4g} s after its start and ends there.",
     PageText.SIMULATION_RUN: _simulation_run,
-    PageText.SIMULATION_NOISE: "The written outputs have white noise added: {sizes}.",
+    PageText.SIMULATION_NOISE: "The written outputs contain added white noise: {sizes}.",
     PageText.SIMULATION_RANGES: "Ranges of the signals",
     PageText.SIMULATION_PARAMETERS: "Parameters of this run",
     **SECTIONS,

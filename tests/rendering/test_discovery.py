@@ -45,19 +45,19 @@ CURVE = {
     "beside": [],
 }
 FINDINGS = [
-    (Code.NOTHING_MISSING, *("", {}), "Nothing is missing: the plain model explains the records down to the noise."),
+    (Code.NOTHING_MISSING, *("", {}), "No effect is missing: the plain model explains the records down to the noise."),
     (
         Code.EFFECT_NAMED,
         *("coulomb_friction", {"share": 0.998, "output": "x"}),
-        "The records are consistent with coulomb_friction: it explains 99.8 % of the gap in x on the validation records.",
+        "The records are consistent with coulomb_friction: it explains 99.8 % of the excess error in x on the validation records.",
     ),
     (
         Code.EFFECTS_TIED,
         *("input_offset", {"share": 0.998, "output": "x", "rivals": ["constant_load"]}),
-        "The records are consistent with input_offset (it explains 99.8 % of the gap in x on the validation records),"
-        " and equally with: constant_load. They cannot tell these apart.",
+        "The records are consistent with input_offset (it explains 99.8 % of the excess error in x on the validation records),"
+        " and equally with: constant_load. They cannot distinguish these effects.",
     ),
-    (Code.UNKNOWN_EFFECT, *("", {}), "Something is missing that no effect of the catalogue explains."),
+    (Code.UNKNOWN_EFFECT, *("", {}), "The model lacks an effect, and no effect of the catalogue explains it."),
     (
         Code.NO_LOOK_ALIKE,
         *("cubic_stiffness", {}),
@@ -66,12 +66,12 @@ FINDINGS = [
     (
         Code.NEAREST_LOOK_ALIKE,
         *("cubic_stiffness", {"share": 0.31, "output": "x", "partly": True}),
-        "The nearest look-alike, cubic_stiffness, explains only 31 % of the gap in x on the validation records.",
+        "The nearest look-alike, cubic_stiffness, explains only 31 % of the excess error in x on the validation records.",
     ),
     (
         Code.HARDLY_VISIBLE,
         *("", {"misfit": 1.02}),
-        "It hardly shows in the estimation records: there the misfit of the plain model is 1.02 times the noise.",
+        "The estimation records hardly show it: the misfit of the plain model there is 1.02 times the noise.",
     ),
     (
         Code.MISSING_SIGNAL,
@@ -79,24 +79,25 @@ FINDINGS = [
             "balance force",
             {"size": 0.00186, "unit": "N", "sites": ["balance force", "input u"], "variable": "v", "dependence": STEP},
         ),
-        "The plain model lacks 0.00186 N rms at the force balance or the input u (the sensors cannot tell which). It"
-        " is a function of v (explains 78 %): odd, a step at zero, downwards.",
+        "The plain model lacks a signal of 0.00186 N rms at the force balance or the input u (these sensors cannot distinguish"
+        " them). The signal is a function of v (explains 78 %): odd, a step at zero, downwards.",
     ),
     (
         Code.SURROGATE_FITTED,
         *("balance force", CURVE),
-        "As a surrogate, a smooth curve over x (odd, with a flat middle up to about 4e-05 m) at the force balance"
-        " explains 98.8 % of the gap on the validation records.",
+        "As a surrogate, a smooth curve over x (odd, with a flat middle up to about 4e-05 m) at the force balance explains 98.8 %"
+        " of the excess error on the validation records.",
     ),
     (
         Code.LEARNT_FROM_VALIDATION,
         *("", {}),
-        "the effect does not show in the estimation records: it was learnt from the first half of the validation records",
+        "the estimation records do not show the effect: it was identified from the first half of the validation records",
     ),
     (
         Code.SHAPE_CORRECTED,
         *("viscoelastic_creep", {"correction": ["viscoelastic_creep_second_branch"]}),
-        "the family is certain, but the shape is not quite that of viscoelastic_creep: viscoelastic_creep_second_branch corrects it",
+        "the family of the effect is certain, but its shape differs from viscoelastic_creep: viscoelastic_creep_second_branch"
+        " corrects it",
     ),
     (
         Code.DISCRIMINATING_EXPERIMENT,
@@ -106,34 +107,35 @@ FINDINGS = [
     (
         Code.NO_DISCRIMINATING_EXPERIMENT,
         *("constant_load", {"experiment": "steps", "measured": ["x"], "cost": 0.0123}),
-        "none of the experiments that were tried would separate constant_load with these sensors (chi-square 0.012 at best)",
+        "no simulated experiment would separate constant_load with these sensors (chi-square 0.012 at best)",
     ),
     (
         Code.DETECTION_LIMIT,
         *("cubic_stiffness", {"parameter": "K3", "limit": 1.234e8, "unit": "N/m^3"}),
-        "cubic_stiffness could still be hidden below K3 = 1.2e+08 N/m^3",
+        "cubic_stiffness is not detectable below K3 = 1.2e+08 N/m^3",
     ),
     (
         Code.CONTINUE_WITH_LOOK_ALIKE,
         *("coulomb_friction", {}),
-        "continue with coulomb_friction and look for effects that remove a share of the rest (greybox discover"
-        " --further; gb.discovery.refine in Python)",
+        "continue with coulomb_friction and search for further effects (greybox discover --further; gb.discovery.refine in"
+        " Python)",
     ),
     (
         Code.STATE_NOISE,
         *("x, i", {"outputs": ["x", "i"]}),
-        "state the noise of x, i (a number, or a quiet record): it was estimated from these records and may hold part of what is missing",
+        "give the noise of x, i (a number or a quiet record): it was estimated from these records and may contain part of the"
+        " missing effect",
     ),
     (
         Code.CHECK_NOISE,
         *("x, i", {"std": [2e-7, 5e-3], "units": ["m", "A"], "outputs": ["x", "i"]}),
-        "check that the sensors have a noise of 2e-07 m in x, 0.005 A in i: it was estimated from these records, and"
-        " if it is smaller, something is missing; give it as a number or as a quiet record",
+        "check that the sensor noise is 2e-07 m in x, 0.005 A in i: it was estimated from these records, and a smaller noise"
+        " would mean that an effect is missing; give the noise as a number or as a quiet record",
     ),
     (
         Code.EXTEND_ESTIMATION_RECORDS,
         *("", {}),
-        "use longer estimation records, or records that reach as far as the validation records: what is missing hardly shows in these",
+        "use longer estimation records, or records with the range of the validation records: these hardly show the missing effect",
     ),
     (
         Code.COVER_VALIDATION_RANGE,
@@ -144,38 +146,39 @@ FINDINGS = [
     (
         Code.SUSPECT_MAINS,
         *("", {"frequency": 100.02, "mains": 50.0}),
-        "check grounding, shields and the supply of drive and sensor: the tone is at the mains frequency of 50 Hz or a multiple",
+        "check grounding, shields and the supply of drive and sensor: the tone is at the mains frequency of 50 Hz or a multiple"
+        " of it",
     ),
     (
         Code.SUSPECT_MACHINE,
         *("", {"frequency": 37.25}),
-        "look for what turns or switches at 37.25 Hz near the rig; a record with the input at zero shows it alone",
+        "look for a rotating or switching machine at 37.25 Hz near the rig; a record with zero input shows the tone alone",
     ),
     (
         Code.USE_TONE_MODEL,
         *("", {"frequency": 37.25}),
-        "if the tone stays, use the model with its generator in an observer or a notch that rejects it",
+        "if the tone remains, reject it with a notch filter, or with an observer that contains the model and its tone generator",
     ),
     (
         Code.SUSPECT_MEMORY,
         *("", {}),
-        "record the same motion slowly and fast, and at two amplitudes: no curve over one variable explains what is"
-        " missing, so it may have memory (play, hysteresis, creep, a part that moves by itself)",
+        "record the same motion slowly and fast, and at two amplitudes: no function of one variable explains the missing signal,"
+        " so the effect may have memory (play, hysteresis, creep, a part with its own motion)",
     ),
     (
         Code.SUSPECT_PERIODIC_PART,
         *("s", {"period": 0.01, "unit": "m"}),
-        "look for magnets, teeth, a thread or a bearing with a period of 0.01 m: what is missing repeats over s",
+        "look for magnets, teeth, a thread or a bearing with a period of 0.01 m: the missing signal is periodic in s",
     ),
     (
         Code.SUSPECT_CONTACT,
         *("x", {"position": 4e-5, "unit": "m"}),
-        "look at the rig where x is about 4e-05 m: a curve that bends there comes from a stop, a contact or a guide that ends",
+        "inspect the rig where x is about 4e-05 m: the curve bends there, as with a stop, a contact or the end of a guide",
     ),
     (
         Code.USE_CURVE_MODEL,
         *("x", {}),
-        "continue with the model that has the curve, or read its law off the figure and write an effect of your own",
+        "continue with the model that contains the curve, or take its law from the figure and write your own effect",
     ),
     (
         Code.VARY_SPEED_AND_AMPLITUDE,
@@ -185,14 +188,14 @@ FINDINGS = [
     (
         Code.MEASURE_MORE,
         *("p_a, p_b", {"outputs": ["p_a", "p_b"]}),
-        "measure p_a and p_b as well: that narrows down the site",
+        "measure p_a and p_b as well, to narrow down the site",
     ),
     (Code.BASELINE_FITTED, *("", {"misfit": 113.2}), "plain model: misfit 113 times the noise"),
     (Code.NOISE_WHITE, *("", {}), "the residual is white"),
     (
         Code.NOISE_FROM_RESIDUAL,
         *("micro_actuator", {"colours": [[], [0.81]], "std": [1e-7, 1e-3]}),
-        "noise as the residual of micro_actuator shows it: white, correlation 0.81",
+        "noise estimated from the residual of micro_actuator: white, correlation 0.81",
     ),
     (
         Code.FIRST_EFFECT,
@@ -207,12 +210,12 @@ FINDINGS = [
     (
         Code.SHAPE_CORRECTION_SUFFICES,
         *("viscoelastic_creep", {"before": 113.2, "after": 1.01}),
-        "what is left is due to the shape of viscoelastic_creep: no further effect",
+        "the remaining misfit is due to the shape of viscoelastic_creep: no further effect",
     ),
     (
         Code.LEARNING_FROM_VALIDATION,
         *("", {}),
-        "the plain model fails on the validation records only: learning from their first half",
+        "the plain model fails only on the validation records: the search uses their first half",
     ),
     (
         Code.REFINEMENT_STARTED,
@@ -226,17 +229,17 @@ CHECKS = {
     Rule.VALIDATION_ONLY: "backlash: excess of the validation error over noise 18.2 >= 20: no",
     Rule.CRITERION_GAIN: "backlash: decrease of Schwarz's criterion 18.2 > 20: no",
     Rule.EXPLAINED_EXCESS: "backlash: decrease of the cost 18.2 >= 20: no",
-    Rule.ONLY_NOISE_LEFT: "backlash: cost per sample, brought down to the noise 18.2 <= 20: no",
+    Rule.ONLY_NOISE_LEFT: "backlash: cost per sample, reduced to the noise 18.2 <= 20: no",
     Rule.SIMPLER_MEMBER: "backlash: increase of the cost over the richer member of the family 18.2 <= 20: no",
     Rule.SHAPE_CORRECTION: "backlash: criterion with a corrected shape, against a further effect 18.2 <= 20: no",
-    Rule.SWAP: "backlash: criterion with a better effect in its place 18.2 < 20: no",
-    Rule.TIE: "backlash: criterion behind the selected model 18.2 < 20: no",
+    Rule.SWAP: "backlash: criterion with the effect replaced by a better one 18.2 < 20: no",
+    Rule.TIE: "backlash: criterion above that of the selected model 18.2 < 20: no",
     Rule.CLEAN_RESIDUAL: "backlash: cost per sample 18.2 <= 20: no",
-    Rule.SMALL_REMAINDER: "backlash: excess cost left 18.2 <= 20: no",
+    Rule.SMALL_REMAINDER: "backlash: remaining excess cost 18.2 <= 20: no",
     Rule.WHITE_RESIDUAL: "backlash: excess autocorrelation of the residual 18.2 <= 20: no",
     Rule.HOLDOUT_GAP: "backlash: validation error of the plain model over noise 18.2 > 20: no",
-    Rule.HOLDOUT_EXPLAINED: "backlash: share of the validation gap explained 18.2 >= 20: no",
-    Rule.HOLDOUT_PARTLY_EXPLAINED: "backlash: share of the validation gap explained, down to the noise 18.2 >= 20: no",
+    Rule.HOLDOUT_EXPLAINED: "backlash: share of the excess validation error explained 18.2 >= 20: no",
+    Rule.HOLDOUT_PARTLY_EXPLAINED: "backlash: share of the excess validation error explained, down to the noise 18.2 >= 20: no",
     Rule.HOLDOUT_NOISE: "backlash: validation error of the extended model over noise 18.2 <= 20: no",
     Rule.ESTIMATION_DECREASE: "backlash: share of the rms misfit removed 18.2 >= 20: no",
     Rule.VALIDATION_DECREASE: "backlash: validation misfit 18.2 <= 20: no",
@@ -294,7 +297,10 @@ def test_a_dependence_says_its_share_loop_and_tone():
 
 def test_sites_that_cannot_be_told_apart_are_alternatives():
     assert sites_text(["balance force"]) == "the force balance"
-    assert sites_text(["sensor of x", "input u"]) == "the sensor of x or the input u (the sensors cannot tell which)"
+    assert (
+        sites_text(["sensor of x", "input u"])
+        == "the sensor of x or the input u (these sensors cannot distinguish them)"
+    )
     assert sites_text([]) == "no particular site"
 
 
@@ -311,15 +317,15 @@ def test_a_tone_names_its_sites_and_amplitude():
     tone = {"frequency": 50.0, "std": 0.01, "amplitude": {"a": 0.05}, "beginning": 0.083, "alike": ["sensor of x"]}
     values = CURVE | {"tone": tone, "variable": "time", "shape": "tone"}
     assert surrogate_text(values) == (
-        "a tone of 50.00 Hz at the force balance (or the sensor of x: these records cannot tell), with an amplitude of 0.05 N,"
-        " explains 98.8 % of the gap on the validation records (amplitude and phase there are estimated from the first 0.083 s)"
+        "a tone of 50.00 Hz at the force balance (or the sensor of x: these records cannot distinguish them), with an amplitude of 0.05 N,"
+        " explains 98.8 % of the excess error on the validation records (amplitude and phase there are estimated from the first 0.083 s)"
     )
 
 
 def test_errors_and_steps_fit_on_a_line():
     assert str(HoldoutError(6.43e-7, 1.02e-7, 1e-7, "m")) == "6.43e-07 -> 1.02e-07 m (noise 1e-07)"
-    assert explained_share_text(1.02) == "explains 100 % of the gap"
-    assert explained_share_text(-0.1) == "explains none of the gap"
+    assert explained_share_text(1.02) == "explains 100 % of the excess error"
+    assert explained_share_text(-0.1) == "explains none of the excess error"
     step = RefinementStep("backlash", 0.21, 0.18, {"constant_load": 0.17})
     assert str(step) == (
         "backlash removes 21 % of the misfit, and 18 % on the validation records (nearly as good: constant_load 17 %)"

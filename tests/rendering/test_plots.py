@@ -25,7 +25,7 @@ GOLDEN = [
     (
         phrase(T.SPECTRUM, "a"),
         "Spectrum of the residual of record a; the dashed line is white noise of the same standard deviation as the sensor noise."
-        " Zoom into the residual over time to see the spectrum of that stretch.",
+        " Zoom into the residual over time to see the spectrum of that interval.",
     ),
     (
         phrase(T.RESIDUALS_BEFORE_AFTER, "a"),
@@ -33,12 +33,12 @@ GOLDEN = [
     ),
     (
         phrase(T.SPECTRA_BEFORE_AFTER, "a"),
-        "Spectra of both residuals of record a. Zoom into the residuals over time to see the spectra of that stretch.",
+        "Spectra of both residuals of record a. Zoom into the residuals over time to see the spectra of that interval.",
     ),
     (phrase(T.RUNS_BEFORE_AFTER, "a"), "Record a: measured outputs and the free runs of both models."),
     (phrase(T.RESIDUAL_TESTS, "x"), "Tests of the residual of x."),
-    (phrase(T.INTERVALS), "Half width of each 95 % interval: further left is better."),
-    (phrase(T.EXPECTED_INTERVALS), "Half width of each 95 % interval to expect: further left is better."),
+    (phrase(T.INTERVALS), "Half width of each 95 % interval: smaller is better."),
+    (phrase(T.EXPECTED_INTERVALS), "Expected half width of each 95 % interval: smaller is better."),
     (
         phrase(T.CORRELATION),
         "Correlation of the fitted parameters. Near 1 or -1 the records determine a combination of two parameters, not each of them.",
@@ -46,10 +46,10 @@ GOLDEN = [
     (phrase(T.ERRORS_BEFORE_AFTER), "Rms error of the free run on the validation records, before and after."),
     (
         phrase(T.EFFECT_SIGNAL, "creep", site="force"),
-        "The signal that the plain model misses at the force, from the records, and that of creep.",
+        "The signal that the plain model lacks at the force, estimated from the records, and the signal of creep.",
     ),
-    (phrase(T.SURROGATE, "force", tone=False), "A smooth curve stands in for the unknown effect."),
-    (phrase(T.SURROGATE, "force", tone=True), "A tone stands in for the unknown effect."),
+    (phrase(T.SURROGATE, "force", tone=False), "A smooth curve represents the unknown effect."),
+    (phrase(T.SURROGATE, "force", tone=True), "A tone represents the unknown effect."),
     (
         phrase(T.UNEXPLAINED, "force"),
         "The signal that the fitted plain model does not explain at the force, against each variable. Its parameters have absorbed"
@@ -58,29 +58,29 @@ GOLDEN = [
     (phrase(T.MISFIT_WINDOWS), "Misfit of the plain model along each record."),
     (
         phrase(T.CANDIDATES, chosen=False, rivals=False),
-        "Candidates, best first by Schwarz's criterion. Numbers: how far the criterion is above the best.",
+        "Candidates, best first by Schwarz's criterion. Numbers: difference of the criterion from the best.",
     ),
     (
         phrase(T.CANDIDATES, chosen=True, rivals=True),
-        "Candidates, best first by Schwarz's criterion. Green: chosen; orange: explains the records as well. Numbers: how far the"
-        " criterion is above the best.",
+        "Candidates, best first by Schwarz's criterion. Green: chosen; orange: explains the records as well. Numbers: difference"
+        " of the criterion from the best.",
     ),
     (phrase(T.AVERAGE_SPECTRA), "Averaged spectra of the error on the validation records, before and after."),
     (
         phrase(T.MODEL_ERRORS),
-        "Rms error of the free run (bars, with the best fit in percent) and one sample ahead (diamonds): further left is better.",
+        "Rms error of the free run (bars, with the best fit in percent) and one sample ahead (diamonds): smaller is better.",
     ),
     (phrase(T.MODEL_RUNS, "a"), "Record a: measured outputs and the free run of every model."),
     (phrase(T.MODEL_RESIDUALS, "a"), "Record a: measured minus simulated."),
     (phrase(T.GAIN, family=False), "Gain over frequency."),
-    (phrase(T.GAIN, family=True), "Gain over frequency; the band holds 95 % of the drawn models."),
+    (phrase(T.GAIN, family=True), "Gain over frequency; the band contains 95 % of the drawn models."),
     (phrase(T.PHASE), "Phase over frequency."),
     (phrase(T.POLES, sampled=True), "Poles in the complex plane. Modes decay inside the unit circle."),
     (phrase(T.POLES, sampled=False), "Poles in the complex plane. Modes decay left of the imaginary axis."),
     (phrase(T.FIT_HEADING, "a", model="rig", validation=True), "rig: free run over validation record a"),
     (phrase(T.RESIDUAL_TESTS_HEADING, "x", model="rig"), "rig: residual of x"),
     (phrase(T.RESIDUAL_TESTS_HEADING, "x", model=""), "Residual of x"),
-    (phrase(T.COMPARISON_HEADING, "a", validation=False), "Fitted record a: free run of every model"),
+    (phrase(T.COMPARISON_HEADING, "a", validation=False), "Estimation record a: free run of every model"),
     (
         phrase(T.EFFECT_SIGNAL_HEADING, "creep", explained=0.992, record="a"),
         "creep explains 99.2 % of the missing signal in a",
@@ -91,7 +91,7 @@ GOLDEN = [
     ),
     (
         phrase(T.CANDIDATES_HEADING, verdict="named", chosen=True, rivals=False),
-        "Candidates (named). Green: chosen. Numbers: criterion above the best",
+        "Candidates (named). Green: chosen. Numbers: difference of the criterion from the best",
     ),
     (
         phrase(T.BEFORE_AFTER_HEADING, "rig", extended="rig + creep"),
@@ -104,14 +104,14 @@ GOLDEN = [
         "x: misfit 0.989 × noise, best fit 99.50 %",
     ),
     (phrase(T.MISFIT_TITLE, "x", noise_ratio=None, best_fit_percent=99.5), "x: best fit 99.50 %"),
-    (phrase(T.CLOSER_LOOK), "closer look"),
+    (phrase(T.CLOSER_LOOK), "detail"),
     (phrase(T.FREE_RUN), "free run"),
     (phrase(T.ERROR_BARS), "bar: free run, with best fit"),
     (phrase(T.EXPLAINED_TITLE, "x", explained=0.5), "x: 50.0 % of the excess error explained"),
-    (phrase(T.EXPLAINED_TITLE, "x", explained=None), "x: the plain model leaves only noise"),
+    (phrase(T.EXPLAINED_TITLE, "x", explained=None), "x: the residual of the plain model is noise"),
     (phrase(T.UNSEEN_RUN, "x"), "x: free run on a record not used for the fit"),
     (phrase(T.WHAT_IS_LEFT), "residual"),
-    (phrase(T.MISFIT_OF_EACH), "misfit (1: only noise is left)"),
+    (phrase(T.MISFIT_OF_EACH), "misfit / noise (1: noise only)"),
     (
         phrase(T.RESIDUAL_TEST, "x", test="normality", p_value=0.012345, statement="heavy tails"),
         "normality (p = 0.012): heavy tails",
@@ -122,7 +122,7 @@ GOLDEN = [
     ),
     (
         phrase(T.SIGNAL_RANGE, "u", low=math.nan, high=math.nan, unit="V", missing=9),
-        "u ranges from no value at all; 9 values are missing",
+        "u has no values; 9 values are missing",
     ),
     (
         phrase(
@@ -165,7 +165,7 @@ GOLDEN = [
     ),
     (
         phrase(T.EFFECT_SIGNAL_SIZE, "creep", site="force", rms=2.0, unit="mN", explained=0.9, dependence="odd"),
-        "The plain model misses a signal of 2 mN rms at the force. creep explains 90.0 % of its variance. The signal is odd",
+        "The plain model lacks a signal of 2 mN rms at the force. creep explains 90.0 % of its variance. The signal is odd",
     ),
     (phrase(T.SURROGATE_STATEMENT, statement="A curve over x."), "A curve over x."),
     (phrase(T.DEPENDENCES, statements=["odd", "even"]), "The signal is odd; even"),
