@@ -58,6 +58,8 @@ class ModelCheck(Printable):
         What the measured outputs determine at best; None where the model could not be run, then ``doubt`` says why.
     practical
         What these records determine.
+    policy, options
+        What it was steered by.
     """
 
     model: Model
@@ -75,6 +77,7 @@ class ModelCheck(Printable):
     practical: PracticalIdentifiability
     doubt: str = ""
     policy: IdentifiabilityPolicy = field(default=IDENTIFIABILITY_POLICY, repr=False)
+    options: FitOptions = field(default_factory=FitOptions, repr=False)
 
     @property
     def constants(self) -> Mapping[str, ExpectedPrecision]:
@@ -143,6 +146,7 @@ class ModelCheck(Printable):
                 "data": practical_data,
                 "complete": self.complete,
                 "policy": self.policy,
+                "options": self.options.to_data(),
             }
         )
 
@@ -202,7 +206,13 @@ def check(
         group = tuple(_select_outputs(e, outputs) for e in group)
         noise = {name: std for name, std in (noise or {}).items() if name in outputs}
     problem = prepare_problem(
-        model, group, noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps
+        model,
+        group,
+        noise,
+        at_rest=options.at_rest,
+        method=options.method,
+        substeps=options.substeps,
+        policy=options.policy,
     )
     measured = list_measured_outputs(problem)
     structure, doubt = _analyse_structure(model, measured, options.at_rest, policy)
@@ -222,6 +232,7 @@ def check(
         analyse_problem(problem, structure, policy),
         doubt,
         policy,
+        options,
     )
 
 

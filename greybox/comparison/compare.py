@@ -167,6 +167,7 @@ def compare_named(
         skip,
         findings=findings,
         policy=policy,
+        options=options,
     )
     return replace(comparison, verdict=judge_comparison(comparison))
 

@@ -52,6 +52,7 @@ def comparison_data(comparison: Comparison) -> dict[str, Any]:
         "notes": list(map(str, comparison.findings)),
         "findings": [*comparison.verdict, *comparison.findings],
         "policy": comparison.policy,
+        "options": None if comparison.options is None else comparison.options.to_data(),
     }
 
 

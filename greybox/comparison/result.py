@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
+from greybox.estimation.options import FitOptions
 from greybox.experiment import Experiment
 from greybox.findings import Finding
 from greybox.values import Printable
@@ -168,6 +169,8 @@ class Comparison(Printable):
         What could not be compared.
     policy
         What it was steered by.
+    options
+        How physical models were simulated; None: each fit with its own options.
     """
 
     entries: tuple[ComparisonEntry, ...]
@@ -178,6 +181,7 @@ class Comparison(Printable):
     verdict: tuple[Finding, ...] = ()
     findings: tuple[Finding, ...] = ()
     policy: ComparisonPolicy = DEFAULT_COMPARISON
+    options: FitOptions | None = None
 
     def __getitem__(self, name: str) -> ComparisonEntry:
         return next(e for e in self.entries if e.name == name)

@@ -135,7 +135,9 @@ def has_free_runs(fit: Fit) -> bool:
 def estimate_residual_colours(fit: Fit) -> dict[str, AutoRegression]:
     """The autoregression of each output's residual on the estimation records."""
     names = dict.fromkeys(name for trace in fit.traces for name in trace.measured)
-    return {n: fit_autoregression(join_series([t.residual(n) for t in fit.traces if n in t.measured])) for n in names}
+    series = {n: join_series([t.residual(n) for t in fit.traces if n in t.measured]) for n in names}
+    policy = FitOptions.from_data(fit.provenance.options).policy.noise
+    return {n: fit_autoregression(values, policy=policy) for n, values in series.items()}
 
 
 def _runs_of_record(

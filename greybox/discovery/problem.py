@@ -140,6 +140,7 @@ class DiscoveryProblem:
             method=self.options.method,
             substeps=self.options.substeps,
             quiet=self.quiet,
+            policy=self.options.policy,
         )
 
     @property

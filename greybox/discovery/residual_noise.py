@@ -38,7 +38,7 @@ def estimate_residual_noise(candidate: CandidateFit, policy: ResidualNoisePolicy
         name = candidate.problem.model.outputs[j].name
         if noise.sources.get(name) not in INDEPENDENT_SOURCES:
             std[j] = noise.std[j] * float(np.sqrt(np.nanmean(series**2)))
-        fitted = fit_autoregression(series, max_order=1)
+        fitted = fit_autoregression(series, max_order=1, policy=candidate.problem.policy.noise)
         coloured = fitted.order and abs(fitted.reflection[0]) > policy.white_correlation
         colour[j] = fitted if coloured else type(fitted)()
     return replace(noise, std=std, colour=tuple(colour))

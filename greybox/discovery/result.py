@@ -160,6 +160,7 @@ def _to_mapping(d: Discovery) -> dict[str, Any]:
         "path": d.path,
         "findings": (*d.conclusion, *d.findings, *d.next_steps),
         "policy": d.policy,
+        "options": d.base.provenance.options,
         "seconds": d.seconds,
         "model": d.best.model.name,
         "equations": d.best.provenance.equations,

@@ -37,7 +37,7 @@ from greybox.discovery.surrogate_effects import (
 )
 from greybox.estimation import fit as estimate
 from greybox.estimation import validate
-from greybox.estimation.policy import DEFAULT_POLICY
+from greybox.estimation.policy import InitialStatePolicy
 from greybox.estimation.select_transcription import select_transcription
 from greybox.experiment import Experiment
 from greybox.result import Fit
@@ -344,7 +344,9 @@ def fit_tone_surrogate(
     ]
     site, fit = alike[0]
     frequency = fit.parameters[_tone_names(fit)[0]].value
-    rows, seconds = _first_periods(validation, frequency, policy.surrogate.tone_periods, skip)
+    rows, seconds = _first_periods(
+        validation, frequency, policy.surrogate.tone_periods, skip, problem.options.policy.initial_state
+    )
     validated = validate(
         fit.model, validation, noise=fit.noise.std, skip=skip, initial_rows=rows, options=problem.options
     )
@@ -385,11 +387,13 @@ def _tone_names(fit: Fit) -> tuple[str, str, str]:
     return bound.model_names["frequency"], first, second
 
 
-def _first_periods(validation: Sequence[Experiment], frequency: float, periods: int, skip: int) -> tuple[int, float]:
+def _first_periods(
+    validation: Sequence[Experiment], frequency: float, periods: int, skip: int, initial_state: InitialStatePolicy
+) -> tuple[int, float]:
     """Rows of a validation record from which the tone's amplitude and phase are estimated, and their seconds."""
     step = max(float(np.median(np.diff(e.time))) for e in validation)
     half = min(e.rows for e in validation) // 2
-    rows = skip or min(max(math.ceil(periods / (frequency * step)), DEFAULT_POLICY.initial_state.first_rows), half)
+    rows = skip or min(max(math.ceil(periods / (frequency * step)), initial_state.first_rows), half)
     return rows, rows * step
 
 

@@ -15,6 +15,7 @@ from greybox.estimation.sandwich import (
     estimate_score_covariance,
 )
 from greybox.estimation.solution import Runs
+from greybox.noise import NoisePolicy
 from greybox.numerics import INFORMATION_CUTOFF, TINY
 from greybox.result import IntervalKind
 from greybox.transcription import DecisionVector, Evaluation
@@ -47,6 +48,7 @@ def estimate_covariance(
     unknowns: int | None = None,
     variance_floor: np.ndarray | None = None,
     policy: IntervalPolicy = DEFAULT_POLICY.intervals,
+    noise_policy: NoisePolicy = DEFAULT_POLICY.noise,
 ) -> ParameterCovariance:
     """Covariance of the constants, initial states projected out; constants at a bound count as fixed there.
 
@@ -57,6 +59,7 @@ def estimate_covariance(
     has an ``s^2`` of its own and the residual may be coloured (`greybox.estimation.sandwich`); without them it is taken to be white.
     Constants along an undetermined direction get an infinite variance. ``unknowns``: how many numbers were estimated.
     ``variance_floor`` (ny,): see `estimate_residual_colour`.
+    ``noise_policy``: how the colour of the residual is estimated.
     """
     n = len(variables.which)
     covariance = np.full((n, n), np.nan)
@@ -80,7 +83,7 @@ def estimate_covariance(
         variance = max(variance, 1.0)
     scores, kind, inflation = variance * information, IntervalKind.GAUSS_NEWTON, np.ones(n)
     if rows is not None:
-        colour = estimate_residual_colour(rows, unknowns, noise_given, variance_floor, policy)
+        colour = estimate_residual_colour(rows, unknowns, noise_given, variance_floor, policy, noise_policy)
         scores = (projector @ estimate_score_covariance(variables, rows, colour.white) @ projector.T)[block]
     spread = inverse @ (scores + held) @ inverse
     if rows is not None and colour.coloured:
@@ -191,7 +194,9 @@ class LikelihoodCovariance:
 
 
 def estimate_likelihood_covariance(
-    optimum: LikelihoodOptimum, policy: IntervalPolicy = DEFAULT_POLICY.intervals
+    optimum: LikelihoodOptimum,
+    policy: IntervalPolicy = DEFAULT_POLICY.intervals,
+    noise_policy: NoisePolicy = DEFAULT_POLICY.noise,
 ) -> LikelihoodCovariance:
     """Covariance of the constants and of the noise levels at the optimum, the first states estimated as well.
 
@@ -219,7 +224,7 @@ def estimate_likelihood_covariance(
         inverse, projector = observed, _project_scores(whole, wanted, first_states)
     covariance, inflation = inverse.copy(), np.ones(n)
     innovations = optimum.cost.innovations()
-    colour = estimate_residual_colour([(r, r) for r in innovations], 0, True, policy=policy)
+    colour = estimate_residual_colour([(r, r) for r in innovations], 0, True, policy=policy, noise_policy=noise_policy)
     if colour.coloured:
         rows = [(np.ones((len(s), 1)), s[:, None, :]) for s in optimum.cost.scores()]
         covariance = raise_to_larger(

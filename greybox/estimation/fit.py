@@ -42,7 +42,6 @@ from greybox.model import Model
 from greybox.model.equations import equations_text
 from greybox.noise import AutoRegression, NoiseModel
 from greybox.noise.noise_sources import NoiseSource
-from greybox.noise.policy import NOISE_POLICY
 from greybox.result import (
     Fit,
     FitConstraints,
@@ -155,6 +154,7 @@ def fit(
         per_experiment=options.per_experiment,
         robust=options.robust,
         initial=initial,
+        policy=options.policy,
     )
     if not problem.step.per_interval:
         refuse_long_time_gaps(judges)
@@ -189,7 +189,8 @@ def _weigh_by_residual(solution: Solution, options: FitOptions, report: FitProgr
     counts = np.maximum(evaluation.counts, 1)
     size = np.sqrt(evaluation.squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
     by_residual = np.array([problem.noise.sources.get(o.name) is NoiseSource.RESIDUAL for o in problem.model.outputs])
-    std = problem.noise.std * np.where(by_residual & (size > 0), np.maximum(size, NOISE_POLICY.min_relative_level), 1.0)
+    least = options.policy.noise.min_relative_level
+    std = problem.noise.std * np.where(by_residual & (size > 0), np.maximum(size, least), 1.0)
     weighted = replace(problem.with_noise(replace(problem.noise, std=std)), variables=solution.variables)
     return solve(weighted, replace(options, progressive=False), report)
 
@@ -198,7 +199,11 @@ def _whiten_by_residual(solution: Solution, options: FitOptions, report: FitProg
     """The fit repeated with the noise coloured as the residual is, where its colour is not known already."""
     problem, variables = solution.problem, solution.variables
     residual = estimate_residual_colour(
-        solution.residuals(), solution.unknowns, problem.noise.known, policy=options.policy.intervals
+        solution.residuals(),
+        solution.unknowns,
+        problem.noise.known,
+        policy=options.policy.intervals,
+        noise_policy=options.policy.noise,
     )
     models = tuple(
         known if known.order else estimated
@@ -222,6 +227,7 @@ def _to_fit(model: Model, solution: Solution, options: FitOptions) -> Fit:
         solution.unknowns,
         problem.variance_floor,
         policy.intervals,
+        policy.noise,
     )
     parameters, priors = to_estimates(variables, covariance), check_priors(variables, covariance)
     per_experiment, tied = to_experiment_estimates(variables, covariance), to_tied_estimates(variables, covariance)

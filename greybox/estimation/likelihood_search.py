@@ -68,6 +68,7 @@ def maximise_likelihood(
         termination_test=finished,
         thorough=False,
         progress=progress,
+        policy=options.policy.minimisation,
     )
     polished, status = (
         fisher_scoring(cost.at(cost.unknowns.moved(outcome.z)), policy, policy.last_digits),

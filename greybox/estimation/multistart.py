@@ -222,6 +222,7 @@ def _prepare(
         quiet=quiet,
         per_experiment=options.per_experiment,
         robust=options.robust,
+        policy=options.policy,
     )
 
 

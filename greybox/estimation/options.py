@@ -11,7 +11,7 @@ from typing import Any
 from greybox.errors import ModelError, nearest
 from greybox.estimation.policy import DEFAULT_POLICY, EstimationPolicy
 from greybox.result import to_json_data
-from greybox.transcription.robust_loss import parse_loss
+from greybox.transcription.robust_loss import RobustLoss, parse_loss
 
 
 class Transcription(StrEnum):
@@ -122,7 +122,7 @@ class FitOptions:
             "per_experiment",
             (self.per_experiment,) if isinstance(self.per_experiment, str) else tuple(self.per_experiment),
         )
-        parse_loss(self.loss)
+        self.to_loss()
         if self.transcription not in list(Transcription):
             raise ModelError(
                 f"unknown transcription {self.transcription!r}; {nearest(self.transcription, list(map(str, Transcription)))}"
@@ -156,7 +156,11 @@ class FitOptions:
     @property
     def robust(self) -> bool:
         """Whether the loss is a robust one."""
-        return parse_loss(self.loss) is not None
+        return self.to_loss() is not None
+
+    def to_loss(self) -> RobustLoss | None:
+        """The robust loss; None for least squares. Raises ModelError for text that names none."""
+        return parse_loss(self.loss, self.policy.transcription.robust_loss)
 
 
 def resolve_options(options: Any) -> FitOptions:

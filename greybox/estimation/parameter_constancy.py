@@ -177,7 +177,10 @@ def _estimate_noise_colour(
 ) -> ResidualColour:
     """Colour and variance of what noise alone leaves in the weighted residual."""
     noise, everything = solution.problem.noise, np.concatenate([r for r, _ in rows])
-    colour = estimate_residual_colour(rows, solution.unknowns, noise.known, solution.problem.variance_floor, intervals)
+    problem = solution.problem
+    colour = estimate_residual_colour(
+        rows, solution.unknowns, noise.known, problem.variance_floor, intervals, problem.policy.noise
+    )
     names = [o.name for o in solution.problem.model.outputs]
     counts = np.isfinite(everything).sum(axis=0)
     ratio = np.sqrt(np.nansum(everything**2, axis=0) / np.maximum(counts, 1))

@@ -9,10 +9,15 @@ with the options. A decision number changes by ``replace``::
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from scipy.special import chdtri
+
+from greybox.integrators.policy import DiscretisationPolicy
+from greybox.noise.policy import NoisePolicy
+from greybox.optim.policy import MinimisationPolicy
+from greybox.transcription.policy import TranscriptionPolicy
 
 
 @dataclass(frozen=True)
@@ -347,7 +352,12 @@ class MultistartPolicy:
 
 @dataclass(frozen=True)
 class EstimationPolicy:
-    """All decision numbers of an estimation; see the class of each field."""
+    """All decision numbers of an estimation, those of the steps it is made of included; see the class of each field."""
+
+    noise: NoisePolicy = field(default_factory=NoisePolicy)
+    discretisation: DiscretisationPolicy = field(default_factory=DiscretisationPolicy)
+    transcription: TranscriptionPolicy = field(default_factory=TranscriptionPolicy)
+    minimisation: MinimisationPolicy = field(default_factory=MinimisationPolicy)
 
     convergence: ConvergencePolicy = field(default_factory=ConvergencePolicy)
     step_refinement: StepRefinementPolicy = field(default_factory=StepRefinementPolicy)
@@ -364,17 +374,21 @@ class EstimationPolicy:
     multistart: MultistartPolicy = field(default_factory=MultistartPolicy)
 
     @classmethod
-    def from_data(cls, data: Mapping[str, Mapping[str, Any]]) -> EstimationPolicy:
-        """The policy that a result has stored; what an older result lacks is the default."""
-        restored = {}
-        for group in fields(cls):
-            kind = group.default_factory
-            known = {f.name for f in fields(kind)}  # type: ignore[arg-type]
-            values = {
-                n: tuple(v) if isinstance(v, list) else v for n, v in data.get(group.name, {}).items() if n in known
-            }
-            restored[group.name] = kind(**values)  # type: ignore[operator]
-        return cls(**restored)
+    def from_data(cls, data: Mapping[str, Any]) -> EstimationPolicy:
+        """The policy that a result has stored; what an older result lacks is the default, what this version lacks is left out."""
+        return replace(DEFAULT_POLICY, **_restore_fields(DEFAULT_POLICY, data))
+
+
+def _restore_fields(default: Any, data: Mapping[str, Any]) -> dict[str, Any]:
+    """What stored ``data`` say of the fields of ``default``, groups within groups included."""
+    restored: dict[str, Any] = {}
+    for name in (f.name for f in fields(default) if f.name in data):
+        usual, value = getattr(default, name), data[name]
+        if is_dataclass(usual) and not isinstance(usual, type):
+            restored[name] = replace(usual, **_restore_fields(usual, value))
+        else:
+            restored[name] = tuple(value) if isinstance(value, list) else value
+    return restored
 
 
 DEFAULT_POLICY = EstimationPolicy()

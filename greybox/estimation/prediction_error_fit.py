@@ -109,6 +109,7 @@ def maximum_likelihood_estimate(
         quiet=quiet,
         per_experiment=options.per_experiment,
         initial=initial,
+        policy=options.policy,
     )
     solution = solve(problem, options, report)
     sizes = compute_largest_intensities(model, _compute_state_changes(solution))
@@ -217,7 +218,7 @@ def _to_fit(
     traces = make_traces(problem, free_runs)
     misfit = compute_misfits(problem, traces)
     one_step = compute_misfits(problem, make_traces(problem, compute_one_step_runs(objective)))
-    covariance = estimate_likelihood_covariance(optimum, policy.intervals)
+    covariance = estimate_likelihood_covariance(optimum, policy.intervals, policy.noise)
     constants = covariance.constants
     fitted = model.start(**{name: float(v) for name, v in zip(model.values, variables.fixed, strict=True)})
     parameters = _set_limits(to_estimates(variables, constants), tests)
@@ -331,7 +332,7 @@ def _find_shifts(
         optimum.cost.unknowns.variables,
         [e.name for e in problem.experiments],
         outputs,
-        estimate_residual_colour(rows, 0, True, policy=policy.intervals),
+        estimate_residual_colour(rows, 0, True, policy=policy.intervals, noise_policy=policy.noise),
         problem.model.noise_parameters,
     )
     return find_parameter_shifts(tested, rows, policy.constancy)

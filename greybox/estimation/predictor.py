@@ -58,8 +58,8 @@ def fix_parameters(
 
 def restore_integration_options(fit: Fit) -> FitOptions:
     """How ``fit`` integrated and began its records."""
-    saved = fit.provenance.options
-    return FitOptions(at_rest=bool(saved.get("at_rest", False)), method=str(saved.get("method", "automatic")))
+    saved = FitOptions.from_data(fit.provenance.options)
+    return FitOptions(at_rest=saved.at_rest, method=saved.method, policy=saved.policy)
 
 
 def make_likelihood(
@@ -77,6 +77,7 @@ def make_likelihood(
         method=options.method,
         substeps=options.substeps,
         per_experiment=options.per_experiment if free else (),
+        policy=options.policy,
     )
     kalman = KalmanFilter.of(model.system, problem.step, known_start=not problem.variables.initial.free.any())
     unknowns = make_likelihood_unknowns(problem, problem.variables, options.policy.likelihood_search)
@@ -141,12 +142,20 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
         return PredictionCorrection(frozen, levels, CorrectionKind.KALMAN_FILTER)
     options = given.options
     problem = prepare_problem(
-        frozen, experiments, given.noise, at_rest=options.at_rest, method=options.method, substeps=options.substeps
+        frozen,
+        experiments,
+        given.noise,
+        at_rest=options.at_rest,
+        method=options.method,
+        substeps=options.substeps,
+        policy=options.policy,
     )
     levels, runs = _name_levels(frozen, problem.noise.std, problem.records), solve(problem, options).simulate()
     errors = [r.samples(r.y - y) for r, (y, _) in zip(problem.records, runs, strict=True)]
     series = {o.name: join_series([e[:, j] for e in errors]) for j, o in enumerate(frozen.outputs)}
-    colours = {name: fit_autoregression(s) for name, s in series.items() if np.isfinite(s).any()}
+    colours = {
+        name: fit_autoregression(s, policy=options.policy.noise) for name, s in series.items() if np.isfinite(s).any()
+    }
     if not any(colour.order for colour in colours.values()):
         return PredictionCorrection(frozen, levels, CorrectionKind.NONE_WHITE)
     states = find_correctable_states(frozen)

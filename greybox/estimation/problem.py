@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.errors import ModelError, nearest
+from greybox.estimation.policy import DEFAULT_POLICY, EstimationPolicy
 from greybox.experiment import Experiment
 from greybox.experiment.problems import is_constant
 from greybox.experiment.time_gaps import refuse_long_time_gaps
-from greybox.integrators import Step, discretise
+from greybox.integrators import DiscretisationPolicy, Step, discretise
 from greybox.kernel import Kernel, Record, make_kernel
 from greybox.model import Model
 from greybox.noise import NoiseModel, estimate_noise
@@ -26,6 +27,7 @@ class EstimationProblem:
     """Everything a fit needs, in plain arrays.
 
     ``loss``: None for least squares. ``constant_outputs``: outputs that were left out because they read the same in every row.
+    ``policy``: the numbers it was laid out by, and that what is made of it goes by.
     """
 
     model: Model
@@ -38,6 +40,7 @@ class EstimationProblem:
     method: str
     loss: RobustLoss | None = None
     constant_outputs: tuple[str, ...] = ()
+    policy: EstimationPolicy = DEFAULT_POLICY
 
     def shooting(self, variables: DecisionVector, share: float = 1.0) -> SingleShooting:
         """The cost over the first ``share`` of every record; whitened where the noise is known to be coloured, with the ``loss``."""
@@ -62,7 +65,7 @@ class EstimationProblem:
 
     def with_step(self, substeps: int, p: np.ndarray) -> EstimationProblem:
         """The same with another number of substeps."""
-        step = _discretise(self.model, self.records, p, None, self.method, substeps)
+        step = _discretise(self.model, self.records, p, None, self.method, substeps, self.policy.discretisation)
         return replace(self, step=step, kernel=make_kernel(step))
 
 
@@ -78,13 +81,14 @@ def prepare_problem(
     per_experiment: Sequence[str] = (),
     robust: bool = False,
     initial: Sequence[Mapping[str, float]] = (),
+    policy: EstimationPolicy = DEFAULT_POLICY,
 ) -> EstimationProblem:
     """Check model and data against each other and lay out the problem; ``quiet`` records tell the noise (`greybox.noise`).
 
     ``noise`` as `greybox.noise.estimate_noise` takes it, or a `NoiseModel` that is known from an earlier fit. ``per_experiment``:
     parameters of which each experiment has a value of its own. ``robust``: outliers must not pass for noise. ``initial``: the first
     guess of each record's initial state, see `apply_initial_guess`. An output that reads the same in every row, and whose noise is
-    not known, is left out (`EstimationProblem.constant_outputs`).
+    not known, is left out (`EstimationProblem.constant_outputs`). ``policy``: how noise is estimated and a step chosen.
 
     Raises DataError or ModelError with what is wrong and what to do.
     """
@@ -94,21 +98,34 @@ def prepare_problem(
     deviation = (
         noise
         if isinstance(noise, NoiseModel)
-        else estimate_noise(model, group, noise or {}, quiet, robust=robust, alike=not per_experiment)
+        else estimate_noise(
+            model, group, noise or {}, quiet, robust=robust, alike=not per_experiment, policy=policy.noise
+        )
     )
     constant = _find_constant_outputs(model, group, deviation)
-    records = tuple(_drop_outputs(to_record(model, e), [o.name in constant for o in model.outputs]) for e in group)
+    is_constant_output = [o.name in constant for o in model.outputs]
+    band_limited = policy.transcription.band_limited
+    records = tuple(_drop_outputs(to_record(model, e, band_limited), is_constant_output) for e in group)
     beginning = guess_initial_states(model, records, at_rest, [e.conditions for e in group])
     if initial:
         beginning = apply_initial_guess(model, beginning, initial)
     p = np.array(list(model.values.values()))
-    step = _discretise(model, records, p, beginning.guess, method, substeps)
+    step = _discretise(model, records, p, beginning.guess, method, substeps, policy.discretisation)
     if not step.per_interval:
         refuse_long_time_gaps(group)
     conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
     variables = DecisionVector.of(model, beginning, conditions, per_experiment, [e.name for e in group])
     return EstimationProblem(
-        model, group, records, deviation, variables, step, make_kernel(step), method, constant_outputs=constant
+        model,
+        group,
+        records,
+        deviation,
+        variables,
+        step,
+        make_kernel(step),
+        method,
+        constant_outputs=constant,
+        policy=policy,
     )
 
 
@@ -189,8 +206,14 @@ def _count(count: int, what: str) -> str:
 
 
 def _discretise(
-    model: Model, records: Sequence[Record], p: np.ndarray, x: np.ndarray | None, method: str, substeps: int
+    model: Model,
+    records: Sequence[Record],
+    p: np.ndarray,
+    x: np.ndarray | None,
+    method: str,
+    substeps: int,
+    policy: DiscretisationPolicy,
 ) -> Step:
     lengths = np.unique(np.concatenate([r.lengths for r in records]))
     states = np.zeros((0, len(model.system.state_names))) if x is None else x
-    return discretise(model.system, p, states, lengths, method=method, substeps=substeps)
+    return discretise(model.system, p, states, lengths, method=method, substeps=substeps, policy=policy)

@@ -15,7 +15,7 @@ from greybox.estimation.problem import EstimationProblem, prepare_problem
 from greybox.model import Model
 from greybox.noise import AutoRegression, NoiseModel
 from greybox.result import Fit
-from greybox.transcription.robust_loss import RobustLoss, parse_loss
+from greybox.transcription.robust_loss import RobustLoss
 
 
 def restore_options(fit: Fit) -> FitOptions:
@@ -67,6 +67,7 @@ def restore_problem(
         method=options.method,
         substeps=options.substeps,
         per_experiment=options.per_experiment,
+        policy=options.policy,
     )
     variables = problem.variables.with_values(_label_experiment_values(fit))
     problem = replace(problem, loss=restore_loss(fit))
@@ -93,7 +94,7 @@ def _label_experiment_values(fit: Fit) -> dict[str, float]:
 
 def restore_loss(fit: Fit) -> RobustLoss | None:
     """The robust loss of ``fit`` with its scales; None for least squares."""
-    loss = parse_loss(FitOptions.from_data(fit.provenance.options).loss)
+    loss = FitOptions.from_data(fit.provenance.options).to_loss()
     scale = np.array([fit.robust.scale.get(o.name, 1.0) for o in fit.model.outputs])
     return None if loss is None else replace(loss, scale=scale)
 

@@ -13,7 +13,7 @@ from greybox.estimation.solution import Solution
 from greybox.estimation.solve import solve
 from greybox.noise.differences import estimate_spread
 from greybox.result import Misfit, RobustReport
-from greybox.transcription.robust_loss import USUAL, RobustLoss, parse_loss
+from greybox.transcription.robust_loss import LossKind, RobustLoss
 
 
 def refit_robustly(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
@@ -24,11 +24,12 @@ def refit_robustly(solution: Solution, options: FitOptions, report: FitProgressC
     noise is known one at least: what the model lacks is not to be taken for outliers. It is constant while the cost is minimised.
     """
     policy = options.policy.robust
-    loss = parse_loss(options.loss)
+    loss = options.to_loss()
     if loss is None or not solution.status.success:
         return solution
     options = replace(options, progressive=False)
-    first = replace(loss, kind="huber", threshold=USUAL["huber"]) if loss.kind != "huber" else loss
+    huber = replace(loss, kind=LossKind.HUBER, threshold=loss.policy.huber_threshold)
+    first = loss if loss.kind == LossKind.HUBER else huber
     for _ in range(policy.rounds):
         scale = estimate_bulk_scale(solution, policy)
         before = solution.problem.loss

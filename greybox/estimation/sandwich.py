@@ -17,7 +17,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from greybox.estimation.policy import DEFAULT_POLICY, IntervalPolicy
-from greybox.noise import AutoRegression, fit_autoregression, join_series
+from greybox.noise import AutoRegression, NoisePolicy, fit_autoregression, join_series
 
 # Numbers that one transform may hold: a limit of memory, not of accuracy.
 _CHUNK = 4_000_000
@@ -64,10 +64,12 @@ def estimate_residual_colour(
     noise_given: bool,
     variance_floor: np.ndarray | None = None,
     policy: IntervalPolicy = DEFAULT_POLICY.intervals,
+    noise_policy: NoisePolicy = DEFAULT_POLICY.noise,
 ) -> ResidualColour:
     """Autoregression of each output's weighted residual over all records, and its variance.
 
-    If the noise is given that is at least one, or the ``variance_floor`` (ny,) that a robust loss leaves of it.
+    If the noise is given that is at least one, or the ``variance_floor`` (ny,) that a robust loss leaves of it. ``noise_policy``: how the
+    autoregression is chosen.
     """
     outputs = rows[0][0].shape[1]
     total = sum(int(np.isfinite(r).sum()) for r, _ in rows)
@@ -76,7 +78,9 @@ def estimate_residual_colour(
         series = join_series([r[:, j] for r, _ in rows])
         count = int(np.isfinite(series).sum())
         square = float(np.nansum(series**2)) / max(count, 1) * total / max(total - unknowns, 1)
-        models.append(fit_autoregression(series) if count >= policy.least_samples else AutoRegression())
+        models.append(
+            fit_autoregression(series, policy=noise_policy) if count >= policy.least_samples else AutoRegression()
+        )
         variances.append(
             max(square, 1.0 if variance_floor is None else float(variance_floor[j])) if noise_given else square
         )

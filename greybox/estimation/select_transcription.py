@@ -36,7 +36,15 @@ def select_transcription(problem: EstimationProblem, options: FitOptions) -> Tra
     A stiff model also gets implicit steps, unless the method or the substeps were given.
     """
     longest = max(problem.records, key=lambda r: float(r.h.sum()))
-    proposal = propose_transcription(problem.model.system, _start_parameters(problem), longest, integrating="single")
+    policy = options.policy
+    proposal = propose_transcription(
+        problem.model.system,
+        _start_parameters(problem),
+        longest,
+        integrating="single",
+        policy=policy.transcription.choice,
+        discretisation=policy.discretisation,
+    )
     if proposal.implicit and options.method == "automatic" and not options.substeps:
         problem = replace(problem, method="radau").with_step(0, _start_parameters(problem))
     if options.arc_length:
@@ -49,7 +57,8 @@ def select_transcription(problem: EstimationProblem, options: FitOptions) -> Tra
 
 def compute_growth_rates(problem: EstimationProblem) -> list[float]:
     """Rate (1/s) at which small errors grow along each record, at the start values."""
-    return [estimate_error_growth(problem.model.system, _start_parameters(problem), r) for r in problem.records]
+    policy, p = problem.policy.transcription.choice, _start_parameters(problem)
+    return [estimate_error_growth(problem.model.system, p, r, policy) for r in problem.records]
 
 
 def _start_parameters(problem: EstimationProblem) -> np.ndarray:

@@ -34,7 +34,7 @@ def solve_arcs(choice: TranscriptionChoice, options: FitOptions, report: FitProg
     """
     whole = choice.problem
     _check_length(whole, options)
-    arcs = cut_into_arcs(_shooting(whole), seconds=options.arc_length)
+    arcs = cut_into_arcs(_shooting(whole), seconds=options.arc_length, policy=options.policy.transcription.segments)
     problem = replace(whole, records=arcs.shooting.records, variables=arcs.shooting.variables)
     if is_plain_least_squares(problem):
         solved = _solve_with_states_eliminated(problem, arcs.starts_record, options, report)
@@ -100,7 +100,7 @@ def _solve_with_states_eliminated(
     seconds, error = 0.0, np.zeros(len(problem.noise.std))
     policy = options.policy.step_refinement
     for halving in range(policy.halvings + 1):
-        projected = ProjectedShooting(_shooting(problem))
+        projected = ProjectedShooting(_shooting(problem), options.policy.transcription.projection)
         if halving == 0:
             projected.carry_states(starts_record)
         (low, high), zero = projected.bounds(), np.zeros(projected.size)
@@ -117,6 +117,7 @@ def _solve_with_states_eliminated(
             termination_test=make_termination_test(low, high, options.policy.convergence),
             thorough=options.thorough,
             progress=ProgressMonitor(problem, report),
+            policy=options.policy.minimisation,
         )
         iterations, passes = iterations + outcome.iterations, passes + outcome.evaluations
         value, seconds = outcome.value or first, seconds + outcome.seconds

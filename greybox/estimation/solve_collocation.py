@@ -101,8 +101,10 @@ def _guess_start(problem: EstimationProblem) -> tuple[DecisionVector, list[np.nd
     v = problem.variables
     single = SingleShooting(v, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
     pairs = zip(compute_growth_rates(problem), single.records, strict=True)
-    cuts = [place_segments(e, r, choose_segment_rows(growth, r)) for e, (growth, r) in enumerate(pairs)]
-    variables, states = initialise_without_continuity(single, cuts)
+    policy = problem.policy.transcription
+    rows = [(r, choose_segment_rows(growth, r, policy.segments)) for growth, r in pairs]
+    cuts = [place_segments(e, r, count, policy.segments) for e, (r, count) in enumerate(rows)]
+    variables, states = initialise_without_continuity(single, cuts, policy)
     return variables, [np.where(np.isfinite(x), x, v.initial.guess[e]) for e, x in enumerate(states)]
 
 

@@ -32,9 +32,8 @@ def solve_multiple(
     The step is halved until that changes the segments too little to matter, as with single shooting.
     """
     problem = choice.problem
-    rows = [
-        choose_segment_rows(growth, r) for growth, r in zip(compute_growth_rates(problem), problem.records, strict=True)
-    ]
+    pairs = zip(compute_growth_rates(problem), problem.records, strict=True)
+    rows = [choose_segment_rows(growth, r, options.policy.transcription.segments) for growth, r in pairs]
     shooting = _make_shooting(problem, rows)
     iterations = passes = 0
     seconds, error = 0.0, np.zeros(len(problem.noise.std))
@@ -84,7 +83,14 @@ def _make_shooting(
     problem: EstimationProblem, rows: list[int], nodes: Sequence[np.ndarray] | None = None
 ) -> MultipleShooting:
     return MultipleShooting(
-        problem.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std, rows, nodes
+        problem.variables,
+        problem.step,
+        problem.kernel,
+        problem.records,
+        1 / problem.noise.std,
+        rows,
+        nodes,
+        problem.policy.transcription,
     )
 
 

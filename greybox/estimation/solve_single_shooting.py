@@ -160,6 +160,7 @@ class _Run:
             termination_test=make_termination_test(low, high, self.convergence, whole=share == 1),
             thorough=self.options.thorough and share == 1,
             progress=self.progress(share),
+            policy=self.options.policy.minimisation,
         )
         self.variables, self.status, self.word = variables.recentre(outcome.z), outcome.status, outcome.solver_status
         self.iterations += outcome.iterations

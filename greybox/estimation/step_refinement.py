@@ -94,7 +94,7 @@ def _find_stable_substeps(problem: EstimationProblem, variables: DecisionVector,
         return 1
     longest = max(float(r.lengths.max()) for r in problem.records)
     fast = find_fast_relaxing_states(system, p, visited) if problem.method == "mixed" else None
-    return choose_substeps(system, p, visited, longest, relaxing=fast)
+    return choose_substeps(system, p, visited, longest, relaxing=fast, policy=problem.policy.discretisation)
 
 
 def with_substeps(problem: EstimationProblem, substeps: int, p: np.ndarray) -> EstimationProblem:

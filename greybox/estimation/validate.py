@@ -78,6 +78,7 @@ def validate(
         method=options.method,
         substeps=options.substeps,
         robust=options.robust,
+        policy=options.policy,
     )
     shortest = min(len(r.u) for r in problem.records)
     if skip < 0 or skip >= shortest:

@@ -17,7 +17,7 @@ from greybox.experiment import Experiment
 from greybox.kernel import Record
 from greybox.numerics import SAME_INTERVAL
 from greybox.transcription.decision_vector import DecisionVector, InitialStates
-from greybox.transcription.policy import SEGMENTS
+from greybox.transcription.policy import DEFAULT_POLICY, SegmentPolicy
 from greybox.transcription.single_shooting import SingleShooting
 
 
@@ -71,7 +71,13 @@ class ArcProblem:
     """Which arcs begin a record."""
 
 
-def cut_into_arcs(whole: SingleShooting, *, seconds: float | None = None, rows: int | None = None) -> ArcProblem:
+def cut_into_arcs(
+    whole: SingleShooting,
+    *,
+    seconds: float | None = None,
+    rows: int | None = None,
+    policy: SegmentPolicy = DEFAULT_POLICY.segments,
+) -> ArcProblem:
     """The cost of ``whole`` with every record cut in arcs, all their initial states estimated; arguments as for `split_into_arcs`.
 
     States that are outputs begin at their first measured value, the others as in ``whole``. Many arcs are many initial states:
@@ -84,6 +90,7 @@ def cut_into_arcs(whole: SingleShooting, *, seconds: float | None = None, rows: 
             seconds=seconds,
             rows=rows,
             rows_per_sample=r.rows_per_sample,
+            policy=policy,
         )
         for e, r in enumerate(whole.records)
     ]
@@ -137,7 +144,13 @@ def slice_rows(record: Record, a: int, b: int) -> Record:
 
 
 def place_cuts(
-    name: str, since: np.ndarray, *, seconds: float | None = None, rows: int | None = None, rows_per_sample: int = 1
+    name: str,
+    since: np.ndarray,
+    *,
+    seconds: float | None = None,
+    rows: int | None = None,
+    rows_per_sample: int = 1,
+    policy: SegmentPolicy = DEFAULT_POLICY.segments,
 ) -> tuple[int, ...]:
     """First rows of the arcs and, at the end, the number of rows, for rows ``since`` (N,) seconds after the first.
 
@@ -146,7 +159,7 @@ def place_cuts(
     if (seconds is None) == (rows is None):
         raise DataError("arcs: give their length either in seconds or in rows")
     count = len(since)
-    least = SEGMENTS.least_arc_rows
+    least = policy.least_arc_rows
     if rows is not None:
         if rows < least:
             raise DataError(f"arcs of {name!r}: {rows} rows; an arc needs at least {least}")

@@ -10,25 +10,29 @@ import numpy as np
 from greybox.numerics import FLATTEST_CURVATURE, TINY
 from greybox.transcription.arcs import cut_at_rows, slice_rows
 from greybox.transcription.decision_vector import DecisionVector
-from greybox.transcription.policy import RELAXATION, RelaxationPolicy
+from greybox.transcription.policy import DEFAULT_POLICY, ProjectionPolicy, RelaxationPolicy, TranscriptionPolicy
 from greybox.transcription.projected_initial_states import ProjectedShooting
 from greybox.transcription.single_shooting import SingleShooting
 
 
-def estimate_nodes(single: SingleShooting, cuts: Sequence[Sequence[int]]) -> list[np.ndarray]:
+def estimate_nodes(
+    single: SingleShooting, cuts: Sequence[Sequence[int]], policy: ProjectionPolicy = DEFAULT_POLICY.projection
+) -> list[np.ndarray]:
     """States (segments + 1, nx) of each record at its ``cuts`` (first rows of the segments and, at the end, the number of rows).
 
     A state that is an output is taken as measured to begin with, a hidden one from the end of the segment before; then both are
     estimated from the samples of the segment, with the constants at their start values. A short segment, which a wrong
     constant cannot spoil much, acts as an observer. The state at the end is a copy of the one before it.
     """
-    return to_nodes(single, cuts, estimate_arc_states(single, cuts))
+    return to_nodes(single, cuts, estimate_arc_states(single, cuts, policy))
 
 
-def estimate_arc_states(single: SingleShooting, cuts: Sequence[Sequence[int]]) -> ProjectedShooting:
+def estimate_arc_states(
+    single: SingleShooting, cuts: Sequence[Sequence[int]], policy: ProjectionPolicy = DEFAULT_POLICY.projection
+) -> ProjectedShooting:
     """The records cut in arcs, with the initial state of each estimated in turn."""
     arcs = cut_at_rows(single, cuts)
-    projected = ProjectedShooting(arcs.shooting)
+    projected = ProjectedShooting(arcs.shooting, policy)
     projected.carry_states(arcs.starts_record)
     return projected
 
@@ -57,7 +61,9 @@ def simulate_segments(
     return np.concatenate([y for y, _ in runs]), np.concatenate([x for _, x in runs])
 
 
-def fit_without_continuity(projected: ProjectedShooting, policy: RelaxationPolicy = RELAXATION) -> np.ndarray:
+def fit_without_continuity(
+    projected: ProjectedShooting, policy: RelaxationPolicy = DEFAULT_POLICY.relaxation
+) -> np.ndarray:
     """Constants (n,) near the best for arcs with initial states of their own, by damped Gauss-Newton steps from the start.
 
     An arc cannot lose its place in an oscillation, so this search is spared the wrong optima of a long run; its result is good to the
@@ -85,15 +91,15 @@ def fit_without_continuity(projected: ProjectedShooting, policy: RelaxationPolic
 
 
 def initialise_without_continuity(
-    single: SingleShooting, cuts: Sequence[Sequence[int]]
+    single: SingleShooting, cuts: Sequence[Sequence[int]], policy: TranscriptionPolicy = DEFAULT_POLICY
 ) -> tuple[DecisionVector, list[np.ndarray]]:
     """Variables with ``z = 0`` at constants fitted without continuity, and states (N, nx) along each record: a start for `Collocation`.
 
     ``cuts`` of each record as for `estimate_nodes`.
     """
-    arcs, v = estimate_arc_states(single, cuts), single.variables
+    arcs, v = estimate_arc_states(single, cuts, policy.projection), single.variables
     z = np.zeros(v.size)
-    z[: arcs.size] = fit_without_continuity(arcs)
+    z[: arcs.size] = fit_without_continuity(arcs, policy.relaxation)
     nodes = to_nodes(single, cuts, arcs)
     free = v.free_states
     for e in range(v.experiments):
@@ -107,7 +113,7 @@ def compute_bounded_step(
     gradient: np.ndarray,
     hessian: np.ndarray,
     damping: float,
-    policy: RelaxationPolicy = RELAXATION,
+    policy: RelaxationPolicy = DEFAULT_POLICY.relaxation,
 ) -> np.ndarray:
     """The step of the constants (n,) that minimises ``2 g'd + d'H d`` within their bounds and a largest factor.
 

@@ -36,7 +36,7 @@ from greybox.transcription.initialisation import (
     simulate_segments,
     to_nodes,
 )
-from greybox.transcription.policy import MULTIPLE_SHOOTING, SEGMENTS, MultipleShootingPolicy, SegmentPolicy
+from greybox.transcription.policy import DEFAULT_POLICY, SegmentPolicy, TranscriptionPolicy
 from greybox.transcription.single_shooting import Evaluation, SingleShooting
 
 Report = Callable[[int, float], object]
@@ -78,7 +78,7 @@ class MultipleShootingResult:
         return self.status.success
 
 
-def choose_segment_rows(growth: float, record: Record, policy: SegmentPolicy = SEGMENTS) -> int:
+def choose_segment_rows(growth: float, record: Record, policy: SegmentPolicy = DEFAULT_POLICY.segments) -> int:
     """Samples of a segment for a plant whose errors grow by ``exp(growth t)`` (1/s; at most zero: they do not)."""
     longest = max(len(record.samples(record.u)) // policy.max_segments, policy.usual_rows)
     period = record.rows_per_sample * float(np.median(record.h)) if len(record.h) else 1.0
@@ -102,7 +102,7 @@ class MultipleShooting:
     nodes
         First states of the segments (segments, nx) of each record, in the place of that guess.
     policy
-        When the search has converged, and which steps it takes.
+        When the search has converged and which steps it takes, how it begins, and how short a segment may be.
     """
 
     def __init__(
@@ -114,20 +114,22 @@ class MultipleShooting:
         weight: np.ndarray,
         rows: int | Sequence[int],
         nodes: Sequence[np.ndarray] | None = None,
-        policy: MultipleShootingPolicy = MULTIPLE_SHOOTING,
+        policy: TranscriptionPolicy = DEFAULT_POLICY,
     ) -> None:
-        self.variables, self.weight, self.policy = variables, weight, policy
+        self.variables, self.weight = variables, weight
+        self.policy, self.relaxation = policy.multiple_shooting, policy.relaxation
         self.single = SingleShooting(variables, step, kernel, records, weight)
         self.records = self.single.records
         segment_rows = [rows] * len(records) if isinstance(rows, int) else list(rows)
-        self.cuts = [place_segments(e, r, n) for e, (r, n) in enumerate(zip(self.records, segment_rows, strict=True))]
+        pairs = zip(self.records, segment_rows, strict=True)
+        self.cuts = [place_segments(e, r, n, policy.segments) for e, (r, n) in enumerate(pairs)]
         self.kernel = make_kernel(add_state_outputs(step))
         self.nx, self.ny = step.advance.size1_in(0), len(weight)
         self.segments = [
             [slice_segment(r, a, b, self.nx) for a, b in pairwise(c)]
             for r, c in zip(self.records, self.cuts, strict=True)
         ]
-        self._arcs = estimate_arc_states(self.single, self.cuts) if nodes is None else None
+        self._arcs = estimate_arc_states(self.single, self.cuts, policy.projection) if nodes is None else None
         first_nodes = to_nodes(self.single, self.cuts, self._arcs) if self._arcs else nodes or ()
         self.nodes = [np.array(n, float) for n in first_nodes]
         self.scale = measure_state_ranges(self.nodes)
@@ -150,7 +152,7 @@ class MultipleShooting:
         began = time.perf_counter()
         point = _ShootingPoint(np.zeros(self.variables.size), self.nodes)
         if relax and self._arcs:
-            point.z[: self._arcs.size] = fit_without_continuity(self._arcs)
+            point.z[: self._arcs.size] = fit_without_continuity(self._arcs, self.relaxation)
             point.nodes = to_nodes(self.single, self.cuts, self._arcs)
         linearised = self._linearise(point)
         status, costs, iteration = TerminationStatus.NO_START, [], 0
@@ -214,7 +216,9 @@ class MultipleShooting:
     def _compute_step(self, linearised: _LinearisedPoint, damping: float) -> tuple[np.ndarray, list[np.ndarray]]:
         """The step of constants and nodes that minimises the condensed quadratic within the bounds of the constants."""
         condensed = linearised.condensed
-        dz = compute_bounded_step(self.variables, linearised.z, condensed.gradient, condensed.hessian, damping)
+        dz = compute_bounded_step(
+            self.variables, linearised.z, condensed.gradient, condensed.hessian, damping, self.relaxation
+        )
         return condensed.step(dz)
 
     def _take_step(
@@ -357,10 +361,16 @@ def add_state_outputs(step: Step) -> Step:
     return replace(step, outputs=ca.Function("outputs", [x, u, p], [ca.vertcat(f(x, u, p), x)]))
 
 
-def place_segments(e: int, record: Record, rows: int) -> tuple[int, ...]:
+def place_segments(
+    e: int, record: Record, rows: int, policy: SegmentPolicy = DEFAULT_POLICY.segments
+) -> tuple[int, ...]:
     """First rows of the segments of ``rows`` samples of record ``e`` and, at the end, its number of rows."""
     return place_cuts(
-        f"record {e + 1}", np.arange(len(record.u), dtype=float), rows=rows, rows_per_sample=record.rows_per_sample
+        f"record {e + 1}",
+        np.arange(len(record.u), dtype=float),
+        rows=rows,
+        rows_per_sample=record.rows_per_sample,
+        policy=policy,
     )
 
 

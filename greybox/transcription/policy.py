@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
-class TranscriptionPolicy:
+class TranscriptionChoicePolicy:
     """Which transcription suits a model and its record."""
 
     linearisation_points: int = 9
@@ -155,10 +155,17 @@ class RobustLossPolicy:
     """The mean curvature of a loss does not fall below this, however many residuals are outliers."""
 
 
-TRANSCRIPTION = TranscriptionPolicy()
-SEGMENTS = SegmentPolicy()
-MULTIPLE_SHOOTING = MultipleShootingPolicy()
-RELAXATION = RelaxationPolicy()
-PROJECTION = ProjectionPolicy()
-BAND_LIMITED = BandLimitedPolicy()
-ROBUST_LOSS = RobustLossPolicy()
+@dataclass(frozen=True)
+class TranscriptionPolicy:
+    """All numbers that steer a transcription; see the class of each field."""
+
+    choice: TranscriptionChoicePolicy = field(default_factory=TranscriptionChoicePolicy)
+    segments: SegmentPolicy = field(default_factory=SegmentPolicy)
+    multiple_shooting: MultipleShootingPolicy = field(default_factory=MultipleShootingPolicy)
+    relaxation: RelaxationPolicy = field(default_factory=RelaxationPolicy)
+    projection: ProjectionPolicy = field(default_factory=ProjectionPolicy)
+    band_limited: BandLimitedPolicy = field(default_factory=BandLimitedPolicy)
+    robust_loss: RobustLossPolicy = field(default_factory=RobustLossPolicy)
+
+
+DEFAULT_POLICY = TranscriptionPolicy()

@@ -9,7 +9,7 @@ import numpy as np
 from greybox.numerics import UNSEEN_STATE_CURVATURE
 from greybox.transcription.arcs import find_measured_states
 from greybox.transcription.decision_vector import DecisionVector
-from greybox.transcription.policy import PROJECTION, ProjectionPolicy
+from greybox.transcription.policy import DEFAULT_POLICY, ProjectionPolicy
 from greybox.transcription.single_shooting import Evaluation, SingleShooting, add_prior_penalty
 
 
@@ -22,7 +22,7 @@ class ProjectedShooting:
     states of one point begins where the last one ended, moved along the slope ``dx0/dz = -C^-1 B'``.
     """
 
-    def __init__(self, shooting: SingleShooting, policy: ProjectionPolicy = PROJECTION) -> None:
+    def __init__(self, shooting: SingleShooting, policy: ProjectionPolicy = DEFAULT_POLICY.projection) -> None:
         self.shooting, self.policy = shooting, policy
         v = shooting.variables
         self.size = len(v.which)

@@ -13,7 +13,7 @@ from greybox.experiment.time_gaps import refuse_unknown_input
 from greybox.kernel.record import Record
 from greybox.model import Model
 from greybox.numerics import SAME_INTERVAL
-from greybox.transcription.policy import BAND_LIMITED, BandLimitedPolicy
+from greybox.transcription.policy import DEFAULT_POLICY, BandLimitedPolicy
 
 
 def to_experiments(experiments: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
@@ -36,7 +36,7 @@ def to_experiments(experiments: Experiment | Iterable[Experiment]) -> tuple[Expe
     return result
 
 
-def to_record(model: Model, experiment: Experiment, policy: BandLimitedPolicy = BAND_LIMITED) -> Record:
+def to_record(model: Model, experiment: Experiment, policy: BandLimitedPolicy = DEFAULT_POLICY.band_limited) -> Record:
     """An experiment as the kernels read it, its columns in the order of the model's inputs and outputs.
 
     An output that was not measured is a column of NaN. An effect of the model may say what the input does between samples; else the
@@ -87,7 +87,9 @@ def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray, polic
     return Record(interpolated, measured, h, np.zeros(rows - 1), length, first_order=True, rows_per_sample=points)
 
 
-def interpolate_band_limited(u: np.ndarray, points: int, policy: BandLimitedPolicy = BAND_LIMITED) -> np.ndarray:
+def interpolate_band_limited(
+    u: np.ndarray, points: int, policy: BandLimitedPolicy = DEFAULT_POLICY.band_limited
+) -> np.ndarray:
     """A band-limited signal (N, n) at ``points`` points in each interval: ``(points (N - 1) + 1, n)``.
 
     A windowed sinc, flat up to 0.45 of the sampling rate (0.01 %); towards its ends the record is continued as its mirror image

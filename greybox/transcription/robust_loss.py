@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.numerics import NORMAL_QUADRATURE_POINTS, NORMAL_QUADRATURE_WIDTH
-from greybox.transcription.policy import ROBUST_LOSS, RobustLossPolicy
+from greybox.transcription.policy import DEFAULT_POLICY, RobustLossPolicy
 
 
 class LossKind(StrEnum):
@@ -19,10 +19,6 @@ class LossKind(StrEnum):
     SQUARES = "squares"
     HUBER = "huber"
     STUDENT = "student"
-
-
-# The thresholds that are taken where none is given.
-USUAL: dict[str, float] = {LossKind.HUBER: ROBUST_LOSS.huber_threshold, LossKind.STUDENT: ROBUST_LOSS.student_freedom}
 
 
 @dataclass(frozen=True)
@@ -37,7 +33,7 @@ class RobustLoss:
     kind: str
     threshold: float
     scale: np.ndarray = field(default_factory=lambda: np.ones(1))
-    policy: RobustLossPolicy = ROBUST_LOSS
+    policy: RobustLossPolicy = DEFAULT_POLICY.robust_loss
 
     def __str__(self) -> str:
         unit = " noise standard deviations" if self.kind == LossKind.HUBER else " degrees of freedom"
@@ -78,8 +74,11 @@ class RobustLoss:
         return is_measured & (weight < self.policy.outlier_weight * self.terms(np.zeros_like(r))[2])
 
 
-def parse_loss(text: str) -> RobustLoss | None:
-    """``huber``, ``student``, or either with its threshold, ``huber:2``; None for ``squares``. Raises ModelError for other text."""
+def parse_loss(text: str, policy: RobustLossPolicy = DEFAULT_POLICY.robust_loss) -> RobustLoss | None:
+    """``huber``, ``student``, or either with its threshold, ``huber:2``; None for ``squares``. Raises ModelError for other text.
+
+    ``policy`` has the threshold that is taken where none is given.
+    """
     kind, colon, value = text.partition(":")
     kinds = [str(known) for known in LossKind]
     if kind not in kinds:
@@ -87,7 +86,8 @@ def parse_loss(text: str) -> RobustLoss | None:
     if kind == LossKind.SQUARES and not colon:
         return None
     try:
-        threshold = float(value) if colon else USUAL[LossKind(kind)]
+        usual = policy.student_freedom if kind == LossKind.STUDENT else policy.huber_threshold
+        threshold = float(value) if colon else usual
     except ValueError:
         threshold = math.nan
     if kind == LossKind.SQUARES or not (math.isfinite(threshold) and threshold > 0):
@@ -95,4 +95,4 @@ def parse_loss(text: str) -> RobustLoss | None:
             f"loss {text!r}: write huber:K with the threshold K in noise standard deviations, student:K with K degrees of freedom,"
             " K above zero, or squares"
         )
-    return RobustLoss(kind, threshold)
+    return RobustLoss(kind, threshold, policy=policy)

@@ -15,10 +15,11 @@ from scipy.linalg import expm
 from greybox.findings import Finding, Severity
 from greybox.integrators.exponential_relaxation import compute_fastest_rate
 from greybox.integrators.policy import DEFAULT_POLICY as DISCRETISATION
+from greybox.integrators.policy import DiscretisationPolicy
 from greybox.kernel import Record
 from greybox.model.system import System
 from greybox.transcription.findings import TranscriptionReason
-from greybox.transcription.policy import TRANSCRIPTION, TranscriptionPolicy
+from greybox.transcription.policy import DEFAULT_POLICY, TranscriptionChoicePolicy
 
 
 class ProposedTranscription(StrEnum):
@@ -48,7 +49,8 @@ def propose_transcription(
     record: Record,
     *,
     integrating: str = "multiple",
-    policy: TranscriptionPolicy = TRANSCRIPTION,
+    policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice,
+    discretisation: DiscretisationPolicy = DISCRETISATION,
 ) -> TranscriptionProposal:
     """The transcription that suits a model and its record, and why.
 
@@ -69,6 +71,8 @@ def propose_transcription(
         to the optimum as surely as ``multiple`` shooting, and several times faster.
     policy
         The limits.
+    discretisation
+        How many states the implicit methods take.
     """
     jacobians = _linearise_along(system, p, record, policy.linearisation_points)
     duration = float(record.h.sum())
@@ -76,7 +80,7 @@ def propose_transcription(
     if growth * duration > math.log(policy.max_error_growth):
         values = {"rate": growth, "exponent": growth * duration, "duration": duration}
         return _propose(ProposedTranscription.MULTIPLE, TranscriptionReason.UNSTABLE, values)
-    stiff = _propose_for_stiff(system, jacobians, record, policy)
+    stiff = _propose_for_stiff(system, jacobians, record, policy, discretisation)
     if stiff:
         return stiff
     eigenvalues = np.linalg.eigvals(jacobians).ravel()
@@ -97,7 +101,7 @@ def propose_transcription(
 
 
 def estimate_error_growth(
-    system: System, p: np.ndarray, record: Record, policy: TranscriptionPolicy = TRANSCRIPTION
+    system: System, p: np.ndarray, record: Record, policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice
 ) -> float:
     """Mean rate (1/s) at which small errors grow along ``record``; negative where they decay. See `choose_segment_rows`."""
     jacobians = _linearise_along(system, p, record, policy.linearisation_points)
@@ -114,7 +118,7 @@ def _propose(
 
 
 def _compute_growth(
-    system: System, p: np.ndarray, record: Record, jacobians: np.ndarray, policy: TranscriptionPolicy
+    system: System, p: np.ndarray, record: Record, jacobians: np.ndarray, policy: TranscriptionChoicePolicy
 ) -> float:
     """The largest real part of an eigenvalue; where that changes along the record, the growth that is left of it over the record."""
     if not len(jacobians):
@@ -144,7 +148,11 @@ def _compute_lyapunov_exponent(jacobians: np.ndarray, duration: float) -> float:
 
 
 def _propose_for_stiff(
-    system: System, jacobians: np.ndarray, record: Record, policy: TranscriptionPolicy
+    system: System,
+    jacobians: np.ndarray,
+    record: Record,
+    policy: TranscriptionChoicePolicy,
+    discretisation: DiscretisationPolicy,
 ) -> TranscriptionProposal | None:
     """Implicit steps or collocation, where a fast mode rules explicit steps out."""
     fastest = max((compute_fastest_rate(jacobian, system.relaxing) for jacobian in jacobians), default=0.0)
@@ -153,7 +161,7 @@ def _propose_for_stiff(
     if system.linear or substeps <= policy.max_explicit_substeps:
         return None
     values = {"fastest": 1 / fastest, "substeps": substeps}
-    if system.x.numel() <= DISCRETISATION.max_implicit_states:
+    if system.x.numel() <= discretisation.max_implicit_states:
         return _propose(ProposedTranscription.SINGLE, TranscriptionReason.STIFF_IMPLICIT, values, True)
     if system.dry or system.updates or system.delays:
         return _propose(ProposedTranscription.SINGLE, TranscriptionReason.STIFF_NOT_SMOOTH, values)

@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.errors import FitError
 from greybox.estimation.covariance import compute_information
+from greybox.estimation.options import FitOptions
 from greybox.estimation.prediction_error import compute_innovations
 from greybox.estimation.restore import restore_likelihood, restore_problem
 from greybox.estimation.sandwich import ColumnLayout, estimate_residual_colour
@@ -20,13 +21,16 @@ from greybox.uncertainty.policy import DEFAULT_BOOTSTRAP_POLICY, BootstrapPolicy
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap:
-    """``samples`` (B, nf) of the constants ``names``; their ``std`` and 95 % ``interval`` by name; ``block`` rows of a block."""
+    """``samples`` (B, nf) of the constants ``names``; their ``std`` and 95 % ``interval`` by name; ``block`` rows of a block; ``policy``:
+    how long blocks are.
+    """
 
     names: tuple[str, ...]
     samples: np.ndarray
     std: dict[str, float]
     interval: dict[str, tuple[float, float]]
     block: int
+    policy: BootstrapPolicy = DEFAULT_BOOTSTRAP_POLICY
 
 
 def bootstrap(
@@ -79,7 +83,14 @@ def bootstrap(
     v, size = at.variables, at.layout.size
     shortest = min(len(r) for r, *_ in at.rows)
     if block is None:
-        colour = estimate_residual_colour([(r, slopes) for r, slopes, _ in at.rows], size, at.noise_given)
+        estimation = FitOptions.from_data(fit.provenance.options).policy
+        colour = estimate_residual_colour(
+            [(r, slopes) for r, slopes, _ in at.rows],
+            size,
+            at.noise_given,
+            policy=estimation.intervals,
+            noise_policy=estimation.noise,
+        )
         time = max((t for t, _ in colour.times), default=1.0)
         block = max(
             1,
@@ -102,7 +113,7 @@ def bootstrap(
     inside[: len(v.which)] = ~v.active
     steps = np.zeros((replicates, size))
     steps[:, inside] = -gradient[:, inside] @ _invert(at.information[np.ix_(inside, inside)])
-    return _summarise(v, steps[:, : len(v.which)], block)
+    return _summarise(v, steps[:, : len(v.which)], block, policy)
 
 
 @dataclass(frozen=True)
@@ -186,7 +197,7 @@ def _invert(information: np.ndarray) -> np.ndarray:
     )
 
 
-def _summarise(v: DecisionVector, steps: np.ndarray, block: int) -> Bootstrap:
+def _summarise(v: DecisionVector, steps: np.ndarray, block: int, policy: BootstrapPolicy) -> Bootstrap:
     samples, std, interval = np.empty_like(steps), {}, {}
     for k, name in enumerate(v.names):
 
@@ -199,4 +210,4 @@ def _summarise(v: DecisionVector, steps: np.ndarray, block: int) -> Bootstrap:
         upper, lower = np.quantile(steps[:, k], [0.025, 0.975])
         ends = place(np.array([-lower, -upper]))
         interval[name] = (float(ends[0]), float(ends[1]))
-    return Bootstrap(v.names, samples, std, interval, block)
+    return Bootstrap(v.names, samples, std, interval, block, policy)

@@ -29,6 +29,7 @@ class Profile(Printable):
     ``values`` (k,), increasing, in ``unit``, and ``increase`` (k,): the rise of the minimal cost over its scale, which for a
     well-determined constant is ``((value - best) / std)^2``. ``interval``: where it stays below ``threshold`` (the squared 95 % point);
     an end is the constant's bound, or infinite, where the rise never reaches it: the data leave that side open.
+    ``policy``: how it was followed.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Profile(Printable):
     increase: np.ndarray
     threshold: float
     interval: tuple[float, float]
+    policy: ProfilePolicy = DEFAULT_PROFILE_POLICY
 
     @property
     def open_sides(self) -> tuple[bool, bool]:
@@ -89,7 +91,13 @@ def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLI
     z = np.zeros(v.size)
     evaluation = shooting.evaluate(z)
     covariance = estimate_covariance(
-        v, evaluation, problem.noise.known, shooting.residuals(z), variance_floor=problem.variance_floor
+        v,
+        evaluation,
+        problem.noise.known,
+        shooting.residuals(z),
+        variance_floor=problem.variance_floor,
+        policy=problem.policy.intervals,
+        noise_policy=problem.policy.noise,
     )
     k = v.names.index(name)
     variance = covariance.covariance[k, k]
@@ -119,7 +127,8 @@ def _profile_likelihood(fit: Fit, name: str, policy: ProfilePolicy) -> Profile:
     stated = fit.constraints.per_experiment[v.quantities[k].name][owner] if owner else fit.parameters[name]
     widened = fit.uncertainty.inflation.get(name, 1.0)
     scale = widened**2 if np.isfinite(widened) else 1.0
-    held = _HeldLikelihood(cost, k, cost.cost(), scale, FitOptions(), policy)
+    options = FitOptions(policy=FitOptions.from_data(fit.provenance.options).policy)
+    held = _HeldLikelihood(cost, k, cost.cost(), scale, options, policy)
     return _follow(held, v, name, stated.std, compute_quantile(np.inf) ** 2, policy)
 
 
@@ -204,7 +213,7 @@ def _follow(
     high, points_high = side.follow(quantity.bounds[1], +1)
     points = sorted([*points_low, (best, 0.0), *points_high])
     values, increase = np.array(points).T
-    return Profile(name, quantity.unit, best, values, increase, threshold, (low, high))
+    return Profile(name, quantity.unit, best, values, increase, threshold, (low, high), policy)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from greybox.discovery.residual_noise import (
     is_noise_known,
     is_same_noise,
 )
+from greybox.estimation.policy import EstimationPolicy
 from greybox.noise import AutoRegression, NoiseModel, NoiseSource
 
 WHITE = AutoRegression()
@@ -36,7 +37,9 @@ def with_residual(monkeypatch):
     def make(series, model=None):
         monkeypatch.setattr(residual_noise, "_normalised_residuals", lambda candidate: [(0, np.asarray(series))])
         outputs = [SimpleNamespace(name="x")]
-        problem = SimpleNamespace(noise=model or noise(), model=SimpleNamespace(outputs=outputs))
+        problem = SimpleNamespace(
+            noise=model or noise(), model=SimpleNamespace(outputs=outputs), policy=EstimationPolicy()
+        )
         return SimpleNamespace(problem=problem)
 
     return make

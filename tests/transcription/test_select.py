@@ -7,7 +7,7 @@ from greybox.kernel import Record
 from greybox.model import Balance, Model
 from greybox.model.signals import Input, Output, Parameter, State
 from greybox.transcription import TranscriptionReason, estimate_error_growth, propose_transcription
-from greybox.transcription.policy import TranscriptionPolicy
+from greybox.transcription.policy import TranscriptionChoicePolicy
 
 ROWS, PERIOD = 101, 0.01  # one second
 
@@ -66,7 +66,7 @@ def test_a_model_is_stiff_beyond_the_explicit_substeps_of_the_policy(rate, is_st
 
 
 def test_the_limits_are_those_of_the_policy():
-    tolerant = TranscriptionPolicy(max_error_growth=1e3)
+    tolerant = TranscriptionChoicePolicy(max_error_growth=1e3)
     assert propose(first_order(4.0)).transcription == "multiple"
     assert propose(first_order(4.0), policy=tolerant).transcription == "single"
 
