@@ -7,8 +7,6 @@ from dataclasses import fields
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 
 class Printable:
     """A value that knows nothing of its sentences: ``str(value)`` looks its text up in `greybox.rendering` by the name of its class.
@@ -41,7 +39,7 @@ def _rebuilt(kind: type, values: Mapping[str, Any]) -> Any:
 def _protected(value: Any) -> Any:
     if isinstance(value, dict):
         return MappingProxyType({name: _protected(each) for name, each in value.items()})
-    if isinstance(value, np.ndarray):
+    if hasattr(value, "setflags"):  # an array; asking NumPy itself would load it for every command's help
         view = value.view()
         view.setflags(write=False)
         return view

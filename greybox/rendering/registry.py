@@ -46,7 +46,7 @@ def renders(class_name: str) -> Callable[[Writer], Writer]:
 
 def templates() -> Mapping[str, Template]:
     """Every template by its code, from all modules of this package."""
-    _load()
+    _load_all()
     return dict(_templates)
 
 
@@ -58,8 +58,12 @@ def sentence(item: Finding | Check) -> str:
     KeyError
         If its code has no template.
     """
-    _load()
-    template = _templates[item.code if isinstance(item, Finding) else item.rule]
+    code = item.code if isinstance(item, Finding) else item.rule
+    if code not in _templates:
+        _load_for(type(code))
+    if code not in _templates:  # read from a file: a plain string that does not say which package it belongs to
+        _load_all()
+    template = _templates[code]
     if not isinstance(template, str):
         return template(item)
     if isinstance(item, Finding):
@@ -78,15 +82,29 @@ def text(value: Any) -> str:
     """A result in plain text: what ``print(value)`` shows."""
     if isinstance(value, (Finding, Check)):
         return sentence(value)
-    _load()
-    for kind in type(value).__mro__:
-        if kind.__name__ in _writers:
-            return _writers[kind.__name__](value)
+    for load in (_load_for, lambda _: _load_all()):
+        for kind in type(value).__mro__:
+            load(kind)
+            if kind.__name__ in _writers:
+                return _writers[kind.__name__](value)
     raise TypeError(f"no module of greybox.rendering writes a {type(value).__name__}")
 
 
 @cache
-def _load() -> None:
-    """Import the modules of this package, once; each registers what it holds."""
-    for module in pkgutil.iter_modules([str(Path(__file__).parent)], "greybox.rendering."):
-        import_module(module.name)
+def _load_for(kind: type) -> None:
+    """Import the module that serves the package of ``kind``, if there is one: printing one result should not load the whole library."""
+    package = kind.__module__.split(".")
+    if package[0] == "greybox" and len(package) > 1 and package[1] in _modules():
+        import_module(f"greybox.rendering.{package[1]}")
+
+
+@cache
+def _load_all() -> None:
+    """Import every module of this package; each registers what it holds."""
+    for name in _modules():
+        import_module(f"greybox.rendering.{name}")
+
+
+@cache
+def _modules() -> tuple[str, ...]:
+    return tuple(module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)]))
