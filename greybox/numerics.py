@@ -83,6 +83,9 @@ NEGLIGIBLE_JUMP = 1e-9
 IMAGINARY_ROUNDING = 1e-6
 """Largest imaginary part of a matrix logarithm, relative to its largest entry, that is rounding."""
 
+VANISHED_POLE = 1e-12
+"""A pole of a sampled model whose size is below this is zero, as a delay has it: nothing of it is left after one sample."""
+
 REAL_POLE = 1e-12
 """A pole whose imaginary part is below this is real."""
 

@@ -148,11 +148,13 @@ def _residual_tests(result: Fit) -> ResidualTests | None:
 
 def _misfits(result: Fit, traces: Sequence[Trace], skip: int) -> list[RecordMisfit]:
     """The misfit of each record without its first ``skip`` rows, where there are several records."""
-    from greybox.plots import record_misfits
+    from greybox.estimation.traces import compute_record_misfits
 
     if len(traces) < 2:
         return []
-    return [(t.name, output, misfit) for t in traces for output, misfit in record_misfits(result, t, skip).items()]
+    return [
+        (t.name, output, misfit) for t in traces for output, misfit in compute_record_misfits(result, t, skip).items()
+    ]
 
 
 def _intervals(result: Fit, profiled: Iterable[str], replicates: int) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from greybox.estimation.problem import EstimationProblem
-from greybox.result import Misfit, Trace
+from greybox.result import Fit, Misfit, Trace
 
 
 def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[Trace, ...]:
@@ -63,6 +63,15 @@ def compute_misfit(traces: Sequence[Trace], output: str, unit: str, noise: float
     spread = float(np.linalg.norm(movement))
     best_fit = 100 * (1 - float(np.linalg.norm(error)) / spread) if spread > 0 else np.nan
     return Misfit(rmse, unit, best_fit, rmse / noise, len(error))
+
+
+def compute_record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, Misfit]:
+    """Misfit of one record of a fit by output, without its first ``skip`` rows."""
+    units = {o.name: o.unit for o in fit.model.outputs}
+    # An output that the fitted records lack has the noise by which the validation judged it.
+    judged = {name: m.rmse / m.noise_ratio for name, m in fit.validation.misfit.items() if m.noise_ratio > 0}
+    noise = {**judged, **fit.noise.std}
+    return {name: compute_misfit([trace], name, units[name], noise.get(name, np.nan), skip) for name in trace.measured}
 
 
 def to_noise_by_output(problem: EstimationProblem, measured: Mapping[str, Misfit]) -> dict[str, float]:

@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from greybox.plots.figure import Axis, Figure, Panel, Role
     from greybox.plots.pictures import draw_comparison, draw_discovery, draw_fit, draw_gap, draw_residual_tests
-    from greybox.plots.records import record_misfits
 
 # Loaded when first asked for: the figures of one page do not need what those of another one import.
 _HOME = {
     **dict.fromkeys(("Axis", "Figure", "Panel", "Role"), "figure"),
     **dict.fromkeys(("draw_comparison", "draw_discovery", "draw_fit", "draw_gap", "draw_residual_tests"), "pictures"),
-    "record_misfits": "records",
 }
 
 __all__ = [
@@ -30,7 +28,6 @@ __all__ = [
     "draw_fit",
     "draw_gap",
     "draw_residual_tests",
-    "record_misfits",
 ]
 
 

@@ -74,7 +74,16 @@ def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
             Curve(run.time, factor * _cut(run.simulated, run.measured), roles[n], n, 1.4, thinning=Thinning.ENVELOPE)
             for n, run in reversed(runs.items())  # the first, as a rule the grey box, on top
         ]
-        panels.append(Panel(output, (measured, *curves), TIME, Axis(output, unit), height=Height.TALL))
+        panels.append(
+            Panel(
+                output,
+                (measured, *curves),
+                TIME,
+                Axis(output, unit),
+                height=Height.TALL,
+                listing=("measured", *runs),
+            )
+        )
     return Figure(name, tuple(panels), phrase(FigureText.MODEL_RUNS, record), _error_sizes(comparison, record))
 
 
@@ -97,7 +106,7 @@ def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figu
         ]
         reach = DRAWING.typical_errors * factor * max(typical[np.isfinite(typical)], default=1.0) or 1.0
         axis = Axis(f"error of {output}", unit, limits=(-reach, reach))
-        panels.append(Panel(output, tuple(curves), TIME, axis))
+        panels.append(Panel(output, tuple(curves), TIME, axis, listing=tuple(runs)))
     return Figure(name, tuple(panels), phrase(FigureText.MODEL_RESIDUALS, record), _error_sizes(comparison, record))
 
 

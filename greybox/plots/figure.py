@@ -269,6 +269,8 @@ class Panel:
         What is to be read above it in a picture; warnings stand out.
     equal_scales
         A unit is as long on one axis as on the other.
+    listing
+        Labels in the order of the legend, where that is not the order of the series.
     """
 
     name: str
@@ -278,11 +280,13 @@ class Panel:
     titles: tuple[Finding, ...] = ()
     height: Height = Height.MEDIUM
     equal_scales: bool = False
+    listing: tuple[str, ...] = ()
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The entries of its legend."""
-        return tuple(s.label for s in self.series if not isinstance(s, (Bars, Heatmap)) and s.label)
+        """The entries of its legend, in their order: those that are listed, then the others."""
+        drawn = [s.label for s in self.series if not isinstance(s, (Bars, Heatmap)) and s.label]
+        return tuple(sorted(drawn, key=lambda label: _place(label, self.listing)))
 
     @property
     def categories(self) -> list[str]:
@@ -297,7 +301,7 @@ class Panel:
         return list(dict.fromkeys(str(name) for names in named for name in names))
 
     def between(self, low: float, high: float) -> Panel:
-        """The part of a panel over time from ``low`` to ``high``, all its curves cut there."""
+        """The part of a panel over time from ``low`` to ``high``, all its curves and areas cut there."""
         return replace(self, series=tuple(_between(s, low, high) for s in self.series))
 
 
@@ -340,8 +344,14 @@ def bar_axis(name: str, unit: str, lengths: np.ndarray) -> Axis:
     return Axis(name, unit, Scale.LOG, (low / 10 ** (0.15 * decades), high * 10 ** (DRAWING.room_for_text * decades)))
 
 
+def _place(label: str, listing: Sequence[str]) -> int:
+    return listing.index(label) if label in listing else len(listing)
+
+
 def _between(series: Series, low: float, high: float) -> Series:
-    if not isinstance(series, Curve):
+    if not isinstance(series, (Curve, Area)):
         return series
     rows = (series.x >= low) & (series.x <= high)
+    if isinstance(series, Area):
+        return replace(series, x=series.x[rows], low=series.low[rows], high=series.high[rows])
     return replace(series, x=series.x[rows], y=series.y[rows])

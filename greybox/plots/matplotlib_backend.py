@@ -34,7 +34,7 @@ from greybox.plots.figure import (
     Series,
     Symbol,
 )
-from greybox.plots.scaling import typeset_exponents
+from greybox.plots.scaling import typeset_exponents, write_cell
 from greybox.plots.sheet import Cell, Sheet
 from greybox.plots.style import PALETTE, PICTURE, PictureStyle
 from greybox.plots.thinning import thin_curve
@@ -69,7 +69,8 @@ def draw_sheet(sheet: Sheet, style: PictureStyle = PICTURE) -> Picture:
         axes = picture.add_subplot(grid[cell.row : cell.row + cell.rows, cell.column])
         _draw_panel(axes, cell, style)
         handles, labels = axes.get_legend_handles_labels()
-        entries |= {label: handle for handle, label in zip(handles, labels, strict=True) if label not in entries}
+        drawn = dict(zip(labels, handles, strict=True))
+        entries |= {label: drawn[label] for label in cell.panel.labels if label not in entries}
     if entries:
         picture.legend(
             entries.values(),
@@ -217,7 +218,7 @@ def _draw_heatmap(axes: Axes, heatmap: Heatmap, style: PictureStyle) -> None:
     axes.set_xticks(range(len(heatmap.names)), heatmap.names)
     for (row, column), value in np.ndenumerate(heatmap.values):
         if np.isfinite(value):
-            axes.text(column, row, f"{value:.2f}", ha="center", va="center", fontsize=style.numbers)
+            axes.text(column, row, write_cell(value), ha="center", va="center", fontsize=style.numbers)
 
 
 def _places(values: np.ndarray | Sequence[str], panel: Panel) -> np.ndarray:

@@ -22,7 +22,7 @@ def plot_intervals(percent: Mapping[str, float], caption: Finding) -> Figure | N
     sizes = np.array(list(ranked.values()))
     marks = Points(sizes, list(ranked), Role.RESIDUAL, size=11, texts=[f"± {p:.2g} %" for p in sizes])
     limits = 10 ** (math.log10(sizes[0]) - 0.3), 10 ** (math.log10(sizes[-1]) + 0.7)
-    x = Axis("half width of the 95 % interval", "% of the value", Scale.LOG, limits, spacing=1.0)
+    x = Axis("half width of the 95 % interval", "% of the value", Scale.LOG, limits)
     panel = Panel("intervals", (marks,), x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY)
     return Figure("intervals", (panel,), caption, (phrase(FigureText.INTERVAL_WIDTHS, percent=ranked),))
 

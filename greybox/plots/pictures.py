@@ -11,6 +11,7 @@ import numpy as np
 
 from greybox.comparison import Comparison
 from greybox.discovery import Discovery, EffectSignal
+from greybox.estimation.traces import compute_record_misfits
 from greybox.findings import Finding
 from greybox.plots.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.plots.discovery import (
@@ -29,7 +30,6 @@ from greybox.plots.records import (
     plot_residuals_before_after,
     plot_run,
     plot_runs_before_after,
-    record_misfits,
 )
 from greybox.plots.residual_tests import plot_residual_tests
 from greybox.plots.sheet import Cell, Sheet
@@ -147,7 +147,7 @@ def fit_sheets(fit: Fit, skip: int = 0) -> list[Sheet]:
 def _fit_sheet(fit: Fit, trace: Trace, kind: str, skip: int) -> Sheet:
     units = {o.name: o.unit for o in fit.model.outputs}
     run, residual = plot_run(trace, units, "run"), plot_residual(trace, units, fit.noise.std, "residual")
-    misfit = record_misfits(fit, trace, skip)
+    misfit = compute_record_misfits(fit, trace, skip)
     window = liveliest_window(trace.time, next(iter(trace.measured.values())))
     cells = []
     for k, (top, bottom) in enumerate(zip(run.panels, residual.panels, strict=True)):

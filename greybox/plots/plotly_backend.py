@@ -26,6 +26,7 @@ from greybox.plots.figure import (
     Series,
     Symbol,
 )
+from greybox.plots.scaling import write_cell
 from greybox.plots.style import PAGE, PageStyle
 from greybox.plots.thinning import choose_evenly, thin_curve
 
@@ -94,7 +95,7 @@ def css_variable(role: Role) -> str:
 def _traces(series: Series, panel: Panel, stretches: int, style: PageStyle) -> list[dict[str, Any]]:
     match series:
         case Curve():
-            return [_curve(series, stretches)]
+            return [_curve(series, panel, stretches)]
         case Points():
             return [_points(series, panel, style)]
         case Bars():
@@ -106,10 +107,13 @@ def _traces(series: Series, panel: Panel, stretches: int, style: PageStyle) -> l
     return []  # bands and references across the whole panel belong to its layout
 
 
-def _curve(curve: Curve, stretches: int) -> dict[str, Any]:
+def _curve(curve: Curve, panel: Panel, stretches: int) -> dict[str, Any]:
     x, y = thin_curve(curve.x, curve.y, curve.thinning, stretches)
     line = {"color": css_variable(curve.role), "width": curve.width, "dash": curve.dash.value}
-    return {"type": "scatter", "mode": "lines", "x": x, "y": y, "line": line, **_named(curve.label)}
+    trace = {"type": "scatter", "mode": "lines", "x": x, "y": y, "line": line, **_named(curve.label)}
+    if curve.label in panel.listing:
+        trace["legendrank"] = panel.listing.index(curve.label)
+    return trace
 
 
 def _points(points: Points, panel: Panel, style: PageStyle) -> dict[str, Any]:
@@ -167,7 +171,7 @@ def _area(area: Area) -> list[dict[str, Any]]:
 
 
 def _heatmap(heatmap: Heatmap) -> dict[str, Any]:
-    cells = [[f"{v:.2f}" if np.isfinite(v) else "" for v in row] for row in heatmap.values]
+    cells = [[write_cell(v) if np.isfinite(v) else "" for v in row] for row in heatmap.values]
     colours = [[0, css_variable(Role.RESIDUAL)], [0.5, PAPER], [1, css_variable(Role.SIMULATED)]]
     names = list(heatmap.names)
     return {

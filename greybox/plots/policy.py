@@ -75,6 +75,9 @@ class DrawingPolicy:
     frequencies: int = 500
     """Of a frequency response."""
 
+    largest_power_written_out: int = 3
+    """Powers of ten up to this one are written out: 40 is read faster than 4·10¹."""
+
     beyond_poles: float = 20.0
     """A frequency response reaches from the slowest pole divided by this to the fastest one times this."""
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from greybox.estimation.traces import compute_misfit
 from greybox.experiment import Experiment
 from greybox.findings import Finding
 from greybox.plots.figure import (
@@ -27,7 +26,7 @@ from greybox.plots.policy import DRAWING
 from greybox.plots.scaling import root_mean_square, scale_to_prefix, value_range
 from greybox.plots.spectrum import amplitude_density, uniform_sampling_time
 from greybox.rendering.plots import FigureText, phrase
-from greybox.result import Fit, Misfit, Trace
+from greybox.result import Trace
 
 TIME = Axis("time", "s")
 FREQUENCY = Axis("frequency", "Hz", Scale.LOG)
@@ -213,15 +212,6 @@ def plot_runs_before_after(
         )
         panels.append(Panel(output, curves, TIME, Axis(output, unit), height=Height.TALL))
     return Figure(name, tuple(panels), phrase(FigureText.RUNS_BEFORE_AFTER, before.name))
-
-
-def record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, Misfit]:
-    """Misfit of one record of a fit by output, without its first ``skip`` rows."""
-    units = {o.name: o.unit for o in fit.model.outputs}
-    # An output that the fitted records lack has the noise by which the validation judged it.
-    judged = {name: m.rmse / m.noise_ratio for name, m in fit.validation.misfit.items() if m.noise_ratio > 0}
-    noise = {**judged, **fit.noise.std}
-    return {name: compute_misfit([trace], name, units[name], noise.get(name, np.nan), skip) for name in trace.measured}
 
 
 def liveliest_window(time: np.ndarray, values: np.ndarray) -> tuple[float, float] | None:

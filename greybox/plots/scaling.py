@@ -7,13 +7,14 @@ import re
 
 import numpy as np
 
+from greybox.plots.policy import DRAWING
 from greybox.units import format_unit
 
 # Units that take a prefix as they are; others (m/s**2, rad, bar) are left alone.
 PREFIXED = {"m", "m/s", "s", "V", "V/s", "A", "N", "Pa", "W", "Hz", "H", "F", "T", "N*m", "J"}
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-EXPONENT = re.compile(r"(?<=\d)e([+-])0*(\d+)")
+EXPONENT = re.compile(r"(\d+(?:\.\d+)?)e([+-])0*(\d+)")
 
 
 def scale_to_prefix(unit: str, *signals: np.ndarray) -> tuple[float, str]:
@@ -32,8 +33,20 @@ def typeset_unit(unit: str) -> str:
 
 
 def typeset_exponents(text: str) -> str:
-    """Numbers with their powers of ten as print has them: ``5e-04`` is 5·10⁻⁴."""
-    return EXPONENT.sub(lambda match: "·10" + (match[1].replace("+", "") + match[2]).translate(RAISED), text)
+    """Numbers with their powers of ten as print has them: ``5e-04`` is 5·10⁻⁴, ``4e+01`` is 40."""
+    return EXPONENT.sub(_typeset_exponent, text)
+
+
+def write_cell(value: float) -> str:
+    """A correlation in two digits: ``−0.25``, and ``0.00`` without a sign."""
+    return f"{value:z.2f}".replace("-", "−")
+
+
+def _typeset_exponent(match: re.Match[str]) -> str:
+    digits, sign, exponent = match.groups()
+    if sign == "+" and int(exponent) <= DRAWING.largest_power_written_out:
+        return f"{float(match[0]):.15g}"
+    return f"{digits}·10" + (sign.replace("+", "") + exponent).translate(RAISED)
 
 
 def root_mean_square(values: np.ndarray) -> float:

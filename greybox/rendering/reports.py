@@ -259,7 +259,7 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.RESIDUAL_IS_NOISE: lambda f: f"The model explains the estimation records: the residual is {_ratios(f)}.",
     PageText.RESIDUAL_EXCEEDS_NOISE: lambda f: (
         f"The model does not explain the estimation records: the residual is {_ratios(f)}. Either the model lacks an effect, which"
-        " `greybox discover` searches for, or the noise is larger than assumed."
+        " greybox discover searches for, or the noise is larger than assumed."
     ),
     PageText.NOISE_UNKNOWN: "The noise is not known, so the misfit cannot be judged.",
     PageText.NOTHING_FITTED: "No parameter was fitted.",

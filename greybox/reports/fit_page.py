@@ -6,11 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from greybox.estimation.restore import has_free_run
+from greybox.estimation.traces import compute_record_misfits
 from greybox.findings import Finding
 from greybox.identifiability import recommend_after_fit
 from greybox.plots.parameters import plot_correlation, plot_intervals, relative_half_widths, strongly_correlated_pairs
 from greybox.plots.policy import DRAWING
-from greybox.plots.records import plot_inputs, plot_residual, plot_run, plot_spectrum, record_misfits
+from greybox.plots.records import plot_inputs, plot_residual, plot_run, plot_spectrum
 from greybox.plots.residual_tests import plot_residual_tests
 from greybox.plots.style import PAGE
 from greybox.rendering.english import phrase
@@ -105,7 +106,7 @@ def _parameters(fit: Fit) -> Iterator[Block]:
 
 
 def _interval_note(fit: Fit) -> Text:
-    if not fit.uncertainty.free:
+    if not any(fit.parameters[name].interval for name in fit.uncertainty.free):
         return ""
     if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
         return phrase(PageText.INTERVALS_SANDWICH, widening=max(fit.uncertainty.inflation.values()))
@@ -155,7 +156,7 @@ def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> PageTable:
     rows = [
         [run.trace.name, "validation" if run.validation else "fitted", output, *map(typeset_number, to_misfit_cells(m))]
         for run in runs
-        for output, m in record_misfits(fit, run.trace, run.skip).items()
+        for output, m in compute_record_misfits(fit, run.trace, run.skip).items()
     ]
     return PageTable(phrase(PageText.MISFIT_BY_RECORD), ["record", "use", "output", *MISFIT_HEADS], rows)
 

@@ -9,6 +9,7 @@ import numpy as np
 from greybox.export import Linearisation, ModelFamily
 from greybox.export.transfer_channel import extract_channel
 from greybox.findings import Finding
+from greybox.numerics import VANISHED_POLE
 from greybox.plots.linear import plot_bode, plot_poles
 from greybox.rendering.english import phrase
 from greybox.rendering.export import channel_lines, complex_text
@@ -28,9 +29,6 @@ from greybox.reports.page import (
 )
 from greybox.reports.provenance import provenance_section
 from greybox.reports.typography import typeset_number, typeset_unit
-
-# A pole of a sampled model at zero, as a delay has it.
-GONE = 1e-12
 
 
 def build_linearisation_page(linear: Linearisation, *, family: ModelFamily | None = None, command: str = "") -> Page:
@@ -113,7 +111,7 @@ def _poles(linear: Linearisation) -> PageTable:
 
 
 def _pole_cells(linear: Linearisation, pole: complex) -> list[str]:
-    if linear.dt and abs(pole) < GONE:
+    if linear.dt and abs(pole) < VANISHED_POLE:
         return [complex_text(pole), "zero after one sample", "", ""]
     s = np.log(pole) / linear.dt if linear.dt else pole
     speed = abs(s)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from greybox.plots.scaling import typeset_exponents, typeset_unit
 from greybox.rendering.tables import format_number
 
+# The hyphen in front of a negative number, not the one within a name or between two numbers.
+NEGATIVE = re.compile(r"(?<![^\s(\[,;=])-(?=\d)")
+
 __all__ = ["format_number", "format_range", "typeset_number", "typeset_unit"]
 
 
 def typeset_number(text: str) -> str:
-    """A text with numbers as print has it: ``5.01e-04 +- 3e-06`` is 5.01·10⁻⁴ ± 3·10⁻⁶."""
-    return typeset_exponents(text.replace("+-", "±").replace(" x noise", " × noise"))
+    """A text with numbers as print has it: ``-5.01e-04 +- 3e-06`` is −5.01·10⁻⁴ ± 3·10⁻⁶."""
+    return NEGATIVE.sub("−", typeset_exponents(text.replace("+-", "±").replace(" x noise", " × noise")))
 
 
 def format_range(values: np.ndarray) -> str:

@@ -124,7 +124,7 @@ def test_a_heatmap_has_its_numbers() -> None:
     values = np.array([[1.0, -0.5], [-0.5, np.nan]])
     panel = Panel("h", (Heatmap(values, ["a", "b"]),), Axis(), Axis(scale=Scale.CATEGORY, reversed=True))
     axes = draw_sheet(sheet(panel)).axes[0]
-    assert [t.get_text() for t in axes.texts] == ["1.00", "-0.50", "-0.50"]
+    assert [t.get_text() for t in axes.texts] == ["1.00", "−0.50", "−0.50"]
     assert [t.get_text() for t in axes.get_yticklabels()] == ["a", "b"]
 
 
@@ -158,3 +158,18 @@ def test_each_file_is_drawn_once_and_equal_sheets_are_equal_files(tmp_path: Path
     assert len(draws) == 4
     for kind in ("png", "svg"):
         assert (tmp_path / f"one.{kind}").read_bytes() == (tmp_path / f"two.{kind}").read_bytes()
+
+
+def test_a_closer_look_cuts_curves_and_areas_alike() -> None:
+    x = np.arange(5.0)
+    panel = Panel("p", (Area(x, x - 1, x + 1), curve(list(x), list(x))), Axis("t"), Axis("y")).between(1.0, 2.0)
+    area, line = panel.series
+    assert isinstance(area, Area) and isinstance(line, Curve)
+    assert area.x.tolist() == line.x.tolist() == [1.0, 2.0]
+    assert area.low.tolist() == [0.0, 1.0] and area.high.tolist() == [2.0, 3.0]
+
+
+def test_a_legend_lists_the_labels_in_the_order_of_the_panel() -> None:
+    series = (curve([0, 1], [0, 1], "last"), curve([0, 1], [1, 0], "first"))
+    picture = draw_sheet(sheet(Panel("p", series, Axis("t"), Axis("y"), listing=("first", "last"))))
+    assert [text.get_text() for text in picture.legends[0].get_texts()] == ["first", "last"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import periodogram
 
-from greybox.plots import record_misfits
+from greybox.estimation.traces import compute_record_misfits
 from greybox.plots.figure import Band, Curve, Role, Scale, Thinning
 from greybox.plots.pictures import fit_sheets
 from greybox.plots.records import liveliest_window, plot_inputs, plot_residual, plot_run, plot_signals, plot_spectrum
@@ -110,12 +110,12 @@ def test_each_record_has_its_own_misfit() -> None:
     spoiled = bad.measured["x"] + (np.arange(len(bad.time)) < 20)
     bad = replace(bad, measured={**bad.measured, "x": spoiled})
     fit = judged([good, bad], pooled)
-    assert record_misfits(fit, good)["x"].noise_ratio == pytest.approx(1)
-    assert record_misfits(fit, bad)["x"].noise_ratio > 1e6
-    assert record_misfits(fit, bad, skip=20)["x"].noise_ratio == pytest.approx(5)
+    assert compute_record_misfits(fit, good)["x"].noise_ratio == pytest.approx(1)
+    assert compute_record_misfits(fit, bad)["x"].noise_ratio > 1e6
+    assert compute_record_misfits(fit, bad, skip=20)["x"].noise_ratio == pytest.approx(5)
     # The fitted record lacks the current: its noise is the one by which the validation judged it, 0.01 A / 2.
-    assert record_misfits(fit, good)["i"].noise_ratio == pytest.approx(1)
-    assert record_misfits(fit, bad)["i"].noise_ratio == pytest.approx(4)
+    assert compute_record_misfits(fit, good)["i"].noise_ratio == pytest.approx(1)
+    assert compute_record_misfits(fit, bad)["i"].noise_ratio == pytest.approx(4)
 
 
 def test_a_sheet_for_each_record_has_its_misfit_above() -> None:

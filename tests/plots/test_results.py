@@ -47,6 +47,15 @@ def test_models_are_ranked_best_first_and_one_that_diverges_is_last(comparison: 
     assert plot_model_errors(comparison).description[0].values["unit"] == "mm"
 
 
+def test_legends_list_the_models_in_their_order_and_the_first_is_drawn_on_top(comparison: Comparison) -> None:
+    runs = plot_model_runs(comparison, "a", "runs")["x"]
+    names = [e.name for e in comparison.entries]
+    assert list(runs.labels) == ["measured", *names]
+    assert [s.label for s in runs.series] == ["measured", *reversed(names)]
+    residuals = plot_model_residuals(comparison, "a", "errors")["x"]
+    assert list(residuals.labels) == names
+
+
 def test_grey_boxes_have_the_first_colours(comparison: Comparison) -> None:
     assert model_roles(comparison.entries) == {"rig": Role.MODEL_1, "wrong": Role.MODEL_2, "arx": Role.MODEL_3}
 

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.plots.scaling import root_mean_square, scale_to_prefix, typeset_exponents, typeset_unit, value_range
+from greybox.plots.scaling import (
+    root_mean_square,
+    scale_to_prefix,
+    typeset_exponents,
+    typeset_unit,
+    value_range,
+    write_cell,
+)
 
 
 @pytest.mark.parametrize(
@@ -30,6 +37,11 @@ def test_units_and_powers_of_ten_are_written_as_in_print() -> None:
     assert typeset_unit("kg*m**2/s**3") == typeset_unit("kg*m^2/s^3") == "kg m²/s³"
     assert typeset_unit("ohm") == "Ω"
     assert typeset_exponents("5e-04 and 2e+07") == "5·10⁻⁴ and 2·10⁷"
+    assert typeset_exponents("6158 +- 4e+01 and 2.54e+03") == "6158 +- 40 and 2540"
+
+
+def test_a_correlation_has_a_minus_sign_only_where_it_shows_digits() -> None:
+    assert [write_cell(v) for v in (1.0, -0.254, -0.004)] == ["1.00", "−0.25", "0.00"]
 
 
 def test_sizes_are_those_of_the_finite_values() -> None:

@@ -49,7 +49,7 @@ GOLDEN = [
         phrase(T.RESIDUAL_EXCEEDS_NOISE, ratios={"x": 113.0}),
         (
             "The model does not explain the estimation records: the residual is 113 times the noise in x. Either the model lacks"
-            " an effect, which `greybox discover` searches for, or the noise is larger than assumed."
+            " an effect, which greybox discover searches for, or the noise is larger than assumed."
         ),
     ),
     (phrase(T.NOISE_UNKNOWN), "The noise is not known, so the misfit cannot be judged."),

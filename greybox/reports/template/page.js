@@ -29,13 +29,18 @@
   };
 
   const narrow = () => window.innerWidth < 640;
+  // So few numbers along a logarithmic axis that 8, 9 and 10 do not stand on one another.
+  const logarithmic = (figure, letter) =>
+    letter === "x"
+      ? { exponentformat: "none", nticks: narrow() ? 3 : 6 }
+      : { exponentformat: "power", nticks: Math.max(2, Math.floor((parseFloat(figure.plot.style.height) - 100) / 60)) };
   const styled = (figure, chosen = figure.shown) => {
     const axis = { gridcolor: colour("--line"), zerolinecolor: colour("--line"), linecolor: colour("--line"), automargin: true };
     const own = painted(figure.views[chosen].layout);
     const axes = Object.fromEntries(
       Object.keys({ xaxis: 0, yaxis: 0, ...own }).filter((key) => /^[xy]axis/.test(key)).map((key) => {
         const title = { standoff: 12, ...own[key]?.title };
-        return [key, { ...axis, ...(own[key]?.type === "log" ? { exponentformat: key[0] === "x" ? "none" : "power" } : {}), ...own[key], title, uirevision: key[0] === "x" && figure.group ? "kept" : String(chosen) }];
+        return [key, { ...axis, ...(own[key]?.type === "log" ? logarithmic(figure, key[0]) : {}), ...own[key], title, uirevision: key[0] === "x" && figure.group ? "kept" : String(chosen) }];
       }));
     return {
       // Values beside bars need room.
