@@ -356,6 +356,7 @@ def _conclude(evidence: SelectionEvidence, findings: tuple[Finding, ...]) -> Dis
         effect_signals=signals,
         surrogate=surrogate,
         policy=policy,
+        options=problem.options,
     )
 
 

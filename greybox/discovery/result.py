@@ -16,6 +16,7 @@ from greybox.discovery.refinement import Refinement
 from greybox.discovery.selection import SelectionStep
 from greybox.discovery.shape_correction import is_shape_correction
 from greybox.discovery.surrogate import Surrogate
+from greybox.estimation.options import FitOptions
 from greybox.findings import Check, Finding
 from greybox.result import Fit, format_json, to_json_data
 from greybox.values import Printable
@@ -67,6 +68,8 @@ class Discovery(Printable):
         What `refine` found beyond, where it was asked.
     policy
         The decision numbers.
+    options
+        How every model was estimated; the fits beside the search go straight to the whole record.
     seconds
         Time that it took.
     """
@@ -88,6 +91,7 @@ class Discovery(Printable):
     refinement: Refinement | None = None
     policy: DiscoveryPolicy = field(default_factory=DiscoveryPolicy)
     seconds: float = 0.0
+    options: FitOptions = field(default_factory=FitOptions)
 
     @property
     def sites(self) -> tuple[str, ...]:
@@ -160,7 +164,7 @@ def _to_mapping(d: Discovery) -> dict[str, Any]:
         "path": d.path,
         "findings": (*d.conclusion, *d.findings, *d.next_steps),
         "policy": d.policy,
-        "options": d.base.provenance.options,
+        "options": d.options.to_data(),
         "seconds": d.seconds,
         "model": d.best.model.name,
         "equations": d.best.provenance.equations,

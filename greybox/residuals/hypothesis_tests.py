@@ -8,9 +8,10 @@ from enum import StrEnum
 
 import numpy as np
 
+from greybox.estimation.options import FitOptions
 from greybox.estimation.restore import compute_innovation_rows, restore_problem
 from greybox.estimation.sandwich import ColumnLayout
-from greybox.noise import AutoRegression, fit_autoregression, join_series
+from greybox.noise import NOISE_POLICY, AutoRegression, NoisePolicy, fit_autoregression, join_series
 from greybox.numerics import RANK_CUTOFF
 from greybox.residuals.policy import RESIDUAL_TEST_POLICY, ResidualTestPolicy
 from greybox.residuals.statistics import (
@@ -170,6 +171,7 @@ def residual_tests(fit: Fit, *, policy: ResidualTestPolicy = RESIDUAL_TEST_POLIC
     """
     rows, raw, layout = _innovations(fit) if fit.prediction.process_noise else _free_run(fit)
     inputs = {i.name: [trace.inputs[i.name] for trace in fit.traces] for i in fit.model.inputs}
+    noise_policy = FitOptions.from_data(fit.provenance.options).policy.noise
     tests: list[ResidualTest] = []
     tested: dict[str, ResidualSeries] = {}
     for j, output in enumerate(fit.model.outputs):
@@ -178,13 +180,13 @@ def residual_tests(fit: Fit, *, policy: ResidualTestPolicy = RESIDUAL_TEST_POLIC
         residuals, unbounded = [r[:, j] for r, _ in rows], [r[:, j] for r, _ in raw]
         columns = [layout.columns(e) for e in range(len(rows))]
         slopes = _spread_columns([jacobian[:, j] for _, jacobian in rows], columns, layout.size)
-        tests += run_residual_tests(output.name, residuals, inputs, slopes, unbounded, policy)
+        tests += run_residual_tests(output.name, residuals, inputs, slopes, unbounded, policy, noise_policy)
         tested[output.name] = ResidualSeries(
             tuple(residuals),
             tuple(unbounded),
             {name: tuple(each) for name, each in inputs.items()},
             tuple(trace.time for trace in fit.traces),
-            fit_autoregression(join_series(residuals)),
+            fit_autoregression(join_series(residuals), policy=noise_policy),
         )
     whitened = tuple(name for name, reflection in fit.noise.colour.items() if len(reflection))
     return ResidualTests(tuple(tests), whitened, tested, policy)
@@ -197,6 +199,7 @@ def run_residual_tests(
     slopes: Sequence[np.ndarray] | None = None,
     raw: Sequence[np.ndarray] | None = None,
     policy: ResidualTestPolicy = RESIDUAL_TEST_POLICY,
+    noise_policy: NoisePolicy = NOISE_POLICY,
 ) -> list[ResidualTest]:
     """The tests of one output.
 
@@ -214,9 +217,11 @@ def run_residual_tests(
         The residuals with their outliers, if ``residuals`` are without.
     policy
         Alarm level, lags and blocks.
+    noise_policy
+        How the autoregression of the residual is chosen.
     """
     series = join_series(residuals)
-    colour = fit_autoregression(series)
+    colour = fit_autoregression(series, policy=noise_policy)
     rms = float(np.sqrt(np.nanmean(series**2))) or 1.0
     white = [colour.whiten(r / rms) for r in residuals]
     count = int(np.isfinite(series).sum())

@@ -193,6 +193,8 @@ def test_the_answer_is_saved_as_the_schema_says(tmp_path):
     )
     assert data["verdict"] == "named"
     assert data["policy"]["selection"]["criterion_gain"] == d.policy.selection.criterion_gain
+    assert data["options"] == d.options.to_data()
+    assert d.options.progressive  # as it was asked for, and not as the quick fits beside the search are
     rules = {check["rule"]: check["passed"] for check in data["checks"]}
     assert rules["clean_residual"] and rules["holdout_explained"] and rules["white_residual"]
     first = data["path"][0]
