@@ -22,7 +22,7 @@ from greybox.cli.usage_errors import CommandGroup, PlainCommand
 app = typer.Typer(
     name="greybox",
     cls=CommandGroup,
-    help="Physics-based grey-box identification: from a record to physical parameters with intervals.",
+    help="Grey-box identification: physical parameters with intervals from measured records.",
     epilog="Start with:\n\n\b\n  greybox demo\n  greybox models\n  greybox fit --help",
     no_args_is_help=True,
     # Plain text: a message stays on one line, and nothing heavy is imported for --help.
@@ -48,7 +48,7 @@ app.command(
 )(exit_on_error(fit))
 app.command(
     cls=PlainCommand,
-    short_help="Judge a physical model beside the usual black boxes.",
+    short_help="Compare a physical model with black-box models.",
     epilog=format_examples(
         "greybox compare micro_actuator step.csv --validate chirp.csv --fix M=0.01 --at-rest",
         "greybox compare silverbox train.csv --validate test.csv --skip 50 --effects cubic_stiffness,cubic_stiffness+input_offset",
@@ -56,7 +56,7 @@ app.command(
 )(exit_on_error(compare))
 app.command(
     cls=PlainCommand,
-    short_help="Find which effect a model lacks, and name it.",
+    short_help="Find the effect that a model lacks.",
     epilog=format_examples(
         "greybox discover micro_actuator train.csv --validate test.csv --fix M=0.01 --at-rest",
         "greybox discover emps train.csv --validate test.csv --effects coulomb_friction,constant_load",
@@ -64,7 +64,7 @@ app.command(
 )(exit_on_error(discover))
 app.command(
     cls=PlainCommand,
-    short_help="Hand a fitted model to a controller design, or write it as code.",
+    short_help="Export a fitted model for controller design, or as code.",
     epilog=format_examples(
         "greybox export results/micro_actuator-fit/fit.json --to mat --dt 2.5e-4 --delay 1e-4 --samples 100",
         "greybox export fit.json --to control --at u=1",
@@ -73,7 +73,7 @@ app.command(
 )(exit_on_error(export))
 app.command(
     cls=PlainCommand,
-    short_help="Run a model and write a record.",
+    short_help="Simulate a model and write a record.",
     epilog=format_examples(
         "greybox simulate micro_actuator --step 1 --duration 0.2 --sampling-time 2.5e-4",
         "greybox simulate micro_actuator --multisine 2 --band 5:800 --duration 1.5 --sampling-time 2.5e-4 \\",
@@ -83,22 +83,22 @@ app.command(
 )(exit_on_error(simulate))
 app.command(
     cls=PlainCommand,
-    short_help="What is known before a fit: units, integration, determined parameters.",
+    short_help="Check a model before a fit: units, integration, identifiability.",
     epilog=format_examples("greybox check micro_actuator", "greybox check micro_actuator record.csv --fix M=0.01"),
 )(exit_on_error(check))
 app.command(
     cls=PlainCommand,
-    short_help="List the models, or print one.",
+    short_help="List the models, or print one model.",
     epilog=format_examples("greybox models", "greybox models micro_actuator", "greybox models my/rig.py"),
 )(exit_on_error(models))
 app.command(
     cls=PlainCommand,
-    short_help="Write a project of your own to start from.",
+    short_help="Create a project with example files.",
     epilog=format_examples("greybox init my_rig", "cd my_rig && greybox models"),
 )(exit_on_error(init))
 app.command(
     cls=PlainCommand,
-    short_help="Find the parameters of a simulated actuator.",
+    short_help="Run every step on a simulated actuator.",
     epilog=format_examples("greybox demo", "greybox demo --output somewhere"),
 )(exit_on_error(demo))
 

@@ -28,10 +28,10 @@ def check(
 ) -> None:
     """Check MODEL before a fit: equations, units, integration, and which parameters can be determined.
 
-    Says first what the measured outputs can tell at best: the combinations of parameters that are determined, what stays
-    open, and which sensor or known parameter would close it. Then what the records in DATA tell, near the start values and if
-    the model is right: the standard deviation to expect of each parameter, and what the input excites. Without DATA the model
-    is driven by a random input. Writes DIR/check.json and DIR/report.html.
+    Prints first which combinations of parameters any record of the measured outputs can determine, which it cannot, and which
+    sensor or known parameter would determine them. Then, for the records in DATA, near the start values and if the model is
+    right: the expected standard deviation of each parameter, and the excitation of each input. Without DATA, the check
+    simulates a record with a random input. Writes DIR/check.json and DIR/report.html.
     """
     from greybox.check import check as check_model
     from greybox.rendering.cli import report_line

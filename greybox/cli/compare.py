@@ -53,14 +53,14 @@ def compare(
     json: Json = False,
     no_report: NoReport = False,
 ) -> None:
-    """Does the physics pay? Fit MODEL and the usual black boxes to the same records, and judge them on others.
+    """Fit MODEL and black-box models to the same records, and compare their errors on validation records.
 
     The black boxes are ARX, ARMAX, output error, Box-Jenkins and Hammerstein models, each chosen by a scan over orders, delays
     and offset, and Monte-Carlo smoothing where a record is a single step. Prints the errors of the free run and one sample
-    ahead, best fit, number of parameters, BIC, stability, feed-through and time, and which model is best by how much. Writes
-    DIR/compare.json, a figure for each validation record, and DIR/report.html, a page with everything.
+    ahead, best fit, number of parameters, BIC, stability, feed-through and time, and the best model with its margin. Writes
+    DIR/compare.json, a figure for each validation record, and DIR/report.html.
 
-    greybox compare study.toml runs a study file; --write-study makes one from these options.
+    greybox compare study.toml runs a study file; --write-study writes one from these options.
 
     Exit code 0: there is a comparison. 2: bad input, nothing was written. 130: Ctrl-C, nothing was written.
     """

@@ -19,15 +19,15 @@ def demo(
     output: Annotated[
         Path, typer.Option("--output", metavar="DIR", help="Folder for records, results and figures.")
     ] = Path("results/demo"),
-    open_: Annotated[bool, typer.Option("--open", help="Show the report in the browser at the end.")] = False,
+    open_: Annotated[bool, typer.Option("--open", help="Open the report in the browser at the end.")] = False,
     json: Json = False,
     no_report: NoReport = False,
 ) -> None:
-    """The whole story on a simulated actuator that hides an effect from its model.
+    """Run every step on a simulated actuator with an effect that its model lacks.
 
-    Fits the model (its residual is a hundred times the noise), finds and names what it lacks, shows the gap before and after
-    on a validation record, puts black-box models beside it, and writes the state space for a controller design. The rig is
-    simulated by an integrator that the fits do not use. Takes half a minute; the story is in DIR/report.html.
+    Fits the model (its residual is about a hundred times the noise), identifies the missing effect, prints the error on a
+    validation record before and after, compares the model with black-box models, and writes the state space for controller
+    design. An integrator that the fits do not use simulates the actuator. Takes half a minute; see DIR/report.html.
     """
     from greybox.demo import run_demo
     from greybox.rendering.cli import report_line

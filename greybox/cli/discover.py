@@ -30,19 +30,19 @@ def discover(
     json: Json = False,
     no_report: NoReport = False,
 ) -> None:
-    """Find which effect MODEL lacks, name it, add it, and show how the error shrinks on validation records.
+    """Find the effect that MODEL lacks, add it, and print the errors on the validation records before and after.
 
-    Refits the model with each effect of the catalogue, keeps what the ESTIMATION records demand, and judges it on the
-    --validate records. Answers "complete" when nothing is missing, "ambiguous" when the records cannot distinguish effects,
-    "unknown" when the catalogue does not explain what is missing (a fitted curve, or a tone, stands in for it). --further
-    looks for smaller effects after the answer and selects them by the --validate records: quote the misfit on a third record
-    then. Writes DIR/discovery.json, the extended model as DIR/model.py (greybox fit DIR/model.py ... continues with it),
-    figures as PNG and SVG, and DIR/report.html, a page with the whole story. Every finished refit is kept in
-    DIR/journal.jsonl: after Ctrl-C the same command continues where it was.
+    Refits the model with each effect of the catalogue, selects the effects that the ESTIMATION records require, and tests them
+    on the --validate records. The verdict is "named", or "complete" if no effect is missing, "ambiguous" if the records cannot
+    distinguish effects, "unknown" if no effect of the catalogue explains the error (a fitted curve or a tone then represents
+    it). --further searches for smaller effects and selects them on the --validate records: then report the misfit on a third
+    record. Writes DIR/discovery.json, the extended model as DIR/model.py (greybox fit DIR/model.py ... continues with it),
+    figures as PNG and SVG, and DIR/report.html. Every finished refit is stored in
+    DIR/journal.jsonl: after Ctrl-C the same command continues from there.
 
-    greybox discover study.toml runs a study file; --write-study makes one from these options.
+    greybox discover study.toml runs a study file; --write-study writes one from these options.
 
-    Exit code 0: there is an answer. 2: bad input, nothing was written. 130: interrupted.
+    Exit code 0: there is a verdict. 2: bad input, nothing was written. 130: interrupted.
     """
     from greybox.discovery import discover as discover_effects
     from greybox.discovery import refine

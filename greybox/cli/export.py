@@ -85,7 +85,7 @@ def export(
             "--at",
             metavar="NAME=VALUE",
             default_factory=list,
-            help="A state or input of the operating point, in the model's unit; what is left out is solved for.",
+            help="A state or input of the operating point, in the model's unit; the other values are solved for.",
         ),
     ],
     dt: Annotated[
@@ -101,20 +101,22 @@ def export(
     delay: Annotated[
         float,
         typer.Option(
-            "--delay", metavar="SECONDS", help="Time by which every input arrives late, fractions of a sample too."
+            "--delay", metavar="SECONDS", help="Delay of every input; need not be a multiple of the sampling time."
         ),
     ] = 0.0,
     minimal: Annotated[
-        bool, typer.Option("--minimal", help="Take out states that no input reaches or no output shows.")
+        bool, typer.Option("--minimal", help="Remove states that are not controllable or not observable.")
     ] = False,
     samples: Annotated[
         int, typer.Option("--samples", metavar="N", min=0, help="Add N models drawn from the parameters' covariance.")
     ] = 0,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of these draws.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of --samples.")] = 0,
     substeps: Annotated[int, typer.Option("--substeps", metavar="N", min=0, help=SPECS["substeps"].help_for(FIT))] = 0,
     model: Annotated[
         str | None,
-        typer.Option("--model", metavar="MODEL", help="The fit's model or its file, where its name does not find it."),
+        typer.Option(
+            "--model", metavar="MODEL", help="The model of the fit, or its file, if it is not found by its name."
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -123,11 +125,11 @@ def export(
     no_report: NoReport = False,
     json: Annotated[bool, typer.Option("--json", help="Print the matrices and what was written as JSON.")] = False,
 ) -> None:
-    """Hand a fitted model to a controller design: linear with its uncertainty, or as code.
+    """Export a fitted model for controller design: linear with its uncertainty, or as code.
 
-    Linear models are taken about an operating point (--at; an equilibrium is found) and printed with poles, zeros, gain and
-    bandwidth. C and FMU carry the sampled nonlinear model exactly, with dry friction, delays and play. Beside each FILE
-    stands FILE.html, a page to look at.
+    Linear models are computed at an operating point (--at; an equilibrium is solved for) and printed with poles, zeros, gain
+    and bandwidth. C and FMU contain the sampled nonlinear model exactly, with dry friction, delays and play. Also writes
+    FILE.html, a report, for each FILE.
 
     Exit code 0: written. 2: bad input, nothing was written.
     """

@@ -49,13 +49,13 @@ def fit(
     json: Json = False,
     no_report: NoReport = False,
 ) -> None:
-    """Fit the parameters of MODEL to records, and judge the fit.
+    """Fit the parameters of MODEL to records, and validate the fit.
 
     Prints the equations, the parameters with 95 % intervals, the misfit on the estimation and the validation records, and
-    what to know before trusting them. Writes DIR/fit.json, a figure for each record (PNG and SVG), and DIR/report.html, a
-    page that shows everything in a browser.
+    notes on their validity. Writes DIR/fit.json, a figure for each record (PNG and SVG), and DIR/report.html, a report for
+    the browser.
 
-    greybox fit study.toml runs a study file; --write-study makes one from these options.
+    greybox fit study.toml runs a study file; --write-study writes one from these options.
 
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.

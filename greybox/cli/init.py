@@ -9,12 +9,12 @@ import typer
 
 
 def init(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the project; made if it is not there.")],
-    force: Annotated[
-        bool, typer.Option("--force", help="Overwrite files of the template that are there already.")
-    ] = False,
+    directory: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder for the project; created if it does not exist.")
+    ],
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
 ) -> None:
-    """Write a project into DIR: models/, fits/ and a notebook to start from, as files of your own."""
+    """Create a project in DIR with example files: models/, fits/ and a notebook."""
     from greybox.project import write_project
 
     files = write_project(directory, force=force)

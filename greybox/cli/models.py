@@ -18,7 +18,9 @@ from greybox.findings import Finding
 def models(
     model: Annotated[
         str | None,
-        typer.Argument(metavar="MODEL", help="A model to print: its name, or a file. Without it, all are listed."),
+        typer.Argument(
+            metavar="MODEL", help="The model to print: its name or its file. Without MODEL, all are listed."
+        ),
     ] = None,
     *,
     effect: Annotated[

@@ -25,12 +25,12 @@ from greybox.errors import GreyboxError
 from greybox.findings import Finding
 
 Texts = list[str]
-NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.html.")]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of text.")]
 Silent = Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")]
 
 MODEL_HELP = "Name of a model (see greybox models), or a model file: my/rig.py, my/rig.py:name."
-STUDY_HELP = " A study file, study.toml, takes the place of MODEL, records and options."
+STUDY_HELP = " A study file, study.toml, replaces MODEL, records and options."
 RECORDS = {
     "fit": ("DATA", "Records to fit: CSV, TSV, MAT, NPZ or Parquet, headers 'name [unit]'."),
     "compare": ("TRAIN", "Records to fit: CSV, TSV, MAT, NPZ or Parquet, headers 'name [unit]'."),
@@ -84,7 +84,7 @@ _WRITE_STUDY = Annotated[
     typer.Option(
         "--write-study",
         metavar="FILE.toml",
-        help="Write model, records and options as a study file to run later, and stop.",
+        help="Write model, records and options to a study file, and stop.",
         show_default=False,
     ),
 ]

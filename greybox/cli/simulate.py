@@ -37,7 +37,7 @@ Values = Annotated[
         metavar="NAME=VALUE",
         default_factory=list,
         autocompletion=completion.constants,
-        help="The value of a parameter, in its unit.",
+        help="Value of a parameter, in its unit.",
     ),
 ]
 Initial = Annotated[
@@ -47,7 +47,7 @@ Initial = Annotated[
         metavar="STATE=VALUE",
         default_factory=list,
         autocompletion=completion.states,
-        help="A state at the first row, in its unit.",
+        help="Initial value of a state, in its unit.",
     ),
 ]
 Noise = Annotated[
@@ -57,7 +57,7 @@ Noise = Annotated[
         metavar="OUTPUT=STD",
         default_factory=list,
         autocompletion=completion.outputs,
-        help="White noise on an output: its standard deviation.",
+        help="Standard deviation of white noise added to an output, in its unit.",
     ),
 ]
 
@@ -67,35 +67,37 @@ def simulate(
     study: Study,
     inputs: Annotated[
         Path | None,
-        typer.Argument(metavar="INPUT", help="File with time and the model's inputs; or choose a signal below."),
+        typer.Argument(metavar="INPUT", help="File with time and the model's inputs; or select a test signal."),
     ] = None,
     *,
     step: Annotated[
-        float | None, typer.Option("--step", metavar="HEIGHT", help="Drive with a step at the first row.")
+        float | None, typer.Option("--step", metavar="HEIGHT", help="Test signal: a step at the first row.")
     ] = None,
     multisine: Annotated[
         float | None,
-        typer.Option("--multisine", metavar="RMS", help="Drive with equal sines of random phase in the band."),
+        typer.Option(
+            "--multisine", metavar="RMS", help="Test signal: sines of equal amplitude and random phase in --band."
+        ),
     ] = None,
     chirp: Annotated[
         float | None,
-        typer.Option("--chirp", metavar="AMPLITUDE", help="Drive with a sine that sweeps through the band."),
+        typer.Option("--chirp", metavar="AMPLITUDE", help="Test signal: a sine swept through --band."),
     ] = None,
     band: Annotated[
         str | None, typer.Option("--band", metavar="LOW:HIGH", help="Band of a multisine or chirp in Hz.")
     ] = None,
-    offset: Annotated[float, typer.Option("--offset", metavar="VALUE", help="A constant added to the signal.")] = 0.0,
+    offset: Annotated[float, typer.Option("--offset", metavar="VALUE", help="Offset added to the test signal.")] = 0.0,
     duration: Annotated[
-        float | None, typer.Option("--duration", metavar="SECONDS", help="Length of the signal.")
+        float | None, typer.Option("--duration", metavar="SECONDS", help="Duration of the test signal.")
     ] = None,
     sampling_time: Annotated[
-        float | None, typer.Option("--sampling-time", metavar="SECONDS", help="Time between rows.")
+        float | None, typer.Option("--sampling-time", metavar="SECONDS", help="Sampling time of the record.")
     ] = None,
     set_: Values,
     initial: Initial,
     noise: Noise,
     seed: Annotated[
-        int, typer.Option("--seed", metavar="N", min=0, help="Of the noise and of a multisine's phases.")
+        int, typer.Option("--seed", metavar="N", min=0, help="Seed of the noise and of the phases of --multisine.")
     ] = 0,
     output: Annotated[
         Path | None,
@@ -104,12 +106,12 @@ def simulate(
     no_report: NoReport = False,
     json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON instead of text.")] = False,
 ) -> None:
-    """Run MODEL over the inputs of a file, or over a test signal, and write a CSV that greybox fit reads.
+    """Simulate MODEL with the inputs of a file or with a test signal, and write a CSV file that greybox fit reads.
 
-    A test signal drives the model's first input; others stay at zero. The model starts at the states it declares. Beside
-    an --output FILE.csv that is named stands FILE.html, a page with the run, its states and the equations.
+    A test signal drives the first input; the other inputs are zero. The simulation starts at the initial state of the model.
+    With --output FILE.csv, also writes FILE.html, a report with the run, the states and the equations.
 
-    Exit code 0: done. 1: the simulation overflows. 2: bad input. In both nothing is written.
+    Exit code 0: done. 1: the simulation overflows, nothing was written. 2: bad input, nothing was written.
     """
     import numpy as np
 

@@ -133,8 +133,8 @@ class Study:
         "candidates",
         (COMPARE, DISCOVER),
         {
-            COMPARE: "Also fit MODEL with each of these effects of the catalogue; A+B is one model with both.",
-            DISCOVER: "Only these effects of the catalogue. [default: all]",
+            COMPARE: "Also fit MODEL with each of these effects of the catalogue; A+B adds both effects to one model.",
+            DISCOVER: "Test only these effects of the catalogue. [default: all]",
         },
         metavar="NAME,...",
         complete=completion.effects,
@@ -144,15 +144,15 @@ class Study:
         "--further",
         "further",
         (DISCOVER,),
-        "Continue after the answer: accept effects that explain a part of the remaining error, however small. For measured"
-        " records, which hardly ever reach the noise.",
+        "Continue after the verdict: accept effects that explain any part of the remaining error. For measured records, whose"
+        " residual rarely reaches the noise.",
     )
     outputs: tuple[str, ...] = _study_field(
         Names(split=True),
         "--outputs",
         "outputs",
         (CHECK,),
-        "Suppose that only this output is measured; may be repeated.",
+        "Assume that only this output is measured; may be repeated.",
         metavar="NAME",
     )
     fixed: Mapping[str, float | None] = _study_field(
@@ -160,7 +160,7 @@ class Study:
         "--fix",
         "fixed.",
         _ALL,
-        "A known parameter, in its unit; NAME alone fixes it at the value that the model declares.",
+        "Fix a known parameter at VALUE, in its unit; NAME alone fixes it at the value in the model.",
         metavar="NAME=VALUE",
         complete=completion.constants,
     )
@@ -169,7 +169,7 @@ class Study:
         "--start",
         "start.",
         _ALL,
-        "A start value, in the parameter's unit.",
+        "Start value of a parameter, in its unit.",
         metavar="NAME=VALUE",
         complete=completion.constants,
     )
@@ -178,7 +178,7 @@ class Study:
         "--free",
         "parameters.free",
         _ALL,
-        "A parameter to fit that the model holds fixed.",
+        "Fit a parameter that the model declares fixed.",
         metavar="NAME",
         complete=completion.constant_names,
     )
@@ -187,7 +187,7 @@ class Study:
         "--prior",
         "priors.",
         _FITS,
-        "What is known of a parameter beforehand, as M=0.0100+-0.0001; it counts as a measurement.",
+        "Prior of a parameter, mean and standard deviation, such as M=0.0100+-0.0001; it counts as a measurement.",
         metavar="NAME=MEAN+-STD",
         complete=completion.constants,
     )
@@ -196,7 +196,7 @@ class Study:
         "--tie",
         "ties.",
         _FITS_AND_CHECK,
-        "A parameter that others determine exactly, as Kv=Kf or K2=3*K1.",
+        "Tie a parameter to others by a formula, such as Kv=Kf or K2=3*K1.",
         metavar="NAME=FORMULA",
         complete=completion.constants,
     )
@@ -205,7 +205,7 @@ class Study:
         "--own",
         "parameters.per_record",
         _FITS,
-        "A parameter that has its own value in each record.",
+        "Fit a separate value of this parameter in each record.",
         metavar="NAME",
         complete=completion.constant_names,
     )
@@ -214,7 +214,7 @@ class Study:
         "--schedule",
         "schedule.",
         _FITS,
-        "A parameter that follows a condition or an input, as K2=P_S@8e5; VALUE is where the parameter holds.",
+        "Let a parameter depend on a condition or an input, such as K2=P_S@8e5; the fitted value is the one at VALUE.",
         metavar="NAME=CONDITION[@VALUE]",
         complete=completion.constants,
     )
@@ -223,7 +223,7 @@ class Study:
         "--condition",
         "conditions.",
         _ALL,
-        "A parameter that each record brings with it: one value for each record in their order (--validate last). NAME alone"
+        "A parameter with a known value in each record: one value for each record in order (--validate last). NAME alone"
         " reads it from each file: a column of that name, or a comment line such as '# P_S = 801 kPa'.",
         metavar="NAME[=V1,V2,...]",
     )
@@ -232,8 +232,8 @@ class Study:
         "--process-noise",
         "process_noise.",
         _FITS,
-        "A state that a random disturbance acts on. The fit then minimises the prediction error with a Kalman filter and"
-        " estimates the intensity; VALUE gives it, in the state's unit over sqrt(s).",
+        "Add process noise to a state. The fit then minimises the prediction error with a Kalman filter and estimates the"
+        " intensity of the noise; VALUE fixes the intensity, in the state's unit over sqrt(s).",
         metavar="STATE[=VALUE]",
         complete=completion.states,
     )
@@ -242,7 +242,7 @@ class Study:
         "--noise",
         "noise.",
         _ALL,
-        "Standard deviation of an output's noise, in the model's unit; estimated if left out.",
+        "Standard deviation of the sensor noise of an output, in the model's unit. [default: estimated]",
         metavar="OUTPUT=STD",
         complete=completion.outputs,
     )
@@ -251,7 +251,7 @@ class Study:
         "--quiet",
         "records.quiet",
         (FIT, COMPARE, DISCOVER),
-        "A record with the input at rest and the same columns, from which the noise is estimated; may be repeated.",
+        "A record with the input at rest and the same columns, to estimate the noise from; may be repeated.",
         metavar="FILE",
     )
     validation: tuple[Path, ...] = _study_field(
@@ -267,7 +267,7 @@ class Study:
         "--skip",
         "records.skip",
         _FITS,
-        "Rows at the start of each validation record that do not count.",
+        "Number of rows to ignore at the start of each validation record.",
         metavar="N",
         show_default=True,
     )
@@ -284,28 +284,28 @@ class Study:
         "--at-rest",
         "records.at_rest",
         _ALL,
-        "Records begin at the initial state that the model declares, which is estimated otherwise.",
+        "Start each record at the initial state of the model instead of estimating the initial state.",
     )
     free_decay: bool = _study_field(
         Switch(),
         "--free-decay",
         "records.free_decay",
         _FITS_AND_CHECK,
-        "Accept records whose input is zero throughout: the plant was released and left alone.",
+        "Accept records with zero input throughout (free response of the plant).",
     )
     split_holes: bool = _study_field(
         Switch(),
         "--split-holes",
         "records.split_holes",
         _ALL,
-        "Split records where their time has a gap or starts anew (the logger dropped out, or the file holds two runs).",
+        "Split records where time has a gap or restarts (a logger dropout, or several runs in one file).",
     )
     columns: Mapping[str, str] = _study_field(
         Table(shape="NAME=HEADER", example="x=Laser"),
         "--column",
         "columns.",
         (*_ALL, SIMULATE),
-        "The header in the file of a signal, or of time, where it has another name.",
+        "Header of the column that contains a signal or the time, if it differs from NAME.",
         metavar="NAME=HEADER",
         complete=completion.signals,
     )
@@ -314,7 +314,7 @@ class Study:
         "--method",
         "integration.method",
         (*_FITS_AND_CHECK, SIMULATE),
-        "How to integrate: automatic, exact (linear models), rk4, mixed, or midpoint and radau (stiff models).",
+        "Integration method: automatic, exact (linear models), rk4, mixed, or midpoint and radau (stiff models).",
         show_default=True,
     )
     substeps: int = _study_field(
@@ -322,7 +322,7 @@ class Study:
         "--substeps",
         "integration.substeps",
         (*_FITS_AND_CHECK, SIMULATE),
-        "Integration steps in each sampling interval; 0 chooses.",
+        "Integration steps in each sampling interval; 0 selects the number automatically.",
         metavar="N",
         show_default=True,
     )
@@ -342,8 +342,8 @@ class Study:
         "estimation.transcription",
         _FITS,
         "single: one free run of each record. multiple: segments joined by continuity (unstable plants). collocation: the"
-        " equations solved at points, states within their bounds. arcs: pieces of --arc-length without continuity."
-        " automatic chooses by the model.",
+        " equations solved at collocation points, states within their bounds. arcs: pieces of --arc-length without continuity."
+        " automatic selects by the model.",
         show_default=True,
     )
     arc_length: float = _study_field(
@@ -359,7 +359,7 @@ class Study:
         "--starts",
         "estimation.starts",
         _FITS,
-        "Fit from N start points, the model's own and random ones, on all cores; prints where each ended.",
+        "Fit from N start points, the model's own and N-1 random ones, on all cores; prints the result of each.",
         metavar="N",
         show_default=True,
     )
@@ -368,7 +368,7 @@ class Study:
         "--seed",
         "estimation.seed",
         _FITS,
-        "Seed of the random --starts; 0 if left out.",
+        "Seed of the random --starts. [default: 0]",
         metavar="N",
     )
     predict: tuple[int, ...] = _study_field(
@@ -376,7 +376,7 @@ class Study:
         "--predict",
         "estimation.predict",
         _FITS,
-        "Also print the prediction error K samples ahead, beside the error of the free run; may be repeated, 0 for none."
+        "Also print the prediction error K samples ahead, with the simulation error; may be repeated, 0 for none."
         "  [default: 1]",
         metavar="K",
     )
@@ -385,7 +385,7 @@ class Study:
         "--profile",
         "profile",
         (FIT,),
-        "A parameter whose interval is also computed by profile likelihood, with 10 to 20 refits; may be repeated.",
+        "Also compute the interval of this parameter by profile likelihood (10 to 20 refits); may be repeated.",
         metavar="NAME",
     )
     bootstrap: int = _study_field(
@@ -393,7 +393,7 @@ class Study:
         "--bootstrap",
         "bootstrap",
         (FIT,),
-        "Also compute intervals of all parameters by a block bootstrap with N replicates (1000 are enough).",
+        "Also compute intervals of all parameters by a block bootstrap with N replicates (1000 suffice).",
         metavar="N",
     )
     file: Path | None = None
