@@ -76,8 +76,8 @@ def to_continuous(model: PolynomialModel, input: str | None = None) -> Continuou
     numerator_z = numerator_z[extra_delay:]
     if order == 0 or len(numerator_z) > order + 1:
         raise DataError(
-            f"{model.label}: {len(numerator_z)} numbers above and {order + 1} below the fraction line, that is a pole at z = 0;"
-            " no continuous system has it: take nb + nk at most na + 1, or one sample more of delay in nk"
+            f"{model.label}: {len(numerator_z)} coefficients in the numerator and {order + 1} in the denominator give a pole at z = 0;"
+            " a continuous system has none: use nb + nk at most na + 1, or one sample more of delay in nk"
         )
     numerator_z = np.pad(numerator_z, (0, order + 1 - len(numerator_z)))
     poles = np.roots(denominator_z)

@@ -127,9 +127,9 @@ def solve_least_squares(
         dependent = [n for n, s in zip(names, participation, strict=True) if s > DEPENDENT_COLUMN_SHARE]
         raise DataError(
             f"{label}: the columns {', '.join(dependent)} are collinear, so the record does not determine their coefficients."
-            " A constant input (a step after its edge) carries one coefficient, each sine two, and without noise a structure larger"
+            " A constant input (a step after its edge) determines one coefficient, each sine two, and without noise a structure larger"
             " than the plant is such a combination too: take a smaller nb or na,"
-            " history='zero' where the record begins at rest and with the step's edge, or a record with a livelier input"
+            " history='zero' where the record begins at rest and with the step's edge, or a record with a richer input"
         )
     theta = right.T @ (left.T @ target / size) / scale
     inverse = right.T / size

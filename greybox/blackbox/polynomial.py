@@ -199,7 +199,7 @@ class PolynomialModel(Printable):
         if not np.isclose(record.sampling_time, self.sampling_time, rtol=SAME_SAMPLING_TIME):
             raise DataError(
                 f"experiment {experiment.name!r} is sampled every {record.sampling_time:.6g} s, but {self.label} of"
-                f" {self.output!r} was identified at {self.sampling_time:.6g} s and holds for that alone; resample the record"
+                f" {self.output!r} was identified at {self.sampling_time:.6g} s and is valid only there; resample the record"
             )
         return record
 

@@ -369,9 +369,9 @@ def refuse_collinear(gradient: np.ndarray, names: Sequence[str], label: str) -> 
         participation = np.abs(right[-1]) / np.abs(right[-1]).max()
         dependent = [n for n, s in zip(names, participation, strict=True) if s > DEPENDENT_COLUMN_SHARE]
         raise DataError(
-            f"{label}: the coefficients {', '.join(dependent)} act alike in these records and cannot be told apart; a constant"
-            " input (a step after its edge) carries one, and each sine two: take a smaller structure, history='zero' where the"
-            " record begins at rest and with the step's edge, or a record with a livelier input"
+            f"{label}: the coefficients {', '.join(dependent)} are not distinguishable in these records; a constant"
+            " input (a step after its edge) determines one, and each sine two: take a smaller structure, history='zero' where the"
+            " record begins at rest and with the step's edge, or a record with a richer input"
         )
 
 

@@ -105,7 +105,7 @@ def to_sampled_data(
         raise DataError(f"no experiment has an output {wanted!r}; {nearest(wanted, known)}")
     names = (inputs,) if isinstance(inputs, str) else tuple(group[0].inputs if inputs is None else inputs)
     if not names:
-        raise DataError(f"output {wanted!r}: no input to explain it by; name at least one")
+        raise DataError(f"output {wanted!r}: no input; name at least one")
     measured = [e for e in group if wanted in e.outputs and np.isfinite(e.outputs[wanted]).any()]
     if not measured:
         raise DataError(f"output {wanted!r} holds no value in any experiment")
@@ -114,7 +114,7 @@ def to_sampled_data(
     if not np.allclose(steps, steps[0], rtol=SAME_SAMPLING_TIME, atol=0):
         listing = ", ".join(f"{r.name!r} every {r.sampling_time:.6g} s" for r in records)
         raise DataError(
-            f"experiments of different sampling times: {listing}; one difference equation holds for one, resample them"
+            f"experiments of different sampling times: {listing}; a difference equation is valid for one sampling time; resample them"
         )
     return SampledData(wanted, names, steps[0], tuple(records), tuple(measured))
 

@@ -34,12 +34,12 @@ def demo(
     from greybox.rendering.demo import demo_answer
 
     if open_ and no_report:
-        raise GreyboxError("--open shows the report, which --no-report leaves out; leave out one of the two")
+        raise GreyboxError("--open and --no-report contradict each other; leave out one of the two")
     folder = check_writable(output)
     with show_search_progress() as (say, report):
         result = run_demo(folder, say=say, report=report)
     if result.plain.status == "interrupted":
-        exit_with_error(f"interrupted; what was done so far is in {folder}", ExitCode.INTERRUPTED)
+        exit_with_error(f"interrupted; the results so far are in {folder}", ExitCode.INTERRUPTED)
     page = None if no_report else write_report(result, folder / "report.html")
     if json:
         typer.echo((folder / "discovery.json").read_text(encoding="utf-8"), nl=False)

@@ -254,10 +254,10 @@ def _target(path: Path, to: Target, fit: Path) -> Path:
     if path.is_dir():
         raise GreyboxError(f"--output {path}: it is a folder; give a file that ends in {SUFFIX[to]}")
     if path.suffix and path.suffix != SUFFIX[to]:
-        raise GreyboxError(f"--output {path}: --to {to.value} writes {SUFFIX[to]}; give a file that ends so")
+        raise GreyboxError(f"--output {path}: --to {to.value} writes {SUFFIX[to]}; give a file with that suffix")
     target = path.with_suffix(SUFFIX[to])
     if target.exists() and target.samefile(fit):
-        raise GreyboxError(f"--output {path}: it is the fit that is read, which would be lost; give another file")
+        raise GreyboxError(f"--output {path}: it is the input file, which would be overwritten; give another file")
     check_writable(target.parent)
     return target
 

@@ -62,7 +62,7 @@ def _apply_schedules(model: Model, study: Study) -> Model:
         if at is None and by in [i.name for i in model.inputs]:
             label = study.label("schedules")
             raise GreyboxError(
-                f"{label} {name}={by}: {by} is an input; say at which value of it {name} holds, as in {label} {name}={by}@2"
+                f"{label} {name}={by}: {by} is an input; give the value at which {name} is valid, as in {label} {name}={by}@2"
             )
         model = model.schedule(name, by=by, about=at)
     return model
@@ -238,7 +238,7 @@ def check_prediction_steps(study: Study, *groups: Sequence[Experiment]) -> None:
         if k >= longest > 0:
             raise GreyboxError(
                 f"{study.label('predict')} {k}: the longest record has {longest} rows, and the first {k} of each have no"
-                " measurement to predict from; look fewer samples ahead"
+                " measurement to predict from; predict fewer samples ahead"
             )
 
 

@@ -179,7 +179,7 @@ def _target(path: Path, inputs: Path | None) -> Path:
     if path.is_dir():
         raise GreyboxError(f"--output {path}: it is a folder; give a file that ends in .csv")
     if inputs is not None and path.exists() and inputs.exists() and path.samefile(inputs):
-        raise GreyboxError(f"--output {path}: it is the file of inputs, which would be lost; give another file")
+        raise GreyboxError(f"--output {path}: it is the input file, which would be overwritten; give another file")
     check_writable(path.parent)
     return path
 

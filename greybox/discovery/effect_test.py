@@ -157,7 +157,7 @@ def drop_effect(
     values = {n: value for n, value in fit.model.values.items() if n in smaller.values}
     refit = problem.refit_best(smaller, [values], like=problem.to_candidate(fit))
     if refit is None:
-        raise DataError(f"model {smaller.title!r} overflows from the constants of {fit.model.title!r}")
+        raise DataError(f"model {smaller.title!r} overflows with the parameters of {fit.model.title!r}")
     return _compare(name, problem, refit, problem.to_candidate(fit), validation, policy)
 
 

@@ -66,7 +66,7 @@ class RefitJournal:
             except (json.JSONDecodeError, KeyError, TypeError) as error:
                 if number < len(lines):  # the last line may be incomplete after a power cut
                     raise DataError(
-                        f"{self.path}: line {number} is no finished refit ({error}); delete the file to start again"
+                        f"{self.path}: line {number} is not a finished refit ({error}); delete the file to start again"
                     ) from None
 
     def add(self, key: str, outcome: RefitOutcome | None) -> None:

@@ -193,7 +193,7 @@ def discover(
     validation_records = _as_tuple(validation)
     if not validation_records:
         raise DataError(
-            "no validation record: a discovery is judged on data that no parameter has seen; give at least one, another run or the"
+            "no validation record: a discovery needs a record that was not fitted; give at least one, another run or the"
             " end of this one (shell: --validate FILE)"
         )
     refit_journal = RefitJournal(Path(journal)) if journal else None

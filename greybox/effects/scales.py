@@ -93,7 +93,7 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
     x, u = x[is_finite], u[is_finite]
     if not len(x):
         raise DataError(
-            f"model {model.title!r}: no row of the simulated states is finite; start from other values of its constants"
+            f"model {model.title!r}: no row of the simulated states is finite; start from other values of its parameters"
         )
     roles = {state.role: k for k, state in enumerate(model.all_states) if state.role}
 

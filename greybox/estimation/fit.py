@@ -139,7 +139,7 @@ def fit(
     if model.noisy_states:
         if colour == ColourTreatment.RESIDUAL:
             raise ModelError(
-                "colour 'residual': process noise is what makes the innovations white; leave out the colour, or the process noise"
+                "colour 'residual': process noise makes the innovations white; leave out the colour, or the process noise"
             )
         result = fit_by_prediction(model, experiments, noise, quiet, options, report, initial)
         return _add_validation(result, judges, skip, options, raise_on_failure)

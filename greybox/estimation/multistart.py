@@ -114,7 +114,7 @@ def multistart(
         raise ModelError(f"starts {starts}: give at least 1, the model's own")
     if model.noisy_states:
         raise ModelError(
-            f"{model.title}: many starts compare free runs, which say nothing about process noise; fit it from one start, or first"
+            f"{model.title}: several starts compare free runs, which do not determine process noise; fit it from one start, or first"
             " without its process noise"
         )
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)

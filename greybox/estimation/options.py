@@ -169,5 +169,5 @@ def resolve_options(options: Any) -> FitOptions:
         return FitOptions()
     if not isinstance(options, FitOptions):
         shown = ", ".join(f"{k}={v!r}" for k, v in options.items()) if isinstance(options, dict) else "at_rest=True"
-        raise ModelError(f"options: {options!r} is no FitOptions; write options=FitOptions({shown})")
+        raise ModelError(f"options: {options!r} is not a FitOptions; write options=FitOptions({shown})")
     return options

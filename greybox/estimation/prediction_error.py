@@ -255,7 +255,7 @@ def compute_innovations(cost: PredictionErrorObjective) -> Innovations:
     for record, run in zip(cost.records, cost.slopes(zero), strict=True):
         if run is None:
             title = cost.unknowns.variables.model.title
-            raise FitError(f"fit of {title}: its filter is not finite at the fitted constants; fit again")
+            raise FitError(f"fit of {title}: its filter is not finite at the fitted parameters; fit again")
         e = np.full(record.y.shape, np.nan)
         mean, logarithm = (np.full((*record.y.shape, run.de.shape[1]), np.nan) for _ in range(2))
         e[run.rows, run.outputs] = run.e

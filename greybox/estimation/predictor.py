@@ -342,7 +342,7 @@ def predictor(
             known = replace(known, noise=independent)
         group = group or tuple(t.experiment for t in model.traces)
     if not group:
-        raise DataError("predictor: no record tells how to correct the model; give experiments, or a fit")
+        raise DataError("predictor: no record to determine the correction from; give experiments, or a fit")
     return Predictor(identify_correction(known, group), known.options)
 
 

@@ -52,8 +52,8 @@ def restore_problem(
     _check_fit(fit, "intervals need")
     if not has_free_run(fit):
         raise FitError(
-            f"fit of {fit.model.title}: its run is not a free one ({fit.solver.statistics['transcription']}), and what is"
-            " asked for needs that; read the intervals of the fit itself, or fit by single shooting where the plant is stable"
+            f"fit of {fit.model.title}: its simulation is not a free run ({fit.solver.statistics['transcription']}), which"
+            " this result needs; use the intervals of the fit itself, or fit by single shooting if the plant is stable"
         )
     options = restore_options(fit)
     records = [t.experiment for t in fit.traces]

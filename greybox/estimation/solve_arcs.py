@@ -78,7 +78,7 @@ def _check_length(problem: EstimationProblem, options: FitOptions) -> None:
     longest = max(float(record.h.sum()) for record in problem.records)
     if length > longest * (1 + options.policy.joining.length_tolerance):
         raise DataError(
-            f"arcs of {length:g} s: the longest record lasts {longest:.6g} s, so no record would be cut; take shorter arcs, or leave"
+            f"arcs of {length:g} s: the longest record lasts {longest:.6g} s, so no record would be divided; take shorter arcs, or leave"
             " arc_length out (shell: --arc-length)"
         )
 

@@ -73,7 +73,7 @@ def to_fmu(
     source = to_plant(plant)
     step = make_discrete_step(source, dt, substeps=substeps, method="rk4")
     if step.step.per_interval:
-        raise ModelError(f"{source.model.title}: an FMU needs a step that takes the constants as they are; use rk4")
+        raise ModelError(f"{source.model.title}: an FMU needs a step that takes the parameters as they are; use rk4")
     name = to_identifier(source.model.name)
     text, guid = _source(source, step)
     platform = next((value for key, value in PLATFORMS.items() if sys.platform.startswith(key)), None)

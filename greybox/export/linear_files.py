@@ -100,7 +100,7 @@ def write_linear(
     if samples:
         if not isinstance(plant, Fit):
             raise ModelError(
-                "samples need a fit, whose constants have a covariance; give what gb.fit returns, or samples=0"
+                "samples need a fit, whose parameters have a covariance; give what gb.fit returns, or samples=0"
             )
         family = sample_family(plant, at, number=samples, seed=seed, dt=dt, method=method, delay=delay, minimal=minimal)
     for finding in (*model.findings, *(family.findings if family else ())):

@@ -73,7 +73,7 @@ class Linearisation(Printable):
         if infinite:
             raise ModelError(
                 f"linear model of {self.name}: {' and '.join(infinite)} not finite; an equation has no finite slope at the operating"
-                " point (a root at zero, a division by zero); give a point beside it"
+                " point (a root at zero, a division by zero); give a point near it"
             )
 
     @property
@@ -92,7 +92,7 @@ class Linearisation(Printable):
     def with_delay(self, seconds: float) -> Linearisation:
         """The same plant with every input arriving ``seconds`` later (a converter, a bus, the time of a computation)."""
         if not (np.isfinite(seconds) and seconds >= 0):
-            raise ModelError(f"delay {seconds} s: give a time from 0 s up")
+            raise ModelError(f"delay {seconds} s: give a time of 0 s or more")
         if seconds and self.dt:
             raise ModelError("a delay is added before sampling; use linearise(..., dt=..., delay=...)")
         return replace(self, delay=self.delay + seconds)

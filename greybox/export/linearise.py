@@ -150,8 +150,8 @@ def _close_play(
         slope, name = _engaged_slope(functions, k, z, p), functions.names[update.state]
         if slope is None:
             raise ModelError(
-                f"effect {update.effect!r} cannot be linearised: its state {name!r} depends on its own past wherever it is; leave the"
-                f" effect out with model.without({update.effect!r}), or export the sampled nonlinear model"
+                f"effect {update.effect!r} cannot be linearised: its state {name!r} depends on its own past at every operating point; leave"
+                f" the effect out with model.without({update.effect!r}), or export the sampled nonlinear model"
             )
         rates = rates + np.outer(rates[:, update.state], slope)
         outputs = outputs + np.outer(outputs[:, update.state], slope)

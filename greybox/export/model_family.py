@@ -217,7 +217,7 @@ def sample_family(
     if different is not None:
         raise ModelError(
             f"family of {plant.model.title}: the states differ from draw to draw, {', '.join(nominal.state_names)} and"
-            f" {', '.join(different.state_names)}; leave minimal out, or, where the delay is a fitted constant, dt, or fix the delay"
+            f" {', '.join(different.state_names)}; leave minimal out; if the delay is a fitted parameter, leave dt out or fix the delay"
         )
     return ModelFamily(
         nominal,

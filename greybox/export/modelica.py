@@ -75,7 +75,7 @@ def modelica_text(plant: Plant) -> str:
         setting = ", ".join(f"{u.effect} (state {s.state_names[u.state]!r})" for u in s.updates)
         raise ModelError(
             f"{model.title} cannot be written in Modelica: {setting} is set after each step and has no equation; leave the effect out, or"
-            " export C or an FMU, which carry it exactly"
+            " export C or an FMU, which contain it exactly"
         )
     names = ModelicaNames.of(model)
     printer = Printer(MODELICA, names.symbols)

@@ -84,14 +84,16 @@ def make_parameter_distribution(plant: Plant, policy: FamilyPolicy = DEFAULT_FAM
     """
     fit, model = plant.fit, plant.model
     if fit is None:
-        raise ModelError(f"{model.title} is no fit: it has no covariance to draw from; give what gb.fit returns")
+        raise ModelError(f"{model.title} is not a fit: it has no covariance to draw from; give what gb.fit returns")
     free, covariance = fit.uncertainty.free, np.asarray(fit.uncertainty.covariance, float)
     of_model = np.array([n in model.values for n in free], bool)  # not a parameter of one experiment alone
     varies = np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0) & of_model
     names = tuple(n for n, v in zip(free, varies, strict=True) if v)
     fixed = [n for n, v in zip(free, varies, strict=True) if not v]
     if not names:
-        raise ModelError(f"{model.title}: no fitted constant has a covariance; fit with records that determine some")
+        raise ModelError(
+            f"{model.title}: no fitted parameter has a covariance; fit records that determine at least one"
+        )
     findings: tuple[Finding, ...] = ()
     if fixed:
         findings = (Finding(ExportFinding.PARAMETERS_NOT_DRAWN, Severity.WARNING, values={"parameters": fixed}),)

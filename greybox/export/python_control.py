@@ -80,14 +80,14 @@ def to_control(
         if unused or form == "nonlinear":
             what = ", ".join(unused) or "form='nonlinear'"
             raise ModelError(
-                f"{what} cannot be given for a linear model, which is taken as it is; give a fit or a model"
+                f"{what} cannot be given for a linear model, which is used unchanged; give a fit or a model"
             )
         linear = plant
     elif form == "nonlinear":
         unused = [name for name, value in given if value and name != "dt"]
         if unused:
             raise ModelError(
-                f"{', '.join(unused)} cannot be given with form='nonlinear'; leave out, or take another form"
+                f"{', '.join(unused)} cannot be given with form='nonlinear'; leave them out, or use another form"
             )
         _warn(to_plant(plant).findings)
         return to_nonlinear_system(plant, dt)
@@ -297,7 +297,7 @@ def _make_continuous(plant: Plant) -> Any:
     beyond = find_discontinuous_effects(model)
     if beyond:
         raise ModelError(
-            f"{model.title} is no ordinary differential equation: {', '.join(beyond)}; give dt for a sampled system that holds it"
+            f"{model.title} is not an ordinary differential equation: {', '.join(beyond)}; give dt for a sampled system that contains it"
         )
     rates, outputs = s.rhs_function, s.output_function
     parameters, values = _changeable_parameters(plant)

@@ -74,7 +74,7 @@ def sample(
     if late.max(initial=0.0) > policy.most_delay_states * dt:
         raise ModelError(
             f"a delay of {late.max():g} s is {late.max() / dt:.0f} samples of {dt:g} s, more than {policy.most_delay_states};"
-            " sample more slowly"
+            " use a longer sampling time"
         )
     parts = [_split_delay(seconds, dt) for seconds in late]
     a, c, now, before, direct = (

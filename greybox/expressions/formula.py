@@ -79,7 +79,7 @@ def _parse(subject: str, text: str) -> ast.expr:
     try:
         return ast.parse(text.strip().replace("^", "**"), mode="eval").body
     except (SyntaxError, ValueError):
-        raise ModelError(f"{subject}: {text!r} is no formula; {REMEDY}") from None
+        raise ModelError(f"{subject}: {text!r} is not a formula; {REMEDY}") from None
 
 
 def _evaluate(node: ast.expr, subject: str, text: str, p: Values) -> ca.SX:
@@ -88,7 +88,7 @@ def _evaluate(node: ast.expr, subject: str, text: str, p: Values) -> ca.SX:
     if isinstance(node, ast.Name | ast.Attribute):  # an effect's constant may be called 'creep.K'
         name = ast.unparse(node)
         if name not in p:
-            raise ModelError(f"{subject}: no constant {name!r}; {nearest(name, p.names)}")
+            raise ModelError(f"{subject}: no parameter {name!r}; {nearest(name, p.names)}")
         return ca.SX(p[name])
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
         value = _evaluate(node.operand, subject, text, p)
@@ -104,4 +104,4 @@ def _evaluate(node: ast.expr, subject: str, text: str, p: Values) -> ca.SX:
         if len(node.args) != row.arity:
             raise ModelError(f"{subject}: {text!r} gives {name} {len(node.args)} numbers; {REMEDY}")
         return ca.SX(getattr(ca, row.name)(*(_evaluate(a, subject, text, p) for a in node.args)))
-    raise ModelError(f"{subject}: {ast.unparse(node)!r} in {text!r} is no part of a formula; {REMEDY}")
+    raise ModelError(f"{subject}: {ast.unparse(node)!r} in {text!r} is not part of a formula; {REMEDY}")

@@ -34,7 +34,7 @@ def infer_unit(value: ca.SX | float, units: Mapping[str, str]) -> Unit | None:
 
     def leaf(symbol: str) -> Unit | None:
         if symbol not in units:
-            raise UnitMismatchError(f"uses {symbol!r}, which is no state, input or parameter of the model")
+            raise UnitMismatchError(f"uses {symbol!r}, which is not a state, input or parameter of the model")
         return parse_unit(units[symbol])
 
     def constant(number: float) -> Unit | None:

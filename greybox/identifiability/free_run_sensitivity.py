@@ -53,7 +53,7 @@ def compute_free_run_sensitivities(
     points = points or touching[:count]
     if not points:
         raise DataError(
-            f"{model.title} overflows at every random point near its values: nothing can be said about it;"
+            f"{model.title} overflows at every random point near its values: it cannot be checked;"
             " give other values with model.start(...), or with --start"
         )
     return points

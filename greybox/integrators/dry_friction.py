@@ -21,7 +21,7 @@ def split_at_standstill(system: System, one_step: IntegrationMethod) -> AdvanceF
     bodies = {d.state for d in system.dry}
     if len(bodies) > 1:
         names = ", ".join(d.effect for d in system.dry)
-        raise ModelError(f"dry friction on two velocities at once ({names}) cannot be stepped yet; keep it on one")
+        raise ModelError(f"dry friction on two velocities at once ({names}) is not supported; use it on one")
     j = bodies.pop()
     slide, hold, free, static = _make_rate_functions(system, j)
 

@@ -34,9 +34,7 @@ def require_history(
     columns = {d.column for d in system.delays}
     names = ", ".join(d.effect for d in system.delays)
     if len(columns) > 1:
-        raise ModelError(
-            f"delays of two different inputs at once ({names}) cannot be stepped yet; keep it to one input"
-        )
+        raise ModelError(f"delays of two different inputs at once ({names}) are not supported; delay one input")
     longest, shortest = sum(d.longest for d in system.delays), float(np.min(lengths, initial=np.inf))
     rows = max(1, math.ceil(longest / shortest - 1e-9)) if np.isfinite(shortest) else 1
     most = policy.max_delay_rows

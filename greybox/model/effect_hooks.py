@@ -42,7 +42,7 @@ def collect_updates(
     if others:
         own_states = [inner for inner, name in model_names.items() if name in states]
         raise ModelError(
-            f"effect {effect!r} sets {others[0]!r}, which is no state of its own; {nearest(others[0], own_states)}"
+            f"effect {effect!r} sets {others[0]!r}, which is not a state of its own; {nearest(others[0], own_states)}"
         )
     return [StateUpdate(effect, list(states).index(model_names[name]), ca.SX(value)) for name, value in updates.items()]
 
@@ -56,7 +56,7 @@ def build_delay(
     has no upper bound.
     """
     if site not in inputs:
-        raise ModelError(f"effect {effect!r} delays {site!r}, which is no input; {nearest(site, inputs)}")
+        raise ModelError(f"effect {effect!r} delays {site!r}, which is not an input; {nearest(site, inputs)}")
     value = ca.SX(seconds)
     symbols = ca.symvar(value)
     others = [s.name() for s in symbols if s.name() not in ranges]

@@ -183,7 +183,7 @@ class Model(Printable):
         for tie in self.ties:
             if tie.name == name:
                 raise ModelError(
-                    f"parameter {name!r} is tied, {tie}: set {' or '.join(tie.names)} instead, or let go of it with untie({name!r})"
+                    f"parameter {name!r} is tied, {tie}: set {' or '.join(tie.names)} instead, or untie it with untie({name!r})"
                 )
         raise ModelError(f"model {self.title!r} has no parameter {name!r}; {nearest(name, self.values)}")
 
@@ -504,12 +504,10 @@ class Model(Printable):
                 )
         if name == by:
             raise ModelError(
-                f"schedule of {name} by {by}: a constant cannot follow itself; name the condition that it follows"
+                f"schedule of {name} by {by}: a parameter cannot depend on itself; name the condition that it depends on"
             )
         if about is None and by not in self.values:
-            raise ModelError(
-                f"schedule of {name} by {by}: {by} is an input; say about which value of it, as in about=7e5"
-            )
+            raise ModelError(f"schedule of {name} by {by}: {by} is an input; give its reference value, as in about=7e5")
         return self + schedule_effect(name, by, self.values[by] if about is None else about, order=order)
 
     def _with_changes(self, changes: dict[str, dict]) -> Model:

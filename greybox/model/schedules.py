@@ -39,7 +39,7 @@ def schedule_effect(name: str, by: str, about: float, *, order: int = 1) -> Effe
         For ``about`` zero, and an order below one.
     """
     if about == 0:
-        raise ModelError(f"schedule of {name} by {by}: about 0 leaves nothing to refer to; give a usual value of {by}")
+        raise ModelError(f"schedule of {name} by {by}: about 0 is not a valid reference; give a typical value of {by}")
     if order < 1:
         raise ModelError(f"schedule of {name} by {by}: order {order}; give 1 for a straight line, 2 for a parabola")
     powers = range(1, order + 1)

@@ -53,7 +53,7 @@ def order_ties(ties: Sequence[Tie]) -> list[Tie]:
         order = list(TopologicalSorter(needs).static_order())
     except CycleError as error:
         circle = " -> ".join(reversed(error.args[1]))
-        raise ModelError(f"ties go in a circle: {circle}; one of these constants must stand for itself") from None
+        raise ModelError(f"ties are circular: {circle}; leave at least one of these parameters untied") from None
     return [by_name[name] for name in order]
 
 
@@ -71,7 +71,7 @@ def as_formula(name: str, given: Formula, p: NamedValues) -> str:
 def check_tie(tie: Tie, known: Mapping[str, Parameter], roles: Mapping[str, str]) -> Tie:
     """``tie`` with plain names for roles; refuses what cannot be tied: ModelError says why and what to do."""
     if tie.name not in known:
-        raise ModelError(f"tie {tie}: no constant {tie.name!r}; {nearest(tie.name, known)}")
+        raise ModelError(f"tie {tie}: no parameter {tie.name!r}; {nearest(tie.name, known)}")
     if known[tie.name].fixed:
         q = known[tie.name]
         raise ModelError(
@@ -81,9 +81,11 @@ def check_tie(tie: Tie, known: Mapping[str, Parameter], roles: Mapping[str, str]
     value = tie.value(p)
     names = [s.name() for s in ca.symvar(value)]
     if not names:
-        raise ModelError(f"tie {tie}: no constant in the formula; to give a number write fix({tie.name}={tie.formula})")
+        raise ModelError(
+            f"tie {tie}: no parameter in the formula; to give a number write fix({tie.name}={tie.formula})"
+        )
     if tie.name in names:
-        raise ModelError(f"tie {tie}: a constant cannot be tied to itself")
+        raise ModelError(f"tie {tie}: a parameter cannot be tied to itself")
     return Tie(tie.name, tie.formula if set(tie.names) == set(names) else format_formula(f"tie {tie}", value))
 
 

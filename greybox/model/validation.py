@@ -32,7 +32,7 @@ def check_names(statement: Statement) -> None:
         if twice:
             raise ModelError(f"{title}: the name {twice[0]!r} is used twice; every signal and parameter needs its own")
     if not re.fullmatch(r"[\w-]+", statement.name):
-        raise ModelError(f"{title}: its name becomes a file's name; write it with letters, digits, _ and - alone")
+        raise ModelError(f"{title}: its name is used for files; use only letters, digits, _ and -")
     problems = []
     groups: dict[str, Sequence[Item]] = {
         "state": states,

@@ -214,7 +214,7 @@ def _check_given(model: Model, given: Mapping[str, float]) -> None:
     names = [o.name for o in model.outputs]
     if not isinstance(given, Mapping):
         raise ModelError(
-            f"noise: {given!r} belongs to no output; give a standard deviation for each, as in {{{names[0]!r}: 1e-6}}"
+            f"noise: {given!r} is not assigned to an output; give a standard deviation for each, as in {{{names[0]!r}: 1e-6}}"
         )
     for name, value in given.items():
         if name not in names:
@@ -238,11 +238,11 @@ def _check_quiet(
             if moved > policy.quiet_input_share * range_of:
                 raise DataError(
                     f"quiet record {record.name!r}: input {signal.name!r} moves by {moved:.4g} {signal.unit}, and by {range_of:.4g}"
-                    f" {signal.unit} in the fitted records; give a record with the input at rest"
+                    f" {signal.unit} in the estimation records; give a record with the input at rest"
                 )
         if not any(o.name in record.outputs for o in model.outputs):
             raise DataError(
-                f"quiet record {record.name!r} has none of the model's outputs; it needs the columns of the fitted records"
+                f"quiet record {record.name!r} has none of the model's outputs; it needs the columns of the estimation records"
             )
 
 

@@ -41,7 +41,7 @@ def build_simulation_page(run: Simulation, *, model: Model | None = None, comman
         Without the model.
     """
     if model is None:
-        raise ModelError("report of a simulation: which model ran? give model=")
+        raise ModelError("report of a simulation: no model; give model=")
     units = signal_units(model) | {s.name: s.unit for s in model.all_states}
     stretches = PAGE.stretches(len(run.inputs) + len(run.outputs) + len(run.states))
     groups = (

@@ -82,7 +82,7 @@ def score(
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
     judged = [t.experiment for t in model.traces] if isinstance(model, Fit) and not group else list(group)
     if not judged:
-        raise DataError("scores: no record to judge by; give experiments, or a fit, which has its own")
+        raise DataError("scores: no record; give experiments, or a fit, which has its own")
     check_steps_ahead(steps, judged)
     ready = (
         predictor(model, () if isinstance(model, Fit) else group, options=options)
@@ -118,7 +118,7 @@ def check_steps_ahead(steps: Iterable[int], records: Sequence[Experiment]) -> No
     if longest and any(k >= longest for k in wanted):
         raise DataError(
             f"steps ahead: {max(wanted)}, but the longest record has {longest} rows, and the first {max(wanted)} of a record have no"
-            " measurement to go by; give fewer"
+            " measurement to predict from; give fewer"
         )
 
 

@@ -169,7 +169,7 @@ def add_noise(
         if name not in outputs:
             raise ModelError(f"noise of {name!r}: the model has no such output; {nearest(name, outputs)}")
         if not (np.isfinite(std) and std >= 0):
-            raise ModelError(f"noise of {name!r}: {std} is not a standard deviation; give a number from 0 up")
+            raise ModelError(f"noise of {name!r}: {std} is not a standard deviation; give a number of 0 or more")
     if noise and generator is None:
         raise ModelError("noise needs a generator; give numpy.random.default_rng(seed)")
     noisy = dict(outputs)

@@ -166,7 +166,7 @@ def place_cuts(
         return _close_cuts(np.arange(0, count, rows * rows_per_sample), count)
     length = float(seconds or 0.0)
     if not (np.isfinite(length) and length > 0):
-        raise DataError(f"arcs of {name!r}: {seconds} s is no length; give a positive number of seconds")
+        raise DataError(f"arcs of {name!r}: {seconds} s is not a length; give a positive number of seconds")
     # The tolerance keeps a row that is due exactly at a cut out of the arc before.
     arc_number = np.floor(since[::rows_per_sample] / length + SAME_INTERVAL)
     starts = rows_per_sample * np.concatenate([[0], np.flatnonzero(np.diff(arc_number)) + 1])

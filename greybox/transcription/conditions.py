@@ -79,7 +79,7 @@ def check_own_constants(model: Model, per_experiment: Sequence[str], experiments
     if per_experiment and experiments < 2:
         problems.append("there is one experiment; a constant of each experiment's own needs several")
     if problems:
-        raise ModelError(f"own constants: {'; '.join(problems)}")
+        raise ModelError(f"own parameters: {'; '.join(problems)}")
 
 
 def apply_conditions(p: np.ndarray, conditions: Mapping[int, float]) -> np.ndarray:

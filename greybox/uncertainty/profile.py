@@ -117,7 +117,7 @@ def _profile_likelihood(fit: Fit, name: str, policy: ProfilePolicy) -> Profile:
     """The profile of a constant of a fit with process noise; ``s`` is what coloured innovations widen its standard deviation by."""
     if name in fit.model.noise_parameters and fit.model.values[name] == 0:
         raise ModelError(
-            f"profile of {name!r}: its most likely value is zero, and its interval in the fit is its profile's limit already"
+            f"profile of {name!r}: its estimate is zero, and its interval in the fit is already the limit of the profile likelihood"
         )
     cost = restore_likelihood(fit)
     v = cost.unknowns.variables
@@ -134,7 +134,7 @@ def _profile_likelihood(fit: Fit, name: str, policy: ProfilePolicy) -> Profile:
 
 def _check_name(name: str, v: DecisionVector) -> None:
     if name not in v.names:
-        raise ModelError(f"profile of {name!r}: not a fitted constant; {nearest(name, v.names)}")
+        raise ModelError(f"profile of {name!r}: not a fitted parameter; {nearest(name, v.names)}")
 
 
 class _HeldFit(Protocol):

@@ -93,8 +93,7 @@ def parse_unit(unit: str) -> Unit:
     offset = [symbol for symbol in powers if _symbol(symbol, unit)[1]]
     if offset and powers == {offset[0]: 1.0}:
         raise ModelError(
-            f"unit {unit!r} has a zero point of its own, which an equation cannot hold; state it in K"
-            f" (data in {offset[0]} are converted)"
+            f"unit {unit!r} has an offset, which an equation cannot contain; use K (data in {offset[0]} are converted)"
         )
     result = Unit(factor)
     for symbol, exponent in powers.items():

@@ -201,7 +201,7 @@ def test_what_is_no_oscillating_step_response_is_refused(twin, change, message):
 
 
 def test_intervals_and_counts_that_cannot_be_are_refused(twin):
-    with pytest.raises(gb.errors.DataError, match=r"no constant 'freqency'.*frequency"):
+    with pytest.raises(gb.errors.DataError, match=r"no parameter 'freqency'.*frequency"):
         gb.blackbox.monte_carlo_smoothing(twin, seed=1, intervals={"freqency": (700, 800)})
     with pytest.raises(
         gb.errors.DataError, match=r"interval of decay: \[36, 12\]; give two finite numbers, the lower one first"

@@ -393,7 +393,7 @@ def test_simulate_never_overwrites_its_own_input(run: Run, tmp_path: Path) -> No
     (tmp_path / "u.csv").write_text(text)
     refused = run("simulate", "micro_actuator", "u.csv", "--output", tmp_path / "u.csv")
     assert refused.exit_code == 2
-    assert "it is the file of inputs, which would be lost; give another file" in refused.stderr
+    assert "it is the input file, which would be overwritten; give another file" in refused.stderr
     assert (tmp_path / "u.csv").read_text() == text
     assert run("simulate", "micro_actuator", "u.csv", "--output", "y.csv").stderr == ""
     again = run("simulate", "micro_actuator", "u.csv", "--output", "y.csv")

@@ -84,7 +84,7 @@ def test_a_minimal_model_says_what_was_taken_out_and_so_is_its_family(tmp_path):
         (["--to", "mat", "--at", "uu=1"], "no state or input 'uu'; did you mean 'u'"),
         (["--to", "mat", "--at", "u=one"], "'one' is not a number"),
         (["--to", "mat", "--method", "tustin"], "--method tustin samples the model; give --dt SECONDS too"),
-        (["--to", "mat", "--output", "p.py"], "--to mat writes .mat; give a file that ends so"),
+        (["--to", "mat", "--output", "p.py"], "--to mat writes .mat; give a file with that suffix"),
         (["--to", "mat", "--seed", "3"], "--seed has no effect without --samples"),
         (["--to", "mat", "--dt", "-1"], "sampling time -1.0 s: give a time above 0 s"),
         (

@@ -131,9 +131,9 @@ def test_an_unstable_plant_has_traces_and_a_validation_that_follow_the_record(tr
     alone = simulate(found.model, data, initial=found.traces[0].initial_state).outputs["x"]
     assert not np.allclose(alone, data.outputs["x"], atol=10.0)
     assert np.allclose(found.traces[0].simulated["x"], data.outputs["x"], atol=6 * noise["x"])
-    with pytest.raises(FitError, match="its run is not a free one"):
+    with pytest.raises(FitError, match="its simulation is not a free run"):
         profile(found, "k")
-    with pytest.raises(FitError, match="its run is not a free one"):
+    with pytest.raises(FitError, match="its simulation is not a free run"):
         residual_tests(found)
 
 
@@ -280,7 +280,7 @@ def test_short_arcs_show_the_structure_of_the_drive_and_the_whole_record_what_dr
         bare[0.1] == pytest.approx(95.1, rel=0.1) and bare[0.0] > 150
     )  # without dry friction the whole record says nothing
     for asked in (lambda: profile(short, "M"), lambda: residual_tests(short)):
-        with pytest.raises(FitError, match="not a free one"):
+        with pytest.raises(FitError, match="not a free run"):
             asked()
 
 
@@ -343,8 +343,11 @@ def test_choices_that_do_not_exist_or_contradict_each_other_are_refused(options,
 def test_what_are_no_options_is_refused_in_words():
     _, start, data, noise, _ = duffing_case()
     for wrong, message in (
-        ({"at_rest": True}, r"options: \{'at_rest': True\} is no FitOptions; write options=FitOptions\(at_rest=True\)"),
-        ("multiple", "options: 'multiple' is no FitOptions; write options=FitOptions"),
+        (
+            {"at_rest": True},
+            r"options: \{'at_rest': True\} is not a FitOptions; write options=FitOptions\(at_rest=True\)",
+        ),
+        ("multiple", "options: 'multiple' is not a FitOptions; write options=FitOptions"),
     ):
         with pytest.raises(ModelError, match=message):
             fit(start, data, noise=noise, options=wrong)

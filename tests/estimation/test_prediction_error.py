@@ -228,7 +228,7 @@ def test_it_is_saved_and_read_back(tmp_path):
             lambda: fit(PUSHED, record(1), options=FitOptions(loss="huber")),
             "is that of normal noise; leave out the loss",
         ),
-        (lambda: fit(PUSHED, record(1), colour="residual"), "process noise is what makes the innovations white"),
+        (lambda: fit(PUSHED, record(1), colour="residual"), "process noise makes the innovations white"),
         (lambda: fit(PUSHED, record(1), options=FitOptions(transcription="multiple")), "one-step predictions"),
         (lambda: MASS.with_process_noise("w"), "has no state 'w'"),
         (lambda: MASS.with_process_noise(v=-1.0), "-1 m/s\\^1.5 is no intensity; give a finite one from 0 up"),

@@ -139,11 +139,11 @@ def test_a_minimal_family_has_the_same_states_throughout(fit, tmp_path):
 
 
 def test_what_cannot_be_drawn_is_refused(fit):
-    with pytest.raises(gb.errors.ModelError, match="is no fit: it has no covariance"):
+    with pytest.raises(gb.errors.ModelError, match="is not a fit: it has no covariance"):
         gb.export.sample_family(micro_actuator)
     with pytest.raises(gb.errors.ModelError, match="a family of 1: give at least 2"):
         gb.export.sample_family(fit, number=1)
-    with pytest.raises(gb.errors.ModelError, match="no fitted constant has a covariance"):
+    with pytest.raises(gb.errors.ModelError, match="no fitted parameter has a covariance"):
         gb.export.sample_family(
             replace(
                 fit, uncertainty=replace(fit.uncertainty, covariance=np.full_like(fit.uncertainty.covariance, np.nan))

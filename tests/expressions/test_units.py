@@ -77,7 +77,7 @@ def test_unit_of_an_expression(value: ca.SX, expected: str) -> None:
         (ca.sin(angle), "sin needs a number without unit, has deg in 'sin(angle)'"),
         (x**r, "raises m to a power that is not a number in 'x^r'"),
         (r**x, "a power needs a number without unit, has m in 'r^x'"),
-        (x + ca.SX.sym("w"), "uses 'w', which is no state, input or parameter of the model"),
+        (x + ca.SX.sym("w"), "uses 'w', which is not a state, input or parameter of the model"),
     ],
 )
 def test_expression_without_a_unit(value: ca.SX, message: str) -> None:

@@ -122,7 +122,7 @@ def changed(**hooks):
 
 
 def test_an_update_that_cannot_be_is_refused():
-    with pytest.raises(ModelError, match=r"sets 'v', which is no state of its own; known: w"):
+    with pytest.raises(ModelError, match=r"sets 'v', which is not a state of its own; known: w"):
         changed(update=lambda x, u, p: {"v": x.v}).system  # noqa: B018
     with pytest.raises(UnitError, match=r"update of state 'w': has unit m/s, expected m"):
         changed(update=lambda x, u, p: {"w": x.v}).system  # noqa: B018

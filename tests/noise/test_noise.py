@@ -214,7 +214,7 @@ def test_known_colour_is_used_and_leaves_a_white_residual():
 def test_a_moving_or_incomplete_quiet_record_and_an_unknown_colour_are_refused():
     record = noisy(clean_record(), np.random.default_rng(12))
     with pytest.raises(
-        DataError, match=r"input 'u' moves by .* V in the fitted records; give a record with the input at rest"
+        DataError, match=r"input 'u' moves by .* V in the estimation records; give a record with the input at rest"
     ):
         fit(TRUTH, record, quiet=record)
     with pytest.raises(DataError, match="quiet record 'q' has no input 'u'"):

@@ -350,7 +350,7 @@ def test_arcs_cover_every_row_once_and_refuse_lengths_that_are_none():
             split_into_arcs(data, **wrong)
     with pytest.raises(DataError, match="2 rows; an arc needs at least 3"):
         split_into_arcs(data, rows=2)
-    with pytest.raises(DataError, match="-1 s is no length"):
+    with pytest.raises(DataError, match="-1 s is not a length"):
         split_into_arcs(data, seconds=-1)
     with pytest.raises(DataError, match=r"one of 0\.0005 s has 2 rows.*give at least 0\.00075 s"):
         split_into_arcs(data, seconds=5e-4)

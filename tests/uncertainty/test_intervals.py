@@ -159,7 +159,7 @@ def test_intervals_survive_saving(tmp_path):
 
 def test_bad_requests_are_refused_in_words():
     found = saturation_fit()
-    with pytest.raises(ModelError, match="profile of 'M': not a fitted constant"):
+    with pytest.raises(ModelError, match="profile of 'M': not a fitted parameter"):
         profile(found, "M")
     broken = replace(found, solver=replace(found.solver, success=False))
     with pytest.raises(FitError, match="intervals need a fit that has succeeded"):

@@ -156,7 +156,7 @@ def _extract_step(experiment: Experiment, output: str | None, input: str | None,
     (record,) = data.records
     if len(data.inputs) > 1:
         raise DataError(
-            f"experiment {experiment.name!r}: which input steps? Say input=...; known: {', '.join(data.inputs)}"
+            f"experiment {experiment.name!r}: several inputs; name the one that steps with input=...; known: {', '.join(data.inputs)}"
         )
     u, name = record.u[:, 0], data.inputs[0]
     changes = np.flatnonzero(np.diff(u, prepend=0.0))

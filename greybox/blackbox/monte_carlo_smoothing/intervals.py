@@ -47,7 +47,7 @@ class DrawIntervals:
         """These intervals with the ``given`` ones, by axis, put in. Raises DataError for an unknown axis."""
         for axis in given:
             if axis not in AXES:
-                raise DataError(f"no constant {axis!r} in equation 17; {nearest(axis, AXES)}")
+                raise DataError(f"no parameter {axis!r} in equation 17; {nearest(axis, AXES)}")
         return replace(self, **given)
 
     def around(self, best: Mapping[str, float], policy: SmoothingPolicy = DEFAULT_SMOOTHING) -> DrawIntervals:
@@ -101,8 +101,8 @@ def estimate_intervals(
     level, low, high = float(tail.mean()), float(tail.min()), float(tail.max())
     if low <= 0 <= high:
         raise DataError(
-            f"the last quarter of the response runs from {low:.4g} to {high:.4g}: its final value cannot be told from zero, and"
-            " equation 17 swings about one; take a longer record, or use output_error"
+            f"the last quarter of the response runs from {low:.4g} to {high:.4g}: its final value is not distinguishable from zero, but"
+            " equation 17 oscillates about a final value; take a longer record, or use output_error"
         )
     if not low < high:
         low, high = level - policy.level_spread * abs(level), level + policy.level_spread * abs(level)
@@ -135,7 +135,9 @@ def _frequency(y: np.ndarray, level: float, sampling_time: float, points: int) -
     w, density = estimate_spectrum(y - level, sampling_time, points)
     peak = int(np.argmax(density))
     if peak in (0, len(w) - 1):
-        raise DataError(f"the power spectral density of what moves is largest at {w[peak]:.4g} rad/s; {NO_OSCILLATION}")
+        raise DataError(
+            f"the power spectral density of the oscillation is largest at {w[peak]:.4g} rad/s; {NO_OSCILLATION}"
+        )
     return float(w[peak])
 
 
@@ -161,7 +163,9 @@ def _estimate_envelope(
     floor = float(np.median(size[-max(count // policy.tail, 1) :]))
     fading = floor < size[0] / policy.above_floor
     if not fading and size[0] <= policy.persistent * np.abs(swing).max():
-        raise DataError(f"what moves at {w:.4g} rad/s is no larger after the step than at the end; {NO_OSCILLATION}")
+        raise DataError(
+            f"the oscillation at {w:.4g} rad/s is not larger after the step than at the end; {NO_OSCILLATION}"
+        )
     clear = int(np.argmax(np.append(size, 0.0) <= policy.above_floor * floor)) if fading else count
     used = slice(0, max(clear, 2))
     size = np.maximum(size, policy.lower_end * size[0])
