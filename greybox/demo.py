@@ -155,11 +155,11 @@ def run_demo(
     files = {
         plain.save(folder / "plain.json"): "the fit of the plain model",
         discovery.best.save(folder / "fit.json"): "the fit with the effect, for greybox export",
-        discovery.save(folder / "discovery.json"): "what is missing, and the evidence",
-        save_comparison(comparison, folder / "compare.json"): "beside the black boxes",
+        discovery.save(folder / "discovery.json"): "the missing effect, and the evidence",
+        save_comparison(comparison, folder / "compare.json"): "the comparison with black boxes",
         write_control(plant, folder / "plant_ss.py"): "the state space for python-control",
     }
-    files |= dict.fromkeys(_draw_gap(plain, discovery.best, comparison, folder, setup), "the gap before and after")
+    files |= dict.fromkeys(_draw_gap(plain, discovery.best, comparison, folder, setup), "the error before and after")
     files |= dict.fromkeys(draw_fit(discovery.best, folder), "measured and simulated")
     seconds = time.perf_counter() - began
     return Demo(truth, start, plain, discovery, comparison, plant, records, files, seconds, setup)

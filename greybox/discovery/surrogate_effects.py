@@ -24,7 +24,7 @@ from greybox.model.signals import Expression, NamedValues, Parameter, State
 
 # Names of the effects.
 CURVE, TONE = "fitted_curve", "tone"
-SOURCE = "fitted to what the model leaves over; no law of its own"
+SOURCE = "fitted to the residual of the model; no physical law"
 
 
 def make_curve_effect(

@@ -148,7 +148,7 @@ def _check_point(functions: ModelFunctions, at: Mapping[str, float]) -> dict[str
     problems = []
     for name, value in at.items():
         if name in functions.model.values:
-            problems.append(f"{name!r} is a constant; set it with model.start({name}=...)")
+            problems.append(f"{name!r} is a parameter; set it with model.start({name}=...)")
         elif name not in functions.names:
             problems.append(f"no state or input {name!r}; {nearest(name, functions.names)}")
         elif not isinstance(value, int | float | np.number) or not np.isfinite(value):

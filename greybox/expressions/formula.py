@@ -26,7 +26,7 @@ FUNCTIONS = {
     if row.formula and row.name.isidentifier()
     for name in (row.formula.partition("(")[0], row.name)
 }
-REMEDY = "write it with names of constants, numbers, + - * / ^ and brackets, as in 'Kf' or '2*Kf'"
+REMEDY = "write it with names of parameters, numbers, + - * / ^ and brackets, as in 'Kf' or '2*Kf'"
 
 
 class Values(Protocol):

@@ -44,7 +44,7 @@ def check_process_noise(title: str, system: System, parameters: Sequence[Paramet
         subject = f"noise of state {state.name!r}"
         if not (math.isfinite(value) and value >= 0):
             problems.append(
-                f"{subject}: {value:g} {intensity_unit(state)} is no intensity; give a finite one from 0 up"
+                f"{subject}: {value:g} {intensity_unit(state)} is not an intensity; give a finite value of 0 or more"
             )
         elif k in set_afterwards and not system.diffusion[k].is_zero():
             problems.append(f"{subject}: this state is set after each step and has no rate to push; put it on another")
@@ -52,7 +52,7 @@ def check_process_noise(title: str, system: System, parameters: Sequence[Paramet
     for q in parameters:
         if q.name in intensities and q.bounds[0] < 0:
             problems.append(
-                f"parameter {q.name!r}: an intensity of process noise has no sign; bound it from 0 up:"
+                f"parameter {q.name!r}: the intensity of process noise must be 0 or more; set"
                 f" bounds=(0, {q.bounds[1]:g})"
             )
     if problems:

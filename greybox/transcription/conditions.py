@@ -45,7 +45,7 @@ def resolve_conditions(
         ]
         unknown = [n for n in given if n not in names and n not in tied]
         problems += [
-            f"{subject}: condition {n!r} is no parameter of {model.title}; {nearest(n, names)}" for n in unknown
+            f"{subject}: condition {n!r} is not a parameter of {model.title}; {nearest(n, names)}" for n in unknown
         ]
         try:
             model.start(**{n: v for n, v in given.items() if n in names})
@@ -77,7 +77,7 @@ def check_own_constants(model: Model, per_experiment: Sequence[str], experiments
     twice = sorted({n for n in per_experiment if list(per_experiment).count(n) > 1})
     problems += [f"{name!r} is named twice; name it once" for name in twice]
     if per_experiment and experiments < 2:
-        problems.append("there is one experiment; a constant of each experiment's own needs several")
+        problems.append("there is one experiment; a separate value for each experiment needs several")
     if problems:
         raise ModelError(f"own parameters: {'; '.join(problems)}")
 

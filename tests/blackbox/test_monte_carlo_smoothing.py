@@ -192,7 +192,7 @@ def test_direct_and_smoothed_least_squares_are_plain_least_squares(twin):
             "rows after the step lack 'x'",
         ),
         (lambda r: r.with_outputs({"x": 1 - np.exp(-20 * r.time)}), "does not oscillate"),
-        (lambda r: r.with_outputs({"x": np.sin(700 * r.time)}), "cannot be told from zero"),
+        (lambda r: r.with_outputs({"x": np.sin(700 * r.time)}), "not distinguishable from zero"),
     ],
 )
 def test_what_is_no_oscillating_step_response_is_refused(twin, change, message):

@@ -88,7 +88,7 @@ def test_other_commands_know_conditions_too(run: Run, folder, command):
     [
         (["low", "P_S=7e5,8e5"], "--condition P_S: 2 values for 1 record; give one for each, in their order"),
         (["low", "P_S=-7e5"], "parameter 'P_S': -700000 Pa lies outside its bounds"),
-        (["low", "P_s=7e5"], "condition 'P_s' is no parameter of pneumatic_cylinder; did you mean"),
+        (["low", "P_s=7e5"], "condition 'P_s' is not a parameter of pneumatic_cylinder; did you mean"),
         (["low", "P_s"], "has no parameter 'P_s'; did you mean"),
         (["low", "P_S"], "low.csv: condition 'P_S' [Pa] has neither a column nor a comment line"),
         (["moving", "P_S"], "its column runs from 600000 to 749000 Pa, so it is no condition of the whole record"),

@@ -124,7 +124,7 @@ def test_what_is_known_beforehand_counts_and_is_stored(
         (["--schedule", "K=P_S"], "'P_S'"),
         (["--condition", "M=1,2,3"], "--condition M: 3 values for 2 records"),
         (["--process-noise", "w"], "has no state 'w'"),
-        (["--process-noise", "v=-1"], "is no intensity; give a finite one from 0 up"),
+        (["--process-noise", "v=-1"], "is not an intensity; give a finite value of 0 or more"),
         (["--process-noise", "v", "--loss", "huber"], "leave out the loss, or the process noise"),
         (["--noise", "x=-1"], "not a positive standard deviation"),
         (["--quiet", "gaps.csv"], "input 'u' moves by 4 N"),

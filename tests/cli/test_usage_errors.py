@@ -82,7 +82,7 @@ SHOW = "greybox fit --help"
         ),
         (
             "fit micro_actuator data.csv --schedule K=u",
-            "--schedule K=u: u is an input; say at which value of it K holds, as in",
+            "--schedule K=u: u is an input; give the value at which K is valid, as in",
         ),
         (
             "fit micro_actuator data.csv --tie Kv=",
@@ -96,7 +96,7 @@ SHOW = "greybox fit --help"
         ("compare micro_actuator data.csv --predict 300", "--predict 300: the longest record has 300 rows"),
         (
             "fit micro_actuator data.csv --arc-length 1",
-            "arcs of 1 s: the longest record lasts 0.07475 s, so no record would be cut",
+            "arcs of 1 s: the longest record lasts 0.07475 s, so no record would be divided",
         ),
         (
             "simulate micro_actuator --multisine 2 --band 5:4000 --duration 0.1 --sampling-time 2.5e-4",

@@ -130,7 +130,7 @@ def test_every_transcription_knows_the_conditions():
     [
         (
             [{"P_s": 7e5}, {}],
-            r"experiment 1 of 2: condition 'P_s' is no parameter of pneumatic_cylinder; did you mean .*'P_S'",
+            r"experiment 1 of 2: condition 'P_s' is not a parameter of pneumatic_cylinder; did you mean .*'P_S'",
         ),
         (
             [{}, {"P_S": -7e5}],

@@ -231,7 +231,7 @@ def test_it_is_saved_and_read_back(tmp_path):
         (lambda: fit(PUSHED, record(1), colour="residual"), "process noise makes the innovations white"),
         (lambda: fit(PUSHED, record(1), options=FitOptions(transcription="multiple")), "one-step predictions"),
         (lambda: MASS.with_process_noise("w"), "has no state 'w'"),
-        (lambda: MASS.with_process_noise(v=-1.0), "-1 m/s\\^1.5 is no intensity; give a finite one from 0 up"),
+        (lambda: MASS.with_process_noise(v=-1.0), "-1 m/s\\^1.5 is not an intensity; give a finite value of 0 or more"),
         (lambda: MASS.with_process_noise("v", v=1.0), "either estimated or known; name the state once"),
         (lambda: gb.smooth(42, record(1)), "42 is neither a model nor a fit"),
         (lambda: gb.predict(cascaded_tanks, record(1)), "experiment 'day 1'"),

@@ -102,7 +102,7 @@ def test_a_constant_may_follow_a_measured_input():
     ("change", "message"),
     [
         (lambda: MASS.tie(B="K"), "has unit N/m, expected N\\*s/m"),
-        (lambda: MASS.tie(Bb="B"), "no constant 'Bb'; did you mean 'B'"),
+        (lambda: MASS.tie(Bb="B"), "no parameter 'Bb'; did you mean 'B'"),
         (lambda: MASS.tie(B="0.1*Kk"), "'Kk'.*did you mean 'K'"),
         (lambda: MASS.tie(M="K"), "M is fixed at 1 kg, so there is nothing to tie; first free\\('M'\\)"),
         (lambda: MASS.tie(B="0.4"), "no parameter in the formula; to give a number write fix\\(B=0.4\\)"),
@@ -113,13 +113,13 @@ def test_a_constant_may_follow_a_measured_input():
         (lambda: MASS.untie("B"), "'B' is not tied"),
         (
             lambda: fit(MASS, record(0), per_experiment=["K"]),
-            "there is one experiment; a constant of each experiment's own needs several",
+            "there is one experiment; a separate value for each experiment needs several",
         ),
         (lambda: fit(MASS, two(), per_experiment=["M"]), "'M' is fixed at 1 kg; first free\\('M'\\)"),
         (lambda: fit(MASS, two(), per_experiment=["K", "K"]), "'K' is named twice"),
         (lambda: fit(MASS, two(), per_experiment=["Kk"]), "'Kk'; did you mean 'K'"),
         (lambda: MASS.schedule("K", by="P", about=1.0), "'P'"),
-        (lambda: PRESSED.schedule("K", by="P", about=0.0), "about 0 leaves nothing to refer to"),
+        (lambda: PRESSED.schedule("K", by="P", about=0.0), "about 0 is not a valid reference"),
         (lambda: fit(TIED, [replace(record(0), conditions={"B": 1.0})]), "condition 'B' is tied"),
     ],
 )
