@@ -50,9 +50,24 @@ def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figu
         fits = [
             f"{s.best_fit_percent:.1f} %" if np.isfinite(s.rmse) else "diverges" for s in (scores[n] for n in ranked)
         ]
+        # A text stands behind the bar, or behind the mark where that lies further out.
+        beyond = one_step > free_run
+        behind_bars, behind_marks = (
+            ["" if is_beyond is hidden else text for text, is_beyond in zip(fits, beyond.tolist(), strict=True)]
+            for hidden in (True, False)
+        )
         series = (
-            Bars(ranked, free_run, [roles[n] for n in ranked], "free run", horizontal=True, texts=fits),
-            Points(one_step, ranked, Role.REFERENCE, "one sample ahead", size=9, symbol=Symbol.DIAMOND, hollow=True),
+            Bars(ranked, free_run, [roles[n] for n in ranked], "free run", horizontal=True, texts=behind_bars),
+            Points(
+                one_step,
+                ranked,
+                Role.REFERENCE,
+                "one sample ahead",
+                size=9,
+                symbol=Symbol.DIAMOND,
+                texts=behind_marks if beyond.any() else (),
+                hollow=True,
+            ),
         )
         x = bar_axis(f"rms error of {output}", text, np.concatenate([free_run, one_step]))
         panels.append(Panel(output, series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY))

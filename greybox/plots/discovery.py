@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from greybox.discovery import (
@@ -44,7 +46,8 @@ def plot_holdout_error(discovery: Discovery) -> Figure:
     panels, description = [], []
     for output, error in discovery.holdout.items():
         steps = [("plain model", error.before, Role.BASELINE)]
-        steps.append((f"with {extended}" if extended else "the same model", error.after, Role.EXTENDED))
+        if extended:
+            steps.append((f"with {extended}", error.after, Role.EXTENDED))
         if surrogate is not None and output in surrogate.holdout:
             steps.append((f"with {surrogate_title(surrogate)}", surrogate.holdout[output].after, Role.SURROGATE))
         steps.append(("noise", error.floor, Role.MEASURED))
@@ -56,16 +59,25 @@ def plot_holdout_error(discovery: Discovery) -> Figure:
         x = bar_axis(f"rms error of {output}", unit, lengths)
         y = Axis(scale=Scale.CATEGORY, reversed=True)
         panels.append(Panel(output, (bars,), x, y, height=Height.PER_CATEGORY))
+        judged = errors_to_judge(discovery)[output]
         description.append(
             phrase(
                 FigureText.ERROR_BEFORE_AFTER,
                 output,
                 before=error.before / error.floor,
-                after=error.after / error.floor,
-                explained=min(error.explained_fraction, 1.0),
+                after=judged.after / error.floor,
+                explained=min(judged.explained_fraction, 1.0),
             )
         )
     return Figure("gap", tuple(panels), phrase(FigureText.ERRORS_BEFORE_AFTER), tuple(description))
+
+
+def errors_to_judge(discovery: Discovery) -> Mapping[str, HoldoutError]:
+    """Error of each output before and after; after with the surrogate, where no effect came near."""
+    surrogate = discovery.surrogate
+    if surrogate is None or discovery.best.model.effects:
+        return discovery.holdout
+    return {**discovery.holdout, **surrogate.holdout}
 
 
 def explained_share(error: HoldoutError) -> float | None:

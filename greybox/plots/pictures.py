@@ -15,6 +15,7 @@ from greybox.estimation.traces import compute_record_misfits
 from greybox.findings import Finding
 from greybox.plots.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.plots.discovery import (
+    errors_to_judge,
     explained_share,
     plot_average_spectra,
     plot_candidates,
@@ -272,7 +273,7 @@ def _holdout_error_sheet(discovery: Discovery) -> Sheet:
     rows, bars = len(figure.panels), len(figure.panels[0].categories)
     titles = {
         output: phrase(FigureText.EXPLAINED_TITLE, output, explained=explained_share(error))
-        for output, error in discovery.holdout.items()
+        for output, error in errors_to_judge(discovery).items()
     }
     cells = tuple(Cell(panel, k, titles=(titles[panel.name],)) for k, panel in enumerate(figure.panels))
     size = (8.5, 0.6 + rows * (1.0 + 0.3 * bars))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from greybox.discovery import Discovery, HoldoutError, Refinement
 from greybox.plots.discovery import (
+    errors_to_judge,
     explained_share,
     plot_candidates,
     plot_effect_signal,
@@ -17,7 +18,7 @@ from greybox.plots.discovery import (
 )
 from greybox.plots.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.plots.style import PAGE
-from greybox.rendering.discovery import conclusion_text, refinement_text
+from greybox.rendering.discovery import conclusion_text, refinement_text, surrogate_title
 from greybox.rendering.english import phrase
 from greybox.rendering.reports import PageText
 from greybox.rendering.result import to_constant_cells
@@ -40,6 +41,7 @@ from greybox.reports.policy import REPORT
 from greybox.reports.provenance import fit_provenance_section
 from greybox.reports.records import records_section, signal_units
 from greybox.reports.typography import format_number, typeset_number, typeset_unit
+from greybox.result import Fit
 
 ANSWERS = {
     "complete": (PageText.DISCOVERY_COMPLETE, Tone.GOOD),
@@ -109,27 +111,28 @@ def discovery_sections(discovery: Discovery) -> Iterator[Section]:
 
 def _holdout(discovery: Discovery) -> Iterator[Block]:
     yield FigureBlock(plot_holdout_error(discovery))
+    name, extended, errors = extended_model(discovery)
     rows = [
         [
             output,
             *(typeset_number(f"{v:.4g} {typeset_unit(e.unit)}".rstrip()) for v in (e.before, e.after, e.floor)),
             _explained(e),
         ]
-        for output, e in discovery.holdout.items()
+        for output, e in errors.items()
     ]
-    head = ["output", "plain model", extended_name(discovery), "noise", "excess explained"]
+    head = ["output", "plain model", name, "noise", "excess explained"]
     yield PageTable(phrase(PageText.DISCOVERY_ERRORS), head, rows)
     path = selection_path(discovery)
     if len(path) > 2:
         steps = [[name, typeset_number(f"{misfit:.4g} × noise")] for name, misfit in path]
         yield PageTable(phrase(PageText.DISCOVERY_PATH), ["model", "misfit"], steps)
-    pairs = list(zip(discovery.base.validation.traces, discovery.best.validation.traces, strict=False))
+    pairs = list(zip(discovery.base.validation.traces, extended.validation.traces, strict=False))
     pairs = pairs[: REPORT.records_of_discovery]
     stretches = PAGE.stretches(sum(4 * len(before.measured) for before, _ in pairs))
     for k, (before, after) in enumerate(pairs):
-        shared = before, after, signal_units(discovery.base.model), discovery.best.noise.std
-        residuals = plot_residuals_before_after(*shared, f"left-{k}", extended_name(discovery))
-        spectra = plot_spectra_before_after(*shared, f"spectra-{k}", extended_name(discovery), follows=residuals.name)
+        shared = before, after, signal_units(discovery.base.model), extended.noise.std
+        residuals = plot_residuals_before_after(*shared, f"left-{k}", name)
+        spectra = plot_spectra_before_after(*shared, f"spectra-{k}", name, follows=residuals.name)
         together = f"judged-{k}"
         figures: list[Block] = [
             FigureBlock(residuals, stretches, group=together, switch=together),
@@ -143,7 +146,7 @@ def _explained(error: HoldoutError) -> str:
     share = explained_share(error)
     if share is None:
         return "no excess"
-    return f"{100 * share:.1f} %" if share > 0 else "error grew"
+    return f"{100 * share:.1f} %" if share >= 0 else "error grew"
 
 
 def selection_path(discovery: Discovery) -> list[tuple[str, float]]:
@@ -162,8 +165,16 @@ def selection_path(discovery: Discovery) -> list[tuple[str, float]]:
     return path
 
 
+def extended_model(discovery: Discovery) -> tuple[str, Fit, Mapping[str, HoldoutError]]:
+    """What stands beside the plain model: its name, its fit and its errors; where no effect came near, the surrogate."""
+    surrogate = discovery.surrogate
+    if surrogate is not None and not discovery.best.model.effects:
+        return f"with {surrogate_title(surrogate)}", surrogate.fit, errors_to_judge(discovery)
+    return extended_name(discovery), discovery.best, discovery.holdout
+
+
 def extended_name(discovery: Discovery) -> str:
-    """What to call the extended model."""
+    """What to call the best model of the catalogue."""
     return "nearest look-alike" if discovery.verdict == "unknown" else "extended model"
 
 

@@ -33,7 +33,7 @@
   const logarithmic = (figure, letter) =>
     letter === "x"
       ? { exponentformat: "none", nticks: narrow() ? 3 : 6 }
-      : { exponentformat: "power", nticks: Math.max(2, Math.floor((parseFloat(figure.plot.style.height) - 100) / 60)) };
+      : { exponentformat: "power", nticks: Math.max(2, Math.floor((parseFloat(figure.plot.style.height) - 100) / 45)) };
   const styled = (figure, chosen = figure.shown) => {
     const axis = { gridcolor: colour("--line"), zerolinecolor: colour("--line"), linecolor: colour("--line"), automargin: true };
     const own = painted(figure.views[chosen].layout);
