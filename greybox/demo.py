@@ -1,4 +1,4 @@
-"""The demonstration: a rig that is not there hides an effect from its model; the effect is found, named and closes the gap."""
+"""The demonstration: a simulated rig has an effect that its model lacks; discovery identifies the effect, and the error shrinks."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from greybox.values import Printable, ReadOnly
 
 
 class Severity(StrEnum):
-    """How much a finding matters to somebody who wants to use the result."""
+    """How much a finding affects the use of a result."""
 
     NOTE = "note"
     WARNING = "warning"

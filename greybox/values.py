@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Printable:
-    """A value that knows nothing of its sentences: ``str(value)`` looks its text up in `greybox.rendering` by the name of its class.
+    """A value without sentences of its own: ``str(value)`` takes its text from `greybox.rendering` by the name of its class.
 
     This is the one import of the library that points upward. It runs when somebody prints, never when a module is loaded.
     """

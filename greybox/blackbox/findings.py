@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class BlackBoxFinding(StrEnum):
-    """What somebody who uses a black-box model should know; the sentences stand in `greybox.rendering.blackbox`."""
+    """Findings about a black-box model; their sentences are in `greybox.rendering.blackbox`."""
 
     WEAK_EXCITATION = "weak_excitation"
     """An input is persistently exciting of a lower order than the structure needs."""

@@ -1,4 +1,4 @@
-"""Records as a difference equation sees them: one output and the inputs at equal steps."""
+"""Records for a difference equation: one output and the inputs at equal steps."""
 
 from __future__ import annotations
 

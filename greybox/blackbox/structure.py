@@ -1,4 +1,4 @@
-"""Which coefficients a difference equation has, and where they stand in one vector."""
+"""Which coefficients a difference equation has, and their positions in one vector."""
 
 from __future__ import annotations
 

@@ -154,7 +154,7 @@ def _made(name: str, annotation: Any, default: Any) -> inspect.Parameter:
 
 
 def check_writable(path: Path) -> Path:
-    """``path``, if results can be written there; tried before the work is done, and left as it was. Raises GreyboxError."""
+    """``path``, if results can be written there; checked before the computation, and not changed. Raises GreyboxError."""
     if path.exists() and not path.is_dir():
         raise GreyboxError(f"--output {path}: it is a file; give a folder")
     missing = [folder for folder in (path, *path.parents) if not folder.exists()]

@@ -21,7 +21,7 @@ class ShowProgress(Protocol):
     """Shows a text, and how much of the work is done."""
 
     def __call__(self, text: str, share: float | None = None) -> None:
-        """``share`` from 0 to 1; None where nobody knows, and then no time left is told."""
+        """``share`` from 0 to 1; None if unknown; then no remaining time is printed."""
 
 
 class ProgressLine:
@@ -104,7 +104,7 @@ def describe_progress(progress: FitProgress) -> str:
 
 
 def share_done(progress: FitProgress) -> float:
-    """Share of a fit that is done, from what a stage takes as a rule: nobody knows how many iterations a search still needs."""
+    """Share of a fit that is done, from the usual duration of each stage; the number of iterations left is unknown."""
     within = expected_share(max(progress.iteration, 0), PROGRESS.usual_iterations)
     return (progress.stage - 1 + within) / max(progress.stages, progress.stage)
 

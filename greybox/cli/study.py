@@ -1,4 +1,4 @@
-"""A study: everything that decides what `fit`, `discover`, `compare` and `check` compute. The one place that knows every field.
+"""A study: everything that decides what `fit`, `discover`, `compare` and `check` compute. Every field is defined here.
 
 Each field of `Study` says how it is spelled as an option of the command line, under which key it stands in a study file, which
 commands use it, and its help. `greybox.cli.options` makes the options of the commands from it, `greybox.cli.study_file` reads
@@ -88,7 +88,7 @@ class Spec:
 
     @property
     def place(self) -> str:
-        """Where the field stands in a study file: ``[records] skip``, ``[noise]`` or ``model``."""
+        """The place of the field in a study file: ``[records] skip``, ``[noise]`` or ``model``."""
         return " ".join(part for part in (f"[{self.table}]" if self.table else "", self.key) if part)
 
     def help_for(self, command: str) -> str:

@@ -133,7 +133,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _entries(path: Path, scope: str, tables: Mapping[str, Any]) -> list[tuple[str, str, Any]]:
-    """Each field that stands in ``tables``: its name, its place and its value. Raises GreyboxError for an unknown key."""
+    """Each field of ``tables``: its name, its place and its value. Raises GreyboxError for an unknown key."""
     whole = {spec.table: name for name, spec in SPECS.items() if not spec.key}
     keyed = {(spec.table, spec.key): name for name, spec in SPECS.items() if spec.key}
     sections = {table for table, _ in keyed if table}

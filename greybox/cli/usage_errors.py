@@ -47,7 +47,7 @@ class PlainCommand(TyperCommand):
 
 
 class CommandGroup(TyperGroup):
-    """What stands before the sub-commands; an unknown one is told with the nearest."""
+    """The main command; for an unknown sub-command it names the nearest one."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """The options before the sub-command; ends with exit code 2 where they cannot be understood."""

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class ComparisonFinding(StrEnum):
-    """What a comparison comes to, and what to keep in mind; the sentences stand in `greybox.rendering.comparison`."""
+    """Verdict and findings of a comparison; their sentences are in `greybox.rendering.comparison`."""
 
     BEST_MODEL = "best_model"
     """The model with the smallest error of one output, and the best model of the other kind."""

@@ -17,7 +17,7 @@ from greybox.values import Printable
 
 
 class BoxKind(StrEnum):
-    """Whether a model knows physics."""
+    """Whether a model is a grey box or a black box."""
 
     GREY = "grey"
     BLACK = "black"

@@ -1,4 +1,4 @@
-"""As a function of what the unexplained signal lives.
+"""Dependence of the unexplained signal on each variable.
 
 The signal is averaged in bins of each variable. The share of its variance that the bins explain ranks the variables; the curve of
 the best one is odd or even about zero, a step, bent, growing or periodic; a difference between the ways up and down is a loop; a line

@@ -46,7 +46,7 @@ class DiscriminatingExperiment:
 def rank_discriminating_experiments(
     problem: DiscoveryProblem, selected: CandidateFit, rival: CandidateFit, policy: ProposalPolicy
 ) -> list[DiscriminatingExperiment]:
-    """Every candidate input with the sensors at hand, and with one more, best first."""
+    """Every candidate input with the present sensors, and with one more, best first."""
     installed = tuple(problem.noise_std)
     outputs = tuple(o.name for o in problem.model.outputs)
     sensors = [installed] + [(*installed, name) for name in outputs if name not in installed]

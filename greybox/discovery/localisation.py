@@ -84,7 +84,7 @@ class ResidualSignal(ReadOnly):
 
 @dataclass(frozen=True, eq=False)
 class ResidualLocalisation(Printable, ReadOnly):
-    """What a fitted model leaves unexplained: where, when and as a function of what. Without anything missing the rest is empty.
+    """The signal that a fitted model does not explain: site, time and dependence. Empty if the model is complete.
 
     Parameters
     ----------

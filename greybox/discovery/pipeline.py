@@ -375,7 +375,7 @@ def _propose_for_unknown(
 def _summarise(
     evidence: SelectionEvidence, verdict: Verdict, location: ResidualLocalisation, surrogate: Surrogate | None
 ) -> tuple[Finding, ...]:
-    """The answer as findings: what is missing, how sure that is, and what it explains."""
+    """The conclusion as findings: the missing effect, its certainty, and the share of the error that it explains."""
     if verdict is Verdict.COMPLETE:
         return (Finding(DiscoveryCode.NOTHING_MISSING),)
     name, output = _name(evidence.selected), worst_output(evidence.holdout)

@@ -158,7 +158,7 @@ class ShapePolicy:
 
 @dataclass(frozen=True)
 class LocalisationPolicy:
-    """Where, when and as a function of what the residual lives."""
+    """Localisation of the residual: site, time and dependence."""
 
     most_rows: int = 1200
     """Rows of the stretch in which the signal is estimated: where the misfit is largest."""

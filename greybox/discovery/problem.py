@@ -29,7 +29,7 @@ StartValues = Mapping[str, float]
 
 @dataclass(frozen=True)
 class CandidateFit:
-    """A model as it was fitted to the records.
+    """A model fitted to the records.
 
     Parameters
     ----------

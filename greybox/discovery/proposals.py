@@ -47,7 +47,7 @@ def propose_next_steps(
 
 
 def propose_noise_check(base: Fit) -> tuple[Finding, ...]:
-    """What to check where nothing seems to be missing: a noise that was estimated too large hides what is."""
+    """What to check if no effect seems to be missing: an overestimated noise hides a missing effect."""
     units = {o.name: o.unit for o in base.model.outputs}
     guessed = _outputs_of_unknown_noise(base)
     if not guessed:

@@ -1,4 +1,4 @@
-"""What is noise and what is missing physics, where the noise was not given: the colour of the best model's residual.
+"""Noise or missing effect, if the noise was not given: the colour of the best model's residual.
 
 A correlated residual makes every likelihood ratio of white noise too large, and an estimated level too small. Where neither
 the user nor a quiet record gives the colour, it is read from the residual of the best model found, as noise of first order

@@ -33,7 +33,7 @@ class RankedCandidate:
 
 @dataclass(frozen=True)
 class Discovery(Printable):
-    """The answer to "what is missing?".
+    """The result of a discovery: the missing effect and its evidence.
 
     Parameters
     ----------

@@ -303,7 +303,7 @@ class StepwiseSelection:
         return known[effect.name, amplitude]
 
     def _explained_by_shape_correction(self, selected: CandidateFit, larger: CandidateFit) -> bool:
-        """Whether a correction of the shape of the effects explains what is left as well as a further effect does."""
+        """Whether a correction of the shape of the effects explains the remaining misfit as well as a further effect."""
         corrected = self.correct_shape(self.problem, selected, self.scales, self.policy)
         if corrected is None:
             return False

@@ -234,7 +234,7 @@ def fit_curve_surrogate(
 
 
 def _needs_segments(problem: DiscoveryProblem, candidate: CandidateFit) -> bool:
-    """Whether the model is so unstable that it cannot be run freely; a curve that makes a stable one so stands in for nothing."""
+    """Whether the model is too unstable for a free run; a curve that makes a stable model unstable is rejected."""
     fitted = replace(candidate.problem, variables=candidate.variables)
     return select_transcription(fitted, replace(problem.options, progressive=False)).transcription == "multiple"
 

@@ -1,4 +1,4 @@
-"""Effects that stand in for an unknown one: a smooth curve over a variable, a sinusoid over it, or a tone in time.
+"""Surrogates of an unknown effect: a smooth curve over a variable, a sinusoid over it, or a tone in time.
 
 The curve is ``sum c_k exp(-(t - k)^2)``, ``t = (z - lowest) / pitch``: bumps so close that their sum is smooth (equal ones make a constant
 to 1e-4), and short enough to be read in a model file. Outside the range that was seen the curve goes to zero. Weak priors on the

@@ -67,7 +67,7 @@ def _bristle_grid(level: float, s: Scales) -> list[Mapping[str, float]]:
 
 
 def _lugre_from_parent(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
-    """From Stribeck friction as it was found, or from Coulomb friction with a little more at standstill."""
+    """From the fitted Stribeck friction, or from Coulomb friction with a little more at standstill."""
     if "Fs" in values:
         parents: list[Mapping[str, float]] = [{name: values[name] for name in ("Fc", "Fs", "vs")}]
     else:

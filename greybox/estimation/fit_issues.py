@@ -188,7 +188,7 @@ def find_validation_issues(
 
 
 def add_record_findings(findings: Iterable[Finding], experiments: Sequence[Experiment]) -> tuple[Finding, ...]:
-    """``findings`` of a fit and those of its records: first what casts doubt on a measurement, then the rest."""
+    """``findings`` of a fit and those of its records: first those about doubtful measurements, then the others."""
     records = collect_record_findings(experiments)
     faults = [finding for finding in records if is_sensor_fault(finding)]
     return (*faults, *findings, *(finding for finding in records if not is_sensor_fault(finding)))

@@ -31,7 +31,7 @@ def read_conditions(
     problems: list[str],
     policy: RecordPolicy = RECORD_POLICY,
 ) -> tuple[dict[str, float], list[Finding]]:
-    """The value of each condition, and a finding that says where it is from; what is missing or unfit goes to ``problems``.
+    """The value of each condition, and a finding with its source; missing or invalid values go to ``problems``.
 
     ``columns``: values (N,) of those that have a column, in the model's units; the mean is taken. Else a line of ``comments``.
     """

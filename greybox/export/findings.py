@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class ExportFinding(StrEnum):
-    """What somebody who uses an exported model should know; the sentences stand in `greybox.rendering.export`."""
+    """Findings about an exported model; their sentences are in `greybox.rendering.export`."""
 
     FIT_FAILED = "exported_fit_failed"
     """The fit behind the model did not succeed."""

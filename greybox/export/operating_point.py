@@ -1,4 +1,4 @@
-"""The operating point: what is given is kept, and the rest is solved for so that every balance is met."""
+"""The operating point: given values are kept, and the others are solved for so that every balance holds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a controller sees that samples every ``dt`` seconds: exact hold or Tustin, with an input delay of any length."""
+"""Sampled linear models for a controller with sampling time ``dt``: exact hold or Tustin, with an input delay of any length."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def sample(
     delay: float = 0.0,
     policy: SamplingPolicy = DEFAULT_SAMPLING,
 ) -> Linearisation:
-    """Sample a continuous linear model as a controller sees it.
+    """Sample a continuous linear model.
 
     Parameters
     ----------

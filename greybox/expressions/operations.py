@@ -1,4 +1,4 @@
-"""The table of operations: one row for each, with everything that differentiates, checks, simplifies or prints expressions knows of it.
+"""The table of operations: one row for each, with everything that differentiation, unit checks, simplification and printing need.
 
 A new operation of CasADi is a new row. For a function such as ``sinh`` that is its name, its derivative and, unless it takes and returns
 plain numbers, the rule for its unit::

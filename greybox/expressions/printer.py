@@ -27,7 +27,7 @@ CALL = re.compile(r"\\?[\w.]+\(")
 
 
 class Dialect(ABC, Generic[T]):
-    """How a language writes the parts of an expression; ``T`` is what it knows of a part that is already written."""
+    """How a language writes the parts of an expression; ``T`` is the type of a part that is already written."""
 
     @abstractmethod
     def symbol(self, name: str) -> T:

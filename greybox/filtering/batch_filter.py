@@ -26,7 +26,7 @@ class BatchFilter:
         self.q, _ = kalman.step.coefficients(pn[: kalman.system.p.numel()], self.seen.lengths, np.empty(0, int))
 
     def correct(self, x: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States (N, nx) and their covariance (N, nx, nx) with the measurement of each row at hand."""
+        """States (N, nx) and their covariance (N, nx, nx) after the measurement of each row."""
         n, nx = x.shape
         results = _map_rows(self._corrected, {0: x, 1: covariance.reshape(n, nx * nx), 2: self.rows.u}, {3: self.pn})
         return results[0], results[1].reshape(n, nx, nx)

@@ -1,4 +1,4 @@
-"""Prediction over several samples: from the states with the last measurement at hand, by the model alone."""
+"""Prediction over several samples: from the states after the last measurement, by the model alone."""
 
 from __future__ import annotations
 

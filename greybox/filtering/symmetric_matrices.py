@@ -30,7 +30,7 @@ def to_lower_triangle_array(matrix: np.ndarray) -> np.ndarray:
 
 
 def _triangle_index(n: int) -> np.ndarray:
-    """Where each entry (n, n) stands in the lower triangle."""
+    """Position of each entry (n, n) in the lower triangle."""
     index = np.zeros((n, n), int)
     columns, rows = np.triu_indices(n)
     index[rows, columns] = index[columns, rows] = np.arange(len(rows))

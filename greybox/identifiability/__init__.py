@@ -1,4 +1,4 @@
-"""What can be determined: by a model's structure, by the records at hand, and by the input that drove them."""
+"""What can be determined: by a model's structure, by the given records, and by their inputs."""
 
 from greybox.identifiability.excitation import Excitation, analyse_excitation
 from greybox.identifiability.from_fit import recommend_after_fit

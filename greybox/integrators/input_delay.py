@@ -1,4 +1,4 @@
-"""Transport delay: the step sees earlier rows of the input and takes from them what arrives now.
+"""Transport delay: the step reads earlier rows of the input and uses the delayed value.
 
 With a delay of ``n + f`` intervals the input arriving during an interval is the end of the input of ``n + 1`` intervals ago for the
 share ``f`` of it, and then the beginning of that of ``n`` intervals ago. The step is cut where the two meet, so nothing is lost of the

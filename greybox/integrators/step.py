@@ -20,7 +20,7 @@ IntegrationMethod = Callable[[RateFunction], AdvanceFunction]  # what one subste
 
 
 class InputHistory(NamedTuple):
-    """What a step sees of the past: ``rows`` earlier rows of input number ``column``."""
+    """The past inputs that a step reads: ``rows`` earlier rows of input number ``column``."""
 
     column: int
     rows: int

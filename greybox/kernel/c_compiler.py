@@ -199,7 +199,7 @@ def _version(command: tuple[str, ...]) -> str:
 
 
 def _is_intact(path: Path) -> bool:
-    """Whether the library is there as it was written; loading one that a full disk cut short would end the process."""
+    """Whether the library file is complete; loading one that a full disk cut short would end the process."""
     try:
         return _digest_path(path).read_text(encoding="utf-8") == hashlib.sha256(path.read_bytes()).hexdigest()
     except (OSError, ValueError):

@@ -376,7 +376,7 @@ class Model(Printable):
         return replace(self, states=plant, parameters=(*self.parameters, *added), effects=tuple(effects))
 
     def prior(self, **priors: tuple[float, float] | None) -> Model:
-        """The model with what is known of its parameters without the records.
+        """The model with priors of its parameters.
 
         A fit starts at the mean, and weighs each prior as one more measurement (maximum a posteriori).
 

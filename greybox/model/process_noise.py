@@ -85,7 +85,7 @@ def find_noisy_states(system: System, parameters: Sequence[Parameter]) -> tuple[
 
 
 def find_noise_parameters(system: System) -> tuple[str, ...]:
-    """Names of the parameters that are intensities of process noise: no other equation speaks of them."""
+    """Names of the parameters that are intensities of process noise: no other equation contains them."""
     in_diffusion = {s.name() for s in ca.symvar(system.diffusion)}
     if not in_diffusion:
         return ()

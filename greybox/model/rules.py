@@ -45,7 +45,7 @@ class Rule:
 
 
 def check_constants(title: str, rules: Sequence[Rule], p: NamedValues) -> None:
-    """Refuse parameters that break a rule: ModelError with every broken one, the values it speaks of and the remedy."""
+    """Refuse parameters that break a rule: ModelError with every broken one, its values and the remedy."""
     broken = []
     for rule in rules:
         if rule.output:

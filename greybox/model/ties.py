@@ -1,4 +1,4 @@
-"""Ties: a parameter that others give, ``Kv = Kf``. The formula stands in the place of the parameter, so it holds exactly."""
+"""Ties: a parameter given by a formula of others, ``Kv = Kf``. The formula replaces the parameter, so it holds exactly."""
 
 from __future__ import annotations
 

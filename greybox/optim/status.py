@@ -11,7 +11,7 @@ import numpy as np
 
 
 class TerminationStatus(StrEnum):
-    """How a minimisation ended. The values stand in result files."""
+    """How a minimisation ended. Result files contain the values."""
 
     CONVERGED = "converged"
     """The termination test is met."""

@@ -128,7 +128,7 @@ def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:
 
 
 def plot_surrogate(surrogate: Surrogate) -> Figure:
-    """The curve or tone that stands in for an unknown effect, over the signal that the records show."""
+    """The curve or tone that represents an unknown effect, over the signal that the records show."""
     x, across = scale_to_prefix(surrogate.variable_unit, surrogate.values)
     y, unit = scale_to_prefix(surrogate.unit, surrogate.curve, surrogate.signal.value)
     series: list[Series] = [

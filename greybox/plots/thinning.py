@@ -8,7 +8,7 @@ from greybox.plots.figure import Thinning
 
 
 def thin_curve(x: np.ndarray, y: np.ndarray, thinning: Thinning, stretches: int) -> tuple[np.ndarray, np.ndarray]:
-    """``x`` and ``y`` (N,) with so many stretches at most, thinned as this kind of curve wants it."""
+    """``x`` and ``y`` (N,) with so many stretches at most, thinned by the rule for this kind of curve."""
     if thinning is Thinning.ENVELOPE:
         return min_max_envelope(x, y, stretches)
     if thinning is Thinning.PEAKS:

@@ -20,7 +20,7 @@ def _record_split(finding: Finding) -> str:
     return f"{finding.subject} is split into {pieces} record{'s' * (pieces != 1)} at the gaps in time"
 
 
-# The codes are those of greybox.cli.findings, a later room.
+# The codes are those of greybox.cli.findings, a later package.
 register(
     {
         "split_without_effect": "--split-holes has no effect: time has no gap and does not restart in any record",

@@ -69,7 +69,7 @@ def shape_text(values: Mapping[str, Any]) -> str:
 
 
 def dependence_text(values: Mapping[str, Any]) -> str:
-    """As a function of what a signal lives, from the values of a dependence."""
+    """The dependence of a signal on a variable, from the values of a dependence."""
     share = f"explains {100 * values['share']:.0f} %"
     if values["tone"] is not None:
         return f"a tone of {values['tone']:.4g} Hz that does not depend on the motion ({share})"

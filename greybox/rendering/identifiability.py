@@ -168,5 +168,5 @@ def describe_inputs(excitation: Excitation) -> list[str]:
 
 @renders("Excitation")
 def write_excitation(excitation: Excitation) -> str:
-    """The inputs, and what is missing for the model."""
+    """The inputs, and the excitation that the model still needs."""
     return "\n".join([*describe_inputs(excitation), *map(sentence, excitation.findings)])

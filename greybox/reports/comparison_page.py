@@ -1,4 +1,4 @@
-"""The page of a comparison: does the physics pay? Grey and black boxes on the same rows of the same records."""
+"""The page of a comparison: grey and black boxes on the same rows of the same records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of a discovery: what is missing, how sure that is, and the error before and after."""
+"""The page of a discovery: the missing effect, its certainty, and the error before and after."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ def _short(values: np.ndarray) -> list[float | None]:
 
 
 def _inside(name: str) -> Markup:
-    """A file of ours that stands in the page as it is."""
+    """A file of the package, copied into the page unchanged."""
     return Markup(files("greybox.reports").joinpath("template", name).read_text(encoding="utf-8"))
 
 

@@ -1,4 +1,4 @@
-"""Free run and prediction side by side: how well a model does alone, and with the last measurements at hand."""
+"""Free run and prediction side by side: the errors of a model without and with past measurements."""
 
 from __future__ import annotations
 

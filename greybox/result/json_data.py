@@ -24,7 +24,7 @@ def format_json(data: Mapping[str, Any]) -> str:
 
 
 def to_json_data(value: Any) -> Any:
-    """``value`` as JSON knows it: arrays become lists, dataclasses dictionaries, NaN and infinities None."""
+    """``value`` as JSON data: arrays become lists, dataclasses dictionaries, NaN and infinities None."""
     if isinstance(value, np.ndarray):
         return to_json_data(value.tolist())
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Condensing: segments that must meet are eliminated from a least-squares problem; what is left concerns the constants alone."""
+"""Condensing: segments that must meet are eliminated from a least-squares problem; the remaining problem contains only the parameters."""
 
 from __future__ import annotations
 

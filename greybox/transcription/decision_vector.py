@@ -306,7 +306,7 @@ class DecisionVector:
 
 
 class ExperimentView:
-    """The entries of ``z`` that one experiment sees: constants (the shared ones and its own), then its free initial states.
+    """The entries of ``z`` of one experiment: constants (the shared ones and its own), then its free initial states.
 
     ``columns`` (L,): where they stand in ``z``; ``square``: the same as an index of a matrix. What does not change from point to
     point is laid out once, because a pass over a short record takes less time than laying it out.

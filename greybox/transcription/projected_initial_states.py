@@ -1,4 +1,4 @@
-"""Variable projection: many initial states, eliminated record by record, so that the optimiser sees the constants alone."""
+"""Variable projection: many initial states, eliminated record by record, so that the optimiser works on the parameters alone."""
 
 from __future__ import annotations
 

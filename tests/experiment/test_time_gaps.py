@@ -130,7 +130,7 @@ def test_the_option_splits_and_says_so(run, torn):
     result = run("check", "micro_actuator", torn, "--fix", "Ra=8", "--split-holes", "--at-rest", "--no-report")
     assert result.exit_code == 0
     assert "run[0:200]: 200 rows every 0.00025 s" in result.stdout and "run[200:470]: 270 rows" in result.stdout
-    assert "2 pieces" in result.stderr and "--at-rest" in result.stderr
+    assert "2 records" in result.stderr and "--at-rest" in result.stderr
 
 
 def test_runs_in_one_file_are_read_apart_where_time_starts_anew(run, tmp_path):
