@@ -105,3 +105,10 @@ def test_poles_of_a_sampled_model_stand_in_the_unit_circle() -> None:
     assert sampled.equal_scales and not continuous.equal_scales
     assert (np.hypot(poles.x, poles.y) < 1).all()
     assert plot_poles(replace(linearise(micro_actuator), A=np.zeros((0, 0))), None) is None
+
+
+def test_a_text_stands_behind_the_outer_of_bar_and_mark() -> None:
+    score = ComparisonScore(0.1, 90.0, 0.3, len(TIME), "m")
+    worse_ahead = replace(entry("late", "black", 0.1), validation={"x": score})
+    bars, marks = plot_model_errors(Comparison((worse_ahead,), {"x": "m"}, ("t",), ("a",)))["x"].series
+    assert (bars.texts, marks.texts) == ([""], ["90.0 %"])
