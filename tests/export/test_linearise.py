@@ -224,7 +224,7 @@ def test_a_point_that_is_no_equilibrium_says_by_how_much():
 
 def test_bad_names_and_numbers_come_in_one_message():
     with pytest.raises(
-        gb.errors.ModelError, match=r"'xx'; did you mean 'x'.*'M' is a constant.*u = nan is not a finite number"
+        gb.errors.ModelError, match=r"'xx'; did you mean 'x'.*'M' is a parameter.*u = nan is not a finite number"
     ):
         gb.linearise(micro_actuator, {"xx": 0, "M": 1, "u": np.nan})
     with pytest.raises(gb.errors.ModelError, match=r"unknown method 'zho' of sampling; did you mean 'zoh'"):
@@ -350,7 +350,7 @@ def test_the_continuous_nonlinear_system_has_the_linear_one_as_its_slope(steady)
     system = gb.export.to_control(pneumatic_full, form="nonlinear")
     theirs = system.linearize(steady.x0, steady.u0)
     np.testing.assert_allclose(theirs.A, steady.A, rtol=1e-3, atol=1e-3)
-    with pytest.raises(gb.errors.ModelError, match=r"no ordinary differential equation: coulomb_friction \(it sticks"):
+    with pytest.raises(gb.errors.ModelError, match=r"not an ordinary differential equation: coulomb_friction \(it sticks"):
         gb.export.to_nonlinear_system(COULOMB)
 
 
