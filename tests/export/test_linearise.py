@@ -350,7 +350,9 @@ def test_the_continuous_nonlinear_system_has_the_linear_one_as_its_slope(steady)
     system = gb.export.to_control(pneumatic_full, form="nonlinear")
     theirs = system.linearize(steady.x0, steady.u0)
     np.testing.assert_allclose(theirs.A, steady.A, rtol=1e-3, atol=1e-3)
-    with pytest.raises(gb.errors.ModelError, match=r"not an ordinary differential equation: coulomb_friction \(it sticks"):
+    with pytest.raises(
+        gb.errors.ModelError, match=r"not an ordinary differential equation: coulomb_friction \(it sticks"
+    ):
         gb.export.to_nonlinear_system(COULOMB)
 
 
