@@ -9,6 +9,7 @@ import pytest
 from fits import (
     micromotion_chirp,
     micromotion_feed_through,
+    micromotion_page,
     micromotion_paper,
     papers,
     pneumatic_paper,
@@ -94,7 +95,7 @@ def test_one_command_runs_every_study_of_the_page():
 
 @pytest.mark.slow
 def test_the_command_writes_the_parts_that_the_page_has(tmp_path, monkeypatch):
-    said, kept = [], (micromotion_paper, micromotion_chirp, micromotion_feed_through)
+    said, kept = [], (micromotion_page, micromotion_chirp, micromotion_feed_through)
     monkeypatch.setattr(micromotion_paper, "OTHER_SEEDS", range(1, 3))
     monkeypatch.setattr(papers, "STUDIES", kept)
     papers.main(tmp_path, said.append)
