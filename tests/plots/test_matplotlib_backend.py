@@ -82,7 +82,7 @@ def test_panels_lie_side_by_side(picture: Picture) -> None:
     places = [axes.get_position() for axes in picture.axes]
     for one, other in combinations(places, 2):
         assert not one.overlaps(other)
-    assert places[0].width == pytest.approx(1.5 * places[1].width, rel=0.02)
+    assert places[0].width == pytest.approx(1.5 * places[1].width)
 
 
 @pytest.mark.parametrize(
