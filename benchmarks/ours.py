@@ -16,11 +16,11 @@ import numpy as np
 from benchmarks.problems import Case
 from greybox.estimation import FitOptions, fit
 from greybox.estimation.multistart import draw_starts
-from greybox.estimation.problem import EstimationProblem, prepare_problem
-from greybox.estimation.solve import Solution, solve
 from greybox.kernel import make_kernel
 from greybox.kernel.record import Record
 from greybox.transcription import to_record
+from greybox.transcription.problem import EstimationProblem, prepare_problem
+from greybox.transcription.solve import Solution, solve
 
 # The actuator is linear: greybox discretises it exactly. The other two take the same RK4 step as the peers.
 REPEATS = 7

@@ -10,7 +10,6 @@ from typing import Any
 from greybox.errors import DataError, ModelError, nearest
 from greybox.estimation.fit_issues import find_excluded_outputs
 from greybox.estimation.options import FitOptions
-from greybox.estimation.problem import prepare_problem
 from greybox.experiment import Experiment
 from greybox.findings import Finding
 from greybox.identifiability import (
@@ -27,6 +26,7 @@ from greybox.identifiability.practical import analyse_problem, list_measured_out
 from greybox.kernel.compiled import CompiledKernel
 from greybox.model import Model
 from greybox.noise import NoiseModel
+from greybox.transcription.problem import prepare_problem
 from greybox.values import Printable
 
 

@@ -33,11 +33,11 @@ from greybox.cli.study import COMPARE, Study
 if TYPE_CHECKING:
     from greybox.comparison import Comparison
     from greybox.comparison.compare import NamedModel
-    from greybox.estimation.options import FitProgress
     from greybox.experiment import Experiment
     from greybox.findings import Finding
     from greybox.model import Model
     from greybox.result import Fit
+    from greybox.transcription.progress import FitProgress
 
 
 @takes_study(COMPARE)

@@ -14,7 +14,7 @@ from greybox.cli.policy import PROGRESS
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from greybox.estimation.options import FitProgress, FitProgressCallback
+    from greybox.transcription.progress import FitProgress, FitProgressCallback
 
 
 class ShowProgress(Protocol):

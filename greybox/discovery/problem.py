@@ -13,8 +13,6 @@ import numpy as np
 from greybox.discovery.execution import RefitExecutor, RefitJob, RefitOutcome
 from greybox.discovery.policy import SearchBudget
 from greybox.estimation import FitOptions
-from greybox.estimation.problem import EstimationProblem, prepare_problem
-from greybox.estimation.solve import Solution, solve
 from greybox.estimation.versions import read_versions
 from greybox.experiment import Experiment
 from greybox.model import Model
@@ -23,6 +21,8 @@ from greybox.numerics import OVERFLOWING_CURVATURE
 from greybox.optim import TerminationStatus
 from greybox.result import Fit
 from greybox.transcription import DecisionVector, Evaluation
+from greybox.transcription.problem import EstimationProblem, prepare_problem
+from greybox.transcription.solve import Solution, solve
 
 StartValues = Mapping[str, float]
 

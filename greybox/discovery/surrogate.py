@@ -38,9 +38,9 @@ from greybox.discovery.surrogate_effects import (
 from greybox.estimation import fit as estimate
 from greybox.estimation import validate
 from greybox.estimation.policy import InitialStatePolicy
-from greybox.estimation.select_transcription import select_transcription
 from greybox.experiment import Experiment
 from greybox.result import Fit
+from greybox.transcription.select_transcription import select_transcription
 from greybox.values import Printable, ReadOnly
 
 

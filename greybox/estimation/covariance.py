@@ -14,11 +14,11 @@ from greybox.estimation.sandwich import (
     estimate_residual_colour,
     estimate_score_covariance,
 )
-from greybox.estimation.solution import Runs
 from greybox.noise import NoisePolicy
 from greybox.numerics import INFORMATION_CUTOFF, TINY
 from greybox.result import IntervalKind
 from greybox.transcription import DecisionVector, Evaluation
+from greybox.transcription.solution import Runs
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ class EstimationCode(StrEnum):
     TERM_NOT_FINITE = "term_not_finite"
     STATES_DIVERGE = "states_diverge"
     SENSITIVITY_NOT_FINITE = "sensitivity_not_finite"
-    SEARCH_STRATEGY = "search_strategy"
     # What the constants and the residual say.
     MODEL_DOES_NOT_FOLLOW = "model_does_not_follow"
     DIRECTION_UNDETERMINED = "direction_undetermined"

@@ -24,14 +24,11 @@ from greybox.estimation.fit_issues import (
     find_status_details,
     find_validation_issues,
 )
-from greybox.estimation.options import ColourTreatment, FitOptions, FitProgressCallback, resolve_options
+from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
 from greybox.estimation.parameter_constancy import find_solution_shifts
-from greybox.estimation.policy import JoiningPolicy
 from greybox.estimation.prediction_error_fit import fit_by_prediction
-from greybox.estimation.problem import prepare_problem
 from greybox.estimation.robust_estimation import refit_robustly, summarise_outliers
 from greybox.estimation.sandwich import estimate_residual_colour
-from greybox.estimation.solve import Solution, solve
 from greybox.estimation.step_size_sensitivity import measure_discretisation_shift, polish_by_gauss_newton
 from greybox.estimation.traces import compute_misfits, make_traces, to_noise_by_output
 from greybox.estimation.validate import validate
@@ -51,7 +48,11 @@ from greybox.result import (
     Provenance,
     SolverReport,
 )
+from greybox.transcription.policy import JoiningPolicy
+from greybox.transcription.problem import prepare_problem
+from greybox.transcription.progress import FitProgressCallback
 from greybox.transcription.records import to_experiments
+from greybox.transcription.solve import Solution, solve
 
 
 def fit(

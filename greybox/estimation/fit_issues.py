@@ -13,11 +13,9 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.likelihood_search import LikelihoodOptimum
 from greybox.estimation.parameter_constancy import ParameterShift
 from greybox.estimation.policy import EstimationPolicy
-from greybox.estimation.problem import EstimationProblem
 from greybox.estimation.process_noise_tests import ProcessNoiseTest
 from greybox.estimation.robust_estimation import compute_noise_ratios
 from greybox.estimation.simulation_failure import locate_simulation_failure
-from greybox.estimation.solution import Solution
 from greybox.experiment import Experiment, collect_record_findings
 from greybox.experiment.findings import is_sensor_fault
 from greybox.findings import Finding, Severity
@@ -25,6 +23,8 @@ from greybox.model import Model
 from greybox.noise.noise_sources import NoiseSource
 from greybox.result import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.transcription import DecisionVector
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.solution import Solution
 
 
 def find_status_details(solution: Solution, misfit: Mapping[str, Misfit]) -> tuple[Finding, ...]:

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.estimation.options import FitOptions, FitProgress, FitProgressCallback
+from greybox.estimation.options import FitOptions
 from greybox.estimation.policy import LikelihoodSearchPolicy
 from greybox.estimation.prediction_error import PredictionErrorObjective
 from greybox.numerics import AT_BOUND, INFORMATION_CUTOFF, TINY
 from greybox.optim import TerminationStatus, minimise
 from greybox.transcription import Evaluation
+from greybox.transcription.progress import FitProgress, FitProgressCallback
 
 
 @dataclass(frozen=True)

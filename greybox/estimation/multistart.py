@@ -13,8 +13,6 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
 from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
 from greybox.estimation.policy import DEFAULT_POLICY, MultistartPolicy
-from greybox.estimation.problem import EstimationProblem, prepare_problem
-from greybox.estimation.solve import solve
 from greybox.experiment import Experiment
 from greybox.findings import Finding, Severity
 from greybox.model import Model
@@ -22,6 +20,8 @@ from greybox.model.signals import Parameter
 from greybox.noise import NoiseModel
 from greybox.parallel import JobProgressCallback, run_jobs
 from greybox.result import Fit, StartResult
+from greybox.transcription.problem import EstimationProblem, prepare_problem
+from greybox.transcription.solve import solve
 from greybox.values import Printable
 
 

@@ -2,34 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-from greybox.errors import ModelError, nearest
+from greybox.errors import ModelError
 from greybox.estimation.policy import DEFAULT_POLICY, EstimationPolicy
 from greybox.result import to_json_data
+from greybox.transcription.options import SolverOptions
 from greybox.transcription.robust_loss import RobustLoss, parse_loss
-
-
-class Transcription(StrEnum):
-    """How records become an optimisation problem."""
-
-    AUTOMATIC = "automatic"
-    SINGLE = "single"
-    MULTIPLE = "multiple"
-    COLLOCATION_RADAU = "collocation-radau"
-    COLLOCATION_LEGENDRE = "collocation-legendre"
-    ARCS = "arcs"
-
-
-class Hessian(StrEnum):
-    """Curvature that a fit by collocation uses."""
-
-    GAUSS_NEWTON = "gauss-newton"
-    EXACT = "exact"
 
 
 class ColourTreatment(StrEnum):
@@ -41,20 +23,7 @@ class ColourTreatment(StrEnum):
 
 
 @dataclass(frozen=True)
-class FitProgress:
-    """Where a running fit is: stage ``stage`` of ``stages`` (a growing part of the record), iteration, misfit over noise."""
-
-    stage: int
-    stages: int
-    iteration: int
-    noise_ratio: float
-
-
-FitProgressCallback = Callable[[FitProgress], None]
-
-
-@dataclass(frozen=True)
-class FitOptions:
+class FitOptions(SolverOptions):
     """Choices of a fit, kept with its result.
 
     Parameters
@@ -102,19 +71,10 @@ class FitOptions:
     'automatic'
     """
 
+    policy: EstimationPolicy = DEFAULT_POLICY
     at_rest: bool = False
-    method: str = "automatic"
-    substeps: int = 0
-    progressive: bool = True
-    iterations: int = 200
-    tolerance: float = 1e-12
-    thorough: bool = True
-    transcription: str = "automatic"
-    arc_length: float = 0.0
-    hessian: str = "gauss-newton"
     loss: str = "squares"
     per_experiment: tuple[str, ...] = ()
-    policy: EstimationPolicy = DEFAULT_POLICY
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -123,25 +83,7 @@ class FitOptions:
             (self.per_experiment,) if isinstance(self.per_experiment, str) else tuple(self.per_experiment),
         )
         self.to_loss()
-        if self.transcription not in list(Transcription):
-            raise ModelError(
-                f"unknown transcription {self.transcription!r}; {nearest(self.transcription, list(map(str, Transcription)))}"
-            )
-        if self.hessian not in list(Hessian):
-            raise ModelError(f"unknown Hessian {self.hessian!r}; {nearest(self.hessian, list(map(str, Hessian)))}")
-        if not (math.isfinite(self.arc_length) and self.arc_length >= 0):
-            raise ModelError(f"arc_length {self.arc_length} s: give a positive number of seconds, or 0 for no arcs")
-        if self.arc_length and self.transcription not in ("automatic", "arcs"):
-            raise ModelError(
-                f"arc_length {self.arc_length:g} s: transcription {self.transcription!r} has no arcs; leave out one of the two"
-            )
-        if self.transcription == "arcs" and not self.arc_length:
-            raise ModelError("transcription 'arcs' needs their length: give arc_length, in seconds")
-        if self.hessian == "exact" and not self.transcription.startswith("collocation"):
-            raise ModelError(
-                f"hessian 'exact': transcription {self.transcription!r} has none; take 'collocation-radau' or"
-                " 'collocation-legendre', or 'gauss-newton'"
-            )
+        super().__post_init__()
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> FitOptions:

@@ -12,12 +12,12 @@ from scipy.special import ndtri
 
 from greybox.estimation.policy import ConstancyPolicy, EstimationPolicy, ExcessPolicy, IntervalPolicy
 from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour, estimate_score_covariance
-from greybox.estimation.solution import Runs, Solution
 from greybox.noise import AutoRegression
 from greybox.noise.noise_sources import NoiseSource
 from greybox.numerics import FAINT_SENSITIVITY, PART_INFORMATION_CUTOFF
 from greybox.transcription import DecisionVector
 from greybox.transcription.decision_vector import SHARED
+from greybox.transcription.solution import Runs, Solution
 
 
 class PartKind(StrEnum):

@@ -9,12 +9,12 @@ import numpy as np
 
 from greybox.errors import FitError
 from greybox.estimation.policy import LikelihoodSearchPolicy
-from greybox.estimation.problem import EstimationProblem
 from greybox.filtering import InnovationSensitivities, KalmanFilter, predict_outputs
 from greybox.filtering.batch_filter import BatchFilter
 from greybox.filtering.kalman_filter import LOG_TWO_PI
 from greybox.kernel import Record
 from greybox.transcription import DecisionVector, Evaluation
+from greybox.transcription.problem import EstimationProblem
 
 
 @dataclass(frozen=True)

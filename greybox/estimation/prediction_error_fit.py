@@ -28,7 +28,7 @@ from greybox.estimation.likelihood_search import (
     maximise_likelihood,
     select_best_start,
 )
-from greybox.estimation.options import FitOptions, FitProgressCallback, Transcription
+from greybox.estimation.options import FitOptions
 from greybox.estimation.parameter_constancy import ConstancyInput, ParameterShift, find_parameter_shifts
 from greybox.estimation.policy import EstimationPolicy
 from greybox.estimation.prediction_error import (
@@ -39,7 +39,6 @@ from greybox.estimation.prediction_error import (
     compute_one_step_runs,
     make_likelihood_unknowns,
 )
-from greybox.estimation.problem import EstimationProblem, prepare_problem
 from greybox.estimation.process_noise_tests import (
     ProcessNoiseTest,
     compute_largest_intensities,
@@ -48,9 +47,6 @@ from greybox.estimation.process_noise_tests import (
     likelihood_ratio_tests,
 )
 from greybox.estimation.sandwich import estimate_residual_colour
-from greybox.estimation.solution import Solution
-from greybox.estimation.solve import solve
-from greybox.estimation.strategy import make_strategy
 from greybox.estimation.traces import compute_misfits, make_traces
 from greybox.estimation.versions import read_versions
 from greybox.experiment import Experiment
@@ -71,6 +67,12 @@ from greybox.result import (
     SolverReport,
 )
 from greybox.transcription import DecisionVector
+from greybox.transcription.options import Transcription
+from greybox.transcription.problem import EstimationProblem, prepare_problem
+from greybox.transcription.progress import FitProgressCallback
+from greybox.transcription.solution import Solution
+from greybox.transcription.solve import solve
+from greybox.transcription.strategy import make_strategy
 
 
 @dataclass(frozen=True)

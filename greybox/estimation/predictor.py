@@ -19,8 +19,6 @@ from greybox.estimation.prediction_error import (
     predict_ahead,
 )
 from greybox.estimation.prediction_error_fit import MaximumLikelihoodEstimate, maximum_likelihood_estimate
-from greybox.estimation.problem import prepare_problem
-from greybox.estimation.solve import solve
 from greybox.experiment import Experiment
 from greybox.filtering import KalmanFilter
 from greybox.filtering.kalman_filter import LOG_TWO_PI
@@ -29,6 +27,8 @@ from greybox.model import Model
 from greybox.noise import AutoRegression, NoiseModel, fit_autoregression, join_series
 from greybox.numerics import TINY
 from greybox.result import Fit
+from greybox.transcription.problem import prepare_problem
+from greybox.transcription.solve import solve
 from greybox.values import Printable
 
 

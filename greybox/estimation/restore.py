@@ -11,10 +11,10 @@ from greybox.errors import FitError
 from greybox.estimation.options import FitOptions
 from greybox.estimation.prediction_error import PredictionErrorObjective, compute_innovations
 from greybox.estimation.predictor import FixedParameterModel, make_likelihood
-from greybox.estimation.problem import EstimationProblem, prepare_problem
 from greybox.model import Model
 from greybox.noise import AutoRegression, NoiseModel
 from greybox.result import Fit
+from greybox.transcription.problem import EstimationProblem, prepare_problem
 from greybox.transcription.robust_loss import RobustLoss
 
 

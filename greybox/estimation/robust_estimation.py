@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.estimation.options import FitOptions, FitProgressCallback
+from greybox.estimation.options import FitOptions
 from greybox.estimation.policy import RobustPolicy
-from greybox.estimation.solution import Solution
-from greybox.estimation.solve import solve
 from greybox.noise.differences import estimate_spread
 from greybox.result import Misfit, RobustReport
+from greybox.transcription.progress import FitProgressCallback
 from greybox.transcription.robust_loss import LossKind, RobustLoss
+from greybox.transcription.solution import Solution
+from greybox.transcription.solve import solve
 
 
 def refit_robustly(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:

@@ -9,12 +9,12 @@ import casadi as ca
 import numpy as np
 
 from greybox.estimation.findings import EstimationCode
-from greybox.estimation.problem import EstimationProblem
 from greybox.expressions.text import expression_text
 from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.numerics import STATE_BOUND_MARGIN
 from greybox.transcription import DecisionVector
+from greybox.transcription.problem import EstimationProblem
 
 
 class QuantityKind(StrEnum):

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.estimation.policy import ConvergencePolicy
-from greybox.estimation.solution import Solution
-from greybox.numerics import AT_BOUND, INFORMATION_CUTOFF, TINY
-from greybox.transcription import DecisionVector, Evaluation
+from greybox.transcription import DecisionVector
+from greybox.transcription.policy import ConvergencePolicy
+from greybox.transcription.simulation_error import compute_gauss_newton_step
+from greybox.transcription.solution import Solution
 
 
 def polish_by_gauss_newton(solution: Solution, policy: ConvergencePolicy) -> Solution:
@@ -51,20 +51,6 @@ def measure_discretisation_shift(solution: Solution, deviations: np.ndarray) -> 
         change = compute_gauss_newton_step(variables, finer) - compute_gauss_newton_step(variables, solution.evaluation)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.abs(change[:n] * variables.spans) / deviations
-
-
-def compute_gauss_newton_step(variables: DecisionVector, evaluation: Evaluation) -> np.ndarray:
-    """``-(J'J)^-1 J'r`` (size,) in ``z``; undetermined directions and what lies on its bound stay."""
-    inside = np.ones(variables.size, bool)
-    for edge in variables.bounds():
-        inside &= ~(np.abs(edge) <= AT_BOUND)
-    curvature, slope = evaluation.hessian[np.ix_(inside, inside)], evaluation.gradient[inside]
-    scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
-    step = np.zeros(variables.size)
-    step[inside] = (
-        -np.linalg.lstsq(curvature / np.outer(scale, scale), slope / scale, rcond=INFORMATION_CUTOFF)[0] / scale
-    )
-    return step
 
 
 def _clip_to_bounds(variables: DecisionVector, step: np.ndarray) -> np.ndarray:

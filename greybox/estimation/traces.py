@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from greybox.estimation.problem import EstimationProblem
 from greybox.result import Fit, Misfit, Trace
+from greybox.transcription.problem import EstimationProblem
 
 
 def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[Trace, ...]:

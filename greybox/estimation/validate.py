@@ -8,17 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.errors import DataError
-from greybox.estimation.options import FitOptions, Hessian, Transcription, resolve_options
-from greybox.estimation.problem import EstimationProblem, guess_initial_states, prepare_problem
+from greybox.estimation.options import FitOptions, resolve_options
 from greybox.estimation.robust_estimation import refit_robustly
-from greybox.estimation.select_transcription import select_transcription
-from greybox.estimation.solve import solve
-from greybox.estimation.step_refinement import refine_step
 from greybox.estimation.traces import compute_misfits, make_traces
 from greybox.experiment import Experiment
 from greybox.model import Model
 from greybox.result import Validation
 from greybox.transcription import DecisionVector
+from greybox.transcription.options import Hessian, Transcription
+from greybox.transcription.problem import EstimationProblem, guess_initial_states, prepare_problem
+from greybox.transcription.select_transcription import select_transcription
+from greybox.transcription.solve import solve
+from greybox.transcription.step_refinement import refine_step
 
 
 def validate(

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.estimation.problem import EstimationProblem, prepare_problem
 from greybox.experiment import Experiment
 from greybox.findings import Finding, Severity
 from greybox.identifiability.determined_combinations import (
@@ -27,6 +26,7 @@ from greybox.identifiability.structural import StructuralIdentifiability, analys
 from greybox.identifiability.transfer_function_sensitivity import compute_transfer_function_sensitivity
 from greybox.model import Model
 from greybox.numerics import INDEPENDENT_FORMULA, OPEN_DIRECTION_ENTRY, RANK_CUTOFF, TINY
+from greybox.transcription.problem import EstimationProblem, prepare_problem
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from greybox.estimation.findings import EstimationCode
 from greybox.findings import Finding
 from greybox.rendering.english import capitalise
 from greybox.rendering.policy import TEXT_LIMITS
-from greybox.rendering.registry import register, renders, sentence, sentences
+from greybox.rendering.registry import register, renders, sentences
 from greybox.rendering.tables import format_shares
 from greybox.units import format_unit
 
@@ -215,43 +214,6 @@ def _write_starts(finding: Finding) -> str:
     return ", ".join([*parts, f"{nowhere} without a result"] if nowhere else parts)
 
 
-def _write_strategy(finding: Finding) -> str:
-    """What was searched, how it was completed, and why it was chosen."""
-    v = finding.values
-    text = _write_transcription(finding.subject, v) + (", as requested" if v.get("reason") == "" else "")
-    if v.get("held_samples"):
-        text += f"; {v['held_samples']} samples lie at a bound of a state"
-    text += {
-        "free_run": "; then a free run from that result, as the noise model or the cost requires",
-        "white_noise": (
-            "; the noise is assumed to be white, because a free run does not follow this plant; the intervals allow for its colour"
-        ),
-    }.get(v.get("completion", ""), "")
-    if not v.get("reason"):
-        return text
-    return f"{text}; chosen because {sentence(Finding(v['reason'], values=v.get('reason_values', {})))}"
-
-
-def _write_transcription(name: str, v: Mapping[str, Any]) -> str:
-    if name == "single":
-        parts = ", ".join(f"{100 * share:.3g} %" for share in (*(s for s in v["shares"] if s < 1), 1.0))
-        growing = any(share < 1 for share in v["shares"])
-        return f"single shooting on a growing record ({parts})" if growing else "single shooting on the whole record"
-    if name == "multiple":
-        segments = "one segment" if v["segments"] == 1 else f"{v['segments']} segments"
-        return f"multiple shooting over {segments}"
-    if name == "arcs":
-        if v["whole"]:
-            return (
-                f"arcs of {v['arc_length']:g} s; no record is divided (a second arc would be shorter than half an arc)"
-            )
-        return f"{v['arcs']} arcs of {v['arc_length']:g} s, each with its own initial state"
-    if name == "prediction":
-        kind = "exact" if v["exact"] else "extended"
-        return f"prediction error with the {kind} Kalman filter, started from the free-run fit or the start values"
-    return "direct collocation"
-
-
 register(
     {
         EstimationCode.MISFIT_RATIO: _write_misfit_ratio,
@@ -267,7 +229,6 @@ register(
             "the simulation of experiment {experiment} succeeds, but its sensitivity to the parameters is not finite: a term has an"
             " infinite slope, as sqrt has at 0; set a bound on the state in this term, or rewrite the term with a finite slope"
         ),
-        EstimationCode.SEARCH_STRATEGY: _write_strategy,
         EstimationCode.MODEL_DOES_NOT_FOLLOW: _write_other_plant,
         EstimationCode.DIRECTION_UNDETERMINED: lambda f: (
             f"not determined by these data: {write_direction(f.values['direction'])}"

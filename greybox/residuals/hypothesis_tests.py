@@ -24,7 +24,7 @@ from greybox.residuals.statistics import (
     split_into_blocks,
 )
 from greybox.result import Fit
-from greybox.transcription.single_shooting import RobustShooting
+from greybox.transcription.simulation_error import RobustShooting
 from greybox.values import Printable
 
 Rows = Sequence[tuple[np.ndarray, np.ndarray]]

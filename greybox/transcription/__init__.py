@@ -24,7 +24,7 @@ from greybox.transcription.select import (
     estimate_error_growth,
     propose_transcription,
 )
-from greybox.transcription.single_shooting import Evaluation, SingleShooting
+from greybox.transcription.simulation_error import Evaluation, SingleShooting
 
 __all__ = [
     "Collocation",

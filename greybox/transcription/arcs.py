@@ -18,7 +18,7 @@ from greybox.kernel import Record
 from greybox.numerics import SAME_INTERVAL
 from greybox.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.transcription.policy import DEFAULT_POLICY, SegmentPolicy
-from greybox.transcription.single_shooting import SingleShooting
+from greybox.transcription.simulation_error import SingleShooting
 
 
 def split_into_arcs(

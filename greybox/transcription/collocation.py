@@ -20,7 +20,7 @@ from greybox.kernel import Record
 from greybox.numerics import AT_BOUND, CONSTANT_STATE
 from greybox.transcription.condensing import compute_state_slopes
 from greybox.transcription.decision_vector import DecisionVector
-from greybox.transcription.single_shooting import Evaluation, add_prior_penalty
+from greybox.transcription.simulation_error import Evaluation, add_prior_penalty
 
 SCHEMES = ("radau", "legendre")
 HESSIANS = ("gauss-newton", "exact")

@@ -1,4 +1,4 @@
-"""Codes of what a transcription says about itself: why it was proposed."""
+"""Codes of what a transcription and a solution say about themselves."""
 
 from __future__ import annotations
 
@@ -34,3 +34,10 @@ class TranscriptionReason(StrEnum):
 
     INTEGRATING_SEGMENTS = "transcription_integrating_segments"
     """An integrator whose drift adds up along the record. Values as before."""
+
+
+class SolutionCode(StrEnum):
+    """What a solution says about itself."""
+
+    SEARCH_STRATEGY = "search_strategy"
+    """How it was searched for: the transcription, what it was made of, and why it was chosen."""

@@ -12,7 +12,7 @@ from greybox.transcription.arcs import cut_at_rows, slice_rows
 from greybox.transcription.decision_vector import DecisionVector
 from greybox.transcription.policy import DEFAULT_POLICY, ProjectionPolicy, RelaxationPolicy, TranscriptionPolicy
 from greybox.transcription.projected_initial_states import ProjectedShooting
-from greybox.transcription.single_shooting import SingleShooting
+from greybox.transcription.simulation_error import SingleShooting
 
 
 def estimate_nodes(

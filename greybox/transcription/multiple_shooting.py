@@ -37,7 +37,7 @@ from greybox.transcription.initialisation import (
     to_nodes,
 )
 from greybox.transcription.policy import DEFAULT_POLICY, SegmentPolicy, TranscriptionPolicy
-from greybox.transcription.single_shooting import Evaluation, SingleShooting
+from greybox.transcription.simulation_error import Evaluation, SingleShooting
 
 Report = Callable[[int, float], object]
 """``(iteration, cost)``, called after every iteration; an answer that is true ends the search."""

@@ -1,8 +1,12 @@
-"""Numbers that steer how records become an optimisation problem: which one, how long segments are, when a search has converged."""
+"""Numbers that steer how records become an optimisation problem and how it is solved."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+
+from greybox.integrators.policy import DiscretisationPolicy
+from greybox.noise.policy import NoisePolicy
+from greybox.optim.policy import MinimisationPolicy
 
 
 @dataclass(frozen=True)
@@ -156,6 +160,131 @@ class RobustLossPolicy:
 
 
 @dataclass(frozen=True)
+class ConvergencePolicy:
+    """When a search by simulation error has converged, and how its last digits are found."""
+
+    negligible_decrease: float = 1e-4
+    """Predicted decrease of chi-square, in units of the residual variance, below which a search over the whole record has converged:
+    the parameters are within 1 % of their standard deviations."""
+
+    negligible_decrease_in_part: float = 1e-2
+    """The same over part of a record, which is only a way to a start: a tenth of a standard deviation will do."""
+
+    perfect_noise_ratio: float = 1e-7
+    """A predicted decrease of the misfit over noise below this is negligible too: data without noise end at rounding errors."""
+
+    patience: int = 12
+    """Iterations over which the gain is looked at. A cost with kinks (dry friction) never meets the rules above."""
+
+    little_gain: float = 1e-5
+    """A search ends as acceptable when it gained less than this share of its cost within its patience."""
+
+    polishing_steps: int = 3
+    """Gauss-Newton steps after the search, which ends where nothing is left to gain statistically: they give the parameters their
+    last digits."""
+
+    robust_polishing_steps: int = 30
+    """The same with a robust loss, where each step of reweighted least squares is nearer by about the same share."""
+
+    weak_prior: float = 0.25
+    """Precision of the prior on the logarithm of positive parameters while only part of the record is used: a factor e^2 is one
+    standard deviation."""
+
+    stiff_growth: int = 16
+    """Growth of the number of substeps that a fit which is not thorough follows: candidates that stray to stiff parameters would take
+    all the time."""
+
+
+@dataclass(frozen=True)
+class StepRefinementPolicy:
+    """How small the integration step has to be at the optimum."""
+
+    noise_share: float = 0.1
+    """Change of an output with half the step that is allowed, over its noise (or its misfit where that is even less)."""
+
+    misfit_share: float = 0.01
+    """The same over a misfit far above the noise."""
+
+    movement_share: float = 1e-7
+    """The same over the output's standard deviation: a record without any noise leaves nothing but the integrator's own error."""
+
+    few_steps: int = 2000
+    """Records of so few steps altogether cost nothing, and get the share below."""
+
+    noise_share_of_few: float = 1e-6
+    """Allowed change over noise and misfit of records of few steps. An error of a share s of the residual changes the cost by 2 s at
+    most, so the cost has its first six digits."""
+
+    halvings: int = 4
+    """Times the step is halved at most."""
+
+    checked_rows: int = 2000
+    """The change is looked at over the first quarter of every record, or so many rows: three more simulations of all of it cost too
+    much."""
+
+
+@dataclass(frozen=True)
+class ProgressiveHorizonPolicy:
+    """How much of a record is fitted first, and how much more next."""
+
+    time_constants: float = 2.0
+    """The first part holds so many of the slowest time constants: over them a start that is far off cannot run out of step."""
+
+    movement: float = 0.1
+    """It holds this share of an output's range as well, so that there is something to fit."""
+
+    least_rows: int = 60
+    """Rows of the first part at least."""
+
+    rows_per_unknown: int = 5
+    """Rows of the first part for each unknown at least."""
+
+    inspected_rows: int = 2000
+    """Rows of a record at which movement and sampling time are looked at."""
+
+    growth: tuple[float, ...] = (10.0, 4.0, 2.0, 1.4)
+    """The record grows by the first of these factors with which the model foretells the longer part."""
+
+    surprise: float = 3.0
+    """A longer part is foretold if the misfit grows at most so many times (of the noise at least)."""
+
+    foretold_share: float = 0.8
+    """It is foretold as well where the model still follows this share of the outputs' movement."""
+
+    almost_whole: float = 0.5
+    """From this share of the record on the next part is the whole."""
+
+    followed_share: float = 0.5
+    """A first part of whose movement less than this can be followed is too long for that start."""
+
+    shrink: float = 3.0
+    """It is shortened by this factor."""
+
+    least_shrink: float = 1.2
+    """A part less than so many times the shortest one is not shortened."""
+
+
+@dataclass(frozen=True)
+class JoiningPolicy:
+    """When a run of segments, arcs or collocation points counts as a free run."""
+
+    free_run_noise_share: float = 0.1
+    """A free run from the initial states is that of the segments if it differs by at most this share of the noise anywhere."""
+
+    cost_ratio: float = 1.1
+    """A free run follows the joined one if its cost is at most so many times as large ..."""
+
+    perfect_noise_ratio: float = 1e-3
+    """... or larger by this misfit over noise squared for each sample."""
+
+    most_unknowns: int = 1000
+    """Unknowns of a fit by arcs with coloured noise, robust loss or priors at most: its Hessian is dense."""
+
+    length_tolerance: float = 0.01
+    """Arcs longer than the longest record by at most this share are the whole record, and no mistake."""
+
+
+@dataclass(frozen=True)
 class TranscriptionPolicy:
     """All numbers that steer a transcription; see the class of each field."""
 
@@ -169,3 +298,22 @@ class TranscriptionPolicy:
 
 
 DEFAULT_POLICY = TranscriptionPolicy()
+
+
+@dataclass(frozen=True)
+class SolverPolicy:
+    """All numbers that lay out a problem and steer its solution; see the class of each field."""
+
+    noise: NoisePolicy = field(default_factory=NoisePolicy)
+    discretisation: DiscretisationPolicy = field(default_factory=DiscretisationPolicy)
+    transcription: TranscriptionPolicy = field(default_factory=TranscriptionPolicy)
+    minimisation: MinimisationPolicy = field(default_factory=MinimisationPolicy)
+
+    convergence: ConvergencePolicy = field(default_factory=ConvergencePolicy)
+    step_refinement: StepRefinementPolicy = field(default_factory=StepRefinementPolicy)
+    progressive_horizon: ProgressiveHorizonPolicy = field(default_factory=ProgressiveHorizonPolicy)
+    joining: JoiningPolicy = field(default_factory=JoiningPolicy)
+
+
+DEFAULT_SOLVER_POLICY = SolverPolicy()
+"""What every solution uses unless it is given another policy."""

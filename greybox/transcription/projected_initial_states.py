@@ -10,7 +10,7 @@ from greybox.numerics import UNSEEN_STATE_CURVATURE
 from greybox.transcription.arcs import find_measured_states
 from greybox.transcription.decision_vector import DecisionVector
 from greybox.transcription.policy import DEFAULT_POLICY, ProjectionPolicy
-from greybox.transcription.single_shooting import Evaluation, SingleShooting, add_prior_penalty
+from greybox.transcription.simulation_error import Evaluation, SingleShooting, add_prior_penalty
 
 
 class ProjectedShooting:

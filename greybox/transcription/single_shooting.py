@@ -1,277 +1,251 @@
-"""Single shooting: the model runs freely over each record, from parameters and initial states alone.
-
-Three costs of the free run's error: squares in units of white noise, squares of the error whitened by the noise's own colour, and a
-robust loss that outliers cannot pull.
-"""
+"""Single shooting: a growing part of the record, then all of it, then a check of the integrator."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from greybox.integrators import Step
-from greybox.kernel import Kernel, Record
-from greybox.noise import AutoRegression
-from greybox.transcription.decision_vector import DecisionVector, ExperimentView
-from greybox.transcription.robust_loss import RobustLoss
+from greybox.numerics import AT_BOUND, DECREASE_CUTOFF, TINY
+from greybox.optim import IterationCallback, MinimisationResult, TerminationStatus, minimise
+from greybox.transcription.decision_vector import DecisionVector
+from greybox.transcription.options import SolverOptions, Transcription
+from greybox.transcription.policy import ConvergencePolicy
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.progress import FitProgress, FitProgressCallback
+from greybox.transcription.progressive_horizon import (
+    choose_first_share,
+    choose_next_share,
+    compute_explained_share,
+    shorten_share,
+)
+from greybox.transcription.simulation_error import Evaluation
+from greybox.transcription.solution import Solution
+from greybox.transcription.step_refinement import refine_step
+from greybox.transcription.strategy import make_strategy
+
+# Nothing to go on from.
+NO_RESULT = (TerminationStatus.INTERRUPTED, TerminationStatus.NO_START)
 
 
-@dataclass(frozen=True)
-class Evaluation:
-    """The cost at one point with its derivatives.
+def solve_single(
+    problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None = None
+) -> Solution:
+    """Minimise the cost of the free run over each record."""
+    run = _Run(problem, options, report)
+    if options.progressive and problem.variables.size:
+        run.grow()
+    run.fit(1.0)
+    error = np.zeros(len(problem.noise.std))
+    halvings = options.policy.step_refinement.halvings
+    for halving in range(halvings + 1):
+        if run.over:
+            break
+        better, error = refine_step(run.problem, run.variables, run.evaluation, options)
+        if better is None or halving == halvings or run.costly(better):
+            break
+        run.problem, run.known = better, None
+        run.fit(1.0)
+    return Solution(
+        run.problem,
+        run.variables,
+        run.evaluation,
+        run.status,
+        run.word,
+        run.iterations,
+        run.passes,
+        run.seconds,
+        tuple(run.shares),
+        error,
+        make_strategy(Transcription.SINGLE, shares=list(run.shares)),
+    )
 
-    Priors of constants count in the cost and its derivatives, not in ``squares``.
+
+class _Run:
+    """A search in progress: where it is, and the work so far.
+
+    ``known`` is the evaluation at ``z = 0`` of ``variables`` over the share that comes next, where a former stage has it already.
     """
 
-    cost: float
-    """Sum of the squared weighted residuals; infinite where the simulation overflowed."""
-
-    gradient: np.ndarray
-    """Its gradient (n,)."""
-
-    hessian: np.ndarray
-    """Its Gauss-Newton matrix ``2 J'J`` (n, n)."""
-
-    squares: np.ndarray
-    """The squared residuals of each output (ny,)."""
-
-    counts: np.ndarray
-    """How many residuals of each output there are (ny,)."""
-
-    failed: tuple[int, int] | None = None
-    """In which experiment and at which sample the simulation overflowed."""
+    def __init__(self, problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None) -> None:
+        self.problem, self.options, self.report = problem, options, report
+        self.horizon, self.convergence = options.policy.progressive_horizon, options.policy.convergence
+        self.variables, self.first = problem.variables, problem.step.substeps
+        self.status, self.word = TerminationStatus.CONVERGED, ""
+        self.iterations = self.passes = 0
+        self.seconds = 0.0
+        self.shares: list[float] = []
+        self.known: Evaluation | None = None
 
     @property
-    def count(self) -> int:
-        """Number of residuals."""
-        return int(self.counts.sum())
+    def over(self) -> bool:
+        """Whether there is nothing to go on from."""
+        return self.status in NO_RESULT
+
+    def costly(self, better: EstimationProblem) -> bool:
+        """Whether one of many candidates has strayed to constants so stiff that to follow it would take all the time."""
+        return not self.options.thorough and better.step.substeps > self.convergence.stiff_growth * self.first
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """The present point over the whole record."""
+        if self.known is None:
+            self.known = self.measure(1.0)
+        return self.known
+
+    def measure(self, share: float) -> Evaluation:
+        """The present point over part of the record."""
+        self.passes += 1
+        return self.problem.shooting(self.variables, share).evaluate(np.zeros(self.variables.size))
+
+    def grow(self) -> None:
+        """Fit a growing part of the record, until a part foretells the whole."""
+        share, outcome = self.begin()
+        while outcome is not None and not self.over and share < 1:
+            share, self.known = choose_next_share(self.problem, share, outcome.value, self.measure, self.horizon)
+            if share < 1:
+                outcome = self.fit(share)
+
+    def begin(self) -> tuple[float, MinimisationResult | None]:
+        """Fit the first part: one so short that it can be followed from these start values, if there is one."""
+        share, start = choose_first_share(self.problem, self.horizon), self.variables
+        tried: list[tuple[float, float, DecisionVector, MinimisationResult]] = []
+        while share < 1:
+            self.variables, self.status = start, TerminationStatus.CONVERGED
+            outcome = self.fit(share)
+            if outcome is not None:
+                tried.append(
+                    (compute_explained_share(self.problem, outcome.value, share), share, self.variables, outcome)
+                )
+            less = shorten_share(self.problem, share, self.horizon)
+            if (
+                self.status is TerminationStatus.INTERRUPTED
+                or less == share
+                or (outcome is not None and tried[-1][0] >= self.horizon.followed_share)
+            ):
+                break
+            share = less
+        if not tried:
+            return 1.0, None
+        _, share, self.variables, outcome = max(tried, key=lambda one: one[0])
+        self.status = outcome.status
+        return share, outcome
+
+    def fit(self, share: float) -> MinimisationResult | None:
+        """One minimisation over part of the record; None where it cannot begin."""
+        if self.over:
+            self.known = None
+            return None
+        start = self.known or self.measure(share)
+        self.known = None
+        if not np.isfinite(start.cost):
+            self.status = TerminationStatus.NO_START
+            return None
+        self.shares.append(share)
+        variables, start = _rescaled(self.variables, start)
+        shooting = self.problem.shooting(variables, share)
+        evaluate, prior = (
+            shooting.evaluate,
+            _make_weak_prior(variables, start, self.convergence.weak_prior) if share < 1 else None,
+        )
+        low, high = variables.bounds()
+        outcome = minimise(
+            evaluate if prior is None else lambda z: prior(z, evaluate(z)),
+            np.zeros(variables.size),
+            low,
+            high,
+            scale=max(start.cost, TINY),
+            value_at_start=start,
+            tolerance=self.options.tolerance,
+            iterations=self.options.iterations,
+            termination_test=make_termination_test(low, high, self.convergence, whole=share == 1),
+            thorough=self.options.thorough and share == 1,
+            progress=self.progress(share),
+            policy=self.options.policy.minimisation,
+        )
+        self.variables, self.status, self.word = variables.recentre(outcome.z), outcome.status, outcome.solver_status
+        self.iterations += outcome.iterations
+        self.passes += outcome.evaluations
+        self.seconds += outcome.seconds
+        self.known = outcome.value if share == 1 else None
+        return outcome
+
+    def progress(self, share: float) -> IterationCallback | None:
+        """What IPOPT calls after each iteration."""
+        if self.report is None:
+            return None
+        report, stage, stages = self.report, len(self.shares), len(self.shares) + (share < 1)
+        count = sum(int(np.isfinite(r.y[: round(share * len(r.u))]).sum()) for r in self.problem.records)
+
+        def progress(iteration: int, cost: float) -> None:
+            report(FitProgress(stage, stages, iteration, float(np.sqrt(cost / max(count, 1)))))
+
+        return progress
 
 
-class SingleShooting:
-    """Cost of the free-run simulation error over one or more records.
+def _rescaled(variables: DecisionVector, start: Evaluation) -> tuple[DecisionVector, Evaluation]:
+    """Variables in which a step of one changes the cost by about itself, and the evaluation along them."""
+    curvature = np.diag(start.hessian) / 2
+    scaled = variables.rescale(start.cost, curvature)
+    ratio = _spans(scaled) / _spans(variables)
+    return scaled, replace(start, gradient=start.gradient * ratio, hessian=start.hessian * ratio[:, None] * ratio)
 
-    Parameters
-    ----------
-    variables
-        The decision vector: free constants and initial states.
-    step, kernel
-        The discrete step, and what runs it over a record.
-    records
-        The measured records.
-    weight
-        One over the noise standard deviation of each output (ny,).
-    share
-        Share of every record that is used, from its beginning.
+
+def _spans(v: DecisionVector) -> np.ndarray:
+    """Physical size of a step of one in each entry of ``z`` (for a logarithmic one, in its logarithm)."""
+    states = np.tile(v.initial.scale[v.free_states], v.experiments)
+    return np.concatenate([np.where(v.logarithmic, 1.0, v.scale), states])
+
+
+def _make_weak_prior(
+    v: DecisionVector, start: Evaluation, precision: float
+) -> Callable[[np.ndarray, Evaluation], Evaluation]:
+    """Adds to a cost a weak prior on positive constants, in units of the residual variance at the start."""
+    held = np.zeros(v.size)
+    held[: len(v.which)] = np.where(v.logarithmic, precision * max(1.0, start.cost / max(start.count, 1)), 0.0)
+
+    def added(z: np.ndarray, e: Evaluation) -> Evaluation:
+        return replace(
+            e, cost=e.cost + held @ z**2, gradient=e.gradient + 2 * held * z, hessian=e.hessian + np.diag(2 * held)
+        )
+
+    return added
+
+
+def make_termination_test(
+    low: np.ndarray, high: np.ndarray, policy: ConvergencePolicy, *, whole: bool = True
+) -> Callable[[np.ndarray, Evaluation], TerminationStatus | None]:
+    """Ends a search when a further Gauss-Newton step, off the bounds, would change nothing that matters, or none helps.
+
+    ``whole``: whether the whole record is used, or a part of it that is only a way to a start.
     """
+    costs: list[float] = []
+    negligible = policy.negligible_decrease if whole else policy.negligible_decrease_in_part
 
-    def __init__(
-        self,
-        variables: DecisionVector,
-        step: Step,
-        kernel: Kernel,
-        records: Sequence[Record],
-        weight: np.ndarray,
-        share: float = 1.0,
-    ):
-        self.variables = variables
-        self.step = step
-        self.kernel = kernel
-        self.records = tuple(_read_by_step(r, step) for r in records)
-        self.weight = weight
-        self.rows = [max(2, round(share * len(r.u))) for r in records]
-        self._last_coefficients: tuple[tuple[bytes, bytes, bytes], tuple[np.ndarray, np.ndarray]] | None = None
+    def test(z: np.ndarray, e: Evaluation) -> TerminationStatus | None:
+        held = (z - low <= AT_BOUND) & (e.gradient > 0) | (high - z <= AT_BOUND) & (e.gradient < 0)
+        gradient, hessian = e.gradient, e.hessian
+        if held.any():
+            gradient, hessian = gradient[~held], hessian[~held][:, ~held]
+        decrease = _predict_decrease(gradient, hessian)
+        if decrease <= negligible * e.cost / max(e.count, 1) + policy.perfect_noise_ratio**2 * e.count:
+            return TerminationStatus.CONVERGED
+        costs.append(e.cost)
+        flat = len(costs) > policy.patience and costs[-1 - policy.patience] - e.cost <= policy.little_gain * e.cost
+        return TerminationStatus.ACCEPTABLE if flat else None
 
-    def evaluate(self, z: np.ndarray) -> Evaluation:
-        """Cost and derivatives at ``z``."""
-        v = self.variables
-        ny = len(self.weight)
-        gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
-        squares, counts = np.zeros(ny), np.zeros(ny, int)
-        free = v.constants(z)
-        for e, (record, view) in enumerate(zip(self.records, self._views, strict=True)):
-            p, dp, x0, dx0 = view.at(z, free)
-            q, dq = self._compute_coefficients(record, p, dp)
-            sums = self.kernel.sums(record, q, dq, p, dp, x0, dx0, self.weight, self.rows[e])
-            if not np.isfinite(sums.cost):
-                return Evaluation(np.inf, gradient, hessian, squares, counts, (e, sums.failed_at or 0))
-            gradient[view.columns] += 2 * sums.gradient
-            hessian[view.square] += 2 * sums.gauss_newton
-            squares += sums.squares
-            counts += sums.counts.astype(int)
-        return add_prior_penalty(v, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts))
-
-    def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each record the weighted residuals (N, ny), measured minus model, and their Jacobian (N, ny, L) along
-        `DecisionVector.columns`.
-
-        N samples: rows between them, of a band-limited input, have none.
-        """
-        result = []
-        for e, record in enumerate(self.records):
-            p = self.variables.parameters(z, e)
-            q, dq, dp, x0, dx0 = self.at(z, p, e)
-            r, jacobian = self.kernel.residuals(record, q, dq, p, dp, x0, dx0, self.weight)
-            result.append((record.samples(r), record.samples(jacobian)))
-        return result
-
-    def simulate(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each record outputs (N, ny) and states (N, nx) of the model."""
-        runs = []
-        for e, record in enumerate(self.records):
-            p = self.variables.parameters(z, e)
-            q, _, _, x0, _ = self.at(z, p, e)
-            runs.append(self.kernel.simulate(record, q, p, x0))
-        return runs
-
-    def at(
-        self, z: np.ndarray, p: np.ndarray, e: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """What the kernel needs for experiment ``e``: coefficients and slopes, parameter slopes, initial state and slopes."""
-        v = self.variables
-        x0, dx0 = v.compute_initial_state(z, p, e)
-        dp = np.zeros((len(p), dx0.shape[1]))
-        dp[v.which, np.arange(len(v.which))] = v.slopes(p, e)
-        q, dq = self._compute_coefficients(self.records[e], p, dp)
-        return q, dq, dp, x0, dx0
-
-    @cached_property
-    def _views(self) -> list[ExperimentView]:
-        return [ExperimentView(self.variables, e) for e in range(len(self.records))]
-
-    def _compute_coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The step's coefficients; records with the same intervals (the arcs of one record) share one matrix exponential."""
-        key = p.tobytes(), dp.tobytes(), record.lengths.tobytes()
-        if self._last_coefficients is None or self._last_coefficients[0] != key:
-            self._last_coefficients = key, self.kernel.coefficients(record, p, dp)
-        return self._last_coefficients[1]
+    return test
 
 
-ResidualTerms = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Cost, half its slope and weight of each residual (N, ny)."""
-
-
-class WhitenedShooting(SingleShooting):
-    """Cost of the free-run error in units of its own innovations: minus twice the log-likelihood of autoregressive noise.
-
-    ``colour`` (ny,) holds the autoregression of each output's noise. The filter begins anew after gaps, with the exact weights of
-    the first samples (`AutoRegression.whiten`). Samples count as evenly spaced. A pass keeps the whole Jacobian
-    (N, ny, L) of a record in memory, where white noise needs only sums.
-    """
-
-    def __init__(
-        self,
-        variables: DecisionVector,
-        step: Step,
-        kernel: Kernel,
-        records: Sequence[Record],
-        weight: np.ndarray,
-        colour: Sequence[AutoRegression],
-        share: float = 1.0,
-    ):
-        super().__init__(variables, step, kernel, records, weight, share)
-        self.colour = tuple(colour)
-
-    def evaluate(self, z: np.ndarray) -> Evaluation:
-        """Cost and derivatives at ``z``."""
-        v, ny = self.variables, len(self.weight)
-        gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
-        squares, counts = np.zeros(ny), np.zeros(ny, int)
-        with np.errstate(all="ignore"):  # what is not finite is found and reported
-            for e, (r, jacobian) in enumerate(self.whiten_residuals(z)):
-                is_measured = np.isfinite(self.records[e].samples(self.records[e].y[: self.rows[e]]))
-                r, jacobian = r[: len(is_measured)], jacobian[: len(is_measured)]
-                is_lost = is_measured & ~(np.isfinite(r) & np.isfinite(jacobian).all(axis=2))
-                if is_lost.any():
-                    return _make_failed_evaluation(v.size, ny, (e, int(np.flatnonzero(is_lost.any(axis=1))[0])))
-                cost, psi, weight = self.terms(np.where(is_measured, r, 0.0))
-                columns, rows = v.columns(e), jacobian[is_measured]
-                gradient[columns] += 2 * rows.T @ psi[is_measured]
-                hessian[np.ix_(columns, columns)] += 2 * rows.T @ (weight[is_measured][:, None] * rows)
-                squares += np.where(is_measured, cost, 0.0).sum(axis=0)
-                counts += is_measured.sum(axis=0)
-        if not np.isfinite(squares.sum()):
-            return _make_failed_evaluation(v.size, ny, (0, 0))
-        return add_prior_penalty(v, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts))
-
-    def terms(self, r: np.ndarray) -> ResidualTerms:
-        """Cost, half its slope and weight of each residual (N, ny)."""
-        return r**2, r, np.ones_like(r)
-
-    def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each record the whitened residuals (N, ny) and their Jacobian (N, ny, L) along `DecisionVector.columns`."""
-        return self.whiten_residuals(z)
-
-    def whiten_residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each record the free-run residuals (N, ny) and their Jacobian (N, ny, L) in units of their innovations."""
-        if not any(colour.order for colour in self.colour):
-            return super().residuals(z)
-        result = []
-        for r, jacobian in super().residuals(z):
-            both = np.concatenate([r[:, :, None], jacobian], axis=2)
-            white = np.stack([colour.whiten(both[:, j]) for j, colour in enumerate(self.colour)], axis=1)
-            result.append((white[:, :, 0], white[:, :, 1:]))
-        return result
-
-
-class RobustShooting(WhitenedShooting):
-    """Cost ``sum rho(r)`` of the free-run error ``r``, whitened first where its colour is known, with the loss ``rho`` of `RobustLoss`.
-
-    The Hessian weighs each residual as the loss does, ``2 J' W J`` with ``W = psi(r) / r`` (iteratively reweighted least squares): never
-    indefinite, and never too small where ``rho`` bends down.
-    """
-
-    def __init__(
-        self,
-        variables: DecisionVector,
-        step: Step,
-        kernel: Kernel,
-        records: Sequence[Record],
-        weight: np.ndarray,
-        colour: Sequence[AutoRegression],
-        loss: RobustLoss,
-        share: float = 1.0,
-    ):
-        super().__init__(variables, step, kernel, records, weight, colour, share)
-        self.loss = loss
-
-    def terms(self, r: np.ndarray) -> ResidualTerms:
-        """Cost, half its slope and weight of each residual (N, ny)."""
-        rho, psi, weight, _ = self.loss.terms(r)
-        return rho, psi, weight
-
-    def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each record residuals (N, ny) and Jacobian (N, ny, L) of the least-squares problem that the optimum also solves.
-
-        With ``m`` the mean curvature of the loss for each output they are ``psi(r) / sqrt(m)`` and ``sqrt(m) J``: gradient and
-        curvature are those of the robust cost, and the spread of the residual is what outliers leave of it, so that every
-        statement about least squares (covariance, bootstrap, tests) holds for the robust fit (Huber 1981, chapter 7).
-        """
-        raw = self.whiten_residuals(z)
-        m = np.sqrt(self.loss.mean_curvature(np.concatenate([r for r, _ in raw])))
-        return [(self.loss.terms(r)[1] / m, m[:, None] * jacobian) for r, jacobian in raw]
-
-
-def add_prior_penalty(variables: DecisionVector, z: np.ndarray, evaluation: Evaluation) -> Evaluation:
-    """``evaluation``, whose first entries are the constants, with what their priors add (`DecisionVector.penalty`)."""
-    if not variables.has_prior.any() or not np.isfinite(evaluation.cost):
-        return evaluation
-    n = len(variables.which)
-    cost, slope, curvature = variables.penalty(z)
-    gradient, hessian = evaluation.gradient.copy(), evaluation.hessian.copy()
-    gradient[:n] += slope
-    hessian[np.arange(n), np.arange(n)] += curvature
-    return replace(evaluation, cost=evaluation.cost + cost, gradient=gradient, hessian=hessian)
-
-
-def _read_by_step(record: Record, step: Step) -> Record:
-    """The record as the step reads it; a piece of such a record carries the past of a delayed input already."""
-    has_history = step.past is not None and record.u.shape[1] == step.advance.size1_in(1)
-    return record if has_history else record.read_by(step)
-
-
-def _make_failed_evaluation(size: int, outputs: int, failed: tuple[int, int]) -> Evaluation:
-    """The evaluation of a point that cannot be simulated."""
-    return Evaluation(np.inf, np.zeros(size), np.zeros((size, size)), np.zeros(outputs), np.zeros(outputs, int), failed)
+def _predict_decrease(gradient: np.ndarray, hessian: np.ndarray) -> float:
+    """By how much a Gauss-Newton step would lower the cost: ``g' H^-1 g / 2`` over the directions that have a curvature."""
+    scale = np.sqrt(np.maximum(hessian.diagonal(), TINY))
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = hessian / scale / scale[:, None]
+    if not np.isfinite(scaled).all():  # sensitivities near overflow: anything may still be gained
+        return np.inf
+    curvature, vectors = np.linalg.eigh(scaled)
+    usable = curvature > DECREASE_CUTOFF * curvature.max(initial=0.0)
+    along = vectors.T @ (gradient / scale)
+    return 0.5 * float(np.sum(along[usable] ** 2 / curvature[usable]))

@@ -14,10 +14,10 @@ from greybox.estimation.likelihood_search import fisher_scoring, hold_parameters
 from greybox.estimation.options import FitOptions
 from greybox.estimation.prediction_error import PredictionErrorObjective
 from greybox.estimation.restore import restore_likelihood, restore_options, restore_problem
-from greybox.estimation.solve import solve
 from greybox.result import Fit
 from greybox.transcription import DecisionVector
 from greybox.transcription.decision_vector import SHARED
+from greybox.transcription.solve import solve
 from greybox.uncertainty.policy import DEFAULT_PROFILE_POLICY, ProfilePolicy
 from greybox.values import Printable
 

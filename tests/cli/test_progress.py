@@ -17,7 +17,7 @@ from greybox.cli.progress import (
     show_search_progress,
     time_left,
 )
-from greybox.estimation.options import FitProgress
+from greybox.transcription.progress import FitProgress
 
 
 @pytest.mark.parametrize(("share", "left"), [(0.25, 30.0), (0.5, 10.0), (1.0, 0.0), (None, None), (0.0, None)])

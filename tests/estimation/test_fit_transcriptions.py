@@ -12,13 +12,12 @@ from scipy.linalg import expm
 from greybox.effects import effect
 from greybox.errors import DataError, FitError, ModelError
 from greybox.estimation import FitOptions, fit, validate
-from greybox.estimation.findings import EstimationCode
 from greybox.model import Balance, Model
 from greybox.model.signals import Input, Output, Parameter, State
 from greybox.residuals import residual_tests
 from greybox.result import load_fit
 from greybox.simulation import simulate
-from greybox.transcription.findings import TranscriptionReason
+from greybox.transcription.findings import SolutionCode, TranscriptionReason
 from greybox.uncertainty import profile
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
@@ -148,7 +147,7 @@ def test_an_unstable_plant_has_traces_and_a_validation_that_follow_the_record(tr
 def test_the_default_transcription_is_stated_with_its_reason(case, transcription, reason):
     _, start, data, noise, rest = CASES[case]()
     strategy = fit(start, data, noise=noise, options=FitOptions(at_rest=rest)).solver.strategy
-    assert strategy.code == EstimationCode.SEARCH_STRATEGY and strategy.subject == transcription
+    assert strategy.code == SolutionCode.SEARCH_STRATEGY and strategy.subject == transcription
     assert strategy.values["reason"] == reason
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from greybox.errors import ModelError
-from greybox.estimation.problem import prepare_problem
 from greybox.optim import minimise, solve_sparse
 from greybox.transcription import (
     Collocation,
@@ -16,6 +15,7 @@ from greybox.transcription import (
     estimate_nodes,
     simulate_segments,
 )
+from greybox.transcription.problem import prepare_problem
 from greybox.transcription.projected_initial_states import ProjectedShooting
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import linear_record, values

@@ -6,7 +6,7 @@ import pytest
 from greybox import FitOptions, Parameter, fit, load_fit
 from greybox.errors import ModelError
 from greybox.estimation.findings import EstimationCode
-from greybox.estimation.problem import prepare_problem
+from greybox.transcription.problem import prepare_problem
 from greybox.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine

@@ -10,12 +10,12 @@ from scipy.signal import lfilter
 from greybox import FitOptions, fit, load_fit, validate
 from greybox.errors import ModelError
 from greybox.estimation.findings import EstimationCode
-from greybox.estimation.problem import prepare_problem
 from greybox.experiment import Experiment
 from greybox.noise import estimate_noise, estimate_noise_from_differences
 from greybox.residuals import residual_tests
+from greybox.transcription.problem import prepare_problem
 from greybox.transcription.robust_loss import parse_loss
-from greybox.transcription.single_shooting import RobustShooting
+from greybox.transcription.simulation_error import RobustShooting
 from greybox.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine

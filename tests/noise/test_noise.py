@@ -9,7 +9,6 @@ from scipy.signal import lfilter
 
 from greybox.errors import DataError, ModelError
 from greybox.estimation import FitOptions, fit
-from greybox.estimation.problem import prepare_problem
 from greybox.experiment import Experiment
 from greybox.noise import (
     AutoRegression,
@@ -20,7 +19,8 @@ from greybox.noise import (
 )
 from greybox.noise.noise_sources import NoiseSource
 from greybox.noise.repeats import deviations_from_mean, find_period
-from greybox.transcription.single_shooting import WhitenedShooting
+from greybox.transcription.problem import prepare_problem
+from greybox.transcription.simulation_error import WhitenedShooting
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 

@@ -84,46 +84,6 @@ GOLDEN = [
         "the simulation of experiment 2 succeeds, but its sensitivity to the parameters is not finite: a term has an infinite"
         " slope, as sqrt has at 0; set a bound on the state in this term, or rewrite the term with a finite slope",
     ),
-    ("search_strategy", "single", {"shares": [1.0], "reason": ""}, "single shooting on the whole record, as requested"),
-    (
-        "search_strategy",
-        "single",
-        {"shares": [0.26, 1.0], "reason": "transcription_stable"},
-        "single shooting on a growing record (26 %, 100 %); chosen because the model is stable and not stiff",
-    ),
-    ("search_strategy", "multiple", {"segments": 1, "reason": ""}, "multiple shooting over one segment, as requested"),
-    (
-        "search_strategy",
-        "multiple",
-        {"segments": 4, "reason": "", "completion": "white_noise"},
-        "multiple shooting over 4 segments, as requested; the noise is assumed to be white, because a free run does not follow"
-        " this plant; the intervals allow for its colour",
-    ),
-    (
-        "search_strategy",
-        "collocation-radau",
-        {"held_samples": 3, "reason": "", "completion": "free_run"},
-        "direct collocation, as requested; 3 samples lie at a bound of a state; then a free run from that result, as the noise"
-        " model or the cost requires",
-    ),
-    (
-        "search_strategy",
-        "arcs",
-        {"arcs": 8, "arc_length": 0.1, "whole": False, "reason": ""},
-        "8 arcs of 0.1 s, each with its own initial state, as requested",
-    ),
-    (
-        "search_strategy",
-        "arcs",
-        {"arcs": 1, "arc_length": 0.1, "whole": True, "reason": ""},
-        "arcs of 0.1 s; no record is divided (a second arc would be shorter than half an arc), as requested",
-    ),
-    (
-        "search_strategy",
-        "prediction",
-        {"exact": True},
-        "prediction error with the exact Kalman filter, started from the free-run fit or the start values",
-    ),
     (
         "model_does_not_follow",
         "",

@@ -3,7 +3,7 @@
 import pytest
 
 from greybox.findings import Finding
-from greybox.transcription.findings import TranscriptionReason
+from greybox.transcription.findings import SolutionCode, TranscriptionReason
 
 STIFF = {"fastest": 2e-5, "substeps": 512.4}
 STIFF_TEXT = "the model is stiff: its fastest mode has a time constant of 2e-05 s and needs 512 explicit steps a sample"
@@ -51,3 +51,46 @@ INTEGRATING_TEXT = "the model integrates (12.5 s are 83 time constants of its sl
 )
 def test_a_reason_reads_as_written(code, values, expected):
     assert str(Finding(code, values=values)) == expected
+
+
+STRATEGIES = [
+    ("single", {"shares": [1.0], "reason": ""}, "single shooting on the whole record, as requested"),
+    (
+        "single",
+        {"shares": [0.26, 1.0], "reason": "transcription_stable"},
+        "single shooting on a growing record (26 %, 100 %); chosen because the model is stable and not stiff",
+    ),
+    ("multiple", {"segments": 1, "reason": ""}, "multiple shooting over one segment, as requested"),
+    (
+        "multiple",
+        {"segments": 4, "reason": "", "completion": "white_noise"},
+        "multiple shooting over 4 segments, as requested; the noise is assumed to be white, because a free run does not follow"
+        " this plant; the intervals allow for its colour",
+    ),
+    (
+        "collocation-radau",
+        {"held_samples": 3, "reason": "", "completion": "free_run"},
+        "direct collocation, as requested; 3 samples lie at a bound of a state; then a free run from that result, as the noise"
+        " model or the cost requires",
+    ),
+    (
+        "arcs",
+        {"arcs": 8, "arc_length": 0.1, "whole": False, "reason": ""},
+        "8 arcs of 0.1 s, each with its own initial state, as requested",
+    ),
+    (
+        "arcs",
+        {"arcs": 1, "arc_length": 0.1, "whole": True, "reason": ""},
+        "arcs of 0.1 s; no record is divided (a second arc would be shorter than half an arc), as requested",
+    ),
+    (
+        "prediction",
+        {"exact": True},
+        "prediction error with the exact Kalman filter, started from the free-run fit or the start values",
+    ),
+]
+
+
+@pytest.mark.parametrize(("transcription", "values", "expected"), STRATEGIES)
+def test_a_strategy_reads_as_written(transcription, values, expected):
+    assert str(Finding(SolutionCode.SEARCH_STRATEGY, subject=transcription, values=values)) == expected

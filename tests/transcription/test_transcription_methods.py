@@ -11,8 +11,6 @@ from scipy.integrate import ode, solve_ivp
 from greybox.effects import effect
 from greybox.errors import DataError, ModelError
 from greybox.estimation import FitOptions
-from greybox.estimation.problem import prepare_problem
-from greybox.estimation.solve import solve
 from greybox.integrators import DiscretisationPolicy
 from greybox.model import Balance, Model
 from greybox.model.signals import Input, Output, Parameter, State
@@ -31,6 +29,8 @@ from greybox.transcription import (
 )
 from greybox.transcription.arcs import place_cuts
 from greybox.transcription.findings import TranscriptionReason
+from greybox.transcription.problem import prepare_problem
+from greybox.transcription.solve import solve
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator

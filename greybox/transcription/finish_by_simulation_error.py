@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.estimation.options import FitOptions, FitProgressCallback
-from greybox.estimation.problem import EstimationProblem
-from greybox.estimation.solution import Solution
-from greybox.estimation.solve_single_shooting import solve_single
-from greybox.estimation.strategy import Completion, extend_strategy
 from greybox.noise import AutoRegression
-from greybox.transcription import SingleShooting
+from greybox.transcription.options import SolverOptions
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.progress import FitProgressCallback
+from greybox.transcription.simulation_error import SingleShooting
+from greybox.transcription.single_shooting import solve_single
+from greybox.transcription.solution import Solution
+from greybox.transcription.strategy import Completion, extend_strategy
 
 
 def is_plain_least_squares(problem: EstimationProblem) -> bool:
@@ -26,7 +27,9 @@ def with_white_noise(problem: EstimationProblem) -> EstimationProblem:
     return problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in problem.noise.colour)))
 
 
-def finish_by_simulation_error(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
+def finish_by_simulation_error(
+    solution: Solution, options: SolverOptions, report: FitProgressCallback | None
+) -> Solution:
     """``solution``, found with white noise and least squares; carried on by single shooting where its problem asks for more.
 
     Where the free run does not follow it (an unstable plant) the noise's colour is left to the intervals, and the strategy says so;

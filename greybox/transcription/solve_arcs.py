@@ -9,23 +9,25 @@ from itertools import pairwise
 import numpy as np
 
 from greybox.errors import DataError, ModelError
-from greybox.estimation.finish_by_simulation_error import is_plain_least_squares
-from greybox.estimation.options import FitOptions, FitProgressCallback
-from greybox.estimation.problem import EstimationProblem
-from greybox.estimation.progress_monitor import ProgressMonitor
-from greybox.estimation.select_transcription import TranscriptionChoice
-from greybox.estimation.solution import Runs, SegmentedRun, Solution
-from greybox.estimation.solve_single_shooting import NO_RESULT, make_termination_test, solve_single
-from greybox.estimation.step_refinement import compute_change_over_noise, halve_step, is_too_coarse
-from greybox.estimation.step_size_sensitivity import compute_gauss_newton_step
 from greybox.numerics import TINY
 from greybox.optim import minimise
-from greybox.transcription import DecisionVector, Evaluation, ProjectedShooting, SingleShooting, cut_into_arcs
-from greybox.transcription.arcs import ArcProblem
-from greybox.transcription.projected_initial_states import invert_semidefinite
+from greybox.transcription.arcs import ArcProblem, cut_into_arcs
+from greybox.transcription.decision_vector import DecisionVector
+from greybox.transcription.finish_by_simulation_error import is_plain_least_squares
+from greybox.transcription.options import SolverOptions
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.progress import FitProgressCallback, ProgressMonitor
+from greybox.transcription.projected_initial_states import ProjectedShooting, invert_semidefinite
+from greybox.transcription.select_transcription import TranscriptionChoice
+from greybox.transcription.simulation_error import Evaluation, SingleShooting, compute_gauss_newton_step
+from greybox.transcription.single_shooting import NO_RESULT, make_termination_test, solve_single
+from greybox.transcription.solution import Runs, SegmentedRun, Solution
+from greybox.transcription.step_refinement import compute_change_over_noise, halve_step, is_too_coarse
 
 
-def solve_arcs(choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None = None) -> Solution:
+def solve_arcs(
+    choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None = None
+) -> Solution:
     """Minimise the cost of every record cut in arcs of ``options.arc_length`` seconds, all their initial states estimated.
 
     Where the cost is plain squares the initial states are eliminated arc by arc, else they are searched for with the constants.
@@ -73,7 +75,7 @@ def _shooting(problem: EstimationProblem) -> SingleShooting:
     return SingleShooting(problem.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
 
 
-def _check_length(problem: EstimationProblem, options: FitOptions) -> None:
+def _check_length(problem: EstimationProblem, options: SolverOptions) -> None:
     length = options.arc_length
     longest = max(float(record.h.sum()) for record in problem.records)
     if length > longest * (1 + options.policy.joining.length_tolerance):
@@ -83,7 +85,7 @@ def _check_length(problem: EstimationProblem, options: FitOptions) -> None:
         )
 
 
-def _check_number(problem: EstimationProblem, arcs: int, options: FitOptions) -> None:
+def _check_number(problem: EstimationProblem, arcs: int, options: SolverOptions) -> None:
     most = options.policy.joining.most_unknowns
     if problem.variables.size > most:
         raise ModelError(
@@ -93,7 +95,10 @@ def _check_number(problem: EstimationProblem, arcs: int, options: FitOptions) ->
 
 
 def _solve_with_states_eliminated(
-    problem: EstimationProblem, starts_record: Sequence[bool], options: FitOptions, report: FitProgressCallback | None
+    problem: EstimationProblem,
+    starts_record: Sequence[bool],
+    options: SolverOptions,
+    report: FitProgressCallback | None,
 ) -> Solution:
     """The search over the constants alone; the step is halved until that changes too little to matter."""
     iterations = passes = 0

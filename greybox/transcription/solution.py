@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from greybox.estimation.policy import JoiningPolicy
-from greybox.estimation.problem import EstimationProblem
-from greybox.estimation.strategy import make_strategy
 from greybox.findings import Finding
 from greybox.kernel import Record
 from greybox.optim import TerminationStatus
-from greybox.transcription import DecisionVector, Evaluation
+from greybox.transcription.decision_vector import DecisionVector
+from greybox.transcription.policy import JoiningPolicy
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.simulation_error import Evaluation
+from greybox.transcription.strategy import make_strategy
 
 # Two arrays for each record: outputs and states, or residuals and their Jacobian.
 Runs = Sequence[tuple[np.ndarray, np.ndarray]]

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.estimation.options import FitProgress, FitProgressCallback
-from greybox.estimation.problem import EstimationProblem
 from greybox.optim.minimisation import stop_on_interrupt
+from greybox.transcription.problem import EstimationProblem
+
+
+@dataclass(frozen=True)
+class FitProgress:
+    """Where a running fit is: stage ``stage`` of ``stages`` (a growing part of the record), iteration, misfit over noise."""
+
+    stage: int
+    stages: int
+    iteration: int
+    noise_ratio: float
+
+
+FitProgressCallback = Callable[[FitProgress], None]
 
 
 class ProgressMonitor:

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.estimation.options import FitOptions, Transcription
-from greybox.estimation.problem import EstimationProblem
-from greybox.estimation.strategy import make_strategy
 from greybox.findings import Finding
-from greybox.transcription import estimate_error_growth, propose_transcription
+from greybox.transcription.options import SolverOptions, Transcription
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.select import estimate_error_growth, propose_transcription
+from greybox.transcription.strategy import make_strategy
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class TranscriptionChoice:
         return make_strategy(self.transcription, reason=code, reason_values=reason_values, **values)
 
 
-def select_transcription(problem: EstimationProblem, options: FitOptions) -> TranscriptionChoice:
+def select_transcription(problem: EstimationProblem, options: SolverOptions) -> TranscriptionChoice:
     """The transcription that was asked for, else the one that suits the model and the longest record at the start values.
 
     A stiff model also gets implicit steps, unless the method or the substeps were given.

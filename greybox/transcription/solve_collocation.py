@@ -7,23 +7,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.estimation.finish_by_simulation_error import finish_by_simulation_error
-from greybox.estimation.options import FitOptions, FitProgressCallback
-from greybox.estimation.problem import EstimationProblem
-from greybox.estimation.progress_monitor import ProgressMonitor
-from greybox.estimation.select_transcription import TranscriptionChoice, compute_growth_rates
-from greybox.estimation.solution import Runs, SegmentedRun, Solution
-from greybox.estimation.step_refinement import compute_change_over_noise, is_too_coarse, with_substeps
 from greybox.optim import MinimisationResult, solve_sparse
-from greybox.transcription import (
-    Collocation,
-    DecisionVector,
-    Evaluation,
-    SingleShooting,
-    choose_segment_rows,
-    initialise_without_continuity,
-)
-from greybox.transcription.multiple_shooting import place_segments
+from greybox.transcription.collocation import Collocation
+from greybox.transcription.decision_vector import DecisionVector
+from greybox.transcription.finish_by_simulation_error import finish_by_simulation_error
+from greybox.transcription.initialisation import initialise_without_continuity
+from greybox.transcription.multiple_shooting import choose_segment_rows, place_segments
+from greybox.transcription.options import SolverOptions
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.progress import FitProgressCallback, ProgressMonitor
+from greybox.transcription.select_transcription import TranscriptionChoice, compute_growth_rates
+from greybox.transcription.simulation_error import Evaluation, SingleShooting
+from greybox.transcription.solution import Runs, SegmentedRun, Solution
+from greybox.transcription.step_refinement import compute_change_over_noise, is_too_coarse, with_substeps
 
 # Three points are of third order at least, also on stiff equations (Hairer, Wanner, Solving Ordinary Differential Equations II, stage
 # order): halving an interval again changes eight times less than halving it once did.
@@ -45,7 +41,7 @@ class _CollocationPoint:
 
 
 def solve_collocation(
-    choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None = None
+    choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None = None
 ) -> Solution:
     """Minimise over the constants and the states at three points of every sampling interval.
 
@@ -114,7 +110,7 @@ def _solve(
     states: Sequence[np.ndarray],
     scheme: str,
     elements: int,
-    options: FitOptions,
+    options: SolverOptions,
     report: FitProgressCallback | None,
 ) -> _CollocationPoint:
     records, weight = problem.records, 1 / problem.noise.std

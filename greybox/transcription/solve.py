@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from greybox.estimation.options import FitOptions, FitProgressCallback, Transcription
-from greybox.estimation.problem import EstimationProblem
-from greybox.estimation.select_transcription import select_transcription
-from greybox.estimation.solution import Solution
-from greybox.estimation.solve_arcs import solve_arcs
-from greybox.estimation.solve_collocation import solve_collocation
-from greybox.estimation.solve_multiple_shooting import solve_multiple
-from greybox.estimation.solve_single_shooting import solve_single
+from greybox.transcription.options import SolverOptions, Transcription
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.progress import FitProgressCallback
+from greybox.transcription.select_transcription import select_transcription
+from greybox.transcription.single_shooting import solve_single
+from greybox.transcription.solution import Solution
+from greybox.transcription.solve_arcs import solve_arcs
+from greybox.transcription.solve_collocation import solve_collocation
+from greybox.transcription.solve_multiple_shooting import solve_multiple
 
 __all__ = ["Solution", "solve"]
 
@@ -23,7 +24,7 @@ _SEGMENTED = {
 }
 
 
-def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None = None) -> Solution:
+def solve(problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None = None) -> Solution:
     """Minimise the noise-weighted simulation error of ``problem``; `Solution.strategy` says how, and why so.
 
     Raises ModelError for a transcription that the model does not allow.

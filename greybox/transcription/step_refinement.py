@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.estimation.options import FitOptions
-from greybox.estimation.policy import StepRefinementPolicy
-from greybox.estimation.problem import EstimationProblem
 from greybox.integrators import choose_substeps
 from greybox.integrators.discretisation import IMPLICIT
 from greybox.integrators.exponential_relaxation import find_fast_relaxing_states
-from greybox.transcription import DecisionVector, Evaluation
+from greybox.transcription.decision_vector import DecisionVector
+from greybox.transcription.options import SolverOptions
+from greybox.transcription.policy import StepRefinementPolicy
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.simulation_error import Evaluation
 
 # Outputs (N, ny) and states (N, nx) of one record.
 Run = tuple[np.ndarray, np.ndarray]
@@ -63,7 +64,7 @@ def halve_step(problem: EstimationProblem) -> EstimationProblem:
 
 
 def refine_step(
-    problem: EstimationProblem, variables: DecisionVector, evaluation: Evaluation, options: FitOptions
+    problem: EstimationProblem, variables: DecisionVector, evaluation: Evaluation, options: SolverOptions
 ) -> tuple[EstimationProblem | None, np.ndarray]:
     """A problem with a smaller step, if the present one is too coarse at the optimum; and its error over the noise (ny,).
 

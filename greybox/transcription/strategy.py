@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from enum import StrEnum
 
-from greybox.estimation.findings import EstimationCode
 from greybox.findings import Finding, Severity
+from greybox.transcription.findings import SolutionCode
 
 
 class Completion(StrEnum):
@@ -22,7 +22,7 @@ class Completion(StrEnum):
 
 def make_strategy(transcription: str, **values: object) -> Finding:
     """A strategy finding; ``values`` depend on the transcription, see `greybox.rendering.estimation`."""
-    return Finding(EstimationCode.SEARCH_STRATEGY, Severity.NOTE, transcription, values)
+    return Finding(SolutionCode.SEARCH_STRATEGY, Severity.NOTE, transcription, values)
 
 
 def extend_strategy(strategy: Finding, completion: Completion) -> Finding:

@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from greybox.estimation.policy import ProgressiveHorizonPolicy
-from greybox.estimation.problem import EstimationProblem
-from greybox.transcription import Evaluation
+from greybox.transcription.policy import ProgressiveHorizonPolicy
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.simulation_error import Evaluation
 
 
 def choose_first_share(problem: EstimationProblem, policy: ProgressiveHorizonPolicy) -> float:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.errors import ModelError, nearest
-from greybox.estimation.policy import DEFAULT_POLICY, EstimationPolicy
 from greybox.experiment import Experiment
 from greybox.experiment.problems import is_constant
 from greybox.experiment.time_gaps import refuse_long_time_gaps
@@ -16,10 +15,11 @@ from greybox.integrators import DiscretisationPolicy, Step, discretise
 from greybox.kernel import Kernel, Record, make_kernel
 from greybox.model import Model
 from greybox.noise import NoiseModel, estimate_noise
-from greybox.transcription import DecisionVector, InitialStates, SingleShooting, to_record
-from greybox.transcription.records import to_experiments
+from greybox.transcription.decision_vector import DecisionVector, InitialStates
+from greybox.transcription.policy import DEFAULT_SOLVER_POLICY, SolverPolicy
+from greybox.transcription.records import to_experiments, to_record
 from greybox.transcription.robust_loss import RobustLoss
-from greybox.transcription.single_shooting import RobustShooting, WhitenedShooting
+from greybox.transcription.simulation_error import RobustShooting, SingleShooting, WhitenedShooting
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class EstimationProblem:
     method: str
     loss: RobustLoss | None = None
     constant_outputs: tuple[str, ...] = ()
-    policy: EstimationPolicy = DEFAULT_POLICY
+    policy: SolverPolicy = DEFAULT_SOLVER_POLICY
 
     def shooting(self, variables: DecisionVector, share: float = 1.0) -> SingleShooting:
         """The cost over the first ``share`` of every record; whitened where the noise is known to be coloured, with the ``loss``."""
@@ -81,7 +81,7 @@ def prepare_problem(
     per_experiment: Sequence[str] = (),
     robust: bool = False,
     initial: Sequence[Mapping[str, float]] = (),
-    policy: EstimationPolicy = DEFAULT_POLICY,
+    policy: SolverPolicy = DEFAULT_SOLVER_POLICY,
 ) -> EstimationProblem:
     """Check model and data against each other and lay out the problem; ``quiet`` records tell the noise (`greybox.noise`).
 

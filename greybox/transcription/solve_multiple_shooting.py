@@ -7,25 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.estimation.finish_by_simulation_error import finish_by_simulation_error
-from greybox.estimation.options import FitOptions, FitProgressCallback
-from greybox.estimation.problem import EstimationProblem
-from greybox.estimation.progress_monitor import monitor_progress
-from greybox.estimation.select_transcription import TranscriptionChoice, compute_growth_rates
-from greybox.estimation.solution import SegmentedRun, Solution
-from greybox.estimation.step_refinement import compute_change_over_noise, halve_step, is_too_coarse
 from greybox.optim import TerminationStatus
-from greybox.transcription import (
-    MultipleShooting,
-    MultipleShootingResult,
-    SingleShooting,
-    choose_segment_rows,
-    simulate_segments,
-)
+from greybox.transcription.finish_by_simulation_error import finish_by_simulation_error
+from greybox.transcription.initialisation import simulate_segments
+from greybox.transcription.multiple_shooting import MultipleShooting, MultipleShootingResult, choose_segment_rows
+from greybox.transcription.options import SolverOptions
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.progress import FitProgressCallback, monitor_progress
+from greybox.transcription.select_transcription import TranscriptionChoice, compute_growth_rates
+from greybox.transcription.simulation_error import SingleShooting
+from greybox.transcription.solution import SegmentedRun, Solution
+from greybox.transcription.step_refinement import compute_change_over_noise, halve_step, is_too_coarse
 
 
 def solve_multiple(
-    choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None = None
+    choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None = None
 ) -> Solution:
     """Minimise the cost of each record's segments, which end where the next one begins.
 

@@ -1,0 +1,292 @@
+"""Single shooting: the model runs freely over each record, from parameters and initial states alone.
+
+Three costs of the free run's error: squares in units of white noise, squares of the error whitened by the noise's own colour, and a
+robust loss that outliers cannot pull.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from greybox.integrators import Step
+from greybox.kernel import Kernel, Record
+from greybox.noise import AutoRegression
+from greybox.numerics import AT_BOUND, INFORMATION_CUTOFF, TINY
+from greybox.transcription.decision_vector import DecisionVector, ExperimentView
+from greybox.transcription.robust_loss import RobustLoss
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The cost at one point with its derivatives.
+
+    Priors of constants count in the cost and its derivatives, not in ``squares``.
+    """
+
+    cost: float
+    """Sum of the squared weighted residuals; infinite where the simulation overflowed."""
+
+    gradient: np.ndarray
+    """Its gradient (n,)."""
+
+    hessian: np.ndarray
+    """Its Gauss-Newton matrix ``2 J'J`` (n, n)."""
+
+    squares: np.ndarray
+    """The squared residuals of each output (ny,)."""
+
+    counts: np.ndarray
+    """How many residuals of each output there are (ny,)."""
+
+    failed: tuple[int, int] | None = None
+    """In which experiment and at which sample the simulation overflowed."""
+
+    @property
+    def count(self) -> int:
+        """Number of residuals."""
+        return int(self.counts.sum())
+
+
+class SingleShooting:
+    """Cost of the free-run simulation error over one or more records.
+
+    Parameters
+    ----------
+    variables
+        The decision vector: free constants and initial states.
+    step, kernel
+        The discrete step, and what runs it over a record.
+    records
+        The measured records.
+    weight
+        One over the noise standard deviation of each output (ny,).
+    share
+        Share of every record that is used, from its beginning.
+    """
+
+    def __init__(
+        self,
+        variables: DecisionVector,
+        step: Step,
+        kernel: Kernel,
+        records: Sequence[Record],
+        weight: np.ndarray,
+        share: float = 1.0,
+    ):
+        self.variables = variables
+        self.step = step
+        self.kernel = kernel
+        self.records = tuple(_read_by_step(r, step) for r in records)
+        self.weight = weight
+        self.rows = [max(2, round(share * len(r.u))) for r in records]
+        self._last_coefficients: tuple[tuple[bytes, bytes, bytes], tuple[np.ndarray, np.ndarray]] | None = None
+
+    def evaluate(self, z: np.ndarray) -> Evaluation:
+        """Cost and derivatives at ``z``."""
+        v = self.variables
+        ny = len(self.weight)
+        gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
+        squares, counts = np.zeros(ny), np.zeros(ny, int)
+        free = v.constants(z)
+        for e, (record, view) in enumerate(zip(self.records, self._views, strict=True)):
+            p, dp, x0, dx0 = view.at(z, free)
+            q, dq = self._compute_coefficients(record, p, dp)
+            sums = self.kernel.sums(record, q, dq, p, dp, x0, dx0, self.weight, self.rows[e])
+            if not np.isfinite(sums.cost):
+                return Evaluation(np.inf, gradient, hessian, squares, counts, (e, sums.failed_at or 0))
+            gradient[view.columns] += 2 * sums.gradient
+            hessian[view.square] += 2 * sums.gauss_newton
+            squares += sums.squares
+            counts += sums.counts.astype(int)
+        return add_prior_penalty(v, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts))
+
+    def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each record the weighted residuals (N, ny), measured minus model, and their Jacobian (N, ny, L) along
+        `DecisionVector.columns`.
+
+        N samples: rows between them, of a band-limited input, have none.
+        """
+        result = []
+        for e, record in enumerate(self.records):
+            p = self.variables.parameters(z, e)
+            q, dq, dp, x0, dx0 = self.at(z, p, e)
+            r, jacobian = self.kernel.residuals(record, q, dq, p, dp, x0, dx0, self.weight)
+            result.append((record.samples(r), record.samples(jacobian)))
+        return result
+
+    def simulate(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each record outputs (N, ny) and states (N, nx) of the model."""
+        runs = []
+        for e, record in enumerate(self.records):
+            p = self.variables.parameters(z, e)
+            q, _, _, x0, _ = self.at(z, p, e)
+            runs.append(self.kernel.simulate(record, q, p, x0))
+        return runs
+
+    def at(
+        self, z: np.ndarray, p: np.ndarray, e: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """What the kernel needs for experiment ``e``: coefficients and slopes, parameter slopes, initial state and slopes."""
+        v = self.variables
+        x0, dx0 = v.compute_initial_state(z, p, e)
+        dp = np.zeros((len(p), dx0.shape[1]))
+        dp[v.which, np.arange(len(v.which))] = v.slopes(p, e)
+        q, dq = self._compute_coefficients(self.records[e], p, dp)
+        return q, dq, dp, x0, dx0
+
+    @cached_property
+    def _views(self) -> list[ExperimentView]:
+        return [ExperimentView(self.variables, e) for e in range(len(self.records))]
+
+    def _compute_coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The step's coefficients; records with the same intervals (the arcs of one record) share one matrix exponential."""
+        key = p.tobytes(), dp.tobytes(), record.lengths.tobytes()
+        if self._last_coefficients is None or self._last_coefficients[0] != key:
+            self._last_coefficients = key, self.kernel.coefficients(record, p, dp)
+        return self._last_coefficients[1]
+
+
+ResidualTerms = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Cost, half its slope and weight of each residual (N, ny)."""
+
+
+class WhitenedShooting(SingleShooting):
+    """Cost of the free-run error in units of its own innovations: minus twice the log-likelihood of autoregressive noise.
+
+    ``colour`` (ny,) holds the autoregression of each output's noise. The filter begins anew after gaps, with the exact weights of
+    the first samples (`AutoRegression.whiten`). Samples count as evenly spaced. A pass keeps the whole Jacobian
+    (N, ny, L) of a record in memory, where white noise needs only sums.
+    """
+
+    def __init__(
+        self,
+        variables: DecisionVector,
+        step: Step,
+        kernel: Kernel,
+        records: Sequence[Record],
+        weight: np.ndarray,
+        colour: Sequence[AutoRegression],
+        share: float = 1.0,
+    ):
+        super().__init__(variables, step, kernel, records, weight, share)
+        self.colour = tuple(colour)
+
+    def evaluate(self, z: np.ndarray) -> Evaluation:
+        """Cost and derivatives at ``z``."""
+        v, ny = self.variables, len(self.weight)
+        gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
+        squares, counts = np.zeros(ny), np.zeros(ny, int)
+        with np.errstate(all="ignore"):  # what is not finite is found and reported
+            for e, (r, jacobian) in enumerate(self.whiten_residuals(z)):
+                is_measured = np.isfinite(self.records[e].samples(self.records[e].y[: self.rows[e]]))
+                r, jacobian = r[: len(is_measured)], jacobian[: len(is_measured)]
+                is_lost = is_measured & ~(np.isfinite(r) & np.isfinite(jacobian).all(axis=2))
+                if is_lost.any():
+                    return _make_failed_evaluation(v.size, ny, (e, int(np.flatnonzero(is_lost.any(axis=1))[0])))
+                cost, psi, weight = self.terms(np.where(is_measured, r, 0.0))
+                columns, rows = v.columns(e), jacobian[is_measured]
+                gradient[columns] += 2 * rows.T @ psi[is_measured]
+                hessian[np.ix_(columns, columns)] += 2 * rows.T @ (weight[is_measured][:, None] * rows)
+                squares += np.where(is_measured, cost, 0.0).sum(axis=0)
+                counts += is_measured.sum(axis=0)
+        if not np.isfinite(squares.sum()):
+            return _make_failed_evaluation(v.size, ny, (0, 0))
+        return add_prior_penalty(v, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts))
+
+    def terms(self, r: np.ndarray) -> ResidualTerms:
+        """Cost, half its slope and weight of each residual (N, ny)."""
+        return r**2, r, np.ones_like(r)
+
+    def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each record the whitened residuals (N, ny) and their Jacobian (N, ny, L) along `DecisionVector.columns`."""
+        return self.whiten_residuals(z)
+
+    def whiten_residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each record the free-run residuals (N, ny) and their Jacobian (N, ny, L) in units of their innovations."""
+        if not any(colour.order for colour in self.colour):
+            return super().residuals(z)
+        result = []
+        for r, jacobian in super().residuals(z):
+            both = np.concatenate([r[:, :, None], jacobian], axis=2)
+            white = np.stack([colour.whiten(both[:, j]) for j, colour in enumerate(self.colour)], axis=1)
+            result.append((white[:, :, 0], white[:, :, 1:]))
+        return result
+
+
+class RobustShooting(WhitenedShooting):
+    """Cost ``sum rho(r)`` of the free-run error ``r``, whitened first where its colour is known, with the loss ``rho`` of `RobustLoss`.
+
+    The Hessian weighs each residual as the loss does, ``2 J' W J`` with ``W = psi(r) / r`` (iteratively reweighted least squares): never
+    indefinite, and never too small where ``rho`` bends down.
+    """
+
+    def __init__(
+        self,
+        variables: DecisionVector,
+        step: Step,
+        kernel: Kernel,
+        records: Sequence[Record],
+        weight: np.ndarray,
+        colour: Sequence[AutoRegression],
+        loss: RobustLoss,
+        share: float = 1.0,
+    ):
+        super().__init__(variables, step, kernel, records, weight, colour, share)
+        self.loss = loss
+
+    def terms(self, r: np.ndarray) -> ResidualTerms:
+        """Cost, half its slope and weight of each residual (N, ny)."""
+        rho, psi, weight, _ = self.loss.terms(r)
+        return rho, psi, weight
+
+    def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each record residuals (N, ny) and Jacobian (N, ny, L) of the least-squares problem that the optimum also solves.
+
+        With ``m`` the mean curvature of the loss for each output they are ``psi(r) / sqrt(m)`` and ``sqrt(m) J``: gradient and
+        curvature are those of the robust cost, and the spread of the residual is what outliers leave of it, so that every
+        statement about least squares (covariance, bootstrap, tests) holds for the robust fit (Huber 1981, chapter 7).
+        """
+        raw = self.whiten_residuals(z)
+        m = np.sqrt(self.loss.mean_curvature(np.concatenate([r for r, _ in raw])))
+        return [(self.loss.terms(r)[1] / m, m[:, None] * jacobian) for r, jacobian in raw]
+
+
+def add_prior_penalty(variables: DecisionVector, z: np.ndarray, evaluation: Evaluation) -> Evaluation:
+    """``evaluation``, whose first entries are the constants, with what their priors add (`DecisionVector.penalty`)."""
+    if not variables.has_prior.any() or not np.isfinite(evaluation.cost):
+        return evaluation
+    n = len(variables.which)
+    cost, slope, curvature = variables.penalty(z)
+    gradient, hessian = evaluation.gradient.copy(), evaluation.hessian.copy()
+    gradient[:n] += slope
+    hessian[np.arange(n), np.arange(n)] += curvature
+    return replace(evaluation, cost=evaluation.cost + cost, gradient=gradient, hessian=hessian)
+
+
+def compute_gauss_newton_step(variables: DecisionVector, evaluation: Evaluation) -> np.ndarray:
+    """``-(J'J)^-1 J'r`` (size,) in ``z``; undetermined directions and what lies on its bound stay."""
+    inside = np.ones(variables.size, bool)
+    for edge in variables.bounds():
+        inside &= ~(np.abs(edge) <= AT_BOUND)
+    curvature, slope = evaluation.hessian[np.ix_(inside, inside)], evaluation.gradient[inside]
+    scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
+    step = np.zeros(variables.size)
+    step[inside] = (
+        -np.linalg.lstsq(curvature / np.outer(scale, scale), slope / scale, rcond=INFORMATION_CUTOFF)[0] / scale
+    )
+    return step
+
+
+def _read_by_step(record: Record, step: Step) -> Record:
+    """The record as the step reads it; a piece of such a record carries the past of a delayed input already."""
+    has_history = step.past is not None and record.u.shape[1] == step.advance.size1_in(1)
+    return record if has_history else record.read_by(step)
+
+
+def _make_failed_evaluation(size: int, outputs: int, failed: tuple[int, int]) -> Evaluation:
+    """The evaluation of a point that cannot be simulated."""
+    return Evaluation(np.inf, np.zeros(size), np.zeros((size, size)), np.zeros(outputs), np.zeros(outputs, int), failed)
