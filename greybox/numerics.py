@@ -95,6 +95,9 @@ TINY = 1e-300
 RANK_CUTOFF = 1e-12
 """Eigenvalues of an information matrix with columns of length one, below this share of the largest, are rounding."""
 
+WRONG_MULTIPLIER = 1e-12
+"""A slope against a bound below this share of the largest is rounding: the bound is not released."""
+
 REDUNDANT_VARIANCE = 1e-8
 """Directions of lagged signals with less than this share of the largest variance are copies of one another."""
 

@@ -2,8 +2,10 @@
 
 from greybox.optim.ipopt_dense import minimise
 from greybox.optim.ipopt_sparse import solve_sparse
-from greybox.optim.policy import DampedGaussNewtonPolicy, GradientSamplingPolicy, MinimisationPolicy
-from greybox.optim.status import IterationCallback, MinimisationResult, QuadraticModel, TerminationStatus
+from greybox.optim.policy import DampedGaussNewtonPolicy, GradientSamplingPolicy, MinimisationPolicy, TerminationPolicy
+from greybox.optim.quadratic_model import QuadraticModel
+from greybox.optim.status import IterationCallback, MinimisationResult, TerminationStatus
+from greybox.optim.termination import Termination
 
 __all__ = [
     "DampedGaussNewtonPolicy",
@@ -12,6 +14,8 @@ __all__ = [
     "MinimisationPolicy",
     "MinimisationResult",
     "QuadraticModel",
+    "Termination",
+    "TerminationPolicy",
     "TerminationStatus",
     "minimise",
     "solve_sparse",

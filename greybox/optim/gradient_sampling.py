@@ -7,7 +7,8 @@ import numpy as np
 from greybox.numerics import FLAT_CURVATURE, SUM_TO_ONE_WEIGHT, TINY
 from greybox.optim.minimisation import Minimisation
 from greybox.optim.policy import GradientSamplingPolicy
-from greybox.optim.status import QuadraticModel, TerminationStatus
+from greybox.optim.quadratic_model import QuadraticModel
+from greybox.optim.status import TerminationStatus
 
 
 def run_gradient_sampling(

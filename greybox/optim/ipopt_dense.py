@@ -13,11 +13,11 @@ from greybox.optim.damped_gauss_newton import run_damped_gauss_newton
 from greybox.optim.gradient_sampling import run_gradient_sampling
 from greybox.optim.minimisation import Minimisation, stop_on_interrupt
 from greybox.optim.policy import DEFAULT_POLICY, MinimisationPolicy
+from greybox.optim.quadratic_model import QuadraticModel
 from greybox.optim.status import (
     IPOPT_STATUS,
     IterationCallback,
     MinimisationResult,
-    QuadraticModel,
     TerminationStatus,
     TerminationTest,
 )

@@ -6,13 +6,13 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from greybox.optim.policy import MinimisationPolicy
-from greybox.optim.status import IterationCallback, QuadraticModel, TerminationStatus, TerminationTest
+from greybox.optim.quadratic_model import QuadraticModel
+from greybox.optim.status import IterationCallback, TerminationStatus, TerminationTest
 
 
 class Minimisation:
@@ -45,7 +45,7 @@ class Minimisation:
         """The function at ``z``; what it gave last if that is asked again."""
         if self._last[0] != z.tobytes() or self._last[1] is None:
             if self.stalled:  # IPOPT cannot be told to stop between two iterations
-                return NotEvaluated(np.inf, np.zeros_like(z), np.eye(len(z)))
+                return QuadraticModel(np.inf, np.zeros_like(z), np.eye(len(z)))
             self.evaluations += 1
             self.remember(z, self.evaluate(z))
         return self._last[1]
@@ -74,15 +74,6 @@ class Minimisation:
             self.progress(self.iteration, self.best_cost)
         self.iteration += 1
         return self.stop or self.stalled or self.error is not None or self.test_termination()
-
-
-@dataclass(frozen=True)
-class NotEvaluated:
-    """A point at which nothing was computed."""
-
-    cost: float
-    gradient: np.ndarray
-    hessian: np.ndarray
 
 
 class Stoppable(Protocol):

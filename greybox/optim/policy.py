@@ -6,6 +6,33 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
+class TerminationPolicy:
+    """When a minimisation has nothing left to gain that matters.
+
+    The unit of a sum of ``count`` squares is the residual's variance, ``cost / count``; that of minus twice a log-likelihood is one. A
+    predicted decrease of ``k^2`` units is a step of ``k`` standard deviations of the unknowns.
+    """
+
+    negligible_decrease: float = 1e-4
+    """Predicted decrease, in that unit, below which a search has converged: the unknowns are within 1 % of their standard deviations."""
+
+    perfect_noise_ratio: float = 1e-7
+    """A predicted decrease of the misfit over noise below this is negligible too: data without noise end at rounding errors."""
+
+    patience: int = 12
+    """Iterations over which the gain is looked at. A cost with kinks (dry friction) never meets the rules above."""
+
+    little_gain: float = 1e-5
+    """A search ends as acceptable when it gained less than this within its patience: a share of the cost, or of one for a likelihood."""
+
+    def negligible(self, cost: float, count: int | None) -> float:
+        """Largest decrease of ``cost`` that changes nothing that matters; ``count``: number of squares, None for a likelihood."""
+        if count is None:
+            return self.negligible_decrease
+        return self.negligible_decrease * cost / max(count, 1) + self.perfect_noise_ratio**2 * count
+
+
+@dataclass(frozen=True)
 class DampedGaussNewtonPolicy:
     """How damped Gauss-Newton steps adapt and when they give up."""
 
@@ -73,3 +100,5 @@ class MinimisationPolicy:
 
 
 DEFAULT_POLICY = MinimisationPolicy()
+
+DEFAULT_TERMINATION = TerminationPolicy()

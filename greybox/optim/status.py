@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -41,22 +41,6 @@ class TerminationStatus(StrEnum):
     def success(self) -> bool:
         """Whether the point can be used as an optimum."""
         return self in (TerminationStatus.CONVERGED, TerminationStatus.KINK, TerminationStatus.ACCEPTABLE)
-
-
-class QuadraticModel(Protocol):
-    """Cost with gradient (n,) and a positive semidefinite Hessian approximation (n, n)."""
-
-    @property
-    def cost(self) -> float:
-        """The cost; infinite where it cannot be computed."""
-
-    @property
-    def gradient(self) -> np.ndarray:
-        """Its slope (n,)."""
-
-    @property
-    def hessian(self) -> np.ndarray:
-        """Its curvature, or a positive semidefinite stand-in (n, n)."""
 
 
 @dataclass(frozen=True)

@@ -15,26 +15,18 @@ import numpy as np
 from greybox.integrators import Step
 from greybox.kernel import Kernel, Record
 from greybox.noise import AutoRegression
+from greybox.optim import QuadraticModel
 from greybox.numerics import AT_BOUND, INFORMATION_CUTOFF, TINY
 from greybox.transcription.decision_vector import DecisionVector, ExperimentView
 from greybox.transcription.robust_loss import RobustLoss
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """The cost at one point with its derivatives.
+class Evaluation(QuadraticModel):
+    """The cost at one point with its derivatives: the sum of the squared weighted residuals, and its Gauss-Newton matrix ``2 J'J``.
 
-    Priors of constants count in the cost and its derivatives, not in ``squares``.
+    The cost is infinite where the simulation overflowed. Priors of constants count in the cost and its derivatives, not in ``squares``.
     """
-
-    cost: float
-    """Sum of the squared weighted residuals; infinite where the simulation overflowed."""
-
-    gradient: np.ndarray
-    """Its gradient (n,)."""
-
-    hessian: np.ndarray
-    """Its Gauss-Newton matrix ``2 J'J`` (n, n)."""
 
     squares: np.ndarray
     """The squared residuals of each output (ny,)."""
