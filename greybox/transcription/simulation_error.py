@@ -15,8 +15,8 @@ import numpy as np
 from greybox.integrators import Step
 from greybox.kernel import Kernel, Record
 from greybox.noise import AutoRegression
-from greybox.optim import QuadraticModel
 from greybox.numerics import AT_BOUND, INFORMATION_CUTOFF, TINY
+from greybox.optim import QuadraticModel
 from greybox.transcription.decision_vector import DecisionVector, ExperimentView
 from greybox.transcription.robust_loss import RobustLoss
 
