@@ -2,7 +2,7 @@
 
 from greybox.project.find import ModelEntry, ModelListing, find_model, find_shipped_model, list_models
 from greybox.project.folders import project_root, template_root
-from greybox.project.template import write_project
+from greybox.project.template import plant_names, write_project
 
 __all__ = [
     "ModelEntry",
@@ -10,6 +10,7 @@ __all__ = [
     "find_model",
     "find_shipped_model",
     "list_models",
+    "plant_names",
     "project_root",
     "template_root",
     "write_project",

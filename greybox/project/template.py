@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from greybox.errors import GreyboxError
+from greybox.errors import GreyboxError, nearest
 from greybox.project.folders import template_root
 
 FOLDERS = ("models", "fits", "notebooks")
@@ -37,13 +37,38 @@ In Python, from this folder:
 """
 
 
-def write_project(directory: str | Path, *, force: bool = False) -> list[Path]:
-    """Write a project to start from: ``models/``, ``fits/``, ``notebooks/`` and a README.
+PLANT_README = """# {name}
+
+A greybox project around one plant:
+
+- `models/{model}.py` the equations, constants with units, bounds and sources; yours to change
+- `twin.py` a simulated plant that does a little more than the model says; writes `train.csv` and `test.csv`
+- `study.toml` model, records and noise: what a fit and a discovery need to know
+
+Inside this folder:
+
+    python twin.py                   records to try things on; later, put your own in their place
+    greybox check study.toml         units, roles, and what the record can tell
+    greybox fit study.toml           constants with intervals, and how well the model explains the record
+    greybox discover study.toml      what the model lacks
+"""
+
+
+def plant_names() -> list[str]:
+    """Names of the plants that a project can start from, in alphabetical order."""
+    folders = (template_root() / "plants").iterdir()
+    return sorted(folder.name.replace("_", "-") for folder in folders if (folder / "study.toml").is_file())
+
+
+def write_project(directory: str | Path, *, plant: str = "", force: bool = False) -> list[Path]:
+    """Write a project to start from: ``models/``, ``fits/``, ``notebooks/`` and a README, or one plant with a twin and a study file.
 
     Parameters
     ----------
     directory
         Folder for the project; made if it does not exist.
+    plant
+        One of `plant_names`: the project holds this plant alone.
     force
         Overwrite files of the template that exist already.
 
@@ -55,12 +80,13 @@ def write_project(directory: str | Path, *, force: bool = False) -> list[Path]:
     Raises
     ------
     GreyboxError
-        If one of the files exists and ``force`` is not given. Nothing is written then.
+        For an unknown plant, or if one of the files exists and ``force`` is not given. Nothing is written then.
     """
     target = Path(directory)
     if target.exists() and not target.is_dir():
         raise GreyboxError(f"{target} is a file; give a folder for the project")
-    sources = _template_files()
+    sources = _plant_files(plant) if plant else _template_files()
+    readme = PLANT_README if plant else README
     written = [target / name for name in (*sources, Path("README.md"))]
     present = [path for path in written if path.exists()]
     if present and not force:
@@ -69,13 +95,27 @@ def write_project(directory: str | Path, *, force: bool = False) -> list[Path]:
         raise GreyboxError(
             f"{target} already holds {listed}{more}; give another folder, or --force to overwrite these files"
         )
-    for folder in FOLDERS:
-        (target / folder).mkdir(parents=True, exist_ok=True)
     for name, source in sources.items():
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source, target / name)
-    (target / "README.md").write_text(README.format(name=target.resolve().name), encoding="utf-8")
+    (target / "README.md").write_text(
+        readme.format(name=target.resolve().name, model=plant.replace("-", "_")), encoding="utf-8"
+    )
     return written
+
+
+def _plant_files(plant: str) -> dict[Path, Path]:
+    """Path inside a project -> file of the template for one plant."""
+    if plant not in plant_names():
+        raise GreyboxError(f"unknown plant {plant!r}; {nearest(plant, plant_names())}")
+    name, root = plant.replace("-", "_"), template_root()
+    folder = root / "plants" / name
+    return {
+        Path("models") / f"{name}.py": folder / f"{name}.py",
+        Path("twin.py"): folder / "twin.py",
+        Path("rk4.py"): root / "plants" / "rk4.py",
+        Path("study.toml"): folder / "study.toml",
+    }
 
 
 def _template_files() -> dict[Path, Path]:

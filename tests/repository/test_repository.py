@@ -166,7 +166,9 @@ def test_wheel_installs_one_package_with_the_project_as_its_template(tmp_path: P
     ours = [path.relative_to(ROOT) for path in files()]
     given = {Path("fits", study) for study in STUDIES}
     template = [
-        Path("greybox/_template") / path for path in ours if path.parts[0] in ("models", "notebooks") or path in given
+        Path("greybox/_template") / path
+        for path in ours
+        if path.parts[0] in ("models", "notebooks", "plants") or path in given
     ]
     library = [path for path in ours if path.parts[0] == "greybox"]
     carried = {name for name in names if name.startswith("greybox/")}

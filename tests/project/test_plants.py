@@ -1,0 +1,64 @@
+"""Plants to start from: each project of `write_project(plant=...)` runs as its README says, and its twin does more than its model."""
+
+from __future__ import annotations
+
+import json
+import runpy
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from greybox import GreyboxError
+from greybox.cli.app import app
+from greybox.project import plant_names, write_project
+
+HIDDEN = {
+    "circuit": "input_saturation",
+    "cylinder": "valve_dead_zone",
+    "rotary-drive": "coulomb_friction",
+    "stage": "cubic_stiffness",
+    "tanks": "input_dead_zone",
+    "thermal": "input_saturation",
+    "two-mass": "coulomb_friction",
+}
+
+
+@pytest.fixture(params=sorted(HIDDEN))
+def plant(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The name of a plant; the working folder is its project, with the twin's records."""
+    write_project(tmp_path / "rig", plant=request.param)
+    monkeypatch.chdir(tmp_path / "rig")
+    monkeypatch.syspath_prepend(tmp_path / "rig")
+    runpy.run_path("twin.py")
+    return request.param
+
+
+def run(*words: str) -> str:
+    done = CliRunner().invoke(app, [*words, "--output", "out"], prog_name="greybox")
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_the_twin_hides_an_effect_from_the_model(plant: str) -> None:
+    run("fit", "study.toml", "--no-report")
+    result = json.loads(Path("out/fit.json").read_text())
+    assert result["success"]
+    assert max(signal["noise_ratio"] for signal in result["misfit"].values()) > 5
+
+
+@pytest.mark.slow
+def test_discovery_names_what_the_twin_hides(plant: str) -> None:
+    run("discover", "study.toml", "--no-report")
+    answer = json.loads(Path("out/discovery.json").read_text())
+    assert [effect["name"] for effect in answer["effects"]] == [HIDDEN[plant]]
+
+
+def test_every_plant_is_tried() -> None:
+    assert plant_names() == sorted(HIDDEN)
+
+
+def test_an_unknown_plant_gets_the_nearest_name(tmp_path: Path) -> None:
+    with pytest.raises(GreyboxError, match="two-mass"):
+        write_project(tmp_path / "rig", plant="two-masses")
+    assert not (tmp_path / "rig").exists()
