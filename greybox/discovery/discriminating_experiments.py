@@ -109,5 +109,5 @@ def _cost_of_rival(
         if is_new:  # how good that sensor would be is not known
             std[j] = policy.new_sensor_noise * max(float(np.abs(record.outputs[output.name]).max()), TINY)
     estimation = estimation.with_noise(replace(estimation.noise, std=std))
-    e = estimation.shooting(estimation.variables).evaluate(np.zeros(estimation.variables.size))
+    e = estimation.shooting(estimation.variables).evaluate(estimation.variables.here)
     return e.cost - predict_decrease(e, *estimation.variables.bounds()) if np.isfinite(e.cost) else np.inf

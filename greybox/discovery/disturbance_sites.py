@@ -92,12 +92,12 @@ def linearise_run(candidate: CandidateFit, record: int, first: int, rows: int) -
     """The candidate's model along a stretch of one of its records."""
     problem, model, variables = candidate.problem, candidate.model, candidate.variables
     system, measured = model.system, problem.records[record]
-    run = unwhitened_shooting(candidate).simulate(np.zeros(variables.size))[record]
+    run = unwhitened_shooting(candidate).simulate(variables.here)[record]
     # A delayed input widens the kernel's record; the linearisation is about the input as it is now.
     stretch = slice(first, first + rows)
     x, u = measured.samples(run[1])[stretch], measured.samples(measured.u)[stretch]
     time = problem.experiments[record].time[stretch]
-    p = variables.parameters(np.zeros(variables.size), record)
+    p = variables.parameters(variables.here, record)
     sites = list_disturbance_sites(model, [o.name for o in model.outputs])
     a, b, c, storage = _slopes(system, x, u, p)
     steps = np.diff(time)

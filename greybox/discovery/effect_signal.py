@@ -76,7 +76,7 @@ def _estimate(
     problem: DiscoveryProblem, candidate: CandidateFit, effect: str, site_name: str, policy: LocalisationPolicy
 ) -> EffectSignal | None:
     without = _without_effect(problem, candidate, effect)
-    shooting, zero = unwhitened_shooting(without), np.zeros(without.variables.size)
+    shooting, zero = unwhitened_shooting(without), without.variables.here
     residuals = [r for r, _ in shooting.residuals(zero)]
     measured = [np.isfinite(record.samples(record.y)) for record in shooting.records]
     if not all(np.isfinite(r[present]).all() for r, present in zip(residuals, measured, strict=True)):
@@ -87,7 +87,7 @@ def _estimate(
     site = next((s for s in sites if s.name == site_name), None)
     if site is None:
         return None
-    shooting, zero = unwhitened_shooting(candidate), np.zeros(candidate.variables.size)
+    shooting, zero = unwhitened_shooting(candidate), candidate.variables.here
     stretch = slice(first, first + rows)
     residual = residuals[record][stretch]
     of_effect = residual - shooting.residuals(zero)[record][0][stretch]

@@ -201,7 +201,7 @@ def estimate_site_signals(candidate: CandidateFit, policy: LocalisationPolicy) -
 
 def normalised_residuals(candidate: CandidateFit) -> list[np.ndarray]:
     """Residual over noise (N, ny) of each record."""
-    return [r for r, _ in unwhitened_shooting(candidate).residuals(np.zeros(candidate.variables.size))]
+    return [r for r, _ in unwhitened_shooting(candidate).residuals(candidate.variables.here)]
 
 
 def find_worst_stretch(residuals: Sequence[np.ndarray], most_rows: int) -> tuple[int, int, int]:
@@ -220,7 +220,7 @@ def _rank_sites(
     candidate: CandidateFit, line: LinearisedRun, policy: LocalisationPolicy
 ) -> list[tuple[DisturbanceSite, SmoothedSignal]]:
     """Every site with the signal that the residual asks for there, likeliest first."""
-    r, jacobian = unwhitened_shooting(candidate).residuals(np.zeros(candidate.variables.size))[line.record]
+    r, jacobian = unwhitened_shooting(candidate).residuals(candidate.variables.here)[line.record]
     stretch = slice(line.first, line.first + line.rows)
     r, jacobian = r[stretch], jacobian[stretch]
     present = np.isfinite(r)

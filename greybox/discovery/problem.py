@@ -116,7 +116,7 @@ class DiscoveryProblem:
         names = problem.model.system.state_names
         guess = np.array([[t.initial_state[name] for name in names] for t in fit.traces])
         variables = replace(problem.variables, initial=replace(problem.variables.initial, guess=guess))
-        evaluation = problem.shooting(variables).evaluate(np.zeros(variables.size))
+        evaluation = problem.shooting(variables).evaluate(variables.here)
         return CandidateFit(
             fit.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation
         )
@@ -205,7 +205,7 @@ class DiscoveryProblem:
         problem = self.prepare(model.start(**outcome.values))
         variables = with_start_values(problem.variables, outcome.values)
         variables = replace(variables, initial=replace(variables.initial, guess=np.array(outcome.initial)))
-        e = problem.shooting(variables).evaluate(np.zeros(variables.size))
+        e = problem.shooting(variables).evaluate(variables.here)
         return CandidateFit(problem.model, e.cost, e.count, variables.size, problem, variables, e)
 
     def to_portable(self) -> DiscoveryProblem:
@@ -274,7 +274,7 @@ def _from_solution(model: Model, solution: Solution) -> CandidateFit:
 def _predict_cost(problem: EstimationProblem, start: StartValues) -> tuple[float, DecisionVector] | None:
     """Cost that one step predicts from one start, and the variables there; None if the model cannot be simulated."""
     variables = with_start_values(problem.variables, start)
-    e = problem.shooting(variables).evaluate(np.zeros(variables.size))
+    e = problem.shooting(variables).evaluate(variables.here)
     if not (np.isfinite(e.cost) and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
         return None
     low, high = variables.bounds()

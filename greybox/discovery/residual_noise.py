@@ -67,7 +67,7 @@ def _normalised_residuals(candidate: CandidateFit) -> list[tuple[int, np.ndarray
     """Residual over noise of each measured output, the records one after the other with a gap between."""
     problem = candidate.problem
     shooting = SingleShooting(candidate.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
-    simulated = shooting.simulate(np.zeros(candidate.variables.size))
+    simulated = shooting.simulate(candidate.variables.here)
     runs = [
         (record.samples(y), record.samples(record.y))
         for (y, _), record in zip(simulated, shooting.records, strict=True)

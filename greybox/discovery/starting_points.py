@@ -19,7 +19,7 @@ from greybox.model import Effect, Model
 
 def estimate_scales(candidate: CandidateFit) -> Scales:
     """Peaks and times of a fitted model on its first record."""
-    _, states = candidate.problem.shooting(candidate.variables).simulate(np.zeros(candidate.variables.size))[0]
+    _, states = candidate.problem.shooting(candidate.variables).simulate(candidate.variables.here)[0]
     record = candidate.problem.records[0]
     return measure_scales(candidate.model, states, record.u, float(np.median(record.h)))
 

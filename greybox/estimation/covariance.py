@@ -66,7 +66,7 @@ def estimate_covariance(
     if n == 0 or not np.isfinite(evaluation.cost):
         return ParameterCovariance(covariance, ())
     unknowns = variables.size if unknowns is None else unknowns
-    prior = variables.penalty(np.zeros(variables.size))[2] / 2
+    prior = variables.penalty(variables.here)[2] / 2
     known = np.diag(np.pad(prior, (0, variables.size - n)))
     data = evaluation.hessian / 2 - known if rows is None else compute_information(variables, rows)
     inside = np.flatnonzero(~variables.active)
@@ -237,7 +237,7 @@ def estimate_likelihood_covariance(
     result, information = np.full((n, n), np.nan), np.full((n, n), np.nan)
     block, spans = np.ix_(inside, inside), u.variables.spans[inside]
     result[block] = covariance[:k, :k] * np.outer(spans, spans)
-    data = whole - np.diag(np.pad(u.variables.penalty(np.zeros(u.variables.size))[2] / 2, (0, u.size - n)))
+    data = whole - np.diag(np.pad(u.variables.penalty(u.variables.here)[2] / 2, (0, u.size - n)))
     information[block] = _reduce_information(data, inside, np.arange(n, u.size))
     names = [u.variables.names[j] for j in inside] + [""] * (len(wanted) - k)
     directions = tuple(to_direction(names, weak[:, j] / scale) for j in range(weak.shape[1]))
@@ -261,7 +261,7 @@ def compute_observed_information(optimum: LikelihoodOptimum, policy: IntervalPol
         concerned = [int(k - n) // each] if n <= k < u.variables.size else None
         whole[k] = (cost.gradient(step, concerned) - cost.gradient(-step, concerned)) / (4 * step[k])
     places = np.arange(n)
-    whole[places, places] += u.variables.penalty(np.zeros(u.variables.size))[2] / 2
+    whole[places, places] += u.variables.penalty(u.variables.here)[2] / 2
     return _symmetrise(whole)
 
 

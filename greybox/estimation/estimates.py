@@ -81,7 +81,7 @@ def check_priors(variables: DecisionVector, covariance: ParameterCovariance) -> 
         return result
     inside = np.flatnonzero(~variables.active)
     block = np.ix_(inside, inside)
-    precision = variables.penalty(np.zeros(variables.size))[2] / 2
+    precision = variables.penalty(variables.here)[2] / 2
     whole = covariance.information[block] + np.diag(precision[inside])
     inverse = np.linalg.pinv(whole, hermitian=True)
     for j, k in enumerate(inside):

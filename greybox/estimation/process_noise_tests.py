@@ -106,7 +106,7 @@ def likelihood_ratio_tests(
 ) -> tuple[ProcessNoiseTest, ...]:
     """Each intensity with its likelihood ratio against zero, everything else estimated anew."""
     policy, variables = options.policy.process_noise, optimum.cost.unknowns.variables
-    p = variables.parameters(np.zeros(variables.size))
+    p = variables.parameters(variables.here)
     values = dict(zip((q.name for q in variables.model.all_parameters), p, strict=True))
     tests = []
     for name in names:

@@ -36,7 +36,7 @@ def locate_simulation_failure(
     all terms are finite the states themselves run away: then the largest of them is named. ``variables``: the point is ``z = 0``.
     """
     model, record = problem.model, problem.records[experiment]
-    z = np.zeros(variables.size)
+    z = variables.here
     p = variables.parameters(z, experiment)
     _, states = problem.shooting(variables).simulate(z)[experiment]
     if sample >= len(states):

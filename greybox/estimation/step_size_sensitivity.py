@@ -23,7 +23,7 @@ def polish_by_gauss_newton(solution: Solution, policy: ConvergencePolicy) -> Sol
     variables, passes = solution.variables, 0
     for _ in range(policy.polishing_steps if problem.loss is None else policy.robust_polishing_steps):
         moved = variables.recentre(_clip_to_bounds(variables, compute_gauss_newton_step(variables, evaluation)))
-        after = problem.shooting(moved).evaluate(np.zeros(moved.size))
+        after = problem.shooting(moved).evaluate(moved.here)
         passes += 1
         if not after.cost < evaluation.cost:
             break
@@ -45,7 +45,7 @@ def measure_discretisation_shift(solution: Solution, deviations: np.ndarray) -> 
         return np.zeros(n)
     else:
         halved = problem.with_step(2 * problem.step.substeps, variables.fixed)
-        finer = halved.shooting(variables).evaluate(np.zeros(variables.size))
+        finer = halved.shooting(variables).evaluate(variables.here)
         if not (np.isfinite(finer.cost) and np.isfinite(solution.evaluation.cost)):
             return np.full(n, np.nan)
         change = compute_gauss_newton_step(variables, finer) - compute_gauss_newton_step(variables, solution.evaluation)

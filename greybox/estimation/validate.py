@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from greybox.errors import DataError
 from greybox.estimation.options import FitOptions, resolve_options
 from greybox.estimation.robust_estimation import refit_robustly
@@ -102,7 +100,7 @@ def validate(
             single = replace(options, transcription=Transcription.SINGLE, progressive=False)
             variables = refit_robustly(solve(first, single), single, None).variables
         problem = _refine_until_fine(problem, variables, options)
-        runs = tuple(problem.shooting(variables).simulate(np.zeros(variables.size)))
+        runs = tuple(problem.shooting(variables).simulate(variables.here))
     traces = make_traces(problem, runs)
     return Validation(compute_misfits(problem, traces, skip), traces)
 
@@ -110,7 +108,7 @@ def validate(
 def _refine_until_fine(problem: EstimationProblem, variables: DecisionVector, options: FitOptions) -> EstimationProblem:
     """The same problem with a step that is as small for these records as a fit to them would have made it."""
     for _ in range(options.policy.step_refinement.halvings):
-        evaluation = problem.shooting(variables).evaluate(np.zeros(variables.size))
+        evaluation = problem.shooting(variables).evaluate(variables.here)
         smaller, _ = refine_step(problem, variables, evaluation, options)
         if smaller is None:
             break

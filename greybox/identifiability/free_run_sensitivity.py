@@ -189,11 +189,11 @@ def _compute_sensitivity(
             else make_kernel(step)
         )
         shooting = SingleShooting(variables, step, kernel, (record,), np.ones(ny))
-        ((residual, jacobian),) = shooting.residuals(np.zeros(variables.size))
+        ((residual, jacobian),) = shooting.residuals(variables.here)
         if not np.isfinite(jacobian).all():
             return None
         jacobians.append((np.std(residual, axis=0), jacobian))
-        touched |= touches_bounds(model, shooting.simulate(np.zeros(variables.size))[0][1], policy)
+        touched |= touches_bounds(model, shooting.simulate(variables.here)[0][1], policy)
     n, states_each = len(variables.which), int(free.sum())
     blocks = {}
     for j, output in enumerate(model.outputs):

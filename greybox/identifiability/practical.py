@@ -169,7 +169,7 @@ def analyse_problem(
     )
     if not n:
         return _make_failure(drives, Finding(IdentifiabilityCode.NO_FREE_CONSTANT))
-    evaluation = problem.shooting(variables).evaluate(np.zeros(variables.size))
+    evaluation = problem.shooting(variables).evaluate(variables.here)
     if not np.isfinite(evaluation.cost):
         record, sample = evaluation.failed or (0, 0)
         time, name = float(problem.records[record].h[:sample].sum()), problem.experiments[record].name

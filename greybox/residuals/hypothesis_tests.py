@@ -254,7 +254,7 @@ def _free_run(fit: Fit) -> tuple[Rows, Rows, ColumnLayout]:
     """Residual and slopes of each record, the same with the outliers that a robust fit leaves out, and where its slopes belong."""
     problem = restore_problem(fit)
     variables = problem.variables
-    shooting, zero = problem.shooting(variables), np.zeros(variables.size)
+    shooting, zero = problem.shooting(variables), variables.here
     rows = shooting.residuals(zero)
     return rows, shooting.whiten_residuals(zero) if isinstance(shooting, RobustShooting) else rows, variables
 

@@ -140,7 +140,7 @@ class Collocation:
     def interpret(self, w: np.ndarray) -> CollocationResult:
         """What a point ``w`` of the program means."""
         v, n = self.variables, len(self.variables.which)
-        z, states, position, held = np.zeros(v.size), [], n, 0
+        z, states, position, held = v.here, [], n, 0
         z[:n] = w[:n]
         edges = np.array([s.bounds for s in v.model.all_states], float).T
         for e, record in enumerate(self.records):

@@ -1,10 +1,11 @@
-"""The decision vector of a fit: scaled constants, shared or of one experiment, then each experiment's free initial states."""
+"""The decision vector of a fit: scaled constants, shared or of one experiment, each experiment's free initial states, noise levels."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,44 @@ class InitialStates:
 
     scale: np.ndarray
     """What a step of one in ``z`` changes each state by (nx,)."""
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Noise that is estimated with the rest, ``level * exp(z)``: a likelihood has it among its unknowns."""
+
+    level: np.ndarray
+    """Standard deviation of each output's noise at ``z = 0`` (ny,)."""
+
+    estimated: np.ndarray
+    """For which outputs it is estimated (ny,)."""
+
+    least: np.ndarray
+    """Where it is not followed any further down (ny,)."""
+
+    greatest: float
+    """The largest logarithm of its ratio to ``level``."""
+
+
+class Point(NamedTuple):
+    """The parts of a point ``z``, or of a gradient there, as views: what is written into a part stands in ``z``."""
+
+    parameters: np.ndarray
+    """The free constants, scaled (nf,)."""
+
+    initial_states: np.ndarray
+    """The free initial states, scaled (experiments, states)."""
+
+    noise_levels: np.ndarray
+    """Logarithms of the estimated noise over its level (k,)."""
+
+
+class PointSlices(NamedTuple):
+    """Where the parts of a `Point` stand in ``z``, in a gradient, and in the rows and columns of a matrix."""
+
+    parameters: slice
+    initial_states: slice
+    noise_levels: slice
 
 
 @dataclass(frozen=True)
@@ -81,6 +120,7 @@ class DecisionVector:
     initial: InitialStates
     groups: tuple[int, ...]
     conditions: tuple[Mapping[int, float], ...] = ()
+    noise: NoiseLevels | None = None
 
     @classmethod
     def of(
@@ -151,7 +191,25 @@ class DecisionVector:
     @property
     def size(self) -> int:
         """Length of ``z``."""
-        return len(self.which) + self.experiments * len(self.free_states)
+        return self.slices.noise_levels.stop
+
+    @property
+    def here(self) -> np.ndarray:
+        """The present point, ``z = 0``."""
+        return np.zeros(self.size)
+
+    @cached_property
+    def slices(self) -> PointSlices:
+        """Where the parts of a point stand in ``z``."""
+        parameters = len(self.which)
+        states = parameters + self.experiments * len(self.free_states)
+        size = states + (0 if self.noise is None else int(self.noise.estimated.sum()))
+        return PointSlices(slice(0, parameters), slice(parameters, states), slice(states, size))
+
+    def split(self, z: np.ndarray) -> Point:
+        """The parts of ``z`` (size,)."""
+        parameters, states, noise = (z[part] for part in self.slices)
+        return Point(parameters, states.reshape(self.experiments, -1), noise)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -160,7 +218,13 @@ class DecisionVector:
         return (
             *self.names,
             *(f"{states[j]}(0) of experiment {e + 1}" for e in range(self.experiments) for j in self.free_states),
+            *(f"noise of {self.model.outputs[j].name}" for j in self.estimated_noise),
         )
+
+    @cached_property
+    def estimated_noise(self) -> np.ndarray:
+        """Numbers of the outputs whose noise is estimated with the rest."""
+        return np.flatnonzero(() if self.noise is None else self.noise.estimated)
 
     @property
     def quantities(self) -> tuple[Parameter, ...]:
@@ -180,11 +244,14 @@ class DecisionVector:
             guess, scale = self.initial.guess[e, self.free_states], self.initial.scale[self.free_states]
             low = np.concatenate([low, (edges[:, 0] - guess) / scale])
             high = np.concatenate([high, (edges[:, 1] - guess) / scale])
-        return low, high
+        if self.noise is None:
+            return low, high
+        floor = np.minimum(np.log(self.noise.least / self.noise.level)[self.estimated_noise], 0.0)
+        return np.concatenate([low, floor]), np.concatenate([high, np.full(len(floor), self.noise.greatest)])
 
     def constants(self, z: np.ndarray) -> np.ndarray:
         """The free constants (nf,) at ``z``, clipped to their bounds (an optimiser may overstep them by a hair)."""
-        step = z[: len(self.which)]
+        step = z[self.slices.parameters]
         with np.errstate(over="ignore", invalid="ignore"):
             grown = self.base * np.exp(np.where(self.logarithmic, step, 0.0))
             free = np.where(self.logarithmic, grown, self.base + self.scale * step)
@@ -238,20 +305,33 @@ class DecisionVector:
 
     def columns(self, experiment: int) -> np.ndarray:
         """Which entries of ``z`` concern one experiment (other experiments' own constants among them, without any influence)."""
-        n, each = len(self.which), len(self.free_states)
-        return np.concatenate([np.arange(n), n + experiment * each + np.arange(each)])
+        parts = self.split(np.arange(self.size))
+        return np.concatenate([parts.parameters, parts.initial_states[experiment], parts.noise_levels])
 
     def compute_initial_state(self, z: np.ndarray, p: np.ndarray, experiment: int) -> tuple[np.ndarray, np.ndarray]:
         """Initial state (nx,) of one experiment and its slopes (nx, L) along `columns`."""
         x0, slope = self._start(p)
         n, free = len(self.which), self.free_states
-        dx0 = np.zeros((len(x0), n + len(free)))
+        dx0 = np.zeros((len(x0), n + len(free) + len(self.estimated_noise)))
         dx0[:, :n] = slope[:, self.which] * self.slopes(p, experiment)
-        scaled_states = z[self.columns(experiment)[n:]]
+        scaled_states = self.split(z).initial_states[experiment]
         x0[free] = self.initial.guess[experiment, free] + self.initial.scale[free] * scaled_states
         dx0[free, :n] = 0.0
         dx0[free, n + np.arange(len(free))] = self.initial.scale[free]
         return x0, dx0
+
+    def noise_levels(self, z: np.ndarray) -> np.ndarray:
+        """Standard deviation of each output's noise (ny,) at ``z``, where it is among the unknowns."""
+        assert self.noise is not None  # only a likelihood asks for it
+        level = self.noise.level.copy()
+        level[self.estimated_noise] *= np.exp(self.split(z).noise_levels)
+        return level
+
+    def place_initial_states(self, z: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """``z`` (size,) with other initial states (experiments, nx), of which the free ones count."""
+        z, free = z.copy(), self.free_states
+        self.split(z).initial_states[:] = (states - self.initial.guess)[:, free] / self.initial.scale[free]
+        return z
 
     def _start(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The declared initial state (nx,) and its slope along all parameters."""
@@ -269,24 +349,24 @@ class DecisionVector:
         with np.errstate(divide="ignore", invalid="ignore"):
             factor = np.sqrt(cost / curvature)
         factor = np.where(np.isfinite(factor) & (factor > 0), factor, 1.0)
-        n, each = len(self.which), len(self.free_states)
-        scale = np.where(self.logarithmic, self.scale, self.scale * factor[:n])
+        parts = self.split(factor)
+        scale = np.where(self.logarithmic, self.scale, self.scale * parts.parameters)
         states = self.initial.scale.copy()
-        if each:
-            states[self.free_states] *= np.exp(np.log(factor[n:]).reshape(-1, each).mean(axis=0))
+        states[self.free_states] *= np.exp(np.log(parts.initial_states).mean(axis=0))
         return replace(self, scale=scale, initial=replace(self.initial, scale=states))
 
     def recentre(self, z: np.ndarray) -> DecisionVector:
         """The same variables with ``z = 0`` at the given point."""
         p = self.parameters(z)
         guess = np.array([self.compute_initial_state(z, self.parameters(z, e), e)[0] for e in range(self.experiments)])
-        return replace(self, base=self.constants(z), fixed=p, initial=replace(self.initial, guess=guess))
+        noise = self.noise and replace(self.noise, level=self.noise_levels(z))
+        return replace(self, base=self.constants(z), fixed=p, initial=replace(self.initial, guess=guess), noise=noise)
 
     def with_values(self, values: Mapping[str, float]) -> DecisionVector:
         """The same variables with other values of some constants at ``z = 0``, by their labels in ``names``."""
         base = np.array([values.get(name, value) for name, value in zip(self.names, self.base, strict=True)])
         changed = replace(self, base=base)
-        return replace(changed, fixed=changed.parameters(np.zeros(self.size)))
+        return replace(changed, fixed=changed.parameters(changed.here))
 
     def hold(self, held: np.ndarray) -> DecisionVector:
         """The same variables with some constants (nf,) no longer free: they are as in ``fixed``, or as the conditions have them."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from greybox.errors import ModelError
 from greybox.noise import AutoRegression
 from greybox.transcription.options import SolverOptions
@@ -40,7 +38,7 @@ def finish_by_simulation_error(
         return solution
     policy = options.policy.joining
     run = SingleShooting(problem.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
-    cost, count = run.evaluate(np.zeros(problem.variables.size)).cost, solution.evaluation.count
+    cost, count = run.evaluate(problem.variables.here).cost, solution.evaluation.count
     if cost <= policy.cost_ratio * solution.evaluation.cost + policy.perfect_noise_ratio**2 * count:
         finished = solve_single(problem, replace(options, progressive=False), report)
         return replace(

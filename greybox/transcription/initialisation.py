@@ -98,7 +98,7 @@ def initialise_without_continuity(
     ``cuts`` of each record as for `estimate_nodes`.
     """
     arcs, v = estimate_arc_states(single, cuts, policy.projection), single.variables
-    z = np.zeros(v.size)
+    z = v.here
     z[: arcs.size] = fit_without_continuity(arcs, policy.relaxation)
     nodes = to_nodes(single, cuts, arcs)
     free = v.free_states

@@ -150,7 +150,7 @@ class MultipleShooting:
             Called with the number of each iteration and its cost; ends the search by an answer that is true.
         """
         began = time.perf_counter()
-        point = _ShootingPoint(np.zeros(self.variables.size), self.nodes)
+        point = _ShootingPoint(self.variables.here, self.nodes)
         if relax and self._arcs:
             point.z[: self._arcs.size] = fit_without_continuity(self._arcs, self.relaxation)
             point.nodes = to_nodes(self.single, self.cuts, self._arcs)
@@ -180,7 +180,7 @@ class MultipleShooting:
 
     def gauss_newton_step(self) -> np.ndarray:
         """The next Gauss-Newton step of the constants (nf,) in ``z`` from the present nodes; NaN where a segment overflows."""
-        linearised = self._linearise(_ShootingPoint(np.zeros(self.variables.size), self.nodes))
+        linearised = self._linearise(_ShootingPoint(self.variables.here, self.nodes))
         if linearised is None:
             return np.full(len(self.variables.which), np.nan)
         return self._compute_step(linearised, 0.0)[0]

@@ -62,4 +62,4 @@ def compute_growth_rates(problem: EstimationProblem) -> list[float]:
 
 
 def _start_parameters(problem: EstimationProblem) -> np.ndarray:
-    return problem.variables.parameters(np.zeros(problem.variables.size))
+    return problem.variables.parameters(problem.variables.here)

@@ -97,7 +97,7 @@ class _Run:
     def measure(self, share: float) -> Evaluation:
         """The present point over part of the record."""
         self.passes += 1
-        return self.problem.shooting(self.variables, share).evaluate(np.zeros(self.variables.size))
+        return self.problem.shooting(self.variables, share).evaluate(self.variables.here)
 
     def grow(self) -> None:
         """Fit a growing part of the record, until a part foretells the whole."""
@@ -152,7 +152,7 @@ class _Run:
         low, high = variables.bounds()
         outcome = minimise(
             evaluate if prior is None else lambda z: prior(z, evaluate(z)),
-            np.zeros(variables.size),
+            variables.here,
             low,
             high,
             scale=max(start.cost, TINY),

@@ -70,7 +70,7 @@ class Solution:
         if not self.joined:
             return True
         free, noise = (
-            self.problem.shooting(self.variables).simulate(np.zeros(self.variables.size)),
+            self.problem.shooting(self.variables).simulate(self.variables.here),
             self.problem.noise.std,
         )
         away = np.concatenate([(a - b) / noise for (a, _), (b, _) in zip(free, self.joined.runs, strict=True)])
@@ -80,14 +80,14 @@ class Solution:
         """For each record outputs (N, ny) and states (N, nx) of the model at the optimum."""
         if self.joined:
             return self.joined.runs
-        return tuple(self.problem.shooting(self.variables).simulate(np.zeros(self.variables.size)))
+        return tuple(self.problem.shooting(self.variables).simulate(self.variables.here))
 
     def residuals(self) -> Runs:
         """For each record the weighted residuals (N, ny) of its samples and their Jacobian (N, ny, L) at the optimum."""
         if self.joined:
             pairs = zip(self.problem.records, self.joined.rows, strict=True)
             return tuple((_samples(record, r), _samples(record, jacobian)) for record, (r, jacobian) in pairs)
-        return tuple(self.problem.shooting(self.variables).residuals(np.zeros(self.variables.size)))
+        return tuple(self.problem.shooting(self.variables).residuals(self.variables.here))
 
 
 def _samples(record: Record, values: np.ndarray) -> np.ndarray:

@@ -64,7 +64,7 @@ def solve_arcs(
         shift = (compute_gauss_newton_step(variables, finer) - compute_gauss_newton_step(variables, evaluation))[
             : len(shift)
         ]
-    runs = problem.shooting(problem.variables).simulate(np.zeros(problem.variables.size))
+    runs = problem.shooting(problem.variables).simulate(problem.variables.here)
     states = len(variables.free_states)
     padded = [(r, np.pad(jacobian, ((0, 0), (0, 0), (0, states)))) for r, jacobian in rows]
     joined = SegmentedRun(_stitch(runs, arcs), _stitch(padded, arcs), problem.variables.size, shift)
@@ -131,7 +131,7 @@ def _solve_with_states_eliminated(
         problem = replace(problem, variables=projected.variables.recentre(projected.full(outcome.z)))
         if problem.step.per_interval:
             break
-        finer, zero = halve_step(problem), np.zeros(problem.variables.size)
+        finer, zero = halve_step(problem), problem.variables.here
         error = compute_change_over_noise(problem, _shooting(problem).simulate(zero), _shooting(finer).simulate(zero))
         if options.substeps or halving == policy.halvings or not is_too_coarse(error, problem, value, policy):
             break
@@ -159,7 +159,7 @@ def _to_whole_records(v: DecisionVector, fitted: DecisionVector, starts_record: 
 def _project_residuals(problem: EstimationProblem) -> list[tuple[np.ndarray, np.ndarray]]:
     """Residuals (N, ny) of each arc and their Jacobian (N, ny, nf), its initial state at its best for the constants."""
     n, result = len(problem.variables.which), []
-    for r, jacobian in problem.shooting(problem.variables).residuals(np.zeros(problem.variables.size)):
+    for r, jacobian in problem.shooting(problem.variables).residuals(problem.variables.here):
         measured = np.isfinite(r)
         along, states = jacobian[measured][:, :n], jacobian[measured][:, n:]
         slope = -invert_semidefinite(states.T @ states) @ (states.T @ along)

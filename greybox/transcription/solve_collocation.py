@@ -122,14 +122,14 @@ def _solve(
     if not outcome.status.success:
         free = SingleShooting(point.variables, problem.step, problem.kernel, records, weight)
         return _CollocationPoint(
-            outcome, point.variables, point.states, point.at_bound, free.evaluate(np.zeros(variables.size)), ()
+            outcome, point.variables, point.states, point.at_bound, free.evaluate(variables.here), ()
         )
     return _CollocationPoint(outcome, point.variables, point.states, point.at_bound, *program.linearise(outcome.z))
 
 
 def _simulate(problem: EstimationProblem, at: _CollocationPoint) -> Runs:
     """Outputs and states at the rows of each record."""
-    output, zero = problem.model.system.output_function, np.zeros(at.variables.size)
+    output, zero = problem.model.system.output_function, at.variables.here
     runs = []
     for e, (record, x) in enumerate(zip(problem.records, at.states, strict=True)):
         p = at.variables.parameters(zero, e)

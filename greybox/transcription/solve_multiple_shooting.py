@@ -94,7 +94,7 @@ def _compute_step_error(
     problem: EstimationProblem, cuts: Sequence[Sequence[int]], result: MultipleShootingResult
 ) -> np.ndarray:
     """What half the step changes in the segments, over the noise (ny,)."""
-    finer, z = halve_step(problem), np.zeros(result.variables.size)
+    finer, z = halve_step(problem), result.variables.here
     single = SingleShooting(result.variables, finer.step, finer.kernel, problem.records, 1 / problem.noise.std)
     runs = [simulate_segments(single, z, e, rows, result.nodes[e]) for e, rows in enumerate(cuts)]
     return compute_change_over_noise(problem, result.runs, runs)

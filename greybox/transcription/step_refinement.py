@@ -72,7 +72,7 @@ def refine_step(
     """
     if problem.step.per_interval:
         return None, np.zeros(len(problem.noise.std))
-    policy, z = options.policy.step_refinement, np.zeros(variables.size)
+    policy, z = options.policy.step_refinement, variables.here
     first_part = replace(
         problem, records=tuple(r.first(max(policy.checked_rows, len(r.u) // 4)) for r in problem.records)
     )

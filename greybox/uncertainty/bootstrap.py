@@ -104,7 +104,7 @@ def bootstrap(
         )
     count = sum(int(np.isfinite(r).sum()) for r, *_ in at.rows)
     gradient = np.zeros((replicates, size))
-    prior = np.pad(v.penalty(np.zeros(v.size))[2] / 2, (0, size - len(v.which)))
+    prior = np.pad(v.penalty(v.here)[2] / 2, (0, size - len(v.which)))
     for e, (r, slopes, loudness) in enumerate(at.rows):
         gradient[:, at.layout.columns(e)] += _draw_scores(r, slopes, loudness, replicates, block, generator)
     gradient *= np.sqrt(count / max(count - size, 1))
@@ -132,7 +132,7 @@ class _Optimum:
 def _restore_simulation(fit: Fit) -> _Optimum:
     problem = restore_problem(fit)
     v = problem.variables
-    zero = np.zeros(v.size)
+    zero = v.here
     rows = problem.shooting(v).residuals(zero)
     prior = np.pad(v.penalty(zero)[2] / 2, (0, v.size - len(v.which)))
     information = compute_information(v, rows) + np.diag(prior)

@@ -88,7 +88,7 @@ def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLI
     v = problem.variables
     _check_name(name, v)
     shooting = problem.shooting(v)
-    z = np.zeros(v.size)
+    z = v.here
     evaluation = shooting.evaluate(z)
     covariance = estimate_covariance(
         v,

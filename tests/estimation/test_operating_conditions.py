@@ -43,7 +43,7 @@ def laid_out(start, data, at_rest=True, conditions=None):
 
 
 def fitted(p):
-    shooting, zero = p.shooting(p.variables), np.zeros(p.variables.size)
+    shooting, zero = p.shooting(p.variables), p.variables.here
     first = shooting.evaluate(zero)
     outcome = minimise(shooting.evaluate, zero, *p.variables.bounds(), scale=first.cost, tolerance=1e-13)
     return p.variables.recentre(outcome.z), outcome.cost
@@ -64,12 +64,10 @@ def test_records_at_two_supply_pressures_give_one_set_of_constants():
 
 def test_states_at_rest_follow_the_conditions_of_their_experiment():
     p = laid_out(start(), [record(s, 20) for s in SUPPLIES])
-    runs = p.shooting(p.variables).simulate(np.zeros(p.variables.size))
+    runs = p.shooting(p.variables).simulate(p.variables.here)
     for e, ((_, x), supply) in enumerate(zip(runs, SUPPLIES, strict=True)):
         np.testing.assert_allclose(x[0, 2:], supply / 2)
-        assert (
-            p.variables.parameters(np.zeros(p.variables.size), e)[TRUTH.system.parameter_names.index("P_S")] == supply
-        )
+        assert p.variables.parameters(p.variables.here, e)[TRUTH.system.parameter_names.index("P_S")] == supply
     assert (
         p.variables.fixed[TRUTH.system.parameter_names.index("P_S")] == TRUTH.values["P_S"]
     )  # the model keeps its own
@@ -115,9 +113,7 @@ def test_every_transcription_knows_the_conditions():
     outcome = minimise(projected.evaluate, np.zeros(len(low)), low, high, scale=first.cost, tolerance=1e-13)
     np.testing.assert_allclose(projected.variables.parameters(projected.full(outcome.z)), truth, rtol=1e-6)
 
-    states = [
-        simulate_segments(single, np.zeros(p.variables.size), e, lifted.cuts[e], start_nodes[e])[1] for e in range(2)
-    ]
+    states = [simulate_segments(single, p.variables.here, e, lifted.cuts[e], start_nodes[e])[1] for e in range(2)]
     program = Collocation(p.variables, p.records, weight, states, scheme="legendre", elements=2)
     given = program.problem()
     exact = program.interpret(given["start"]).variables

@@ -172,7 +172,7 @@ def test_the_whitened_cost_is_the_dense_generalised_least_squares_cost():
     )
     shooting = problem.shooting(problem.variables)
     assert isinstance(shooting, WhitenedShooting)
-    z = np.zeros(problem.variables.size)
+    z = problem.variables.here
     value = shooting.evaluate(z)
     plain = prepare_problem(
         TRUTH, replace(record, outputs=gap), LEVEL, at_rest=False, method="automatic", substeps=0

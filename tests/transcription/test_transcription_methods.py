@@ -181,7 +181,7 @@ def test_multiple_shooting_ends_where_single_shooting_does_on_noisy_records_with
     assert found.converged
     assert found.evaluation.cost == pytest.approx(reference.evaluation.cost, rel=1e-6)
     assert found.evaluation.count == reference.evaluation.count
-    information = p.shooting(found.variables).evaluate(np.zeros(found.variables.size)).hessian
+    information = p.shooting(found.variables).evaluate(found.variables.here).hessian
     n = len(found.variables.which)
     a, b, c = information[:n, :n], information[:n, n:], information[n:, n:]
     projected = a - b @ np.linalg.solve(c, b.T)
@@ -193,7 +193,7 @@ def test_multiple_shooting_ends_where_single_shooting_does_on_noisy_records_with
     moved = np.log(found.variables.fixed / reference.variables.fixed)[found.variables.which]
     assert np.all(np.abs(moved) < 0.05 * std)
     joined = np.concatenate([y for y, _ in found.runs])
-    free = np.concatenate([y for y, _ in p.shooting(found.variables).simulate(np.zeros(found.variables.size))])
+    free = np.concatenate([y for y, _ in p.shooting(found.variables).simulate(found.variables.here)])
     np.testing.assert_allclose(joined, free, atol=1e-6 * np.ptp(free, axis=0).max())
 
 
@@ -403,7 +403,7 @@ def test_short_arcs_forget_a_drift_that_spoils_the_long_run():
         k = names.index(name)
         off = [abs(v.fixed[k] / emps.values[name] - 1) for v in (whole, short)]
         assert off[1] < 0.5 * off[0], name
-    assert outcome.cost < 0.2 * p.shooting(whole).evaluate(np.zeros(whole.size)).cost
+    assert outcome.cost < 0.2 * p.shooting(whole).evaluate(whole.here).cost
 
 
 def test_a_transcription_is_proposed_with_its_reason(pneumatic):
@@ -429,4 +429,4 @@ def test_segments_of_several_records_keep_their_own_initial_states(duffing):
     assert [len(n) for n in found.nodes] == [6, 8]  # segments and the end; 20 rows of 40 stay a segment
     np.testing.assert_allclose(found.variables.initial.guess, [[0.3, 0.0], [-0.2, 1.0]], atol=1e-6)
     again = SingleShooting(found.variables, p.step, p.kernel, p.records, 1 / p.noise.std)
-    assert again.evaluate(np.zeros(found.variables.size)).cost < 1e-6
+    assert again.evaluate(found.variables.here).cost < 1e-6
