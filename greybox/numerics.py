@@ -17,9 +17,6 @@ BALANCE_MET_OF_MOVE = 1e-12
 FREE_POSITION = 1e-9
 """No rate depends on a position whose share of every row of the scaled Jacobian is below this."""
 
-FLAT_DIRECTION = 1e-11
-"""A direction in which the scaled Jacobian is below this share of its largest is left as it is: a piston may rest anywhere."""
-
 NEGLIGIBLE_MOVE = 1e-13
 """A change of a variable below this share of its typical size is a rounding error."""
 
@@ -31,9 +28,6 @@ SAME_DERIVATIVE = 1e-9
 
 REACHABILITY_RANK = 1e-10
 """A part of the reachable space below this share of the model's size is a rounding error."""
-
-FLAT_COVARIANCE = 1e-12
-"""Scaled eigenvalues of a covariance below this share of the largest are rounding errors."""
 
 INTEGRATING_POLE = 1e-9
 """A pole is at rest (0, or 1 in the z-plane) where its distance is below this share of the fastest one."""
@@ -93,7 +87,24 @@ TINY = 1e-300
 """Smallest divisor: keeps a quotient finite where numerator and denominator vanish together."""
 
 RANK_CUTOFF = 1e-12
-"""Eigenvalues of an information matrix with columns of length one, below this share of the largest, are rounding."""
+"""Eigenvalues of an information or curvature matrix, its diagonal scaled to one, below this share of the largest are rounding: a product
+of sensitivities whose entries are sums over long records, exact to some 1e-14."""
+
+CERTAIN_INFORMATION = 1e-10
+"""The same: above this they are information; between the two lies doubt. What decides only whether a part of the data, or an eliminated
+first state, is seen at all takes this line."""
+
+COLUMN_CUTOFF = 1e-11
+"""Singular values of sensitivities, their columns scaled to length one, below this are rounding: they are not squared, but carry the
+errors of an integration over thousands of steps."""
+
+CERTAIN_COLUMN = 1e-8
+"""The same: above this they are information; between the two lies doubt."""
+
+DIRECTION_CUTOFF = 1e-6
+"""Singular values of directions of length one below this show that they depend on one another: directions are results of a decomposition
+themselves, exact to the rounding errors over the smallest singular value that counted. Also the share of a slope that may stick out of a
+subspace."""
 
 WRONG_MULTIPLIER = 1e-12
 """A slope against a bound below this share of the largest is rounding: the bound is not released."""
@@ -107,26 +118,8 @@ OVERFLOWING_CURVATURE = 1e100
 SAME_DIRECTION = 1e-9
 """Largest difference of two unit vectors that rounding explains: they are the same direction."""
 
-SPAN_TOLERANCE = 1e-9
-"""Singular value, over the largest, below which a column adds no direction to a span."""
-
-SENSITIVITY_ROUNDING = 1e-11
-"""Singular values of sensitivities with columns of length one: at and below this they are rounding."""
-
-SENSITIVITY_INFORMATION = 1e-8
-"""The same: above this they are information; between the two lies doubt."""
-
 DIRECTION_ENTRY = 1e-9
 """Entries of a direction of length one, or poles over the largest, that are smaller count as zero."""
-
-DIRECTION_RANK = 1e-8
-"""Singular values of a part of an orthonormal basis below this show that a combination of its columns vanishes there."""
-
-COMMON_DIRECTION = 1e-7
-"""Singular values of stacked orthonormal bases below this, times the root of their number, belong to directions common to all."""
-
-INDEPENDENT_DIRECTION = 1e-6
-"""Least singular value of directions of length one that are independent, and share of a slope that may stick out of a subspace."""
 
 INDEPENDENT_FORMULA = 1e-3
 """The same for formulas that noisy records determine: nearly parallel ones say the same."""
@@ -181,21 +174,11 @@ full precision (``0.5^14 / 14!`` is below 1e-15)."""
 INTEGRATOR_POLE = 1e-9
 """A mode slower than this share of the fastest one counts as an integrator: it has no time constant."""
 
-INFORMATION_CUTOFF = 1e-12
-"""Directions of the scaled parameters with less than this share of the largest curvature are not determined: the information matrix is
-a product of sensitivities, which squares their rounding errors."""
-
-PART_INFORMATION_CUTOFF = 1e-10
-"""The same for a part of the data by itself, where it decides only whether the part says anything of a parameter."""
-
 DECREASE_CUTOFF = 1e-13
 """Directions with less than this share of the largest curvature promise no decrease of a cost."""
 
 AT_BOUND = 1e-6
 """A value this close to its bound, as a share of its range or scale, lies on it."""
-
-FAINT_SENSITIVITY = 1e-100
-"""Root of an information below which a parameter does not act at all: its square is next to underflow."""
 
 UNSEEN_INFORMATION = 1e-8
 """A direction of first states with less than this share of the information of the best known one is taken to be as wide as this says."""
@@ -212,9 +195,6 @@ SAME_INTERVAL = 1e-9
 
 FREE_STATE_CURVATURE = 1e-10
 """A step of a segment's state along directions that no sample shows is held back by this share of the mean curvature."""
-
-UNSEEN_STATE_CURVATURE = 1e-10
-"""Directions of an initial state with less than this share of the largest (scaled) curvature are not shown by the record."""
 
 ROUNDED_BOUND = 1e-9
 """``exp(log(bound))`` is not the bound: a constant within this share of it is set to it."""

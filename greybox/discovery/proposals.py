@@ -16,6 +16,7 @@ from greybox.discovery.residual_noise import INDEPENDENT_SOURCES
 from greybox.discovery.surrogate import Surrogate, SurrogateTone
 from greybox.experiment import Experiment
 from greybox.findings import Finding, Severity
+from greybox.linear_algebra import pseudo_inverse
 from greybox.result import Fit
 
 
@@ -87,7 +88,7 @@ def _detection_limit(candidate: CandidateFit, policy: ProposalPolicy) -> Finding
     if not amplitudes:
         return None
     name = amplitudes[0]
-    covariance = np.linalg.pinv(candidate.evaluation.hessian / 2, rcond=1e-12, hermitian=True)
+    covariance = pseudo_inverse(candidate.evaluation.hessian / 2)
     k = variables.names.index(name)
     std = float(np.sqrt(covariance[k, k]) * variables.spans[k])
     values = {

@@ -16,8 +16,8 @@ from scipy.linalg import eigh
 
 from greybox.discovery.disturbance_sites import DisturbanceSite, LinearisedRun, SiteKind
 from greybox.discovery.policy import LocalisationPolicy
+from greybox.linear_algebra import range_basis
 from greybox.noise import AutoRegression
-from greybox.numerics import SPAN_TOLERANCE
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +114,7 @@ def absorbed_basis(
 ) -> np.ndarray:
     """Orthonormal basis (R*m, L) of what constants (``absorbing``, (R, m, n)) and the initial state of the stretch can do."""
     initial = whiten_columns(_initial(line) * weight[:, None], colour, present)
-    return _basis(np.concatenate([absorbing, initial], axis=2)[present])
+    return range_basis(np.concatenate([absorbing, initial], axis=2)[present])
 
 
 def whiten_columns(values: np.ndarray, colour: tuple[AutoRegression, ...], present: np.ndarray) -> np.ndarray:
@@ -170,13 +170,3 @@ def _simulate_linear(line: LinearisedRun, x: np.ndarray, gamma: np.ndarray, w: n
         if k < line.rows - 1:
             x = line.phi[0 if constant_phi else k] @ x + gamma[0 if constant_gamma else k][:, None] * w[k]
     return line.c @ states
-
-
-def _basis(columns: np.ndarray) -> np.ndarray:
-    """Orthonormal basis of the span of ``columns`` (n, L), directions without weight left out."""
-    size = np.linalg.norm(columns, axis=0)
-    columns = columns[:, size > 0] / size[size > 0]
-    if not columns.shape[1]:
-        return np.zeros((len(columns), 0))
-    u, s, _ = np.linalg.svd(columns, full_matrices=False)
-    return u[:, s > SPAN_TOLERANCE * s[0]]

@@ -19,6 +19,7 @@ from greybox.discovery.dependence import Dependence
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.localisation import ResidualSignal
 from greybox.discovery.policy import SurrogatePolicy
+from greybox.linear_algebra import decompose_columns
 from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, Parameter, State
 
@@ -61,9 +62,8 @@ def make_curve_effect(
     basis = _bumps((z - low) / pitch, len(heights))
     weight = 1 / np.maximum(std, 1e-3 * size)
     prior_rows = np.eye(len(heights)) / prior
-    c = np.linalg.lstsq(
-        np.vstack([basis * weight[:, None], prior_rows]), np.append(w * weight, np.zeros(len(heights))), rcond=None
-    )[0]
+    regression = decompose_columns(np.vstack([basis * weight[:, None], prior_rows]))
+    c = regression.solve(np.append(w * weight, np.zeros(len(heights))))
     effect = _curve_effect(site, dependence, curve, parameters, heights, f"smooth curve over {variable}")
     return effect, dict(zip(heights, map(float, c), strict=True))
 
@@ -102,7 +102,7 @@ def make_sinusoid_effect(
 
     angle = 2 * np.pi * z / period
     basis = np.stack([np.cos(angle), np.sin(angle), np.ones_like(z), z], axis=1)
-    cosine, sine, *_ = np.linalg.lstsq(basis, w, rcond=None)[0]
+    cosine, sine, *_ = decompose_columns(basis).solve(w)
     effect = _curve_effect(site, dependence, curve, parameters, ["cosine", "sine"], f"sinusoid over {variable}")
     return effect, {"pitch": period, "cosine": float(cosine), "sine": float(sine)}
 
@@ -217,7 +217,7 @@ def _fit_sinusoid(time: np.ndarray, w: np.ndarray, about: float) -> tuple[float,
     def regress(frequency: float) -> tuple[np.ndarray, float]:
         angle = 2 * np.pi * frequency * time
         basis = np.stack([np.cos(angle), np.sin(angle), np.ones_like(time)], axis=1)
-        coefficients = np.linalg.lstsq(basis, w, rcond=None)[0]
+        coefficients = decompose_columns(basis).solve(w)
         return coefficients, float(np.sum((w - basis @ coefficients) ** 2))
 
     reach = 1 / np.ptp(time)

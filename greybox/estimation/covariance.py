@@ -14,8 +14,9 @@ from greybox.estimation.sandwich import (
     estimate_residual_colour,
     estimate_score_covariance,
 )
+from greybox.linear_algebra import SymmetricDecomposition, decompose_symmetric, eliminate
 from greybox.noise import NoisePolicy
-from greybox.numerics import INFORMATION_CUTOFF, TINY
+from greybox.numerics import TINY
 from greybox.result import IntervalKind
 from greybox.transcription import DecisionVector, Evaluation
 from greybox.transcription.solution import Runs
@@ -71,11 +72,12 @@ def estimate_covariance(
     data = evaluation.hessian / 2 - known if rows is None else compute_information(variables, rows)
     inside = np.flatnonzero(~variables.active)
     block = np.ix_(inside, inside)
-    projector = _projector(data + known, n)
+    projector = eliminate(data + known, np.arange(n), np.arange(n, variables.size))
     information = (projector @ data[:, :n])[block]
     information = (information + information.T) / 2
     held = np.diag(prior[inside])
-    inverse, weak, scale = invert_information(information + held)
+    inside_information = decompose_symmetric(information + held)
+    inverse = inside_information.pseudo_inverse
     degrees = float(max(evaluation.count - unknowns + int(variables.has_prior.sum()), 1))
     variance = float(evaluation.squares.sum()) / degrees
     if noise_given:
@@ -94,11 +96,11 @@ def estimate_covariance(
         with np.errstate(divide="ignore", invalid="ignore"):
             inflation[inside] = np.sqrt(np.diag(spread) / white)
         kind, degrees = IntervalKind.SANDWICH, colour.degrees
-    spread[np.diag_indices_from(spread)] = np.where(is_in_open_direction(weak), np.inf, np.diag(spread))
+    spread[np.diag_indices_from(spread)] = np.where(inside_information.is_open, np.inf, np.diag(spread))
     slopes = variables.spans[inside]
     covariance[block] = spread * np.outer(slopes, slopes)
     names = [variables.names[k] for k in inside]
-    directions = tuple(to_direction(names, weak[:, k] / scale) for k in range(weak.shape[1]))
+    directions = list_open_directions(names, inside_information)
     return ParameterCovariance(
         covariance, directions, kind, inflation, degrees, _placed(information, inside, n), _placed(scores, inside, n)
     )
@@ -111,21 +113,6 @@ def compute_information(variables: DecisionVector, rows: Runs) -> np.ndarray:
         slopes, columns = jacobian[np.isfinite(r)], variables.columns(e)
         total[np.ix_(columns, columns)] += slopes.T @ slopes
     return total
-
-
-def invert_information(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The inverse, zero along directions without information; these directions (n, k), scaled; and the scale (n,) of each entry."""
-    scale = np.sqrt(np.maximum(np.diag(information), TINY))
-    # A run that has left all bounds may hold negative information on a parameter, by rounding.
-    informed = np.diag(information) > 0
-    values, vectors = np.linalg.eigh(
-        np.divide(
-            information, np.outer(scale, scale), where=np.outer(informed, informed), out=np.zeros_like(information)
-        )
-    )
-    weak = values <= INFORMATION_CUTOFF * max(values.max(initial=0.0), 1.0)
-    inverse = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
-    return inverse, vectors[:, weak], scale
 
 
 def _placed(matrix: np.ndarray, inside: np.ndarray, n: int) -> np.ndarray:
@@ -149,19 +136,6 @@ def compute_interval(value: float, reach: float, positive: bool, bounds: tuple[f
     return max(low, bounds[0]), min(high, bounds[1])
 
 
-def _projector(information: np.ndarray, n: int) -> np.ndarray:
-    """``[I, -B C^-1]`` (n, size): takes scores to those of the first ``n`` entries with the others estimated as well.
-
-    Applied to the information it leaves the Schur complement ``A - B C^-1 B'``.
-    """
-    b, c = information[:n, n:], information[n:, n:]
-    return (
-        np.hstack([np.eye(n), -b @ np.linalg.pinv(c, rcond=INFORMATION_CUTOFF, hermitian=True)])
-        if c.size
-        else np.eye(n)
-    )
-
-
 def raise_to_larger(covariance: np.ndarray, other: np.ndarray) -> np.ndarray:
     """``covariance`` with each standard deviation raised to that of the other."""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -170,16 +144,13 @@ def raise_to_larger(covariance: np.ndarray, other: np.ndarray) -> np.ndarray:
     return covariance * np.outer(factor, factor)
 
 
-def is_in_open_direction(weak: np.ndarray) -> np.ndarray:
-    """Which constants a set of undetermined directions touches."""
-    return np.any(np.abs(weak) > 1e-3, axis=1)
-
-
-def to_direction(names: list[str], vector: np.ndarray) -> dict[str, float]:
-    """A direction of constants as names with weights, the largest of them one."""
-    largest = np.abs(vector).max()
-    share = vector / (largest * np.sign(vector[np.argmax(np.abs(vector))]))
-    return {name: float(w) for name, w in zip(names, share, strict=True) if abs(w) > 1e-2}
+def list_open_directions(names: list[str], information: SymmetricDecomposition) -> tuple[dict[str, float], ...]:
+    """Directions that hold no information as names with weights, the largest of them one."""
+    result = []
+    for vector in (information.weak / information.scale[:, None]).T:
+        shares = vector / vector[np.argmax(np.abs(vector))]
+        result.append({name: float(w) for name, w in zip(names, shares, strict=True) if abs(w) > 1e-2})
+    return tuple(result)
 
 
 @dataclass(frozen=True)
@@ -215,13 +186,14 @@ def estimate_likelihood_covariance(
     first_states = np.arange(n, u.variables.size)
     kind, whole = IntervalKind.OBSERVED_INFORMATION, compute_observed_information(optimum, policy)
     expected = optimum.evaluation.hessian / 2
-    projector = _project_scores(expected, wanted, first_states)
-    inverse, weak, scale = invert_information(_symmetrise(projector @ expected[:, wanted]))
-    observed = _invert_within(_reduce_information(whole, wanted, first_states), weak, scale)
+    projector = eliminate(expected, wanted, first_states)
+    expected_information = decompose_symmetric(_symmetrise(projector @ expected[:, wanted]))
+    inverse = expected_information.pseudo_inverse
+    observed = _invert_within(_reduce_information(whole, wanted, first_states), expected_information)
     if observed is None:
         kind, whole = IntervalKind.EXPECTED_INFORMATION, expected
     else:
-        inverse, projector = observed, _project_scores(whole, wanted, first_states)
+        inverse, projector = observed, eliminate(whole, wanted, first_states)
     covariance, inflation = inverse.copy(), np.ones(n)
     innovations = optimum.cost.innovations()
     colour = estimate_residual_colour([(r, r) for r in innovations], 0, True, policy=policy, noise_policy=noise_policy)
@@ -233,14 +205,15 @@ def estimate_likelihood_covariance(
         with np.errstate(divide="ignore", invalid="ignore"):
             inflation[inside] = np.sqrt(np.diag(covariance) / np.diag(inverse))[:k]
         kind = IntervalKind.SANDWICH
-    covariance[np.diag_indices_from(covariance)] = np.where(is_in_open_direction(weak), np.inf, np.diag(covariance))
+    open_variance = np.where(expected_information.is_open, np.inf, np.diag(covariance))
+    covariance[np.diag_indices_from(covariance)] = open_variance
     result, information = np.full((n, n), np.nan), np.full((n, n), np.nan)
     block, spans = np.ix_(inside, inside), u.variables.spans[inside]
     result[block] = covariance[:k, :k] * np.outer(spans, spans)
     data = whole - np.diag(np.pad(u.variables.penalty(u.variables.here)[2] / 2, (0, u.size - n)))
     information[block] = _reduce_information(data, inside, np.arange(n, u.size))
     names = [u.variables.names[j] for j in inside] + [""] * (len(wanted) - k)
-    directions = tuple(to_direction(names, weak[:, j] / scale) for j in range(weak.shape[1]))
+    directions = list_open_directions(names, expected_information)
     noise = np.full(ny, np.nan)
     noise[u.estimated] = np.sqrt(np.diag(covariance)[k:])
     return LikelihoodCovariance(
@@ -265,36 +238,26 @@ def compute_observed_information(optimum: LikelihoodOptimum, policy: IntervalPol
     return _symmetrise(whole)
 
 
-def _project_scores(information: np.ndarray, wanted: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Takes scores (size,) to those of the ``wanted`` unknowns with the ``others`` estimated as well: ``[I, -B C^-1]``."""
-    result = np.zeros((len(wanted), len(information)))
-    result[np.arange(len(wanted)), wanted] = 1.0
-    if len(others):
-        inverse = invert_information(information[np.ix_(others, others)])[0]
-        result[:, others] = -information[np.ix_(wanted, others)] @ inverse
-    return result
-
-
 def _reduce_information(information: np.ndarray, wanted: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Information on the ``wanted`` unknowns with the ``others`` estimated as well; what is not finite stays so."""
     if not np.isfinite(information).all():
         return np.full((len(wanted), len(wanted)), np.nan)
-    return _symmetrise(_project_scores(information, wanted, others) @ information[:, wanted])
+    return _symmetrise(eliminate(information, wanted, others) @ information[:, wanted])
 
 
-def _invert_within(information: np.ndarray, weak: np.ndarray, scale: np.ndarray) -> np.ndarray | None:
-    """The inverse of an information but for its ``weak`` directions, along which it is zero; None where it is not positive definite.
+def _invert_within(information: np.ndarray, expected: SymmetricDecomposition) -> np.ndarray | None:
+    """The inverse of an information, zero along the weak directions of the expected one; None where it is not positive definite.
 
     Differences leave a little curvature along directions that have none: which these are, the exact expected information says.
     """
     if not np.isfinite(information).all():
         return None
-    basis = np.linalg.svd(weak, full_matrices=True)[0][:, weak.shape[1] :] if weak.size else np.eye(len(scale))
-    values, vectors = np.linalg.eigh(_symmetrise(basis.T @ (information / np.outer(scale, scale)) @ basis))
+    basis = expected.strong / expected.scale[:, None]
+    values, vectors = np.linalg.eigh(_symmetrise(basis.T @ information @ basis))
     if values.min(initial=1.0) <= 0:
         return None
     strong = basis @ vectors
-    return (strong / values) @ strong.T / np.outer(scale, scale)
+    return (strong / values) @ strong.T
 
 
 def _symmetrise(matrix: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.estimation.covariance import ParameterCovariance, compute_interval, compute_quantile
+from greybox.linear_algebra import pseudo_inverse
 from greybox.model import Model
 from greybox.model.signals import Parameter
 from greybox.numerics import PRIOR_INFORMATION_CUTOFF
@@ -83,7 +84,7 @@ def check_priors(variables: DecisionVector, covariance: ParameterCovariance) -> 
     block = np.ix_(inside, inside)
     precision = variables.penalty(variables.here)[2] / 2
     whole = covariance.information[block] + np.diag(precision[inside])
-    inverse = np.linalg.pinv(whole, hermitian=True)
+    inverse = pseudo_inverse(whole)
     for j, k in enumerate(inside):
         if not variables.has_prior[k]:
             continue

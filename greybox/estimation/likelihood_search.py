@@ -10,7 +10,7 @@ import numpy as np
 from greybox.estimation.options import FitOptions
 from greybox.estimation.policy import LikelihoodSearchPolicy
 from greybox.estimation.prediction_error import PredictionErrorObjective
-from greybox.numerics import AT_BOUND, INFORMATION_CUTOFF, TINY
+from greybox.numerics import AT_BOUND, RANK_CUTOFF, TINY
 from greybox.optim import TerminationStatus, minimise
 from greybox.transcription import Evaluation
 from greybox.transcription.progress import FitProgress, FitProgressCallback
@@ -137,7 +137,7 @@ def compute_scoring_step(evaluation: Evaluation, low: np.ndarray, high: np.ndarr
         block = h[np.ix_(inside, inside)]
         slope = g[inside] + h[np.ix_(inside, ~inside)] @ step[~inside]
         scale = np.sqrt(np.maximum(np.diag(block), TINY))
-        free = -np.linalg.lstsq(block / np.outer(scale, scale), slope / scale, rcond=INFORMATION_CUTOFF)[0] / scale
+        free = -np.linalg.lstsq(block / np.outer(scale, scale), slope / scale, rcond=RANK_CUTOFF)[0] / scale
         step[inside] = np.clip(free, low[inside], high[inside])
         beyond = inside.copy()
         beyond[inside] = step[inside] != free

@@ -12,9 +12,9 @@ from scipy.special import ndtri
 
 from greybox.estimation.policy import ConstancyPolicy, EstimationPolicy, ExcessPolicy, IntervalPolicy
 from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour, estimate_score_covariance
+from greybox.linear_algebra import decompose_symmetric
 from greybox.noise import AutoRegression
 from greybox.noise.noise_sources import NoiseSource
-from greybox.numerics import FAINT_SENSITIVITY, PART_INFORMATION_CUTOFF
 from greybox.transcription import DecisionVector
 from greybox.transcription.decision_vector import SHARED
 from greybox.transcription.solution import Runs, Solution
@@ -230,15 +230,11 @@ def _step_to_optimum(
         slopes = jacobian[measured]
         information[np.ix_(columns, columns)] += slopes.T @ slopes
         score[columns] += slopes.T @ r[measured]
-    scale = np.sqrt(np.diag(information))
-    scale[scale < FAINT_SENSITIVITY] = 1.0
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    weak = values <= PART_INFORMATION_CUTOFF * values.max(initial=0.0)
-    inverse = (vectors[:, ~weak] / values[~weak]) @ vectors[:, ~weak].T / np.outer(scale, scale)
+    decomposition = decompose_symmetric(information).without_doubtful()
+    inverse = decomposition.pseudo_inverse
     score_covariance = estimate_score_covariance(layout, list(data.values()), colour, list(data))
     variance = np.diag(inverse @ score_covariance @ inverse)
-    undetermined = np.any(np.abs(vectors[:shared, weak]) > 1e-3, axis=1)
-    return (-inverse @ score)[:shared], np.where(undetermined, np.inf, variance[:shared])
+    return (-inverse @ score)[:shared], np.where(decomposition.is_open[:shared], np.inf, variance[:shared])
 
 
 @dataclass(frozen=True)

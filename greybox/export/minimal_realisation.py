@@ -11,6 +11,7 @@ from greybox.export.findings import ExportFinding
 from greybox.export.linearisation import Linearisation
 from greybox.export.state_scaling import scale_states
 from greybox.findings import Finding
+from greybox.linear_algebra import REACHABILITY, range_basis
 from greybox.numerics import REACHABILITY_RANK, TINY
 
 
@@ -55,8 +56,7 @@ def compute_reachable_basis(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     while basis.shape[1] < len(a):
         rest = new - basis @ (basis.T @ new)
         rest = rest - basis @ (basis.T @ rest)
-        u, s, _ = np.linalg.svd(rest, full_matrices=False)
-        new = u[:, s > REACHABILITY_RANK * scale]
+        new = range_basis(rest, REACHABILITY, np.full(new.shape[1], scale))
         if not new.shape[1]:
             break
         basis = np.hstack([basis, new])

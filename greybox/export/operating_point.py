@@ -14,8 +14,9 @@ from greybox.export.model_functions import BalanceResidual, ModelFunctions
 from greybox.export.plant import format_signals
 from greybox.export.policy import DEFAULT_OPERATING_POINT, OperatingPointPolicy
 from greybox.findings import Finding, Severity
+from greybox.linear_algebra import decompose_columns
 from greybox.model import Model
-from greybox.numerics import FLAT_DIRECTION, FREE_POSITION, NEGLIGIBLE_MOVE, TINY
+from greybox.numerics import FREE_POSITION, NEGLIGIBLE_MOVE, TINY
 from greybox.units import format_unit
 
 
@@ -212,7 +213,9 @@ def _run_newton(
             break
         row_sums = np.abs(jacobian).sum(axis=1)
         scale = 1 / np.where(row_sums > 0, row_sums, 1.0)
-        step = -np.linalg.lstsq(scale[:, None] * jacobian, scale * residual, rcond=FLAT_DIRECTION)[0] * sizes
+        # A direction in which nothing changes is left as it is: a piston may rest anywhere.
+        linear = decompose_columns(scale[:, None] * jacobian, scale=np.ones(jacobian.shape[1]))
+        step = -linear.solve(scale * residual) * sizes
         before, share = np.linalg.norm(scale * residual), 1.0
         for _ in range(policy.halvings):
             trial = z.copy()

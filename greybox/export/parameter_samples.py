@@ -11,7 +11,7 @@ from greybox.export.findings import ExportFinding
 from greybox.export.plant import Plant
 from greybox.export.policy import DEFAULT_FAMILY, FamilyPolicy
 from greybox.findings import Finding, Severity
-from greybox.numerics import FLAT_COVARIANCE
+from greybox.linear_algebra import decompose_symmetric
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,9 +99,6 @@ def make_parameter_distribution(plant: Plant, policy: FamilyPolicy = DEFAULT_FAM
         findings = (Finding(ExportFinding.PARAMETERS_NOT_DRAWN, Severity.WARNING, values={"parameters": fixed}),)
     block = covariance[np.ix_(varies, varies)]
     scale = np.sqrt(np.diag(block))
-    values, vectors = np.linalg.eigh(block / np.outer(scale, scale))
-    significant = values > FLAT_COVARIANCE * values.max()
-    root = scale[:, None] * vectors[:, significant] * np.sqrt(values[significant])
     order = list(model.values)
     parameters = [model.parameter(n) for n in names]
     return ParameterDistribution(
@@ -109,7 +106,7 @@ def make_parameter_distribution(plant: Plant, policy: FamilyPolicy = DEFAULT_FAM
         np.array([order.index(n) for n in names]),
         names,
         np.array([q.positive and s > policy.logarithmic_std * q.value for q, s in zip(parameters, scale, strict=True)]),
-        root,
+        decompose_symmetric(block).root,
         np.array([q.bounds[0] for q in parameters]),
         np.array([q.bounds[1] for q in parameters]),
         findings,

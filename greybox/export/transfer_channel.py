@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import null_space
 
 from greybox.errors import ModelError, nearest
 from greybox.export.linearisation import Linearisation
 from greybox.export.minimal_realisation import minimal_realisation
 from greybox.export.state_scaling import balance_matrix, compute_poles, is_at_rest, scale_states
+from greybox.linear_algebra import REACHABILITY, decompose_columns
 from greybox.numerics import REACHABILITY_RANK, TINY
 from greybox.values import Printable
 
@@ -197,9 +197,8 @@ def _find_zeros(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> tuple[
     for degree in range(1, n + 1):
         markov = float((row @ s.b)[0, 0])
         if abs(markov) > REACHABILITY_RANK * np.linalg.norm(row):
-            zero_states = null_space(
-                np.vstack([r / max(np.linalg.norm(r), TINY) for r in rows]), rcond=REACHABILITY_RANK
-            )
+            directions = np.vstack([r / max(np.linalg.norm(r), TINY) for r in rows])
+            zero_states = decompose_columns(directions, REACHABILITY, np.ones(n)).null_basis
             inner = s.a - s.b @ (row @ s.a) / markov
             factor = float((c @ np.linalg.matrix_power(a, degree - 1) @ b)[0, 0])
             zeros = np.linalg.eigvals(zero_states.T @ inner @ zero_states) if zero_states.shape[1] else np.empty(0)

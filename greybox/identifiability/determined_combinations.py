@@ -24,8 +24,9 @@ from greybox.identifiability.symbolic_polynomial import (
     remove_known_factors,
     transfer_function_coefficients,
 )
+from greybox.linear_algebra import are_independent
 from greybox.model import Model
-from greybox.numerics import INDEPENDENT_DIRECTION
+from greybox.numerics import DIRECTION_CUTOFF
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +67,7 @@ def find_determined_combinations(
         at = [candidate.slope(p, which) for p in points]
         if not all(is_determined(s, r) for s, r in zip(at, ranks, strict=True)):
             continue
-        matrix = np.array([s / np.linalg.norm(s) for s in [*slopes, at[0]]])
-        if np.linalg.svd(matrix, compute_uv=False)[-1] > INDEPENDENT_DIRECTION:
+        if are_independent([*slopes, at[0]]):
             chosen.append(candidate)
             slopes.append(at[0])
     return chosen
@@ -117,9 +117,7 @@ def is_determined(slope: np.ndarray, rank: SensitivityRank) -> bool:
     """Whether a formula with this slope (nf,) does not change along any open direction."""
     size = np.linalg.norm(slope)
     return bool(
-        np.isfinite(size)
-        and size > INDEPENDENT_DIRECTION
-        and np.linalg.norm(rank.null.T @ slope) < INDEPENDENT_DIRECTION * size
+        np.isfinite(size) and size > DIRECTION_CUTOFF and np.linalg.norm(rank.null.T @ slope) < DIRECTION_CUTOFF * size
     )
 
 

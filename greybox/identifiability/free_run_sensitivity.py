@@ -22,7 +22,7 @@ from greybox.kernel import make_kernel
 from greybox.kernel.interpreted import InterpretedKernel
 from greybox.model import Model
 from greybox.model.signals import Parameter
-from greybox.numerics import SENSITIVITY_ROUNDING
+from greybox.numerics import COLUMN_CUTOFF
 from greybox.transcription import DecisionVector, InitialStates, SingleShooting, to_record
 
 
@@ -124,7 +124,7 @@ def _compute_point(
         return None
     names = list(coarse.blocks)
     before = _singular_values(coarse, names)
-    small = (before > SENSITIVITY_ROUNDING) & (before < policy.recheck_below)
+    small = (before > COLUMN_CUTOFF) & (before < policy.recheck_below)
     if not small.any():
         return coarse
     fine = compute(factor * finer)
@@ -135,7 +135,7 @@ def _compute_point(
 
 
 def _singular_values(point: Sensitivity, names: list[str]) -> np.ndarray:
-    return np.linalg.svd(point.of(names), compute_uv=False)
+    return point.decompose(names).values
 
 
 def set_parameters(model: Model, p: np.ndarray) -> Model:

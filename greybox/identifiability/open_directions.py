@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,13 +10,8 @@ import numpy as np
 
 from greybox.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
 from greybox.identifiability.sensitivity import SensitivityRank
-from greybox.numerics import (
-    COMMON_DIRECTION,
-    DIRECTION_ENTRY,
-    DIRECTION_RANK,
-    EXPONENT_AGREEMENT,
-    INDEPENDENT_DIRECTION,
-)
+from greybox.linear_algebra import DIRECTION_RANK, are_independent, decompose_columns
+from greybox.numerics import DIRECTION_ENTRY, EXPONENT_AGREEMENT
 from greybox.values import Printable
 
 
@@ -59,7 +53,7 @@ def find_open_directions(
         if len(chosen) == size:
             break
         v = np.array([direction.weights.get(name, 0.0) for name in names])
-        if _is_independent(chosen, v):
+        if are_independent([*chosen, v]):
             chosen.append(v)
             directions.append(direction)
     return directions
@@ -70,9 +64,7 @@ def common_null_space(spans: Sequence[np.ndarray], most: int) -> np.ndarray:
     stacked = np.hstack(spans).T
     if not stacked.size:
         return np.eye(stacked.shape[1])[:, :most]
-    _, s, vt = np.linalg.svd(stacked)
-    count = int((s > COMMON_DIRECTION * math.sqrt(len(spans))).sum())
-    return vt[count:].T
+    return decompose_columns(stacked, DIRECTION_RANK, np.ones(stacked.shape[1])).weak
 
 
 def find_sparsest_vectors(
@@ -93,9 +85,9 @@ def find_sparsest_vectors(
             if any(s <= set(subset) for s in seen):
                 continue
             others = np.setdiff1d(np.arange(n), subset)
-            _, s, vt = np.linalg.svd(basis[others]) if len(others) else (None, np.zeros(0), np.eye(k))
-            if k - int((s > DIRECTION_RANK).sum()) == 1:
-                v = basis @ vt[-1]
+            vanishing = decompose_columns(basis[others], DIRECTION_RANK, np.ones(k)).weak
+            if vanishing.shape[1] == 1:
+                v = basis @ vanishing[:, 0]
                 v[others] = 0.0
                 seen.append(set(subset))
                 yield v
@@ -115,11 +107,6 @@ def to_small_integers(v: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABI
 def is_integer(v: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY) -> bool:
     """Whether all entries are small integers."""
     return bool(np.all(v == np.round(v)) and np.abs(v).max() <= policy.largest_exponent)
-
-
-def _is_independent(chosen: list[np.ndarray], v: np.ndarray) -> bool:
-    matrix = np.array([w / np.linalg.norm(w) for w in [*chosen, v]])
-    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] > INDEPENDENT_DIRECTION)
 
 
 def _echelon(basis: np.ndarray) -> Iterator[np.ndarray]:

@@ -24,8 +24,9 @@ from greybox.identifiability.sensitivity import SensitivityRank
 from greybox.identifiability.sensitivity import compute_rank as rank_at
 from greybox.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.identifiability.transfer_function_sensitivity import compute_transfer_function_sensitivity
+from greybox.linear_algebra import are_independent, decompose_symmetric, eliminate, orthonormalise
 from greybox.model import Model
-from greybox.numerics import INDEPENDENT_FORMULA, OPEN_DIRECTION_ENTRY, RANK_CUTOFF, TINY
+from greybox.numerics import INDEPENDENT_FORMULA, TINY
 from greybox.transcription.problem import EstimationProblem, prepare_problem
 
 
@@ -175,7 +176,9 @@ def analyse_problem(
         time, name = float(problem.records[record].h[:sample].sum()), problem.experiments[record].name
         overflow = Finding(IdentifiabilityCode.MODEL_OVERFLOWS, Severity.ERROR, name, {"time": time})
         return _make_failure(drives, overflow)
-    information = _project_information(evaluation.hessian / 2, n)
+    constants_and_states = evaluation.hessian / 2
+    first_states = np.arange(n, len(constants_and_states))
+    information = (eliminate(constants_and_states, np.arange(n), first_states) @ constants_and_states)[:, :n]
     samples = evaluation.count / max(len(list_measured_outputs(problem)), 1)
     values, vectors = np.linalg.eigh(information)
     stds = 1 / np.sqrt(np.maximum(values, TINY))
@@ -207,11 +210,8 @@ def _estimate_precision(
     problem: EstimationProblem, information: np.ndarray, samples: float, policy: IdentifiabilityPolicy
 ) -> dict[str, ExpectedPrecision]:
     variables = problem.variables
-    scale = np.sqrt(np.maximum(np.diag(information), TINY))
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    weak = values <= RANK_CUTOFF * max(values.max(initial=0.0), 1.0)
-    variance = ((vectors[:, ~weak] / values[~weak]) * vectors[:, ~weak]).sum(axis=1) / scale**2
-    variance = np.where((np.abs(vectors[:, weak]) > OPEN_DIRECTION_ENTRY).any(axis=1), np.inf, variance)
+    decomposition = decompose_symmetric(information)
+    variance = np.where(decomposition.is_open, np.inf, np.diag(decomposition.pseudo_inverse))
     constants = {}
     for k, name in enumerate(variables.names):
         value, unit = float(variables.base[k]), variables.quantities[k].unit
@@ -250,7 +250,7 @@ def _choose_combinations(
     widest = policy.max_relative_interval
     for group, limit in zip(groups, (widest / np.sqrt(samples), widest / policy.interval_stds), strict=True):
         for text, slope, std in candidates:
-            if len(chosen) < most and std < limit and _is_new(chosen, slope):
+            if len(chosen) < most and std < limit and are_independent([*chosen, slope], INDEPENDENT_FORMULA):
                 chosen.append(slope)
                 group[text] = std
     return groups
@@ -263,7 +263,7 @@ def _list_candidates(
     names, which = list(structure.constants), free_parameter_indices(model)
     scalings = [[d.weights.get(name, 0.0) for name in names] for d in structure.directions]
     null = np.array(scalings).reshape(-1, len(names)).T
-    basis = np.linalg.qr(null)[0] if null.shape[1] else np.zeros((len(names), 0))
+    basis = orthonormalise(null)
     rank = SensitivityRank(structure.rank, basis, basis[:, :0], np.zeros(0), 1.0, True)
     candidates = list(find_product_combinations(model, [rank], policy))
     if model.system.linear:
@@ -276,21 +276,6 @@ def _list_candidates(
         candidates += find_transfer_function_combinations(model)
         candidates = [c for c in candidates if is_determined(c.slope(p, which), present)]
     return sorted(candidates, key=simplicity_key)
-
-
-def _is_new(chosen: list[np.ndarray], slope: np.ndarray) -> bool:
-    matrix = np.array([s / np.linalg.norm(s) for s in [*chosen, slope]])
-    return bool(np.linalg.svd(matrix, compute_uv=False)[-1] > INDEPENDENT_FORMULA)
-
-
-def _project_information(information: np.ndarray, n: int) -> np.ndarray:
-    """Information on the first ``n`` entries when the others (initial states) are estimated as well."""
-    a, b, c = information[:n, :n], information[:n, n:], information[n:, n:]
-    if not c.size:
-        return a
-    scale = 1 / np.sqrt(np.maximum(np.diag(c), TINY))
-    b, c = b * scale, c * np.outer(scale, scale)
-    return a - b @ np.linalg.pinv(c, rcond=RANK_CUTOFF, hermitian=True) @ b.T
 
 
 def _find_limits(

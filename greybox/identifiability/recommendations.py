@@ -12,8 +12,9 @@ from greybox.findings import Finding
 from greybox.identifiability.findings import IdentifiabilityCode
 from greybox.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
 from greybox.identifiability.sensitivity import Sensitivity, SensitivityRank, highest_ranks
+from greybox.linear_algebra import DIRECTION_RANK, decompose_columns
 from greybox.model import Model
-from greybox.numerics import INDEPENDENT_DIRECTION
+from greybox.numerics import DIRECTION_CUTOFF
 from greybox.units import parse_unit
 
 EASILY_MEASURED = ("mass", "resistance", "inductance")  # roles of constants that a balance or a meter shows
@@ -78,8 +79,7 @@ def find_closing_sets(
     n, k = null.shape
     sets: list[tuple[int, ...]] = []
     for subset in itertools.islice(itertools.combinations(range(n), k), policy.max_closing_sets):
-        least = np.linalg.svd(null[list(subset)], compute_uv=False)[-1]
-        if least > INDEPENDENT_DIRECTION:
+        if decompose_columns(null[list(subset)], DIRECTION_RANK, np.ones(k)).rank == k:
             sets.append(subset)
     return sets
 
@@ -93,7 +93,7 @@ def find_closing_relations(model: Model, names: Sequence[str], null: np.ndarray)
         if (
             not unit.dimensions
             or unit != parse_unit(units[other])
-            or np.abs(null[j] - null[k]).max() < INDEPENDENT_DIRECTION
+            or np.abs(null[j] - null[k]).max() < DIRECTION_CUTOFF
         ):
             continue
         equal = bool(np.isclose(model.parameter(one).value, model.parameter(other).value))

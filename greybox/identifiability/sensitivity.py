@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.numerics import SENSITIVITY_INFORMATION, SENSITIVITY_ROUNDING
+from greybox.linear_algebra import COLUMN_RANK, ColumnDecomposition, decompose_columns, range_basis
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,7 +19,7 @@ class Sensitivity:
     """
 
     blocks: dict[str, tuple[np.ndarray, np.ndarray]]
-    doubtful: float = SENSITIVITY_INFORMATION
+    doubtful: float = COLUMN_RANK.certain
 
     def compress(self) -> Sensitivity:
         """The same information in as few rows as there are columns."""
@@ -29,15 +29,13 @@ class Sensitivity:
             small[name] = r[:, : states.shape[1]], r[:, states.shape[1] :]
         return Sensitivity(small, self.doubtful)
 
-    def of(self, outputs: Sequence[str]) -> np.ndarray:
-        """Slopes along the constants that no change of the initial states can undo, columns scaled to length one first."""
-        states = np.vstack([self.blocks[name][0] for name in outputs])
-        constants = _unit_columns(np.vstack([self.blocks[name][1] for name in outputs]))
-        u, s, _ = np.linalg.svd(_unit_columns(states), full_matrices=False)
-        basis = u[:, s > SENSITIVITY_ROUNDING]
+    def decompose(self, outputs: Sequence[str]) -> ColumnDecomposition:
+        """Slopes along the constants that no change of the initial states can undo, columns scaled to length one before that."""
+        basis = range_basis(np.vstack([self.blocks[name][0] for name in outputs]))
+        constants = np.vstack([self.blocks[name][1] for name in outputs])
         for _ in range(2):  # the second time for what rounding left
             constants = constants - basis @ (basis.T @ constants)
-        return constants
+        return decompose_columns(constants, replace(COLUMN_RANK, certain=self.doubtful), self.lengths(outputs))
 
     def lengths(self, outputs: Sequence[str]) -> np.ndarray:
         """Length of each constant's column: how much it moves the outputs."""
@@ -63,19 +61,11 @@ class SensitivityRank:
 
 def compute_rank(point: Sensitivity, outputs: Sequence[str]) -> SensitivityRank:
     """Rank at one point, with only ``outputs`` measured."""
-    matrix, lengths = point.of(outputs), point.lengths(outputs)
-    n = matrix.shape[1]
-    _, s, vt = np.linalg.svd(matrix, full_matrices=True)
-    values = np.concatenate([s, np.zeros(n - len(s))])[:n]
-    count = int((values > point.doubtful).sum())
-    doubtful = bool(((values > SENSITIVITY_ROUNDING) & (values <= point.doubtful)).any())
-    last = values[count - 1] if count else 1.0
-    following = values[count] if count < n else 0.0
-    # Directions in the constants' own scale: a column that was shortened belongs to a constant that moves further.
-    scale = np.where(lengths > 0, lengths, 1.0)
-    null = _orthonormal(vt[count:].T / scale[:, None])
-    row = _orthonormal(vt[:count].T * scale[:, None])
-    return SensitivityRank(count, null, row, values, float(last / max(following, 1e-16)), not doubtful)
+    columns = point.decompose(outputs)
+    certain = columns.without_doubtful()
+    return SensitivityRank(
+        certain.rank, certain.null_basis, certain.row_basis, columns.values, certain.gap, columns.is_certain
+    )
 
 
 def highest_ranks(points: Sequence[Sensitivity], outputs: Sequence[str]) -> list[SensitivityRank]:
@@ -84,12 +74,3 @@ def highest_ranks(points: Sequence[Sensitivity], outputs: Sequence[str]) -> list
     ranks = [r for r in ranks if r.certain] or ranks
     highest = max(r.rank for r in ranks)
     return [r for r in ranks if r.rank == highest]
-
-
-def _unit_columns(matrix: np.ndarray) -> np.ndarray:
-    lengths = np.linalg.norm(matrix, axis=0)
-    return matrix / np.where(lengths > 0, lengths, 1.0)
-
-
-def _orthonormal(columns: np.ndarray) -> np.ndarray:
-    return np.linalg.qr(_unit_columns(columns))[0] if columns.shape[1] else columns

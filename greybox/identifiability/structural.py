@@ -21,7 +21,7 @@ from greybox.identifiability.sensitivity import Sensitivity, SensitivityRank, hi
 from greybox.identifiability.transfer_function_sensitivity import compute_transfer_function_sensitivity
 from greybox.model import Model
 from greybox.model.signals import Output
-from greybox.numerics import INDEPENDENT_DIRECTION
+from greybox.numerics import DIRECTION_CUTOFF
 from greybox.values import Printable
 
 
@@ -218,4 +218,4 @@ def _find_revealing_outputs(
 
 def _is_shown(v: np.ndarray, rank: SensitivityRank) -> bool:
     rest = v - rank.null @ (rank.null.T @ v)
-    return bool(np.linalg.norm(rest) > INDEPENDENT_DIRECTION * np.linalg.norm(v))
+    return bool(np.linalg.norm(rest) > DIRECTION_CUTOFF * np.linalg.norm(v))

@@ -11,8 +11,8 @@ import numpy as np
 from greybox.estimation.options import FitOptions
 from greybox.estimation.restore import compute_innovation_rows, restore_problem
 from greybox.estimation.sandwich import ColumnLayout
+from greybox.linear_algebra import decompose_symmetric
 from greybox.noise import NOISE_POLICY, AutoRegression, NoisePolicy, fit_autoregression, join_series
-from greybox.numerics import RANK_CUTOFF
 from greybox.residuals.policy import RESIDUAL_TEST_POLICY, ResidualTestPolicy
 from greybox.residuals.statistics import (
     equal_mean_test,
@@ -282,7 +282,5 @@ def _remove_fitted(
     u = np.where(measured[:, None], np.concatenate(regressors), 0.0)
     if slopes is not None and slopes[0].shape[1]:
         j = np.where(measured[:, None], np.concatenate(slopes), 0.0)
-        norm = np.linalg.norm(j, axis=0)
-        j = j[:, norm > 0] / norm[norm > 0]
-        u = u - j @ (np.linalg.pinv(j.T @ j, rcond=RANK_CUTOFF, hermitian=True) @ (j.T @ u))
+        u = u - j @ decompose_symmetric(j.T @ j).solve(j.T @ u)
     return np.split(u, np.cumsum([len(r) for r in residuals])[:-1])

@@ -8,8 +8,11 @@ import numpy as np
 from scipy.special import chdtrc
 
 from greybox.estimation.sandwich import compute_toeplitz_form
+from greybox.linear_algebra import RankTolerance, decompose_symmetric
 from greybox.noise import AutoRegression
-from greybox.numerics import REDUNDANT_VARIANCE, TINY
+from greybox.numerics import REDUNDANT_VARIANCE
+
+LAGGED_SIGNALS = RankTolerance(REDUNDANT_VARIANCE, REDUNDANT_VARIANCE)
 
 
 def ljung_box_test(series: np.ndarray, lags: int) -> tuple[float, float]:
@@ -56,14 +59,11 @@ def input_independence_test(
         u = np.where(measured[:, None], u, 0.0)
         c += u.T @ np.where(measured, r, 0.0)
         p += variance * compute_toeplitz_form(u, colour.autocorrelation(len(r)))
-    scale = np.sqrt(np.diag(p))
-    scale[scale == 0] = 1.0
-    values, vectors = np.linalg.eigh(p / np.outer(scale, scale))
-    kept = values > REDUNDANT_VARIANCE * max(values.max(initial=0.0), TINY)
-    if not kept.any():
+    spread = decompose_symmetric(p, LAGGED_SIGNALS)
+    if not spread.rank:
         return 0.0, 1.0
-    statistic = float(np.sum((vectors[:, kept].T @ (c / scale)) ** 2 / values[kept]))
-    return statistic, float(chdtrc(int(kept.sum()), statistic))
+    statistic = float(c @ spread.solve(c))
+    return statistic, float(chdtrc(spread.rank, statistic))
 
 
 def normality_test(series: np.ndarray) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.numerics import UNSEEN_STATE_CURVATURE
+from greybox.linear_algebra import decompose_symmetric
 from greybox.transcription.arcs import find_measured_states
 from greybox.transcription.decision_vector import DecisionVector
 from greybox.transcription.policy import DEFAULT_POLICY, ProjectionPolicy
@@ -170,22 +170,9 @@ class _ProjectedRecord:
         self.squares, self.counts, self.cost = squares, counts, float(squares.sum())
         g, b, c = gradient[n:], matrix[:n, n:], matrix[n:, n:]
         is_held = (states <= low) & (g > 0) | (states >= high) & (g < 0)
-        inverse = invert_semidefinite(np.where(is_held[:, None] | is_held, 0.0, c))
+        inverse = decompose_symmetric(np.where(is_held[:, None] | is_held, 0.0, c)).without_doubtful().pseudo_inverse
         self.step = -inverse @ g
         self.decrease = float(g @ inverse @ g)
         self.slope = -inverse @ b.T
         self.gradient = gradient[:n] - b @ inverse @ g
         self.hessian = matrix[:n, :n] - b @ inverse @ b.T
-
-
-def invert_semidefinite(matrix: np.ndarray, unseen: float = UNSEEN_STATE_CURVATURE) -> np.ndarray:
-    """Inverse of a positive semidefinite matrix, zero along directions that carry no information (after scaling)."""
-    scale = np.sqrt(np.diag(matrix))
-    is_usable = scale > 0
-    inverse = np.zeros_like(matrix)
-    if is_usable.any():
-        outer = np.outer(scale[is_usable], scale[is_usable])
-        values, vectors = np.linalg.eigh(matrix[np.ix_(is_usable, is_usable)] / outer)
-        is_seen = values > unseen * values.max()
-        inverse[np.ix_(is_usable, is_usable)] = (vectors[:, is_seen] / values[is_seen]) @ vectors[:, is_seen].T / outer
-    return inverse

@@ -15,7 +15,7 @@ import numpy as np
 from greybox.integrators import Step
 from greybox.kernel import Kernel, Record
 from greybox.noise import AutoRegression
-from greybox.numerics import AT_BOUND, INFORMATION_CUTOFF, TINY
+from greybox.numerics import AT_BOUND, RANK_CUTOFF, TINY
 from greybox.optim import QuadraticModel
 from greybox.transcription.decision_vector import DecisionVector, ExperimentView
 from greybox.transcription.robust_loss import RobustLoss
@@ -267,9 +267,7 @@ def compute_gauss_newton_step(variables: DecisionVector, evaluation: Evaluation)
     curvature, slope = evaluation.hessian[np.ix_(inside, inside)], evaluation.gradient[inside]
     scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
     step = np.zeros(variables.size)
-    step[inside] = (
-        -np.linalg.lstsq(curvature / np.outer(scale, scale), slope / scale, rcond=INFORMATION_CUTOFF)[0] / scale
-    )
+    step[inside] = -np.linalg.lstsq(curvature / np.outer(scale, scale), slope / scale, rcond=RANK_CUTOFF)[0] / scale
     return step
 
 

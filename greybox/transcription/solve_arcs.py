@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from greybox.errors import DataError, ModelError
+from greybox.linear_algebra import decompose_symmetric
 from greybox.numerics import TINY
 from greybox.optim import minimise
 from greybox.transcription.arcs import ArcProblem, cut_into_arcs
@@ -17,7 +18,7 @@ from greybox.transcription.finish_by_simulation_error import is_plain_least_squa
 from greybox.transcription.options import SolverOptions
 from greybox.transcription.problem import EstimationProblem
 from greybox.transcription.progress import FitProgressCallback, ProgressMonitor
-from greybox.transcription.projected_initial_states import ProjectedShooting, invert_semidefinite
+from greybox.transcription.projected_initial_states import ProjectedShooting
 from greybox.transcription.select_transcription import TranscriptionChoice
 from greybox.transcription.simulation_error import Evaluation, SingleShooting, compute_gauss_newton_step
 from greybox.transcription.single_shooting import NO_RESULT, make_termination_test, solve_single
@@ -162,7 +163,7 @@ def _project_residuals(problem: EstimationProblem) -> list[tuple[np.ndarray, np.
     for r, jacobian in problem.shooting(problem.variables).residuals(problem.variables.here):
         measured = np.isfinite(r)
         along, states = jacobian[measured][:, :n], jacobian[measured][:, n:]
-        slope = -invert_semidefinite(states.T @ states) @ (states.T @ along)
+        slope = -decompose_symmetric(states.T @ states).without_doubtful().solve(states.T @ along)
         result.append((r, jacobian[:, :, :n] + jacobian[:, :, n:] @ slope))
     return result
 

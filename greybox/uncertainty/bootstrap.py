@@ -13,7 +13,7 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.prediction_error import compute_innovations
 from greybox.estimation.restore import restore_likelihood, restore_problem
 from greybox.estimation.sandwich import ColumnLayout, estimate_residual_colour
-from greybox.numerics import INFORMATION_CUTOFF, TINY
+from greybox.linear_algebra import pseudo_inverse
 from greybox.result import Fit
 from greybox.transcription import DecisionVector
 from greybox.uncertainty.policy import DEFAULT_BOOTSTRAP_POLICY, BootstrapPolicy
@@ -112,7 +112,7 @@ def bootstrap(
     inside = np.ones(size, bool)
     inside[: len(v.which)] = ~v.active
     steps = np.zeros((replicates, size))
-    steps[:, inside] = -gradient[:, inside] @ _invert(at.information[np.ix_(inside, inside)])
+    steps[:, inside] = -gradient[:, inside] @ pseudo_inverse(at.information[np.ix_(inside, inside)])
     return _summarise(v, steps[:, : len(v.which)], block, policy)
 
 
@@ -188,13 +188,6 @@ def _fill_gaps(values: np.ndarray) -> np.ndarray:
         place = np.searchsorted(known, np.arange(len(column)), side="right") - 1
         column[:] = column[known[np.maximum(place, 0)]]
     return result
-
-
-def _invert(information: np.ndarray) -> np.ndarray:
-    scale = np.sqrt(np.maximum(np.diag(information), TINY))
-    return np.linalg.pinv(information / np.outer(scale, scale), rcond=INFORMATION_CUTOFF, hermitian=True) / np.outer(
-        scale, scale
-    )
 
 
 def _summarise(v: DecisionVector, steps: np.ndarray, block: int, policy: BootstrapPolicy) -> Bootstrap:

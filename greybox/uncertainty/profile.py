@@ -14,6 +14,7 @@ from greybox.estimation.likelihood_search import fisher_scoring, hold_parameters
 from greybox.estimation.options import FitOptions
 from greybox.estimation.prediction_error import PredictionErrorObjective
 from greybox.estimation.restore import restore_likelihood, restore_options, restore_problem
+from greybox.linear_algebra import pseudo_inverse
 from greybox.result import Fit
 from greybox.transcription import DecisionVector
 from greybox.transcription.decision_vector import SHARED
@@ -108,7 +109,7 @@ def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLI
         inside = np.flatnonzero(~v.active)
         whole = covariance.information[np.ix_(inside, inside)] + np.diag(v.penalty(z)[2][inside] / 2)
         place = int(np.searchsorted(inside, k))
-        scale = float(variance / v.spans[k] ** 2 / np.linalg.pinv(whole, hermitian=True)[place, place])
+        scale = float(variance / v.spans[k] ** 2 / pseudo_inverse(whole)[place, place])
     held = _Refits(fit, v, k, evaluation.cost, scale)
     return _follow(held, v, name, std, compute_quantile(covariance.degrees) ** 2, policy)
 

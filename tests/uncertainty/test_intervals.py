@@ -12,7 +12,6 @@ from scipy.stats import t as student
 import greybox as gb
 from greybox.errors import FitError, ModelError
 from greybox.estimation import FitOptions, fit
-from greybox.estimation.covariance import invert_information
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.sandwich import compute_toeplitz_form
 from greybox.experiment import Experiment
@@ -232,10 +231,3 @@ def test_gaps_and_irregular_time_keep_the_intervals_honest():
         assert found.uncertainty.kind == "sandwich"
         z += [(found.parameters[q.name].value - q.value) / found.parameters[q.name].std for q in TRUTH.free_parameters]
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.5
-
-
-def test_information_that_rounding_made_negative_is_none():
-    # of a run that has left all bounds: what remains of the second constant is a rounding error
-    inverse, weak, scale = invert_information(np.array([[4.0, 1e80, 0.0], [1e80, -1e160, 0.0], [0.0, 0.0, 9.0]]))
-    assert inverse == pytest.approx(np.diag([1 / 4, 0, 1 / 9]))
-    assert len(scale) == 3 and (np.abs(weak[:, 0]) > 1e-12).tolist() == [False, True, False]
