@@ -30,7 +30,8 @@ REACHABILITY_RANK = 1e-10
 """A part of the reachable space below this share of the model's size is a rounding error."""
 
 INTEGRATING_POLE = 1e-9
-"""A pole is at rest (0, or 1 in the z-plane) where its distance is below this share of the fastest one."""
+"""A pole is at rest (0, or 1 in the z-plane) where its distance is below this share of the fastest one: such a mode integrates, has no
+time constant and is not unstable."""
 
 REAL_PART_ONLY = 1e-13
 """The imaginary part of an eigenvalue below this share of its size is zero."""
@@ -68,9 +69,6 @@ REFLECTED_ROOT_MARGIN = 1e-6
 CONFINED_ROOT_MARGIN = 1e-9
 """An integrator's pole is held this far inside the unit circle: it must not leak over a long record."""
 
-ZERO_EIGENVALUE = 1e-9
-"""An eigenvalue is not in the right half plane if its real part is below this share of the fastest eigenvalue."""
-
 NEGLIGIBLE_JUMP = 1e-9
 """A step response whose first value is below this share of its final value does not jump."""
 
@@ -101,10 +99,9 @@ errors of an integration over thousands of steps."""
 CERTAIN_COLUMN = 1e-8
 """The same: above this they are information; between the two lies doubt."""
 
-DIRECTION_CUTOFF = 1e-6
-"""Singular values of directions of length one below this show that they depend on one another: directions are results of a decomposition
-themselves, exact to the rounding errors over the smallest singular value that counted. Also the share of a slope that may stick out of a
-subspace."""
+DIRECTION_CUTOFF = 1e-9
+"""Directions that are results of a decomposition themselves, of length one: entries below this are zero, and singular values below this
+show that some of them depend on one another. Also the share of a slope that may stick out of a subspace."""
 
 WRONG_MULTIPLIER = 1e-12
 """A slope against a bound below this share of the largest is rounding: the bound is not released."""
@@ -117,9 +114,6 @@ OVERFLOWING_CURVATURE = 1e100
 
 SAME_DIRECTION = 1e-9
 """Largest difference of two unit vectors that rounding explains: they are the same direction."""
-
-DIRECTION_ENTRY = 1e-9
-"""Entries of a direction of length one, or poles over the largest, that are smaller count as zero."""
 
 INDEPENDENT_FORMULA = 1e-3
 """The same for formulas that noisy records determine: nearly parallel ones say the same."""
@@ -170,9 +164,6 @@ PHI_SERIES_BELOW = 0.5
 PHI_SERIES_TERMS = 14
 """Below this argument the exponential's remainders ``phi_k`` cancel in their closed form; so many terms of their series then reach
 full precision (``0.5^14 / 14!`` is below 1e-15)."""
-
-INTEGRATOR_POLE = 1e-9
-"""A mode slower than this share of the fastest one counts as an integrator: it has no time constant."""
 
 DECREASE_CUTOFF = 1e-13
 """Directions with less than this share of the largest curvature promise no decrease of a cost."""

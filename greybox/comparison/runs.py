@@ -16,7 +16,7 @@ from greybox.estimation import FitOptions, Predictor, predictor, validate
 from greybox.experiment import Experiment
 from greybox.model import Model
 from greybox.noise import AutoRegression, fit_autoregression, join_series
-from greybox.numerics import SAME_SAMPLING_TIME, ZERO_EIGENVALUE
+from greybox.numerics import INTEGRATING_POLE, SAME_SAMPLING_TIME
 from greybox.result import Fit, Trace
 from greybox.simulation import declared_initial_state
 
@@ -187,7 +187,7 @@ def is_stable(model: Model, runs: Sequence[ComparisonRun]) -> bool:
     p = np.array(list(model.values.values()))
     a = model.system.jacobian(declared_initial_state(model), np.zeros(len(model.inputs)), p).full()
     eigenvalues = np.linalg.eigvals(a)
-    return bool(np.all(eigenvalues.real <= ZERO_EIGENVALUE * np.abs(eigenvalues).max(initial=0.0)))
+    return bool(np.all(eigenvalues.real <= INTEGRATING_POLE * np.abs(eigenvalues).max(initial=0.0)))
 
 
 def resolve_options(model: Model | Fit, options: FitOptions | None) -> FitOptions:

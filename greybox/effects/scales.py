@@ -11,7 +11,7 @@ import numpy as np
 from greybox.effects.policy import START
 from greybox.errors import DataError
 from greybox.model import Effect, Model
-from greybox.numerics import INTEGRATOR_POLE
+from greybox.numerics import INTEGRATING_POLE
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def _time_constants(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray, d
         if np.isfinite(jacobian).all():
             rates.append(np.abs(np.linalg.eigvals(jacobian)))
     magnitudes = np.concatenate([*rates, np.empty(0)])
-    moving = magnitudes[magnitudes > INTEGRATOR_POLE * magnitudes.max(initial=0.0)]
+    moving = magnitudes[magnitudes > INTEGRATING_POLE * magnitudes.max(initial=0.0)]
     if not len(moving):
         return duration, duration
     return min(1 / float(moving.max()), duration), min(1 / float(moving.min()), duration)

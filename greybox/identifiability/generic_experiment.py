@@ -13,7 +13,7 @@ from greybox.identifiability.findings import IdentifiabilityCode
 from greybox.identifiability.policy import RANDOM_EXPERIMENT_POLICY, RandomExperimentPolicy
 from greybox.model import Model
 from greybox.model.rules import check_constants
-from greybox.numerics import DIRECTION_ENTRY
+from greybox.numerics import INTEGRATING_POLE, TINY
 from greybox.simulation import declared_initial_state, simulate
 
 
@@ -72,10 +72,10 @@ def fastest_and_slowest_rate(model: Model) -> tuple[float, float]:
         return 0.0, 0.0
     eigenvalues = np.linalg.eigvals(jacobian)
     size = np.abs(eigenvalues)
-    moving = size > DIRECTION_ENTRY * max(size.max(initial=0.0), 1e-12)
+    moving = size > INTEGRATING_POLE * max(size.max(initial=0.0), TINY)
     if not moving.any():
         return 0.0, 0.0
-    decays = -eigenvalues.real[moving & (eigenvalues.real < -DIRECTION_ENTRY * size.max())]
+    decays = -eigenvalues.real[moving & (eigenvalues.real < -INTEGRATING_POLE * size.max())]
     return float(size[moving].max()), float(decays.min() if len(decays) else size[moving].min())
 
 

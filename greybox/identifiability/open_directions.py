@@ -11,7 +11,7 @@ import numpy as np
 from greybox.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
 from greybox.identifiability.sensitivity import SensitivityRank
 from greybox.linear_algebra import DIRECTION_RANK, are_independent, decompose_columns
-from greybox.numerics import DIRECTION_ENTRY, EXPONENT_AGREEMENT
+from greybox.numerics import DIRECTION_CUTOFF, EXPONENT_AGREEMENT
 from greybox.values import Printable
 
 
@@ -74,7 +74,7 @@ def find_sparsest_vectors(
     n, k = basis.shape
     if not k:
         return
-    touched = np.flatnonzero(np.abs(basis).max(axis=1) > DIRECTION_ENTRY)
+    touched = np.flatnonzero(np.abs(basis).max(axis=1) > DIRECTION_CUTOFF)
     tried, seen = 0, list[set[int]]()
     for size in range(1, n - k + 2):
         for subset in itertools.combinations(touched.tolist(), size):
@@ -95,9 +95,9 @@ def find_sparsest_vectors(
 
 def to_small_integers(v: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY) -> np.ndarray:
     """``v`` times a number that makes its entries small integers, if there is one; the first entry positive."""
-    entries = v[np.abs(v) > DIRECTION_ENTRY]
+    entries = v[np.abs(v) > DIRECTION_CUTOFF]
     v = v / entries[np.argmin(np.abs(entries))]
-    v = v * (1.0 if v[np.flatnonzero(np.abs(v) > DIRECTION_ENTRY)[0]] > 0 else -1.0)
+    v = v * (1.0 if v[np.flatnonzero(np.abs(v) > DIRECTION_CUTOFF)[0]] > 0 else -1.0)
     for times in range(1, policy.largest_exponent + 1):
         if np.abs(v * times - np.round(v * times)).max() < EXPONENT_AGREEMENT * policy.largest_exponent:
             return np.round(v * times)
@@ -119,9 +119,9 @@ def _echelon(basis: np.ndarray) -> Iterator[np.ndarray]:
         for j in range(len(rows)):
             if j != k:
                 rows[j] -= rows[j, column] * rows[k]
-    rows[np.abs(rows) < DIRECTION_ENTRY] = 0.0
+    rows[np.abs(rows) < DIRECTION_CUTOFF] = 0.0
     yield from rows[np.argsort((rows != 0).sum(axis=1), kind="stable")]
 
 
 def _name_weights(v: np.ndarray, names: Sequence[str]) -> dict[str, float]:
-    return {name: float(w) for name, w in zip(names, v, strict=True) if abs(w) > DIRECTION_ENTRY}
+    return {name: float(w) for name, w in zip(names, v, strict=True) if abs(w) > DIRECTION_CUTOFF}

@@ -17,7 +17,7 @@ from scipy.linalg import matrix_balance
 from greybox.identifiability.policy import RANDOM_EXPERIMENT_POLICY, RandomExperimentPolicy
 from greybox.identifiability.sensitivity import Sensitivity
 from greybox.model.system import System
-from greybox.numerics import CANCELLED_RESPONSE, DIRECTION_ENTRY, TINY
+from greybox.numerics import CANCELLED_RESPONSE, INTEGRATING_POLE, TINY
 
 Rows = tuple[list[np.ndarray], list[np.ndarray]]  # along the initial states, and along the constants
 
@@ -136,7 +136,7 @@ def _add(rows: Rows, value: np.ndarray, constants: np.ndarray, states: np.ndarra
 def _draw_frequencies(a: np.ndarray, constants: int, generator: np.random.Generator, decades: float) -> np.ndarray:
     """Random points of the right half-plane, from below the slowest pole to above the fastest."""
     size = np.abs(np.linalg.eigvals(a))
-    size = size[size > DIRECTION_ENTRY * max(size.max(initial=0.0), TINY)]
+    size = size[size > INTEGRATING_POLE * max(size.max(initial=0.0), TINY)]
     low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
     count = 40 + 8 * (constants + 2 * len(a))
     reach = np.log(10.0) * decades
