@@ -222,7 +222,7 @@ def check(
         problem.step.label,
         problem.kernel.description,
         problem.kernel.reason,
-        isinstance(problem.kernel, CompiledKernel),
+        problem.kernel.name == CompiledKernel.name,
         group,
         assumed,
         {o.name: float(problem.noise.std[j]) for j, o in enumerate(model.outputs) if o.name in measured},

@@ -1,4 +1,7 @@
-"""What the shell offers when Tab is pressed: models, effects, parameters, outputs. A mistake in what was typed so far offers nothing."""
+"""What the shell offers when Tab is pressed: models, effects, parameters, outputs. A mistake in what was typed so far offers nothing.
+
+Model files are read as text (`greybox.project.outline`): Tab runs nothing that lies around.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +17,16 @@ import typer
 from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
-    from greybox.model import Model
+    from greybox.project.outline import ModelOutline
 
 Offer = tuple[str, str]  # what to type, and what it is
 
 
 def models(incomplete: str) -> list[Offer]:
     """Names of models, and model files that begin so."""
-    from greybox.project import list_models
+    from greybox.project.outline import list_outlines
 
-    offers = [(item.name, item.model.description) for item in list_models().models]
+    offers = [(item.name, item.description) for item in list_outlines()]
     files = sorted(Path(text) for text in glob(f"{escape(incomplete)}*")) if incomplete else []
     near = [(f"{path}/", "a folder") if path.is_dir() else (str(path), "a model file") for path in files]
     return _beginning([*offers, *(offer for offer in near if offer[0].endswith(("/", ".py")))], incomplete)
@@ -49,45 +52,50 @@ def constant_names(ctx: typer.Context, incomplete: str) -> list[Offer]:
 
 def outputs(ctx: typer.Context, incomplete: str) -> list[Offer]:
     """``NAME=`` of the model's outputs."""
-    return _offered(ctx, incomplete, lambda m: ((f"{o.name}=", f"[{o.unit}] {o.description}") for o in m.outputs))
+    return _offered(ctx, incomplete, lambda m: _signals(m, "outputs"))
 
 
 def states(ctx: typer.Context, incomplete: str) -> list[Offer]:
     """``NAME=`` of the model's states."""
-    return _offered(ctx, incomplete, lambda m: ((f"{s.name}=", f"[{s.unit}] {s.description}") for s in m.all_states))
+    return _offered(ctx, incomplete, lambda m: _signals(m, "states"))
 
 
 def signals(ctx: typer.Context, incomplete: str) -> list[Offer]:
     """``NAME=`` of what a record holds: time, inputs and outputs."""
-    return _offered(ctx, incomplete, _signals)
+    return _offered(ctx, incomplete, lambda m: [("time=", "[s]"), *_signals(m, "inputs"), *_signals(m, "outputs")])
 
 
-def _constants(model: Model) -> Iterator[Offer]:
-    for q in model.all_parameters:
-        yield f"{q.name}=", f"{q.value:g} {q.unit}, {q.description}"
+def _constants(model: ModelOutline) -> Iterator[Offer]:
+    for q in model.parameters.values():
+        yield f"{q.name}=", " ".join(filter(None, (q.value, f"{q.unit},", q.description)))
 
 
-def _signals(model: Model) -> Iterator[Offer]:
-    yield "time=", "[s]"
-    yield from ((f"{i.name}=", f"[{i.unit}] {i.description}") for i in model.inputs)
-    yield from ((f"{o.name}=", f"[{o.unit}] {o.description}") for o in model.outputs)
+def _signals(model: ModelOutline, group: str) -> Iterator[Offer]:
+    for s in getattr(model, group).values():
+        yield f"{s.name}=", f"[{s.unit}] {s.description}"
 
 
-def _offered(ctx: typer.Context, incomplete: str, offers: Callable[[Model], Iterable[Offer]]) -> list[Offer]:
-    from greybox.effects import effect
-    from greybox.project import find_model
+def _offered(ctx: typer.Context, incomplete: str, offers: Callable[[ModelOutline], Iterable[Offer]]) -> list[Offer]:
+    from greybox.project.outline import SignalOutline, find_outline
 
     # A line that ends in an option without its value is not taken apart: the words are left in args.
     name = ctx.params.get("model") or next(iter(ctx.args), None)
-    if name is None:
+    model = find_outline(name) if name is not None else None
+    if model is None:
         return []
     words = (os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS") or "").split()
-    try:
-        model = find_model(name)
-        for option, value in pairwise(words):
-            model = model + effect(value) if option == "--effect" else model
-    except GreyboxError:  # nothing of that name: nothing to offer
-        return []
+    added = [value for option, value in pairwise(words) if option == "--effect"]
+    if added:
+        from greybox.effects import effect
+
+        try:
+            for entry in map(effect, added):
+                for kind, group in ((entry.parameters, model.parameters), (entry.states, model.states)):
+                    for s in kind:
+                        value = f"{s.value:g}" if kind is entry.parameters else ""
+                        group.setdefault(s.name, SignalOutline(s.name, s.unit, value, s.description))
+        except GreyboxError:  # no effect of that name: nothing to offer
+            return []
     return _beginning(offers(model), incomplete)
 
 

@@ -265,11 +265,11 @@ def _target(path: Path, to: Target, fit: Path) -> Path:
 def load_fit_with_model(path: Path, model: str | None = None) -> Fit:
     """The fit in ``path``. ``model`` names its model or model file (None: the name that the file holds).
 
-    Effects of the catalogue that the fit has and the model lacks are added. Raises DataError for a file that is no fit, ModelError
-    where its model cannot be found.
+    A file that the fit names in place of a model is not run: only the user may name one. Effects of the catalogue that the fit
+    has and the model lacks are added. Raises DataError for a file that is no fit, ModelError where its model cannot be found.
     """
     from greybox.effects import effect
-    from greybox.project import find_model
+    from greybox.project import find_model, is_model_path
     from greybox.result import load_fit
 
     try:
@@ -279,6 +279,10 @@ def load_fit_with_model(path: Path, model: str | None = None) -> Fit:
         raise DataError(f"{path}: not a readable fit ({why}); give the fit.json that greybox fit has written") from None
     if not (isinstance(data, dict) and isinstance(data.get("model"), str) and isinstance(data.get("effects"), list)):
         raise DataError(f"{path}: not a fit of this program; give the fit.json that greybox fit has written")
+    if model is None and is_model_path(data["model"]):
+        raise DataError(
+            f"{path}: its model {data['model']!r} is a file, and a fit names its model without a path; give --model MODEL"
+        )
     try:
         plant = find_model(model or data["model"])
         present = [e.name for e in plant.effects]

@@ -25,7 +25,7 @@ def build_model(study: Study) -> Model:
     """
     from greybox.project import find_model
 
-    model = _apply_schedules(find_model(study.model, folder=study.folder), study)
+    model = _apply_schedules(find_model(study.model), study)
     model = _apply_process_noise(add_effects(model, study.effects), study.process_noise)
     return set_parameters(model, study)
 

@@ -7,6 +7,7 @@ import inspect
 import tempfile
 import typing
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -45,8 +46,8 @@ WITHOUT_RECORDS = ("check", "simulate")
 def takes_study(command: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Decorator: the function ``command(study, ...)`` gets an argument or option for each field of a study that it uses.
 
-    In a command that reads study files, MODEL may be one; options beside it take the place of what it says. ``--write-study``
-    writes the study and runs nothing.
+    In a command that reads study files, MODEL may be one; options beside it take the place of what it says. ``--model`` names the
+    model in place of the file; ``--write-study`` writes the study and runs nothing.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
@@ -57,14 +58,19 @@ def takes_study(command: str) -> Callable[[Callable[..., None]], Callable[..., N
         parameters += [_parameter(name, spec, command) for name, spec in specs.items()]
         parameters += [p.replace(annotation=hints[p.name], kind=inspect.Parameter.KEYWORD_ONLY) for p in further]
         if command in STUDY_COMMANDS:
-            parameters.append(
-                inspect.Parameter("write_study", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_WRITE_STUDY)
-            )
+            parameters += [
+                inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+                for name, annotation in (("named_model", _NAMED_MODEL), ("write_study", _WRITE_STUDY))
+            ]
 
         @functools.wraps(function)
-        def run(*, ctx: typer.Context, write_study: Path | None = None, **given: Any) -> None:
+        def run(
+            *, ctx: typer.Context, named_model: str | None = None, write_study: Path | None = None, **given: Any
+        ) -> None:
             raw = {name: given.pop(name) for name in specs}
             study = _study(command, ctx, raw)
+            if write_study is None or named_model is not None:
+                study = confirm_model(study, named_model)
             if write_study is not None:
                 from greybox.rendering.cli import study_line
 
@@ -79,6 +85,58 @@ def takes_study(command: str) -> Callable[[Callable[..., None]], Callable[..., N
     return decorate
 
 
+def confirm_model(study: Study, named_model: str | None = None) -> Study:
+    """``study`` with a model that may be run: a study file alone runs no program.
+
+    Parameters
+    ----------
+    study
+        The study that the command line states.
+    named_model
+        The model that the user named beside the study file; None where there is none.
+
+    Returns
+    -------
+    Study
+        With ``named_model`` in the place of the file's own.
+
+    Raises
+    ------
+    GreyboxError
+        If the file names a model file, or lies in a project other than that of the working folder, and the user named no model; if
+        a model is named twice.
+    """
+    from greybox.project import is_model_path, project_root
+
+    if named_model is not None:
+        if study.file is None or "model" not in study.from_file:
+            raise GreyboxError(f"--model {named_model}: the model is {study.model} already; leave out one of the two")
+        return replace(study, model=named_model, from_file=study.from_file - {"model"})
+    if study.file is None or "model" not in study.from_file:
+        return study
+    again = f"if you trust it, run the command again with --model {study.model}"
+    if is_model_path(study.model):
+        raise GreyboxError(
+            f"{study.file}: names the model file {study.model}, which is a program; a study alone runs none: {again}"
+        )
+    root = project_root(study.folder, named=True)
+    if root not in (None, project_root()):
+        raise GreyboxError(
+            f"{study.file}: belongs to the project {root}, whose models are programs; run the command from that folder, or name the"
+            f" model, as in --model {root}/models/{study.model}.py"
+        )
+    return study
+
+
+_NAMED_MODEL = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        metavar="MODEL",
+        help="The model, if MODEL is a study file that names a model file: a study alone runs no program.",
+        show_default=False,
+    ),
+]
 _WRITE_STUDY = Annotated[
     Path | None,
     typer.Option(

@@ -1,7 +1,7 @@
 """Study files: a study as TOML, for reading, changing and repeating it.
 
-Reading a study file runs nothing: it is checked field by field against `greybox.cli.study`. The model that it names is a Python
-file and runs when the study does, as the argument MODEL would.
+Reading a study file runs nothing: it is checked field by field against `greybox.cli.study`. A model file that it names is a
+program: it runs only where the user names it too (`greybox.cli.options.confirm_model`).
 """
 
 from __future__ import annotations
@@ -22,6 +22,13 @@ from greybox.errors import GreyboxError, nearest
 
 SUFFIX = ".toml"
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def is_model_path(model: str) -> bool:
+    """Whether a model is given as a file and not by its name."""
+    from greybox.project import is_model_path as is_path
+
+    return is_path(model)
 
 
 def is_study_file(name: str) -> bool:
@@ -178,7 +185,7 @@ def _from_folder(folder: Path, spec: Spec, value: Any) -> Any:
     """Paths of the file as seen from the working folder."""
     if isinstance(spec.kind, Files):
         return tuple(folder / path for path in value)
-    if spec is SPECS["model"] and _is_path(value):
+    if spec is SPECS["model"] and is_model_path(value):
         return str(folder / value)
     return value
 
@@ -187,7 +194,7 @@ def _to_folder(study: Study, path: Path, spec: Spec, value: Any) -> Any:
     """Paths as seen from the folder of the file that is written; absolute ones stay."""
     if isinstance(spec.kind, Files):
         return tuple(_relative(file, path.parent) for file in value)
-    if spec is SPECS["model"] and _is_path(value):
+    if spec is SPECS["model"] and is_model_path(value):
         file, colon, name = value.rpartition(".py:")
         return (
             f"{_relative(Path(f'{file}.py'), path.parent).as_posix()}:{name}"
@@ -195,10 +202,6 @@ def _to_folder(study: Study, path: Path, spec: Spec, value: Any) -> Any:
             else (_relative(Path(value), path.parent).as_posix())
         )
     return value
-
-
-def _is_path(model: str) -> bool:
-    return model.endswith(".py") or ".py:" in model or "/" in model or "\\" in model
 
 
 def _relative(file: Path, folder: Path) -> PurePosixPath:

@@ -7,6 +7,7 @@ from importlib.resources import files
 import casadi as ca
 
 from greybox.export.discrete_step import DiscreteStep
+from greybox.export.texts import to_comment
 from greybox.expressions.c import c_literal
 from greybox.integrators.input_delay import count_history_columns
 from greybox.kernel.c_routine import CRoutine
@@ -56,11 +57,6 @@ def write_step(interval: DiscreteStep) -> str:
 def read_template(name: str) -> str:
     """The text of a C file beside this one."""
     return files("greybox.export").joinpath(name).read_text(encoding="utf-8")
-
-
-def to_comment(text: str) -> str:
-    """Text that cannot end a comment of C."""
-    return text.replace("*/", "* /").replace("/*", "/ *")
 
 
 def write_initialisers(values: list[float], remarks: list[str]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import subprocess
 import sys
 import tempfile
 import uuid
@@ -17,8 +16,9 @@ from greybox.export.c_core import read_template, write_initialisers, write_step
 from greybox.export.discrete_step import DiscreteStep, find_delay_parameters, make_discrete_step
 from greybox.export.identifiers import to_identifier, to_identifiers
 from greybox.export.plant import Plant, to_plant
+from greybox.export.texts import to_line
 from greybox.expressions.c import c_literal
-from greybox.kernel.c_compiler import CompilerError, find_compiler
+from greybox.kernel.c_compiler import CompilerError, find_compiler, run_compiler, summarise_errors
 from greybox.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
 from greybox.result import Fit
@@ -125,9 +125,9 @@ def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) ->
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
-        modelName=model.title,
+        modelName=to_line(model.title),
         guid=guid,
-        description=model.description or model.title,
+        description=to_line(model.description or model.title),
         generationTool=plant.origin()[0].partition(",")[0],
         variableNamingConvention="structured",
     )
@@ -212,7 +212,7 @@ def _variables(
         variable = ET.SubElement(
             group,
             "ScalarVariable",
-            {"name": name, "valueReference": str(reference), "description": description, **kind},
+            {"name": name, "valueReference": str(reference), "description": to_line(description), **kind},
         )
         ET.SubElement(variable, "Real", {**real, **({"unit": unit} if unit not in ("", "-", "1") else {})})
 
@@ -231,10 +231,9 @@ def compile_shared_library(text: str, target: Path) -> Path:
     source.write_text(text, encoding="utf-8")
     flags = (*FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
     command = [*compiler.command, *flags, "-o", str(target), str(source), "-lm"]
-    run = subprocess.run(
-        command, capture_output=True, text=True, errors="replace", timeout=compiler.timeout, check=False
-    )
+    run = run_compiler(command, compiler.timeout)
     if run.returncode != 0:
-        errors = "; ".join([line for line in run.stderr.splitlines() if "error" in line.lower()][:3])
-        raise CompilerError(f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} ({errors})")
+        raise CompilerError(
+            f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {summarise_errors(run)}"
+        )
     return target

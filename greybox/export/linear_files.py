@@ -20,6 +20,7 @@ from greybox.export.minimal_realisation import minimal_realisation
 from greybox.export.model_family import ModelFamily, sample_family
 from greybox.export.plant import Plant, to_plant
 from greybox.export.python_text import docstring, literal
+from greybox.export.texts import to_line
 from greybox.export.transfer_channel import describe_behaviour, extract_channel
 from greybox.kernel import GreyboxWarning
 from greybox.model import Model
@@ -283,7 +284,7 @@ def write_mat(
         "u0": model.u0.reshape(-1, 1),
         "y0": model.y0.reshape(-1, 1),
         "rates": model.rates.reshape(-1, 1),
-        "Name": model.name,
+        "Name": to_line(model.name),
         "Method": model.method,
         "Notes": _cell([str(finding) for finding in model.findings]),
     }
@@ -437,7 +438,7 @@ def _cell(texts: Any) -> np.ndarray:
     """A column of texts, which MATLAB reads as a cell array."""
     cell = np.empty((len(texts), 1), object)
     for k, text in enumerate(texts):
-        cell[k, 0] = str(text)
+        cell[k, 0] = to_line(str(text))
     return cell
 
 

@@ -12,6 +12,7 @@ import casadi as ca
 from greybox.errors import ModelError
 from greybox.export.identifiers import to_identifier, to_identifiers
 from greybox.export.plant import Plant, to_plant
+from greybox.export.texts import to_comment, to_line
 from greybox.expressions.operations import Binding
 from greybox.expressions.printer import MODELICA, Printed, Printer
 from greybox.model import Balance, Model
@@ -96,7 +97,7 @@ def modelica_text(plant: Plant) -> str:
     head = to_identifier(model.title)
     parts = [f"  {part} = {text};" for part, text in printer.shared]
     lines = [
-        *(f"// {line}".rstrip() for line in (*plant.origin(), *map(str, plant.findings))),
+        *(f"// {to_comment(line)}".rstrip() for line in (*plant.origin(), *map(str, plant.findings))),
         f'model {head} "{_string(model.description or model.title)}"',
         *_declarations(plant, names, printer),
         *(f"  Real {part};" for part, _ in printer.shared),
@@ -275,4 +276,4 @@ def _brackets(inside: Sequence[str]) -> str:
 
 def _string(text: str) -> str:
     """Text inside a Modelica string."""
-    return text.replace("\\", "\\\\").replace('"', "'")
+    return to_line(text).replace("\\", "\\\\").replace('"', "'")

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any
 
+from greybox.export.texts import escape_line, to_line
 from greybox.expressions.printer import Printer
 from greybox.model.balance import Balance
 
@@ -48,7 +49,7 @@ def docstring(title: str, paragraphs: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a module's docstring, the title folded, a blank line between paragraphs."""
 
     def safe(text: str) -> str:
-        return text.replace("\\", "\\\\").replace('"""', "'''").rstrip()
+        return to_line(text).replace("\\", "\\\\").replace('"""', "'''").rstrip()
 
     lines = textwrap.wrap(safe(title), WIDTH - 4)
     lines[0] = f'"""{lines[0]}'
@@ -81,9 +82,9 @@ def literal(value: Any) -> str:
     if isinstance(value, tuple):
         return f"({', '.join(literal(v) for v in value)}{',' if len(value) == 1 else ''})"
     if isinstance(value, float):
-        return {"inf": "math.inf", "-inf": "-math.inf"}.get(repr(value), repr(value))
+        return {"inf": "math.inf", "-inf": "-math.inf", "nan": "math.nan"}.get(repr(value), repr(value))
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n") + '"'
+        return f'"{escape_line(value)}"'
     return repr(value)
 
 

@@ -85,12 +85,14 @@ def symbol_latex(name: str) -> str:
     if not tail and (parts := NAME_PARTS.match(head)) and head not in GREEK:
         head, tail = parts.group(1), parts.group(2) or ""
     below = ",".join(part for part in (tail, owner) if part)
-    base = rf"\{head}" if head in GREEK else (head if len(head) == 1 else rf"\mathrm{{{_plain(head)}}}")
+    base = (
+        rf"\{head}" if head in GREEK else (head if len(head) == 1 and head.isalnum() else rf"\mathrm{{{_plain(head)}}}")
+    )
     return f"{base}_{{{_subscript(below)}}}" if below else base
 
 
 def _subscript(text: str) -> str:
-    return text if len(text) == 1 or text.isdigit() else rf"\mathrm{{{_plain(text)}}}"
+    return text if text.isalnum() and (len(text) == 1 or text.isdigit()) else rf"\mathrm{{{_plain(text)}}}"
 
 
 def _plain(text: str) -> str:

@@ -10,6 +10,7 @@ from greybox.errors import GreyboxError
 from greybox.integrators.step import Step
 from greybox.kernel.c_compiler import CompilerError, GreyboxWarning, NoCompilerError
 from greybox.kernel.compiled import CompiledKernel
+from greybox.kernel.fallback import FallbackKernel
 from greybox.kernel.interface import GaussNewtonSums, Kernel
 from greybox.kernel.interpreted import InterpretedKernel
 from greybox.kernel.record import Record
@@ -27,7 +28,7 @@ __all__ = [
     "make_kernel",
 ]
 
-# Reasons that were reported already: one warning a process is enough.
+# What was reported already: one warning a process is enough, for the compiler and for each operation that C does not have.
 _warned: set[str] = set()
 
 
@@ -35,7 +36,8 @@ def make_kernel(step: Step) -> Kernel:
     """The fastest kernel that works on this machine.
 
     The environment variable ``GREYBOX_KERNEL`` forces ``compiled`` or ``interpreted``. Without a C compiler the interpreted kernel is
-    taken silently; a compiler that fails is reported once, as a GreyboxWarning.
+    taken silently; a compiler or a disk that fails, for this kernel or for a larger library that a fit needs later, is reported once,
+    as a GreyboxWarning, and the kernel goes on interpreted.
 
     Parameters
     ----------
@@ -62,17 +64,26 @@ def make_kernel(step: Step) -> Kernel:
     if forced == "interpreted":
         return InterpretedKernel(step, "GREYBOX_KERNEL=interpreted")
     try:
-        return _make_compiled(step)
+        return _make_compiled(step) if forced == "compiled" else _make_fallback(step)
     except (CompilerError, UnsupportedOperationError) as error:
         if forced == "compiled":
             raise
-        reason, is_expected = str(error), isinstance(error, NoCompilerError)
-    if reason not in _warned and not is_expected:
-        _warned.add(reason)
-        warnings.warn(f"{reason}; fits run without compiled code, many times slower", GreyboxWarning, stacklevel=2)
-    return InterpretedKernel(step, reason)
+        _warn_once(error)
+        return InterpretedKernel(step, str(error))
 
 
 @lru_cache(maxsize=64)  # for the next fit with the same step
 def _make_compiled(step: Step) -> CompiledKernel:
     return CompiledKernel(step)
+
+
+@lru_cache(maxsize=64)
+def _make_fallback(step: Step) -> FallbackKernel:
+    return FallbackKernel(_make_compiled(step), _warn_once)
+
+
+def _warn_once(error: CompilerError | UnsupportedOperationError) -> None:
+    kind = "compiler" if isinstance(error, CompilerError) else str(error)
+    if kind not in _warned and not isinstance(error, NoCompilerError):
+        _warned.add(kind)
+        warnings.warn(f"{error}; fits run without compiled code, many times slower", GreyboxWarning, stacklevel=3)

@@ -2,6 +2,9 @@
 
 Environment: ``CC`` names the compiler (else ``cc``, ``gcc``, ``clang`` on the path, else the package ``ziglang``);
 ``GREYBOX_CACHE`` the folder of the compiled libraries.
+
+A library is loaded into the process, so folder and files must belong to the user and be writable by nobody else; a cache that is not
+private, full or broken gives way to a temporary folder. Whatever else fails is a CompilerError.
 """
 
 from __future__ import annotations
@@ -16,15 +19,19 @@ import os
 import platform
 import shlex
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 from greybox.errors import GreyboxError
+from greybox.kernel.policy import CACHE_POLICY, CachePolicy
 
 # Without errno and traps the compiler may use vector instructions; no -ffast-math, so that NaN and infinity keep their
 # meaning. Packing scalars into vectors by itself (slp) only lengthens the recursion that everything waits for.
@@ -58,7 +65,7 @@ class Compiler:
 
     command: tuple[str, ...]
     version: str
-    timeout: float = 300.0
+    timeout: float = CACHE_POLICY.compile_seconds
 
 
 def load_library(source: Callable[[], str], key: str) -> ctypes.CDLL:
@@ -69,10 +76,23 @@ def load_library(source: Callable[[], str], key: str) -> ctypes.CDLL:
     compiler = find_compiler()
     flags = (*FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
     cache_key = "\0".join([key, hash_generator(), *flags, *compiler.command, compiler.version, describe_machine()])
-    name = f"{hashlib.sha256(cache_key.encode()).hexdigest()}{SUFFIX}"
-    path = find_cache_folder() / name
-    if not _is_intact(path):
-        _compile(compiler, flags, source(), path)
+    name = f"{hashlib.sha256(cache_key.encode(errors='backslashreplace')).hexdigest()}{SUFFIX}"
+    try:
+        return _load(find_cache_folder() / name, compiler, flags, source)
+    except OSError:  # a full or a broken disk: another one may do
+        with _as_compiler_error("no folder for compiled kernels can be written"):
+            return _load(_temporary_folder() / name, compiler, flags, source)
+
+
+def _load(path: Path, compiler: Compiler, flags: Sequence[str], source: Callable[[], str]) -> ctypes.CDLL:
+    """The library at ``path``, compiled where it is not there. Raises OSError where it cannot be kept, CompilerError."""
+    if _is_intact(path):
+        with contextlib.suppress(OSError):  # another process may have cleared it away meanwhile
+            library = ctypes.CDLL(str(path))
+            os.utime(path)  # used last now
+            return library
+    _compile(compiler, flags, source(), path)
+    _prune_once(path.parent)
     try:
         return ctypes.CDLL(str(path))
     except OSError as error:
@@ -87,8 +107,33 @@ def find_compiler() -> Compiler:
 
 
 def find_cache_folder() -> Path:
-    """Where compiled libraries are kept; a temporary folder for this process if the usual one cannot be written."""
-    return _writable(_usual_cache())
+    """Where compiled libraries are kept; a temporary folder for this process if the usual one cannot be used.
+
+    Raises OSError where there is no folder that can be written at all.
+    """
+    usual = _usual_cache()
+    return _temporary_folder() if usual is None else _writable(usual)
+
+
+def prune_cache(folder: Path, policy: CachePolicy = CACHE_POLICY) -> None:
+    """Delete libraries that were not used for long, then those used longest ago until the rest is small enough."""
+    now = time.time()
+    libraries: list[tuple[float, int, Path]] = []
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):  # cleared away by another process, or not ours to delete
+            status = path.lstat()
+            days = (now - status.st_mtime) / 86_400
+            if path.name.startswith("part-") and days > policy.leftover_days:
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.suffix == SUFFIX:
+                libraries.append((status.st_mtime, status.st_size, path))
+    kept = 0
+    for used, size, path in sorted(libraries, reverse=True):
+        kept += size
+        if kept > policy.largest_bytes or now - used > policy.longest_unused_days * 86_400:
+            for file in (path, _digest_path(path)):
+                with contextlib.suppress(OSError):
+                    file.unlink()
 
 
 @lru_cache
@@ -129,36 +174,87 @@ def choose_vector_width(directions: int) -> int:
     return 4 if "avx" in words or (known_x86 and sys.platform != "linux") else 2
 
 
-def _usual_cache() -> Path:
+def _usual_cache() -> Path | None:
+    """The folder that the user or the platform has for it; None where the user has no home."""
     given = os.environ.get("GREYBOX_CACHE")
     if given:
         return Path(given)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "greybox"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "greybox"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "greybox"
+    if sys.platform == "win32" and os.environ.get("LOCALAPPDATA"):
+        return Path(os.environ["LOCALAPPDATA"]) / "greybox"
+    if sys.platform not in ("win32", "darwin") and os.environ.get("XDG_CACHE_HOME"):
+        return Path(os.environ["XDG_CACHE_HOME"]) / "greybox"
+    try:
+        home = Path.home()
+    except RuntimeError:  # no HOME, and a user whom the machine does not know, as in a container
+        return None
+    return home / {"win32": "AppData/Local", "darwin": "Library/Caches"}.get(sys.platform, ".cache") / "greybox"
 
 
 @lru_cache
 def _writable(folder: Path) -> Path:
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            return folder
-    except OSError:
-        # held by the module, hence removed when the process ends
+            pass
+    except (OSError, ValueError):
+        return _temporary_folder()
+    if _is_private(folder, stat.S_ISDIR):
+        return folder
+    warnings.warn(
+        f"kernel cache {folder}: another user owns it or may write to it, so it is not used and kernels are compiled anew in every"
+        " process; take the right away (chmod go-w), or set GREYBOX_CACHE to a folder of your own",
+        GreyboxWarning,
+        stacklevel=2,
+    )
+    return _temporary_folder()
+
+
+def _temporary_folder() -> Path:
+    """A folder of this process; held by the module, hence removed when the process ends."""
+    if not _temporary or not Path(_temporary[-1].name).is_dir():
         _temporary.append(tempfile.TemporaryDirectory(prefix="greybox-", ignore_cleanup_errors=True))
-        return Path(_temporary[-1].name)
+    return Path(_temporary[-1].name)
 
 
 _temporary: list[tempfile.TemporaryDirectory[str]] = []
+_pruned: set[Path] = set()
+
+
+def _prune_once(folder: Path) -> None:
+    """Prune once in a process: a search compiles some thirty kernels."""
+    if folder not in _pruned:
+        _pruned.add(folder)
+        with contextlib.suppress(OSError):
+            prune_cache(folder)
+
+
+def _is_private(path: Path, is_kind: Callable[[int], bool]) -> bool:
+    """Whether a file or folder is of this kind, belongs to the user and is writable by nobody else. Windows has no such mode."""
+    try:
+        status = path.stat() if is_kind is stat.S_ISDIR else path.lstat()
+    except OSError:
+        return False
+    if not hasattr(os, "geteuid"):
+        return is_kind(status.st_mode)
+    others_write = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return is_kind(status.st_mode) and status.st_uid == os.geteuid() and not others_write
+
+
+@contextlib.contextmanager
+def _as_compiler_error(what: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise CompilerError(f"{what}: {error}") from error
 
 
 @lru_cache
 def _find_compiler(cc: str, path: str) -> Compiler:
-    if cc:
-        command = shlex.split(cc, posix=os.name != "nt")
+    if cc.strip():
+        try:
+            command = shlex.split(cc, posix=os.name != "nt")
+        except ValueError as error:
+            raise CompilerError(f"CC={cc}: {error}; set CC to a C compiler, or unset it") from None
         program = shutil.which(command[0], path=path)
         if program is None:
             raise CompilerError(f"CC={cc}: no such program on the path; set CC to a C compiler, or unset it")
@@ -178,30 +274,50 @@ def _find_compiler(cc: str, path: str) -> Compiler:
 def _version(command: tuple[str, ...]) -> str:
     """What ``--version`` says, remembered as long as the program is the same file."""
     program = os.path.realpath(command[0])
-    stamp = f"{' '.join(command)} {program} {os.stat(program).st_mtime_ns}"
-    versions_file = find_cache_folder() / "compilers.json"
-    versions: dict[str, str] = {}
-    with contextlib.suppress(OSError, ValueError):  # not there yet, or unreadable: ask the compiler again
-        versions = json.loads(versions_file.read_text(encoding="utf-8"))
+    with _as_compiler_error(f"C compiler {' '.join(command)} cannot be read"):
+        stamp = f"{' '.join(command)} {program} {os.stat(program).st_mtime_ns}"
+    try:
+        versions_file: Path | None = find_cache_folder() / "compilers.json"
+    except OSError:  # no folder can be written: the compiler is asked each time
+        versions_file = None
+    versions = _read_versions(versions_file)
     if stamp not in versions:
-        result = _run([*command, "--version"])
+        result = run_compiler([*command, "--version"])
         if result.returncode != 0:
             raise CompilerError(
-                f"C compiler {' '.join(command)} does not work: --version ended with code {result.returncode} {_error_lines(result)}"
+                f"C compiler {' '.join(command)} does not work: --version ended with code {result.returncode}"
+                f" {summarise_errors(result)}"
             )
         versions[stamp] = result.stdout.strip()
-        with tempfile.TemporaryDirectory(
-            dir=versions_file.parent, prefix="part-", ignore_cleanup_errors=True
-        ) as folder:
-            Path(folder, versions_file.name).write_text(json.dumps(versions), encoding="utf-8")
-            _replace(Path(folder, versions_file.name), versions_file)
+        if versions_file is not None:
+            with (
+                contextlib.suppress(OSError),
+                _part_folder(versions_file.parent) as folder,
+            ):  # kept where it can be kept
+                _write_private(folder / versions_file.name, json.dumps(versions).encode())
+                _replace(folder / versions_file.name, versions_file)
     return versions[stamp]
 
 
-def _is_intact(path: Path) -> bool:
-    """Whether the library file is complete; loading one that a full disk cut short would end the process."""
+def _read_versions(file: Path | None) -> dict[str, str]:
+    """What compilers said earlier; nothing where that is not there, or damaged."""
+    if file is None or not _is_private(file, stat.S_ISREG):
+        return {}
     try:
-        return _digest_path(path).read_text(encoding="utf-8") == hashlib.sha256(path.read_bytes()).hexdigest()
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return {k: v for k, v in data.items() if isinstance(v, str)} if isinstance(data, dict) else {}
+
+
+def _is_intact(path: Path) -> bool:
+    """Whether the library file is the user's and complete; loading one that a full disk cut short would end the process."""
+    try:
+        return (
+            _is_private(path, stat.S_ISREG)
+            and _is_private(_digest_path(path), stat.S_ISREG)
+            and _digest_path(path).read_text(encoding="utf-8") == hashlib.sha256(path.read_bytes()).hexdigest()
+        )
     except (OSError, ValueError):
         return False
 
@@ -215,17 +331,29 @@ def _compile(compiler: Compiler, flags: Sequence[str], source: str, path: Path) 
 
     The names of the files are the same every time, and so is the library: two processes at once may both write it.
     """
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix="part-", ignore_cleanup_errors=True) as folder:
-        text, library, digest = (Path(folder, f"kernel{suffix}") for suffix in (".c", SUFFIX, ".sha256"))
+    with _part_folder(path.parent) as folder:
+        text, library, digest = (folder / f"kernel{suffix}" for suffix in (".c", SUFFIX, ".sha256"))
         text.write_text(source, encoding="utf-8")
-        run = _run([*compiler.command, *flags, "-o", str(library), str(text), "-lm"], compiler.timeout)
+        run = run_compiler([*compiler.command, *flags, "-o", str(library), str(text), "-lm"], compiler.timeout)
         if run.returncode != 0 or not library.exists():
             raise CompilerError(
-                f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {_error_lines(run)}"
+                f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {summarise_errors(run)}"
             )
-        digest.write_text(hashlib.sha256(library.read_bytes()).hexdigest(), encoding="utf-8")
+        library.chmod(0o700)
+        _write_private(digest, hashlib.sha256(library.read_bytes()).hexdigest().encode())
         _replace(library, path)
         _replace(digest, _digest_path(path))
+
+
+@contextlib.contextmanager
+def _part_folder(parent: Path) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(dir=parent, prefix="part-", ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
+
+
+def _write_private(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    path.chmod(0o600)
 
 
 def _replace(temporary: Path, path: Path) -> None:
@@ -236,13 +364,41 @@ def _replace(temporary: Path, path: Path) -> None:
             raise
 
 
-def _run(command: Sequence[str], timeout: float = 300.0) -> subprocess.CompletedProcess[str]:
+def run_compiler(
+    command: Sequence[str], timeout: float = CACHE_POLICY.compile_seconds
+) -> subprocess.CompletedProcess[str]:
+    """Run a compiler. Raises CompilerError where it cannot be run or takes too long; then it is not tried again."""
+    if command[0] in _hanging:
+        raise CompilerError(f"C compiler {' '.join(command[:3])} took more than {timeout:g} s before")
     try:
-        return subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=timeout, check=False)
-    except (OSError, subprocess.SubprocessError) as error:
+        return _run(command, timeout)
+    except subprocess.TimeoutExpired as error:
+        _hanging.add(command[0])
+        raise CompilerError(f"C compiler {' '.join(command[:3])} took more than {timeout:g} s") from error
+
+
+_hanging: set[str] = set()
+
+
+def _run(command: Sequence[str], timeout: float = CACHE_POLICY.compile_seconds) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(
+            command,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=timeout,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise
+    except (OSError, subprocess.SubprocessError, ValueError) as error:
         raise CompilerError(f"C compiler {' '.join(command[:3])} cannot be run: {error}") from error
 
 
-def _error_lines(run: subprocess.CompletedProcess[str]) -> str:
+def summarise_errors(run: subprocess.CompletedProcess[str]) -> str:
+    """The first lines in which a compiler tells of errors, without characters that would steer a terminal."""
     lines = [line for line in run.stderr.splitlines() if "error" in line.lower()] or run.stderr.splitlines()
-    return f"({'; '.join(lines[:3])})" if lines else "without a message"
+    plain = ("".join(c if c.isprintable() else " " for c in line).strip()[:300] for line in lines[:3])
+    return f"({'; '.join(plain)})" if lines else "without a message"

@@ -138,13 +138,13 @@ def _points(points: Points, panel: Panel, style: PageStyle) -> dict[str, Any]:
     if points.texts:
         trace |= {"text": list(points.texts), "textposition": "middle right", "cliponaxis": False}
     if panel.categories:
-        trace["hovertemplate"] = _pointed_at(f"%{{y}}: %{{x:.4g}} {panel.x.unit}", points.label)
+        trace["hovertemplate"] = _pointed_at(f"%{{y}}: %{{x:.4g}} {escape(panel.x.unit)}", points.label)
     return trace
 
 
 def _bars(bars: Bars, panel: Panel) -> dict[str, Any]:
     across, along = ("y", "x") if bars.horizontal else ("x", "y")
-    unit = (panel.x if bars.horizontal else panel.y).unit
+    unit = escape((panel.x if bars.horizontal else panel.y).unit)
     trace = {
         "type": "bar",
         "orientation": "h" if bars.horizontal else "v",

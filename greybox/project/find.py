@@ -9,7 +9,7 @@ from pathlib import Path
 from greybox.errors import ModelError, nearest
 from greybox.experiment.read import READERS
 from greybox.model import Model
-from greybox.project.folders import model_files, project_root, template_root
+from greybox.project.folders import find_foreign_project, model_files, project_root, template_root
 from greybox.project.load import display_path, import_from_project, import_standalone, load_model_file, models_in
 from greybox.values import Printable
 
@@ -65,7 +65,7 @@ def find_model(name: str, folder: Path | None = None) -> Model:
     path, colon, wanted = name.rpartition(".py:")
     if colon:
         return _in_file(Path(f"{path}.py"), wanted)
-    if name.endswith(".py") or "/" in name or "\\" in name:
+    if is_model_path(name):
         return _in_file(Path(name), "")
     for source in _sources(folder):
         model = source.find(name)
@@ -76,6 +76,11 @@ def find_model(name: str, folder: Path | None = None) -> Model:
     as_path = f"; or give the path {name}.py" if Path(f"{name}.py").is_file() else ""
     broken = "".join(f"\n  not read: {problem}" for problem in known.problems)
     raise ModelError(f"no model {name!r}; {close}{as_path}{broken}")
+
+
+def is_model_path(name: str) -> bool:
+    """Whether `find_model` takes ``name`` as a file, which it runs, and not as the name of a model."""
+    return name.endswith(".py") or ".py:" in name or "/" in name or "\\" in name
 
 
 def find_shipped_model(name: str) -> Model:
@@ -99,7 +104,8 @@ def list_models(folder: Path | None = None) -> ModelListing:
     Files that cannot be run are listed as problems and do not hide the others.
     """
     entries: dict[str, ModelEntry] = {}
-    problems: list[str] = []
+    foreign = find_foreign_project(folder)
+    problems = [] if foreign is None else [_refuse_foreign(foreign)]
     for source in _sources(folder):
         for file, held in source.contents():
             if isinstance(held, ModelError):
@@ -159,6 +165,13 @@ def _sources(folder: Path | None = None) -> Iterator[_Source]:
         yield _Source(root, named=True, shipped=False)
     if root != shipped and (shipped / "models").is_dir():
         yield _Source(shipped, named=root is None, shipped=True)
+
+
+def _refuse_foreign(root: Path) -> str:
+    return (
+        f"{root}: the project belongs to another user, so its models are not run; if you trust it, give the path of a model file,"
+        f" as in {next(iter(model_files(root)))}"
+    )
 
 
 def _in_file(path: Path, wanted: str) -> Model:

@@ -22,7 +22,7 @@ def load_model_file(file: Path) -> ModuleType:
 
     Raises ModelError where the file cannot be run, with the line.
     """
-    root = project_root(file.parent)
+    root = project_root(file.parent, named=True)
     if root is not None and file.parent == root / "models":
         return import_from_project(root, file)
     return import_standalone(file)
@@ -43,7 +43,7 @@ def import_standalone(file: Path) -> ModuleType:
     name = f"_greybox_file_{hashlib.sha256(str(file).encode()).hexdigest()[:12]}"
     if name in sys.modules:
         return sys.modules[name]
-    root = project_root(file.parent)
+    root = project_root(file.parent, named=True)
     if root is not None:
         _first_on_path(root)
     if str(file.parent) not in sys.path:
@@ -118,7 +118,7 @@ def _model_error(error: BaseException, file: Path) -> ModelError:
 
 def _is_users_own(filename: str, file: Path) -> bool:
     """Whether a frame lies in the user's own files: the file itself, or one below its project or folder."""
-    root = project_root(file.parent) or file.parent
+    root = project_root(file.parent, named=True) or file.parent
     library = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
     if filename.startswith("<"):  # the import system's own frames
         return False

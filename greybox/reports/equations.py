@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import casadi as ca
@@ -72,4 +73,5 @@ def _outputs(model: Model) -> Iterator[Equation]:
 
 
 def _words(name: str) -> str:
-    return name.replace("_", " ")
+    """A name as text within a formula: what LaTeX or a page would read as a command becomes a space."""
+    return re.sub(r"[^\w .,:;()'+*/=<>|!?°-]|_", " ", name)

@@ -1,21 +1,28 @@
-"""A page as one HTML file that opens without a network: style, scripts and figures inside, every text escaped."""
+"""A page as one HTML file that opens without a network: style, scripts and figures inside.
+
+Texts come from models, records and results of others. They become HTML here and nowhere else: Jinja escapes what stands in the
+template, `mathml` what stands in equations, `embedded` what the page's script reads. The page's content security policy is the
+second wall: a browser runs the two scripts whose hashes it names, and fetches nothing.
+"""
 
 from __future__ import annotations
 
 import gzip
+import hashlib
 import json
 from base64 import b64encode
 from collections.abc import Sequence
 from functools import cache
-from html import escape
+from html import escape, unescape
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from latex2mathml.converter import convert
+from latex2mathml.converter import convert_to_element
 from markupsafe import Markup
 
 from greybox.errors import DataError
@@ -28,16 +35,32 @@ from greybox.reports.page import Block, Details, FigureBlock, Page, Text
 from greybox.reports.policy import REPORT
 from greybox.reports.typography import typeset_number
 
+MATHML_ATTRIBUTES = (
+    "xmlns display stretchy fence form separator accent accentunder linethickness mathvariant columnalign columnspacing rowspacing"
+    " columnlines rowlines displaystyle scriptlevel width height depth minsize maxsize movablelimits lspace rspace"
+)
+"""What attributes an equation may have: none that links, loads or runs."""
+CONTROL_CHARACTERS = dict.fromkeys([*range(9), 11, 12, *range(14, 32), *range(127, 160)])
+"""Characters that HTML does not have: left out."""
 MARKUP = {"hovertemplate"}  # templates hold markup of ours, and what they hold of others is escaped already
 
 
 def render_page(page: Page) -> str:
     """The page as HTML. Raises DataError where it would be larger than 6 MB."""
+    script, drawn = _inside("page.js"), _drawn(page)
+    scripts = [script, *([_plotly_script()] if drawn else [])]
     html = (
         _environment()
         .get_template("page.html")
-        .render(page=page, style=_style(), script=_inside("page.js"), plotly=_plotly() if _drawn(page) else "")
+        .render(
+            page=page,
+            style=_style(),
+            script=script,
+            plotly=_plotly() if drawn else "",
+            policy=security_policy(scripts),
+        )
     )
+    html = _as_text(html)
     if len(html.encode()) > REPORT.largest_page:
         raise DataError(
             f"the report {label(page.title)!r} is larger than {REPORT.largest_page / 1e6:.0f} MB; give fewer records"
@@ -75,9 +98,28 @@ def _environment() -> Environment:
     return environment
 
 
+def security_policy(scripts: Sequence[str | bytes]) -> str:
+    """What a browser may do for a page: run scripts of these texts, style, and nothing else."""
+    digests = [hashlib.sha256(text.encode() if isinstance(text, str) else text).digest() for text in scripts]
+    allowed = " ".join(f"'sha256-{b64encode(digest).decode()}'" for digest in digests)
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:;"
+        " base-uri 'none'; form-action 'none'"
+    )
+
+
 def mathml(latex: str) -> Markup:
-    """LaTeX as MathML, which browsers typeset and screen readers read."""
-    return Markup(convert(latex, display="block"))
+    """LaTeX as MathML, which browsers typeset and screen readers read; as its text where it cannot be typeset."""
+    try:
+        root = convert_to_element(latex, display="block")
+    except Exception:  # whatever the converter stumbles over: the reader gets the formula as it is written
+        return Markup("<code>{}</code>").format(_as_text(latex))
+    for element in root.iter():
+        # The converter leaves texts as they came, with marks of its own such as &#x0002B; among them.
+        element.text, element.tail = (None if t is None else unescape(t) for t in (element.text, element.tail))
+        for name in {*element.attrib}.difference(MATHML_ATTRIBUTES.split()):
+            del element.attrib[name]
+    return Markup(ET.tostring(root, encoding="unicode"))
 
 
 def embedded(block: FigureBlock) -> Markup:
@@ -145,11 +187,21 @@ def _inside(name: str) -> Markup:
     return Markup(files("greybox.reports").joinpath("template", name).read_text(encoding="utf-8"))
 
 
+def _as_text(text: str) -> str:
+    """What a page can hold: without control characters, and with a mark for what is no character (a file name that is not UTF-8)."""
+    return text.translate(CONTROL_CHARACTERS).encode("utf-8", "replace").decode()
+
+
 @cache
 def _plotly() -> Markup:
-    """Plotly's own script, packed; the page unpacks it. Read as a file: importing plotly takes time, and 5 MB become 2."""
+    """Plotly's own script, packed; the page unpacks it."""
+    return Markup(b64encode(gzip.compress(_plotly_script(), REPORT.compression, mtime=0)).decode())
+
+
+@cache
+def _plotly_script() -> bytes:
+    """Plotly's own script. Read as a file: importing plotly takes time, and 5 MB become 2."""
     home = find_spec("plotly")  # `files` would import it
     if home is None or not home.submodule_search_locations:
         raise DataError("a page with figures needs plotly, which is not installed; pip install plotly")
-    script = Path(home.submodule_search_locations[0], "package_data", "plotly.min.js").read_bytes()
-    return Markup(b64encode(gzip.compress(script, REPORT.compression, mtime=0)).decode())
+    return Path(home.submodule_search_locations[0], "package_data", "plotly.min.js").read_bytes()

@@ -4,7 +4,9 @@ import multiprocessing
 import os
 import stat
 import sys
+import time
 import warnings
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -14,6 +16,7 @@ import greybox.kernel as kernels
 from greybox.integrators.step import Step
 from greybox.kernel import CompilerError, GreyboxWarning, UnsupportedOperationError, make_kernel
 from greybox.kernel import c_compiler as compiling
+from greybox.kernel.policy import CachePolicy
 from greybox.kernel.record import Record
 
 RECORD = Record(np.zeros((4, 1)), np.zeros((4, 1)), np.ones(3), np.zeros(3, np.int32), np.ones(1))
@@ -43,6 +46,28 @@ def halving(factor=0.5, term=None):
 
 def run(kernel):
     return kernel.simulate(RECORD, np.ones((1, 1)), np.zeros(1), np.ones(1))[0].ravel().tolist()
+
+
+def sums(kernel):
+    dq, dp, dx0 = np.zeros((1, 1, 1)), np.zeros((1, 1)), np.ones((1, 1))
+    return kernel.sums(RECORD, np.ones((1, 1)), dq, np.zeros(1), dp, np.ones(1), dx0, np.ones(1))
+
+
+def write_compiler(path, lines):
+    """A program that stands in for a compiler; ``lines`` decide, ``go_on()`` hands over to the real one."""
+    head = f"""#!{sys.executable}
+import os, subprocess, sys
+from pathlib import Path
+count = Path({str(path)!r} + ".count")
+is_asked = "--version" in sys.argv
+if not is_asked:
+    count.write_text(str(1 + int(count.read_text() if count.exists() else 0)))
+def go_on():
+    sys.exit(subprocess.run(["cc", *sys.argv[1:]]).returncode)
+"""
+    path.write_text(head + lines)
+    path.chmod(0o755)
+    return str(path)
 
 
 def run_in_process(folder, barrier, answers):
@@ -200,3 +225,168 @@ def test_default_cache_follows_the_platform(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(sys, "platform", "linux")
     assert compiling.find_cache_folder() == tmp_path / "greybox"
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("sys.exit('cc1: error: out of memory')", "out of memory"),
+        ("Path(sys.argv[sys.argv.index('-o') + 1]).write_bytes(b'no library'); sys.exit(0)", "cannot be loaded"),
+        ("sys.exit(0)", "ended with code 0"),
+        ("sys.exit('error: \\x1b[31mred\\x07')", "error"),
+    ],
+)
+def test_a_compiler_that_fails_in_the_middle_of_a_fit_leads_to_the_interpreted_kernel(
+    monkeypatch, tmp_path, fault, message
+):
+    wrapper = write_compiler(tmp_path / "tired-cc", f"if is_asked or count.read_text() == '1':\n    go_on()\n{fault}\n")
+    monkeypatch.setenv("CC", wrapper)
+    kernel = make_kernel(halving())
+    expected = sums(kernels.InterpretedKernel(halving()))
+    assert kernel.name == "compiled"
+    with pytest.warns(GreyboxWarning, match=message) as caught:
+        result = sums(kernel)
+    assert len(caught) == 1
+    assert "\x1b" not in str(caught[0].message)
+    assert kernel.name == "interpreted"
+    assert message in kernel.reason
+    np.testing.assert_allclose(result.gauss_newton, expected.gauss_newton)
+    with warnings.catch_warnings():  # the next model fails too, and that was said
+        warnings.simplefilter("error")
+        again = make_kernel(halving(0.125))
+        np.testing.assert_allclose(sums(again).cost, sums(kernels.InterpretedKernel(halving(0.125))).cost)
+    assert again.name == "interpreted"
+
+
+def test_with_substeps_the_fallback_is_kept(monkeypatch, tmp_path):
+    wrapper = write_compiler(
+        tmp_path / "tired-cc", "if is_asked or count.read_text() == '1':\n    go_on()\nsys.exit(3)\n"
+    )
+    monkeypatch.setenv("CC", wrapper)
+    kernel = make_kernel(halving()).with_substeps(2)
+    with pytest.warns(GreyboxWarning):
+        sums(kernel)
+    assert kernel.name == kernel.with_substeps(1).name == "interpreted"
+
+
+@pytest.mark.parametrize(("cc", "works"), [(" ", True), ('gcc "', False), ("/", False), ("gcc'", False), ("\t", True)])
+def test_an_odd_name_of_a_compiler_is_no_traceback(monkeypatch, cc, works):
+    monkeypatch.setenv("CC", cc)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        kernel = make_kernel(halving())
+    assert (kernel.name == "compiled") == works
+    assert len(caught) == (not works)
+    assert run(kernel) == [1, 0.5, 0.25, 0.125]
+
+
+@pytest.mark.parametrize("text", ["null", "5", "[]", '"x"', '{"a": 1}', "[" * 100_000, "\x00", "{}", '{"a"', "\udcff"])
+def test_a_damaged_list_of_compilers_is_written_anew(tmp_path, text):
+    (tmp_path / "cache").mkdir(mode=0o700)
+    file = tmp_path / "cache" / "compilers.json"
+    file.write_text(text, encoding="utf-8", errors="surrogateescape")
+    file.chmod(0o600)
+    assert make_kernel(halving()).name == "compiled"
+    assert "version" in file.read_text() or "cc" in file.read_text()
+
+
+def test_folders_in_the_place_of_files_do_no_harm(monkeypatch, tmp_path):
+    make_kernel(halving())
+    names = [path.name for path in (tmp_path / "cache").iterdir()]
+    monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path / "other"))
+    for name in names:
+        (tmp_path / "other" / name / "full").mkdir(parents=True)
+    (tmp_path / "other").chmod(0o700)
+    forget()
+    kernels._make_compiled.cache_clear()
+    kernels._make_fallback.cache_clear()
+    kernel = make_kernel(halving())
+    assert (kernel.name, run(kernel)) == ("compiled", [1, 0.5, 0.25, 0.125])
+
+
+def test_a_full_disk_leads_to_another_folder_or_to_the_interpreted_kernel(monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(compiling, "_write_private", full)
+    with pytest.warns(GreyboxWarning, match="No space left on device"):
+        kernel = make_kernel(halving(0.75))
+    assert kernel.name == "interpreted"
+
+
+def test_a_user_without_home_gets_a_temporary_cache(monkeypatch):
+    for name in ("GREYBOX_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+    def unknown(*_):
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(compiling.Path, "home", unknown)
+    kernel = make_kernel(halving(0.375))
+    assert (kernel.name, run(kernel)[1]) == ("compiled", 0.375)
+
+
+def test_a_cache_that_others_may_write_to_is_not_used(monkeypatch, tmp_path):
+    folder = tmp_path / "shared"
+    folder.mkdir()
+    folder.chmod(0o777)
+    monkeypatch.setenv("GREYBOX_CACHE", str(folder))
+    with pytest.warns(GreyboxWarning, match="chmod go-w"):
+        kernel = make_kernel(halving(0.625))
+    assert (kernel.name, list(folder.iterdir())) == ("compiled", [])
+
+
+def test_a_library_that_others_may_write_to_is_compiled_anew(tmp_path):
+    make_kernel(halving(0.3125))
+    (library,) = (tmp_path / "cache").glob(f"*{compiling.SUFFIX}")
+    for spoilt in (library, library.with_suffix(".sha256")):
+        spoilt.chmod(0o666)
+        assert not compiling._is_intact(library)
+        kernels._make_compiled.cache_clear()
+        kernels._make_fallback.cache_clear()
+        assert make_kernel(halving(0.3125)).name == "compiled"
+        assert compiling._is_intact(library)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only the superuser can give files away")
+@pytest.mark.parametrize("kind", ["folder", "library"])
+def test_a_cache_of_another_user_is_not_used(tmp_path, kind):
+    make_kernel(halving(0.4375))
+    (library,) = (tmp_path / "cache").glob(f"*{compiling.SUFFIX}")
+    os.chown(library if kind == "library" else library.parent, 12345, 12345)
+    forget()
+    if kind == "library":
+        assert not compiling._is_intact(library)
+    else:
+        with pytest.warns(GreyboxWarning, match="another user owns it"):
+            assert compiling.find_cache_folder() != library.parent
+
+
+def test_the_cache_is_pruned_by_age_and_size(tmp_path):
+    day = 86_400
+    now = time.time()
+    for k, days in enumerate((0, 1, 2, 100)):
+        file = tmp_path / f"{k}{compiling.SUFFIX}"
+        file.write_bytes(bytes(1000))
+        compiling._digest_path(file).write_text("")
+        os.utime(file, (now - days * day,) * 2)
+    for k, days in enumerate((0, 3)):
+        part = tmp_path / f"part-{k}"
+        part.mkdir()
+        (part / "kernel.c").write_text("")
+        os.utime(part, (now - days * day,) * 2)
+    compiling.prune_cache(tmp_path, CachePolicy(largest_bytes=2500))
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        [f"{k}{suffix}" for k in (0, 1) for suffix in (compiling.SUFFIX, ".sha256")] + ["part-0"]
+    )
+
+
+def test_a_compiler_that_hangs_is_asked_once(monkeypatch, tmp_path):
+    wrapper = write_compiler(tmp_path / "slow-cc", "import time\nif is_asked:\n    go_on()\ntime.sleep(60)\n")
+    monkeypatch.setenv("CC", wrapper)
+    compiler = compiling.find_compiler()
+    monkeypatch.setattr(compiling, "find_compiler", lambda: replace(compiler, timeout=0.5))
+    with pytest.warns(GreyboxWarning, match=r"took more than 0\.5 s"):
+        assert make_kernel(halving(0.6875)).name == "interpreted"
+    assert make_kernel(halving(0.8125)).name == "interpreted"
+    assert (tmp_path / "slow-cc.count").read_text() == "1"
