@@ -65,6 +65,7 @@ def discover(
                 noise=dict(study.noise),
                 quiet=quiet,
                 effects=candidates,
+                without=_left_out(study),
                 options=FitOptions(at_rest=study.at_rest),
                 on_message=say,
                 journal=journal,
@@ -85,6 +86,15 @@ def discover(
         kept = f"; finished refits are in {journal}, the same command continues from there" if journal.exists() else ""
         exit_with_error(f"interrupted{kept}", ExitCode.INTERRUPTED)
     _write(result, folder, json=json, page=not no_report)
+
+
+def _left_out(study: Study) -> tuple[str, ...]:
+    """The effects that are not tried, by name and by family. Raises GreyboxError for an unknown name."""
+    from greybox.discovery import family_of
+    from greybox.effects import effect
+
+    relatives = [name for listed in study.without_family for name in family_of(effect(listed).name)]
+    return (*study.without, *relatives)
 
 
 def _write(result: Discovery, folder: Path, *, json: bool, page: bool) -> None:

@@ -139,6 +139,24 @@ class Study:
         metavar="NAME,...",
         complete=completion.effects,
     )
+    without: tuple[str, ...] = _study_field(
+        Names(split=True),
+        "--without",
+        "without",
+        (DISCOVER,),
+        "Do not try this effect of the catalogue; may be repeated.",
+        metavar="NAME",
+        complete=completion.effects,
+    )
+    without_family: tuple[str, ...] = _study_field(
+        Names(split=True),
+        "--without-family",
+        "without_family",
+        (DISCOVER,),
+        "Do not try this effect, nor those that contain it or that it contains (coulomb_friction: all dry friction).",
+        metavar="NAME",
+        complete=completion.effects,
+    )
     further: bool = _study_field(
         Switch(),
         "--further",
@@ -266,7 +284,7 @@ class Study:
         Count(0),
         "--skip",
         "records.skip",
-        _FITS,
+        (*_FITS, DISCOVER),
         "Number of rows to ignore at the start of each validation record.",
         metavar="N",
         show_default=True,

@@ -1,10 +1,12 @@
 """Where model and data disagree, which effect is missing, and whether one may say so."""
 
+from greybox.discovery.candidates import family_of
 from greybox.discovery.curve_shape import CurveShape, Parity, ShapeKind
 from greybox.discovery.decision import Verdict
 from greybox.discovery.dependence import Dependence
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.effect_test import EffectTest, drop_effect, try_effect
+from greybox.discovery.failures import SearchFailure, SearchStage
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.localisation import RankedSite, ResidualLocalisation, ResidualSignal, localise_residual
 from greybox.discovery.misfit_windows import MisfitWindow
@@ -51,6 +53,8 @@ __all__ = [
     "ResidualSignal",
     "ResidualSpectrum",
     "SearchBudget",
+    "SearchFailure",
+    "SearchStage",
     "SelectionPolicy",
     "SelectionStep",
     "ShapeKind",
@@ -63,6 +67,7 @@ __all__ = [
     "discover",
     "drop_effect",
     "estimate_residual_spectrum",
+    "family_of",
     "localise_residual",
     "refine",
     "try_effect",

@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from greybox.discovery.failures import NOT_SIMULATED, FailureLog, SearchStage
 from greybox.discovery.policy import SearchBudget
 from greybox.errors import DataError, FitError
 from greybox.model import Model
@@ -35,10 +37,14 @@ class RefitJob:
 
 @dataclass(frozen=True)
 class RefitOutcome:
-    """Where a refit ended: parameters by name, and the initial state of each record (records, nx)."""
+    """Where a refit ended: parameters by name, the initial state of each record (records, nx), and the substeps it was integrated with.
+
+    No ``substeps`` (0) are those that the model starts with.
+    """
 
     values: Mapping[str, float]
     initial: tuple[tuple[float, ...], ...]
+    substeps: int = 0
 
 
 @dataclass
@@ -79,6 +85,10 @@ class RefitJournal:
 
 class RefitProblem(Protocol):
     """What an executor needs of the problem that it refits for."""
+
+    @property
+    def failures(self) -> FailureLog:
+        """Where jobs that fail are kept."""
 
     def refit(self, job: RefitJob, /) -> Any:
         """The fitted candidate of one job; None if it cannot be simulated from any start."""
@@ -124,23 +134,22 @@ class RefitExecutor:
     _pools: ExitStack = field(init=False, default_factory=ExitStack)
 
     def run(self, problem: RefitProblem, jobs: Sequence[RefitJob]) -> list[Any]:
-        """Each job as a fitted candidate of ``problem``; None for one that could not be simulated from any start.
+        """Each job as a fitted candidate of ``problem``; None for one that cannot be fitted, with the reason in ``problem.failures``.
 
         Raises
         ------
         FitError
-            If another process failed.
+            If every job failed in other processes.
         KeyboardInterrupt
             If the user interrupted a refit.
         """
-        keys = [problem.job_key(job) if self.journal else "" for job in jobs]
+        keys = [self._key(problem, job) for job in jobs]
         results: list[Any] = [None] * len(jobs)
         remaining = []
         for k, (key, job) in enumerate(zip(keys, jobs, strict=True)):
             if self.journal and key in self.journal.known:
                 self.journal.reused += 1
-                outcome = self.journal.known[key]
-                results[k] = None if outcome is None else problem.restore(job.model, outcome)
+                results[k] = self._restore(problem, job, self.journal.known[key])
             else:
                 remaining.append(k)
         if len(remaining) > 1 and self._parallel_pays(len(remaining)):
@@ -148,10 +157,20 @@ class RefitExecutor:
             return results
         for k in remaining:
             began = time.perf_counter()
-            results[k] = problem.refit(jobs[k])
+            results[k] = _attempt(problem, jobs[k], partial(problem.refit, jobs[k]))
             self.seconds.append(time.perf_counter() - began)
             self._keep(keys[k], results[k] and problem.to_outcome(results[k]))
         return results
+
+    def _key(self, problem: RefitProblem, job: RefitJob) -> str:
+        """The key of a job in the journal; empty where there is none, or the job fails already here."""
+        return (self.journal and _attempt(problem, job, partial(problem.job_key, job))) or ""
+
+    def _restore(self, problem: RefitProblem, job: RefitJob, outcome: RefitOutcome | None) -> Any:
+        if outcome is None:
+            problem.failures.add(SearchStage.REFIT, _effects(job), NOT_SIMULATED)
+            return None
+        return _attempt(problem, job, partial(problem.restore, job.model, outcome))
 
     @contextmanager
     def open(self) -> Iterator[RefitExecutor]:
@@ -190,20 +209,30 @@ class RefitExecutor:
                 continue
             if result.error:
                 errors.append(f"{jobs[k].model.title}: {result.error}")
+                problem.failures.add(SearchStage.REFIT, _effects(jobs[k]), result.error)
                 continue
             self._keep(keys[k], result.value)
-            results[k] = None if result.value is None else problem.restore(jobs[k].model, result.value)
+            results[k] = self._restore(problem, jobs[k], result.value)
         if interrupted:
             raise KeyboardInterrupt
-        if errors:
+        if len(errors) == len(remaining):  # no candidate's fault: the processes
             raise FitError(f"refits failed: {'; '.join(errors)}")
 
     def _keep(self, key: str, outcome: RefitOutcome | None) -> None:
         self.finished += 1
         if self.report:
             self.report(self.finished)
-        if self.journal:
+        if self.journal and key:
             self.journal.add(key, outcome)
+
+
+def _attempt(problem: RefitProblem, job: RefitJob, run: Callable[[], Any]) -> Any:
+    """``run()``; None where it fails, with the reason in the problem's log."""
+    return problem.failures.attempt(SearchStage.REFIT, _effects(job), run, None)
+
+
+def _effects(job: RefitJob) -> tuple[str, ...]:
+    return tuple(e.name for e in job.model.effects)
 
 
 def _refit_elsewhere(problem: RefitProblem, job: RefitJob) -> RefitOutcome | None:
@@ -215,4 +244,5 @@ def _refit_elsewhere(problem: RefitProblem, job: RefitJob) -> RefitOutcome | Non
 def _outcome(data: Mapping[str, Any] | None) -> RefitOutcome | None:
     if data is None:
         return None
-    return RefitOutcome(dict(data["values"]), tuple(tuple(map(float, row)) for row in data["initial"]))
+    initial = tuple(tuple(map(float, row)) for row in data["initial"])
+    return RefitOutcome(dict(data["values"]), initial, int(data.get("substeps", 0)))

@@ -48,6 +48,13 @@ class DiscoveryCode(StrEnum):
     DISCRIMINATING_EXPERIMENT = "discriminating_experiment"
     NO_DISCRIMINATING_EXPERIMENT = "no_discriminating_experiment"
     DETECTION_LIMIT = "detection_limit"
+    # Why an effect was not tried.
+    NO_PLACE = "no_place"
+    EFFECT_PRESENT = "effect_present"
+    NOT_A_CANDIDATE = "not_a_candidate"
+    EFFECT_LEFT_OUT = "effect_left_out"
+    CANDIDATE_FAILED = "candidate_failed"
+    CANDIDATE_NOT_SIMULATED = "candidate_not_simulated"
     # What to do next.
     CONTINUE_WITH_LOOK_ALIKE = "continue_with_look_alike"
     STATE_NOISE = "state_noise"

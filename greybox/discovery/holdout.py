@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greybox.discovery.failures import SearchStage
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
@@ -83,10 +84,14 @@ def estimated_initial_states(candidate: CandidateFit) -> list[dict[str, float]]:
 def score_holdout(
     problem: DiscoveryProblem, candidate: CandidateFit, validation: Sequence[Experiment], skip: int = 0
 ) -> float:
-    """Rms simulation error over noise on the validation records, all outputs together."""
-    quick = replace(problem.options, progressive=False, thorough=False)
-    validated = validate(candidate.model, validation, noise=problem.noise_std, skip=skip, options=quick)
-    return float(np.sqrt(np.mean([m.noise_ratio**2 for m in validated.misfit.values()])))
+    """Rms simulation error over noise on the validation records, all outputs together; infinite where the model fails there."""
+
+    def score() -> float:
+        quick = replace(problem.options, progressive=False, thorough=False)
+        validated = validate(candidate.model, validation, noise=problem.noise_std, skip=skip, options=quick)
+        return float(np.sqrt(np.mean([m.noise_ratio**2 for m in validated.misfit.values()])))
+
+    return problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, score, np.inf)
 
 
 def reject_on_validation(

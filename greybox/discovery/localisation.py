@@ -113,6 +113,14 @@ class ResidualLocalisation(Printable, ReadOnly):
     dependences: tuple[Dependence, ...] = ()
     policy: LocalisationPolicy = field(default_factory=LocalisationPolicy)
 
+    @classmethod
+    def without_sites(
+        cls, candidate: CandidateFit, policy: LocalisationPolicy, selection: SelectionPolicy
+    ) -> ResidualLocalisation:
+        """The misfit alone, where its site cannot be estimated."""
+        misfit, threshold = candidate.per_sample**0.5, clean_cost_limit(candidate.count, selection) ** 0.5
+        return cls(misfit, threshold, policy=policy)
+
     @property
     def is_missing(self) -> bool:
         """Whether more than noise is left."""

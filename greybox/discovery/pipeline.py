@@ -6,12 +6,14 @@ The stages, each a function of its own: baseline, noise, screening and selection
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from greybox.discovery.candidates import failed_candidates, list_candidates
 from greybox.discovery.decision import (
     Conclusion,
     Verdict,
@@ -21,6 +23,7 @@ from greybox.discovery.decision import (
 )
 from greybox.discovery.effect_signal import estimate_effect_signals
 from greybox.discovery.execution import RefitExecutor, RefitJournal
+from greybox.discovery.failures import SearchStage
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import (
     HoldoutError,
@@ -49,7 +52,7 @@ from greybox.discovery.result import Discovery, RankedCandidate
 from greybox.discovery.selection import MessageCallback, StepwiseSelection, checks_of
 from greybox.discovery.starting_points import estimate_scales
 from greybox.discovery.surrogate import Surrogate, fit_surrogate
-from greybox.effects import Scales, applicable_effects, tailor_to_record
+from greybox.effects import Scales
 from greybox.errors import DataError
 from greybox.estimation import FitOptions
 from greybox.experiment import Experiment
@@ -129,6 +132,7 @@ def discover(
     noise: Mapping[str, float] | None = None,
     quiet: Records = (),
     effects: Sequence[Effect] | None = None,
+    without: Collection[str] = (),
     options: FitOptions | None = None,
     policy: DiscoveryPolicy | None = None,
     on_message: MessageCallback | None = None,
@@ -157,6 +161,8 @@ def discover(
         Records with the input at rest, which show level and colour of the noise.
     effects
         The only candidates, instead of the catalogue.
+    without
+        Names of effects that are not tried. `greybox.discovery.family_of` lists an effect with its relatives.
     options
         Options of every fit.
     policy
@@ -179,6 +185,8 @@ def discover(
 
     Raises
     ------
+    ModelError
+        For an unknown name in ``without``.
     DataError
         Without a validation record, for records that do not go with the model, and for a file that is no journal.
 
@@ -203,9 +211,8 @@ def discover(
             model, _as_tuple(estimation), dict(noise or {}), _as_tuple(quiet), options, refits, policy.budget
         )
         scales = estimate_scales(problem.baseline)
-        candidates = (
-            [tailor_to_record(e, scales) for e in effects] if effects else applicable_effects(problem.model, scales)
-        )
+        listed = list_candidates(problem.model, scales, problem.failures, effects, without)
+        candidates = listed.effects
         findings: tuple[Finding, ...] = ()
         evidence = _gather_evidence(problem, candidates, scales, validation_records, policy, on_message)
         if problem.options.at_rest and _shows_on_validation_only(evidence):
@@ -215,7 +222,10 @@ def discover(
             wider = replace(problem, experiments=(*problem.experiments, *first_halves))
             evidence = _gather_evidence(wider, candidates, scales, validation_records, policy, on_message, half)
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
-        return replace(_conclude(evidence, findings), seconds=time.perf_counter() - began)
+        result = _conclude(evidence, findings)
+        not_tried = listed.not_tried | failed_candidates(candidates, problem.failures, result.fitted_alone)
+        failures = tuple(problem.failures.entries.values())
+        return replace(result, not_tried=not_tried, failures=failures, seconds=time.perf_counter() - began)
 
 
 def _gather_evidence(
@@ -316,13 +326,19 @@ def _conclude(evidence: SelectionEvidence, findings: tuple[Finding, ...]) -> Dis
     verdict = decided.verdict
     fits = sorted(selection.fits.values(), key=lambda fit: fit.criterion)
     ranking = [RankedCandidate(f.effects, f.per_sample**0.5, f.criterion - fits[0].criterion) for f in fits]
-    location = localise_residual(evidence.baseline, policy=policy.localisation, selection=policy.selection)
-    experiments = propose_experiments(problem, selected, evidence.rivals, policy)
+    attempt, effects = problem.failures.attempt, selected.effects
+    locate = partial(localise_residual, evidence.baseline, policy=policy.localisation, selection=policy.selection)
+    location = attempt(SearchStage.LOCALISATION, (), locate, None) or ResidualLocalisation.without_sites(
+        evidence.baseline, policy.localisation, policy.selection
+    )
+    propose = partial(propose_experiments, problem, selected, evidence.rivals, policy)
+    experiments = attempt(SearchStage.PROPOSAL, effects, propose, ())
     limits = list_detection_limits(selection.single_effects, policy.proposals) if verdict is Verdict.COMPLETE else ()
     surrogate = None
     next_steps: tuple[Finding, ...] = ()
     if verdict is Verdict.UNKNOWN:
-        surrogate = fit_surrogate(
+        represent = partial(
+            fit_surrogate,
             replace(problem, model=evidence.plain),
             evidence.baseline,
             selected,
@@ -332,10 +348,12 @@ def _conclude(evidence: SelectionEvidence, findings: tuple[Finding, ...]) -> Dis
             policy,
             evidence.skip,
         )
+        surrogate = attempt(SearchStage.SURROGATE, effects, represent, None)
         next_steps = _propose_for_unknown(evidence, location, surrogate)
     elif verdict is Verdict.COMPLETE:
         next_steps = propose_noise_check(evidence.base)
-    signals = estimate_effect_signals(problem, selected, policy.localisation) if selected.effects else ()
+    estimate_signals = partial(estimate_effect_signals, problem, selected, policy.localisation)
+    signals = attempt(SearchStage.EVIDENCE, effects, estimate_signals, ()) if effects else ()
     if evidence.corrected is not selected and verdict is not Verdict.UNKNOWN:
         added = [name for name in evidence.corrected.effects if name not in selected.effects]
         values = {"correction": added}
@@ -357,6 +375,7 @@ def _conclude(evidence: SelectionEvidence, findings: tuple[Finding, ...]) -> Dis
         surrogate=surrogate,
         policy=policy,
         options=problem.options,
+        fitted_alone=frozenset(fit.effects[0] for fit in selection.fits.values() if len(fit.effects) == 1),
     )
 
 

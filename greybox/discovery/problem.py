@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.discovery.execution import RefitExecutor, RefitJob, RefitOutcome
+from greybox.discovery.failures import NOT_SIMULATED, FailureLog, SearchStage
 from greybox.discovery.policy import SearchBudget
 from greybox.estimation import FitOptions
 from greybox.estimation.versions import read_versions
@@ -23,6 +24,7 @@ from greybox.result import Fit
 from greybox.transcription import DecisionVector, Evaluation
 from greybox.transcription.problem import EstimationProblem, prepare_problem
 from greybox.transcription.solve import Solution, solve
+from greybox.transcription.step_refinement import with_substeps
 
 StartValues = Mapping[str, float]
 
@@ -89,6 +91,8 @@ class DiscoveryProblem:
         Where refits run and where they are kept.
     budget
         How many starting points and iterations a refit has.
+    failures
+        What failed so far, and why.
     """
 
     model: Model
@@ -98,6 +102,7 @@ class DiscoveryProblem:
     options: FitOptions
     executor: RefitExecutor = field(default_factory=RefitExecutor)
     budget: SearchBudget = field(default_factory=SearchBudget)
+    failures: FailureLog = field(default_factory=FailureLog)
 
     @classmethod
     def from_fit(cls, fit: Fit, budget: SearchBudget | None = None) -> DiscoveryProblem:
@@ -194,16 +199,21 @@ class DiscoveryProblem:
         if any(s.status is TerminationStatus.INTERRUPTED for s in solutions):
             raise KeyboardInterrupt
         finite = [fit for fit in (_from_solution(job.model, s) for s in solutions) if np.isfinite(fit.cost)]
+        if not finite:
+            self.failures.add(SearchStage.REFIT, tuple(e.name for e in job.model.effects), NOT_SIMULATED)
         return min(finite, key=lambda fit: fit.cost, default=None)
 
     def to_outcome(self, candidate: CandidateFit) -> RefitOutcome:
         """What must be kept of a refit to restore it."""
-        return RefitOutcome(candidate.model.values, tuple(map(tuple, candidate.variables.initial.guess.tolist())))
+        initial = tuple(map(tuple, candidate.variables.initial.guess.tolist()))
+        return RefitOutcome(candidate.model.values, initial, candidate.problem.step.substeps)
 
     def restore(self, model: Model, outcome: RefitOutcome) -> CandidateFit:
         """``model`` where an earlier refit ended."""
         problem = self.prepare(model.start(**outcome.values))
         variables = with_start_values(problem.variables, outcome.values)
+        if outcome.substeps not in (0, problem.step.substeps) and not problem.step.per_interval:
+            problem = with_substeps(problem, outcome.substeps, variables.fixed)
         variables = replace(variables, initial=replace(variables.initial, guess=np.array(outcome.initial)))
         e = problem.shooting(variables).evaluate(variables.here)
         return CandidateFit(problem.model, e.cost, e.count, variables.size, problem, variables, e)
@@ -213,9 +223,16 @@ class DiscoveryProblem:
         return DiscoveryProblem(self.model, self.experiments, self.noise_model, (), self.options, budget=self.budget)
 
     def predict_cost(self, model: Model, starts: Iterable[StartValues], like: CandidateFit | None = None) -> float:
-        """The lowest cost that one Gauss-Newton step predicts from any of ``starts``; ``like`` as in `refit_best`."""
-        problem = _with_initial_states(self.prepare(model), _initial_states(like))
-        return min((point[0] for s in starts if (point := _predict_cost(problem, s)) is not None), default=np.inf)
+        """The lowest cost that one Gauss-Newton step predicts from any of ``starts``; ``like`` as in `refit_best`.
+
+        Infinite for a model that cannot be simulated.
+        """
+
+        def predict() -> float:
+            problem = _with_initial_states(self.prepare(model), _initial_states(like))
+            return min((point[0] for s in starts if (point := _predict_cost(problem, s)) is not None), default=np.inf)
+
+        return self.failures.attempt(SearchStage.SCREENING, tuple(e.name for e in model.effects), predict, np.inf)
 
     def job_key(self, job: RefitJob) -> str:
         """The hash by which a refit is known: equal if model, starts, records, noise, options and versions are."""

@@ -9,6 +9,7 @@ from typing import Any
 
 from greybox.discovery.decision import Verdict
 from greybox.discovery.effect_signal import EffectSignal
+from greybox.discovery.failures import SearchFailure
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy
@@ -66,6 +67,12 @@ class Discovery(Printable):
         A curve or a tone in the place of an unknown effect.
     refinement
         What `refine` found beyond, where it was asked.
+    not_tried
+        For each effect that was not tried, or could not be fitted, the reason.
+    failures
+        Everything that failed in the search, with the stage and the reason.
+    fitted_alone
+        Effects that were fitted alone.
     policy
         The decision numbers.
     options
@@ -92,6 +99,9 @@ class Discovery(Printable):
     policy: DiscoveryPolicy = field(default_factory=DiscoveryPolicy)
     seconds: float = 0.0
     options: FitOptions = field(default_factory=FitOptions)
+    not_tried: Mapping[str, Finding] = field(default_factory=dict)
+    failures: tuple[SearchFailure, ...] = ()
+    fitted_alone: frozenset[str] = frozenset()
 
     @property
     def sites(self) -> tuple[str, ...]:
@@ -160,6 +170,8 @@ def _to_mapping(d: Discovery) -> dict[str, Any]:
         "story": " ".join(map(str, d.conclusion)),
         "next_steps": list(map(str, d.next_steps)),
         "notes": list(map(str, d.findings)),
+        "not_tried": {name: str(reason) for name, reason in d.not_tried.items()},
+        "failures": d.failures,
         "checks": d.checks,
         "path": d.path,
         "findings": (*d.conclusion, *d.findings, *d.next_steps),

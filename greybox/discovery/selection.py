@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from greybox.discovery.decision import clean_cost_limit, judge_effect, make_check, noise_cost_limit
 from greybox.discovery.execution import RefitJob
+from greybox.discovery.failures import SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.policy import DiscoveryPolicy, SearchBudget
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem, StartValues
@@ -196,21 +198,20 @@ class StepwiseSelection:
         ]
         # A parent caught in a minimum of its own would leave its name to its child.
         leading += [fit for fit in ranked if fit.effects[0] in parents]
-        jobs = []
-        for fit in leading:
-            effect = self._effect(fit.effects[0])
-            model = self.baseline.model + effect
-            # The cost of an effect of many shapes has many minima, and the name may be right in a wrong one.
-            many_minima = effect.name in parents or (
-                fit is best and count_shapes(effect, self.scales) >= self.budget.few_shapes
-            )
-            keep = self.budget.many_shapes_starts if many_minima else self.budget.refit_starts
-            starts = tuple(self._starting_points(self.baseline, effect, model, [fit.model.values]))
-            jobs.append(RefitJob(model, starts, keep, self.budget.refit_iterations))
+        jobs = [self._thorough_job(fit, fit is best, fit.effects[0] in parents) for fit in leading]
         for fit, again in zip(leading, self.problem.refit_all(jobs), strict=True):
             better = again if again is not None and again.cost < fit.cost else fit
             self.fits[frozenset(fit.effects)] = better
             self.single_effects[self.single_effects.index(fit)] = better
+
+    def _thorough_job(self, fit: CandidateFit, is_best: bool, is_parent_of_best: bool) -> RefitJob:
+        effect = self._effect(fit.effects[0])
+        model = self.baseline.model + effect
+        # The cost of an effect of many shapes has many minima, and the name may be right in a wrong one.
+        many_minima = is_parent_of_best or (is_best and count_shapes(effect, self.scales) >= self.budget.few_shapes)
+        keep = self.budget.many_shapes_starts if many_minima else self.budget.refit_starts
+        starts = tuple(self._starting_points(self.baseline, effect, model, [fit.model.values]))
+        return RefitJob(model, starts, keep, self.budget.refit_iterations)
 
     def _is_worth_refitting(self, fit: CandidateFit, best: CandidateFit) -> bool:
         """Whether a thorough refit may change anything.
@@ -289,7 +290,8 @@ class StepwiseSelection:
                 key = (*fit.effects, effect.name)
                 lowest[key] = min(lowest.get(key, np.inf), self._predict_cost(fit, effect, amplitude))
         once: dict[Key, tuple[CandidateFit, Effect]] = {}
-        for fit, effect in sorted(pairs, key=lambda pair: lowest[*pair[0].effects, pair[1].name]):
+        possible = [(fit, e) for fit, e in pairs if np.isfinite(lowest[*fit.effects, e.name])]
+        for fit, effect in sorted(possible, key=lambda pair: lowest[*pair[0].effects, pair[1].name]):
             once.setdefault(frozenset((*fit.effects, effect.name)), (fit, effect))
         return list(once.values())[:most]
 
@@ -297,14 +299,20 @@ class StepwiseSelection:
         """The cost that a step from ``first`` with ``effect`` at an amplitude predicts."""
         known = self._predicted.setdefault(frozenset(first.effects), {})
         if (effect.name, amplitude) not in known:
-            model = first.model + effect
-            starts = generate_starting_points(model, effect, first, first.model, self.scales, (amplitude,))
-            known[effect.name, amplitude] = self.problem.predict_cost(model, starts)
+
+            def predict() -> float:
+                model = first.model + effect
+                starts = generate_starting_points(model, effect, first, first.model, self.scales, (amplitude,))
+                return self.problem.predict_cost(model, starts)
+
+            effects = (*first.effects, effect.name)
+            known[effect.name, amplitude] = self._attempt(SearchStage.SCREENING, effects, predict, np.inf)
         return known[effect.name, amplitude]
 
     def _explained_by_shape_correction(self, selected: CandidateFit, larger: CandidateFit) -> bool:
         """Whether a correction of the shape of the effects explains the remaining misfit as well as a further effect."""
-        corrected = self.correct_shape(self.problem, selected, self.scales, self.policy)
+        correct = partial(self.correct_shape, self.problem, selected, self.scales, self.policy)
+        corrected = self._attempt(SearchStage.SHAPE_CORRECTION, selected.effects, correct, None)
         if corrected is None:
             return False
         suffices = not corrected.criterion > larger.criterion
@@ -395,17 +403,23 @@ class StepwiseSelection:
         """``fit`` with each effect in turn, one short refit from its most promising starting point; independent of one another."""
         keys = [frozenset((*fit.effects, e.name)) for e in effects]
         new = [(key, e) for key, e in zip(keys, effects, strict=True) if key not in self.fits]
-        jobs = []
-        for _, effect in new:
-            model = fit.model + effect
-            starts, shapes = self._starting_points(fit, effect, model), count_shapes(effect, self.scales)
-            # With so many shapes (frequencies of a sharp resonance) a step from afar predicts nothing: refit from each.
-            narrow = shapes > self.budget.many_shapes and not fit.effects
-            jobs.append(RefitJob(model, tuple(starts), shapes if narrow else 1, self.budget.screening_iterations))
-        for (key, _), extended in zip(new, self.problem.refit_all(jobs), strict=True):
+        prepared = [(key, self._prepare(fit, effect, partial(self._screening_job, fit, effect))) for key, effect in new]
+        jobs = [(key, job) for key, job in prepared if job is not None]
+        for (key, _), extended in zip(jobs, self.problem.refit_all([job for _, job in jobs]), strict=True):
             if extended is not None:
                 self.fits[key] = extended
         return [self.fits[key] for key in keys if key in self.fits]
+
+    def _prepare(self, fit: CandidateFit, effect: Effect, prepare: Callable[[], RefitJob]) -> RefitJob | None:
+        """A refit of ``fit`` with ``effect``; None where it cannot even begin."""
+        return self._attempt(SearchStage.PREPARATION, (*fit.effects, effect.name), prepare, None)
+
+    def _screening_job(self, fit: CandidateFit, effect: Effect) -> RefitJob:
+        model = fit.model + effect
+        starts, shapes = self._starting_points(fit, effect, model), count_shapes(effect, self.scales)
+        # With so many shapes (frequencies of a sharp resonance) a step from afar predicts nothing: refit from each.
+        narrow = shapes > self.budget.many_shapes and not fit.effects
+        return RefitJob(model, tuple(starts), shapes if narrow else 1, self.budget.screening_iterations)
 
     def _starting_points(
         self, fit: CandidateFit, effect: Effect, model: Model, more: Sequence[StartValues] = ()
@@ -440,6 +454,11 @@ class StepwiseSelection:
         known = self.fits.get(frozenset(e.name for e in model.effects))
         refits = [f for f in (self.problem.refit_best(model, starts), known) if f is not None]
         return min(refits, key=lambda f: f.cost, default=None)
+
+    @property
+    def _attempt(self) -> Callable[..., Any]:
+        """Keeps the reason of what fails, and goes on."""
+        return self.problem.failures.attempt
 
     # Families of effects
 

@@ -227,6 +227,9 @@ def _refinement(refinement: Refinement) -> str:
 
 # The whole discovery
 
+# An effect of the catalogue with no place in the model is no news in the text; one that should have worked is.
+FAILED_CODES = (DiscoveryCode.CANDIDATE_FAILED, DiscoveryCode.CANDIDATE_NOT_SIMULATED)
+
 
 def conclusion_text(discovery: Discovery) -> str:
     """The answer in one paragraph."""
@@ -253,6 +256,8 @@ def _discovery(d: Discovery) -> str:
         lines.append(f"  surrogate: {d.surrogate}")
     lines += _ranking(d)
     lines += [f"next: {step}" for step in sentences(d.next_steps)]
+    failed = {n: f for n, f in d.not_tried.items() if f.code in FAILED_CODES}
+    lines += [f"note: {name} is out: {finding}" for name, finding in failed.items()]
     lines += [f"note: {finding}" for finding in sentences(d.findings)]
     return "\n".join(lines)
 
@@ -386,6 +391,13 @@ register(
         DiscoveryCode.NO_DISCRIMINATING_EXPERIMENT: "no simulated experiment would separate {subject} with these"
         " sensors (chi-square {cost:.2g} at best)",
         DiscoveryCode.DETECTION_LIMIT: _detection_limit,
+        # Why an effect was not tried.
+        DiscoveryCode.NO_PLACE: "the model has no place for it: {reason}",
+        DiscoveryCode.EFFECT_PRESENT: "the model contains it already",
+        DiscoveryCode.NOT_A_CANDIDATE: "the model lists the effects to try, and this is none of them",
+        DiscoveryCode.EFFECT_LEFT_OUT: "left out as asked",
+        DiscoveryCode.CANDIDATE_FAILED: "it could not be fitted: {reason}",
+        DiscoveryCode.CANDIDATE_NOT_SIMULATED: "the model with it cannot be simulated from any starting point",
         # What to do next.
         DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE: "continue with {subject} and search for further effects (greybox discover --further;"
         " gb.discovery.refine in Python)",

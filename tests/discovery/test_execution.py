@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from greybox.discovery.execution import RefitExecutor, RefitJob, RefitJournal, RefitOutcome
-from greybox.errors import DataError
+from greybox.discovery.failures import FailureLog, SearchStage
+from greybox.errors import DataError, ModelError
 from models.micro_actuator import micro_actuator
 
 
@@ -15,6 +16,7 @@ class CountingProblem:
 
     refits: int = 0
     restored: list[RefitOutcome] = field(default_factory=list)
+    failures: FailureLog = field(default_factory=FailureLog)
 
     def refit(self, job):
         self.refits += 1
@@ -64,3 +66,33 @@ def test_a_file_that_is_no_journal_is_refused(tmp_path):
     path.write_text("time,x\n1,2\n3,4\n")
     with pytest.raises(DataError, match="line 1 is not a finished refit"):
         RefitJournal(path)
+
+
+def test_a_job_that_fails_is_out_and_the_others_go_on():
+    class Failing(CountingProblem):
+        def refit(self, job):
+            if len(job.starts) == 2:
+                raise ModelError("the delay needs equal intervals")
+            return super().refit(job)
+
+    problem = Failing()
+    assert RefitExecutor().run(problem, jobs(3, 2, 1)) == [3, None, 1]
+    (failure,) = problem.failures.entries.values()
+    assert (failure.stage, failure.reason) == (SearchStage.REFIT, "the delay needs equal intervals")
+
+
+def test_a_job_that_failed_before_is_known_to_the_journal(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    RefitExecutor(journal=RefitJournal(path)).run(CountingProblem(), jobs(0))
+    again = CountingProblem()
+    assert RefitExecutor(journal=RefitJournal(path)).run(again, jobs(0)) == [None]
+    assert again.refits == 0 and len(again.failures.entries) == 1
+
+
+def test_an_interruption_is_no_failure_of_a_candidate():
+    class Interrupted(CountingProblem):
+        def refit(self, job):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        RefitExecutor().run(Interrupted(), jobs(1, 1))

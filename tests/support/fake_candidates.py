@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 from greybox.discovery.decision import noise_cost_limit
 from greybox.discovery.execution import RefitJob
+from greybox.discovery.failures import FailureLog
 from greybox.discovery.problem import CandidateFit
 from greybox.model import Effect, Model
 from greybox.model.signals import Parameter
@@ -33,6 +34,7 @@ class FakeProblem:
     costs: Mapping[frozenset[str], float]
     model: Model = micro_actuator
     refits: list[frozenset[str]] = field(default_factory=list)
+    failures: FailureLog = field(default_factory=FailureLog)
 
     @property
     def baseline(self) -> CandidateFit:

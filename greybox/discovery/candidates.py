@@ -1,0 +1,131 @@
+"""Which effects are tried, and why the others are not."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+from greybox.discovery.failures import FailureLog, SearchStage, reason_of
+from greybox.discovery.findings import DiscoveryCode
+from greybox.effects import CATALOGUE, Scales, applicable_effects, tailor_to_record
+from greybox.errors import ModelError, nearest
+from greybox.findings import Finding
+from greybox.model import Effect, Model
+
+
+@dataclass(frozen=True)
+class CandidateList:
+    """The effects to try, in catalogue order, and for each effect that is not tried the reason."""
+
+    effects: tuple[Effect, ...]
+    not_tried: dict[str, Finding] = field(default_factory=dict)
+
+
+def list_candidates(
+    model: Model,
+    scales: Scales,
+    failures: FailureLog,
+    effects: Sequence[Effect] | None = None,
+    without: Collection[str] = (),
+) -> CandidateList:
+    """The effects that ``model`` may lack, made ready for a record.
+
+    Parameters
+    ----------
+    model, scales
+        The plain model, and the peaks and times of the records.
+    failures
+        Takes effects that cannot be made ready.
+    effects
+        The only candidates, instead of the catalogue.
+    without
+        Names of effects to leave out.
+
+    Raises
+    ------
+    ModelError
+        For a name in ``without`` that neither ``effects`` nor the catalogue has.
+    """
+    entries = tuple(effects) if effects else tuple(applicable_effects(model))
+    _check_names(without, [e.name for e in (*entries, *CATALOGUE)])
+    not_tried = {e.name: Finding(DiscoveryCode.EFFECT_LEFT_OUT, subject=e.name) for e in entries if e.name in without}
+    candidates: list[Effect] = []
+    for entry in entries:
+        if entry.name in not_tried:
+            continue
+        obstacle = _find_obstacle(model, entry)
+        if obstacle is not None:
+            not_tried[entry.name] = obstacle
+            continue
+        tailor = partial(tailor_to_record, entry, scales)
+        tailored = failures.attempt(SearchStage.PREPARATION, (entry.name,), tailor, None)
+        if tailored is not None:
+            candidates.append(tailored)
+    if not effects:
+        for entry in CATALOGUE:
+            if entry.name not in {e.name for e in entries}:
+                obstacle = _find_obstacle(model, entry)
+                not_tried[entry.name] = obstacle or Finding(DiscoveryCode.NOT_A_CANDIDATE, subject=entry.name)
+    return CandidateList(tuple(candidates), not_tried)
+
+
+def family_of(name: str, entries: Sequence[Effect] = CATALOGUE) -> tuple[str, ...]:
+    """An effect with all that contain it as a special case or are contained in it, directly or by others.
+
+    Parameters
+    ----------
+    name
+        Name of an effect.
+    entries
+        The effects among which its family is looked for.
+
+    Returns
+    -------
+    tuple of str
+        The names, in the order of ``entries``.
+
+    Examples
+    --------
+    >>> "lugre_friction" in family_of("coulomb_friction")
+    True
+    """
+    family = {name}
+    while True:
+        children = {e.name for e in entries if family & set(e.parents)}
+        parents = {parent for e in entries if e.name in family for parent in e.parents}
+        larger = family | children | parents
+        if larger == family:
+            return tuple(e.name for e in entries if e.name in family)
+        family = larger
+
+
+def failed_candidates(
+    candidates: Sequence[Effect], failures: FailureLog, fitted: Collection[str]
+) -> dict[str, Finding]:
+    """The candidates that could not be fitted alone, each with the reason; ``fitted`` are those that could."""
+    reasons = failures.of_single_effects()
+    return {e.name: _failure(e.name, reasons[e.name]) for e in candidates if e.name in reasons and e.name not in fitted}
+
+
+def _failure(name: str, reason: str) -> Finding:
+    if not reason:
+        return Finding(DiscoveryCode.CANDIDATE_NOT_SIMULATED, subject=name)
+    return Finding(DiscoveryCode.CANDIDATE_FAILED, subject=name, values={"reason": reason})
+
+
+def _check_names(names: Collection[str], known: Sequence[str]) -> None:
+    for name in names:
+        if name not in known:
+            raise ModelError(f"without {name!r}: no such effect among the candidates; {nearest(name, known)}")
+
+
+def _find_obstacle(model: Model, entry: Effect) -> Finding | None:
+    """Why the model does not take an effect; None where it does."""
+    if entry.name in {e.name for e in model.effects}:
+        return Finding(DiscoveryCode.EFFECT_PRESENT, subject=entry.name)
+    try:
+        model + entry  # states what the model lacks
+    except ModelError as error:
+        return Finding(DiscoveryCode.NO_PLACE, subject=entry.name, values={"reason": reason_of(error)})
+    return None
