@@ -284,7 +284,7 @@ class Study:
         Count(0),
         "--skip",
         "records.skip",
-        (*_FITS, DISCOVER),
+        _FITS,
         "Number of rows to ignore at the start of each validation record.",
         metavar="N",
         show_default=True,

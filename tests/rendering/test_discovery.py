@@ -222,6 +222,24 @@ FINDINGS = [
         *("silverbox", {"misfit": 1.21}),
         "silverbox: misfit on the validation records 1.21 times that of the fit",
     ),
+    (
+        Code.NO_PLACE,
+        *("backlash", {"reason": "effect 'backlash' acts at 'force', which model 'm' does not have"}),
+        "the model has no place for it: effect 'backlash' acts at 'force', which model 'm' does not have",
+    ),
+    (Code.EFFECT_PRESENT, *("backlash", {}), "the model contains it already"),
+    (Code.NOT_A_CANDIDATE, *("backlash", {}), "the model lists the effects to try, and this is none of them"),
+    (Code.EFFECT_LEFT_OUT, *("backlash", {}), "left out as asked"),
+    (
+        Code.CANDIDATE_FAILED,
+        *("transport_delay", {"reason": "unequal intervals"}),
+        "it could not be fitted: unequal intervals",
+    ),
+    (
+        Code.CANDIDATE_NOT_SIMULATED,
+        *("backlash", {}),
+        "the model with it cannot be simulated from any starting point",
+    ),
 ]
 CHECKS = {
     Rule.BASELINE_ABOVE_NOISE: "backlash: cost per sample of the plain model 18.2 > 20: no",
