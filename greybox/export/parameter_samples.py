@@ -106,7 +106,7 @@ def make_parameter_distribution(plant: Plant, policy: FamilyPolicy = DEFAULT_FAM
         np.array([order.index(n) for n in names]),
         names,
         np.array([q.positive and s > policy.logarithmic_std * q.value for q, s in zip(parameters, scale, strict=True)]),
-        decompose_symmetric(block).root,
+        decompose_symmetric(block).root[:, ::-1],  # least first: a seed draws what it always drew
         np.array([q.bounds[0] for q in parameters]),
         np.array([q.bounds[1] for q in parameters]),
         findings,
