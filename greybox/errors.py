@@ -26,6 +26,16 @@ class FitError(GreyboxError):
     """A fit ended without success and the caller asked for an exception."""
 
 
+class OutputError(GreyboxError, OSError):
+    """A file cannot be written; what it held before stands. The command line ends with exit code 1.
+
+    ``errno``, ``strerror`` and ``filename`` are those of the system's error.
+    """
+
+    def __str__(self) -> str:
+        return f"{self.filename}: cannot be written ({self.strerror}); what was there before stands"
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Remedy for an unknown name: the closest known names, or all of them.
 

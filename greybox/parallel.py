@@ -42,6 +42,9 @@ class JobResult:
 JobProgressCallback = Callable[[int, int], None]
 """Called with the jobs that are finished and all jobs."""
 
+JobResultCallback = Callable[[int, JobResult], None]
+"""Called with the number of a job and its result."""
+
 
 @dataclass(frozen=True)
 class RetryPolicy:
@@ -65,15 +68,17 @@ def run_jobs(
     executor: Executor | None = None,
     workers: int = 0,
     report: JobProgressCallback | None = None,
+    receive: JobResultCallback | None = None,
 ) -> tuple[list[JobResult | None], bool]:
     """``job(common, item)`` for every item; results in the order of ``items``, and whether Ctrl-C ended it early (None: not done).
 
     ``executor``: where to run, for example ``Client.get_executor()`` of Dask; None for processes of this machine, ``workers`` of
     them (0: one for each core; with one the jobs run right here). An exception in a job is its result. A worker that dies
-    loses nothing that is finished: its job is tried again, see `RetryPolicy`. ``report`` is called after each job.
+    loses nothing that is finished: its job is tried again, see `RetryPolicy`. ``report`` is called after each job, ``receive`` with
+    its number and its result as soon as it is there.
     """
     workers = min(workers or count_cores(), max(len(items), 1))
-    book = _Book(job, common, items, report)
+    book = _Book(job, common, items, report, receive)
     try:
         if executor is not None:
             book.through(executor)
@@ -103,9 +108,14 @@ class _Book:
     """Which jobs are done, and how often the others were tried."""
 
     def __init__(
-        self, job: Callable[[Any, Any], Any], common: Any, items: Sequence[Any], report: JobProgressCallback | None
+        self,
+        job: Callable[[Any, Any], Any],
+        common: Any,
+        items: Sequence[Any],
+        report: JobProgressCallback | None,
+        receive: JobResultCallback | None,
     ) -> None:
-        self.job, self.common, self.items, self.report = job, common, items, report
+        self.job, self.common, self.items, self.report, self.receive = job, common, items, report, receive
         self.results: list[JobResult | None] = [None] * len(items)
         self.tries = [0] * len(items)
 
@@ -117,6 +127,8 @@ class _Book:
     def enter(self, k: int, done: JobResult) -> None:
         """A result."""
         self.results[k] = done
+        if self.receive:
+            self.receive(k, done)
         if self.report:
             self.report(len(self.items) - len(self.open), len(self.items))
 
@@ -163,9 +175,11 @@ class _Book:
                     k = waiting.pop(future)
                     self.tries[k] += 1
                     try:
-                        self.enter(k, _unpacked(future.result()))
+                        result = _unpacked(future.result())
                     except Exception:  # jobs return their exceptions: this one is the executor's
                         lost = True
+                    else:
+                        self.enter(k, result)
         except BaseException:
             for future in waiting:
                 future.cancel()

@@ -12,6 +12,7 @@ from greybox.cli.inputs import build_model, check_substeps, constrain, fit_optio
 from greybox.cli.options import Json, NoReport, check_writable, takes_study
 from greybox.cli.reporting import write_report
 from greybox.cli.study import CHECK, Study
+from greybox.files import write_file
 
 
 @takes_study(CHECK)
@@ -48,9 +49,7 @@ def check(
         options=fit_options(study),
     )
     text = json_format.dumps(result.as_dict(), indent=2)
-    folder.mkdir(parents=True, exist_ok=True)
-    saved = folder / "check.json"
-    saved.write_text(text + "\n", encoding="utf-8")
+    saved = write_file(folder / "check.json", text + "\n")
     report = None if no_report else write_report(result, folder / "report.html")
     typer.echo(text if json else f"{result}\n\nwritten: {saved}")
     if report and not json:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 
 from greybox.cli.exit_codes import ExitCode
-from greybox.errors import GreyboxError
+from greybox.errors import GreyboxError, OutputError
 
 if TYPE_CHECKING:
     from greybox.findings import Finding
@@ -29,6 +29,8 @@ def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
                 signal.signal(signal.SIGINT, signal.default_int_handler)
             try:
                 command(*args, **options)
+            except OutputError as error:  # the computation is done, and its result has no place
+                exit_with_error(str(error), ExitCode.UNSUCCESSFUL)
             except GreyboxError as error:
                 exit_with_error(str(error), ExitCode.BAD_INPUT)
             except BrokenPipeError:  # the reader of the pipe has closed it: nobody is left to read a message

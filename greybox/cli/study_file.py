@@ -19,6 +19,7 @@ from greybox.cli.policy import COMMANDS
 from greybox.cli.study import CHECK, SPECS, STUDY_COMMANDS, Spec, Study, fields_of
 from greybox.cli.study_values import Files, Table
 from greybox.errors import GreyboxError, nearest
+from greybox.files import write_file
 
 SUFFIX = ".toml"
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
@@ -87,14 +88,7 @@ def write_study(study: Study, path: Path, command: str) -> Path:
         raise GreyboxError(
             f"--write-study {path}: a study file ends in {SUFFIX}; write --write-study {path.stem}{SUFFIX}"
         )
-    text = study_text(study, path, command)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except (OSError, UnicodeEncodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "a name in it is not valid text"
-        raise GreyboxError(f"--write-study {path}: cannot be written ({reason}); give another file") from None
-    return path
+    return write_file(path, study_text(study, path, command))
 
 
 def study_text(study: Study, path: Path, command: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
+from greybox.files import write_file
 from greybox.result import to_json_data
 
 
@@ -33,11 +34,8 @@ def save_comparison(comparison: Comparison, path: str | Path, extra: Mapping[str
     >>> comparison = gb.compare([fit], record)  # doctest: +SKIP
     >>> gb.comparison.save_comparison(comparison, "results/compare.json")  # doctest: +SKIP
     """
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
     data = to_json_data({**comparison_data(comparison), **(extra or {})})
-    target.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    return target
+    return write_file(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
 
 
 def comparison_data(comparison: Comparison) -> dict[str, Any]:

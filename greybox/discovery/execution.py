@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -16,9 +15,11 @@ import numpy as np
 
 from greybox.discovery.failures import NOT_SIMULATED, FailureLog, SearchStage
 from greybox.discovery.policy import SearchBudget
-from greybox.errors import DataError, FitError
+from greybox.errors import FitError
+from greybox.findings import Finding
+from greybox.journal import add_entry, read_journal
 from greybox.model import Model
-from greybox.parallel import count_cores, open_local_pool, run_jobs
+from greybox.parallel import JobResult, count_cores, open_local_pool, run_jobs
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class RefitOutcome:
 class RefitJournal:
     """Finished refits in a file, one JSON object a line, by a hash of model, starts, records, noise, options and versions.
 
-    ``reused`` counts the refits that were taken from it.
+    ``reused`` counts the refits that were taken from it; ``findings`` say which lines were lost.
 
     Raises
     ------
@@ -62,25 +63,16 @@ class RefitJournal:
     path: Path
     known: dict[str, RefitOutcome | None] = field(init=False, default_factory=dict)
     reused: int = field(init=False, default=0)
+    findings: tuple[Finding, ...] = field(init=False, default=())
 
     def __post_init__(self) -> None:
-        lines = self.path.read_text(encoding="utf-8").splitlines() if self.path.exists() else []
-        for number, line in enumerate(lines, 1):
-            try:
-                entry = json.loads(line)
-                self.known[entry["key"]] = _outcome(entry["outcome"])
-            except (json.JSONDecodeError, KeyError, TypeError) as error:
-                if number < len(lines):  # the last line may be incomplete after a power cut
-                    raise DataError(
-                        f"{self.path}: line {number} is not a finished refit ({error}); delete the file to start again"
-                    ) from None
+        content = read_journal(self.path, lambda entry: (str(entry["key"]), _outcome(entry["outcome"])))
+        self.known, self.findings = dict(content.entries), content.findings
 
     def add(self, key: str, outcome: RefitOutcome | None) -> None:
         """Keep one more, on disk at once."""
         self.known[key] = outcome
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"key": key, "outcome": None if outcome is None else asdict(outcome)}) + "\n")
+        add_entry(self.path, {"key": key, "outcome": None if outcome is None else asdict(outcome)})
 
 
 class RefitProblem(Protocol):
@@ -196,12 +188,17 @@ class RefitExecutor:
         remaining: Sequence[int],
         results: list[Any],
     ) -> None:
+        def keep(number: int, result: JobResult) -> None:
+            if not result.error:
+                self._keep(keys[remaining[number]], result.value)
+
         done, interrupted = run_jobs(
             _refit_elsewhere,
             problem.to_portable(),
             [jobs[k] for k in remaining],
             executor=self.executor,
             workers=self.workers,
+            receive=keep,
         )
         errors = []
         for k, result in zip(remaining, done, strict=True):
@@ -211,7 +208,6 @@ class RefitExecutor:
                 errors.append(f"{jobs[k].model.title}: {result.error}")
                 problem.failures.add(SearchStage.REFIT, _effects(jobs[k]), result.error)
                 continue
-            self._keep(keys[k], result.value)
             results[k] = self._restore(problem, jobs[k], result.value)
         if interrupted:
             raise KeyboardInterrupt
@@ -244,5 +240,6 @@ def _refit_elsewhere(problem: RefitProblem, job: RefitJob) -> RefitOutcome | Non
 def _outcome(data: Mapping[str, Any] | None) -> RefitOutcome | None:
     if data is None:
         return None
+    values = {str(name): float(value) for name, value in data["values"].items()}
     initial = tuple(tuple(map(float, row)) for row in data["initial"])
-    return RefitOutcome(dict(data["values"]), initial, int(data.get("substeps", 0)))
+    return RefitOutcome(values, initial, int(data.get("substeps", 0)))

@@ -205,6 +205,8 @@ def discover(
             " end of this one (shell: --validate FILE)"
         )
     refit_journal = RefitJournal(Path(journal)) if journal else None
+    for finding in refit_journal.findings if refit_journal else ():
+        on_message(str(finding))
     refits = RefitExecutor(executor, workers, refit_journal, on_refit, policy.budget.parallel_seconds)
     with refits.open():
         problem = DiscoveryProblem(

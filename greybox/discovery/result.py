@@ -18,6 +18,7 @@ from greybox.discovery.selection import SelectionStep
 from greybox.discovery.shape_correction import is_shape_correction
 from greybox.discovery.surrogate import Surrogate
 from greybox.estimation.options import FitOptions
+from greybox.files import write_file
 from greybox.findings import Check, Finding
 from greybox.result import Fit, format_json, to_json_data
 from greybox.values import Printable
@@ -147,10 +148,7 @@ class Discovery(Printable):
 
 def save_discovery(discovery: Discovery, path: str | Path) -> Path:
     """Write a discovery as JSON. The keys are a contract: they stay, whatever the fields are called."""
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(format_json(to_json_data(_to_mapping(discovery))) + "\n", encoding="utf-8")
-    return target
+    return write_file(path, format_json(to_json_data(_to_mapping(discovery))) + "\n")
 
 
 def _to_mapping(d: Discovery) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from greybox.export.identifiers import to_identifier, to_identifiers
 from greybox.export.plant import Plant, to_plant
 from greybox.export.texts import to_comment
 from greybox.expressions.c import c_literal
+from greybox.files import write_file
 from greybox.model import Model
 from greybox.model.equations import equations_text
 from greybox.model.signals import Input, Output, State
@@ -64,10 +65,8 @@ def to_c(plant: Fit | Model, path: str | Path, *, dt: float | None = None, subst
     interval = make_discrete_step(source, dt, substeps=substeps)
     target = Path(path).with_suffix(".c")
     header, text = write_c(source, interval, target.with_suffix(".h").name)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.with_suffix(".h").write_text(header, encoding="utf-8")
-    target.write_text(text, encoding="utf-8")
-    return target, target.with_suffix(".h")
+    declarations = write_file(target.with_suffix(".h"), header)
+    return write_file(target, text), declarations
 
 
 def write_c(plant: Plant, interval: DiscreteStep, header_name: str) -> tuple[str, str]:

@@ -9,6 +9,7 @@ import uuid
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import BinaryIO
 from xml.etree import ElementTree as ET
 
 from greybox.errors import ModelError
@@ -18,6 +19,7 @@ from greybox.export.identifiers import to_identifier, to_identifiers
 from greybox.export.plant import Plant, to_plant
 from greybox.export.texts import to_line
 from greybox.expressions.c import c_literal
+from greybox.files import write_file
 from greybox.kernel.c_compiler import CompilerError, find_compiler, run_compiler, summarise_errors
 from greybox.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
@@ -87,11 +89,13 @@ def to_fmu(
         with tempfile.TemporaryDirectory() as folder_path:
             library = compile_shared_library(text, Path(folder_path) / f"{name}{suffix}")
             contents[f"binaries/{folder}/{name}{suffix}"] = library.read_bytes()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-        for entry, data in contents.items():
-            archive.writestr(zipfile.ZipInfo(entry, ENTRY_DATE), data, zipfile.ZIP_DEFLATED)
-    return target
+
+    def write_archive(file: BinaryIO) -> None:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            for entry, data in contents.items():
+                archive.writestr(zipfile.ZipInfo(entry, ENTRY_DATE), data, zipfile.ZIP_DEFLATED)
+
+    return write_file(target, write_archive)
 
 
 def _source(plant: Plant, step: DiscreteStep) -> tuple[str, str]:
@@ -227,8 +231,7 @@ def _to_boolean(value: bool) -> str:
 def compile_shared_library(text: str, target: Path) -> Path:
     """Compile C ``text`` into a library for any machine of this kind. Raises CompilerError where there is no compiler, or it fails."""
     compiler = find_compiler()
-    source = target.with_suffix(".c")
-    source.write_text(text, encoding="utf-8")
+    source = write_file(target.with_suffix(".c"), text)
     flags = (*FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
     command = [*compiler.command, *flags, "-o", str(target), str(source), "-lm"]
     run = run_compiler(command, compiler.timeout)

@@ -22,6 +22,7 @@ from greybox.export.plant import Plant, to_plant
 from greybox.export.python_text import docstring, literal
 from greybox.export.texts import to_line
 from greybox.export.transfer_channel import describe_behaviour, extract_channel
+from greybox.files import write_file
 from greybox.kernel import GreyboxWarning
 from greybox.model import Model
 from greybox.result import Fit, format_json, to_json_data
@@ -222,9 +223,7 @@ def write_json(
     model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` as JSON, every number to the last digit; ``plant`` adds where it comes from, ``family`` its members."""
-    return _write_bytes(
-        Path(path).with_suffix(".json"), (format_json(linear_model_data(model, plant, family)) + "\n").encode()
-    )
+    return write_file(Path(path).with_suffix(".json"), format_json(linear_model_data(model, plant, family)) + "\n")
 
 
 def linear_model_data(
@@ -246,14 +245,11 @@ def write_npz(
     model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` as arrays of NumPy (``A``, ``B``, ``C``, ``D``, ``dt``, names ...), the members of a family as ``family_A`` ..."""
-    target = Path(path).with_suffix(".npz")
-    target.parent.mkdir(parents=True, exist_ok=True)
     contents = _contents(model) | _origin(plant)
     arrays = {key: np.asarray(value) for key, value in contents.items() if not isinstance(value, Mapping)}
     arrays |= _tables(contents)
     arrays |= {f"family_{key}": np.asarray(value) for key, value in _members(family).get("family", {}).items()}
-    np.savez(target, allow_pickle=False, **arrays)
-    return target
+    return write_file(Path(path).with_suffix(".npz"), lambda file: np.savez(file, allow_pickle=False, **arrays))
 
 
 def write_mat(
@@ -303,10 +299,9 @@ def write_mat(
             "names": _cell(members["names"]),
             "seed": members["seed"],
         }
-    target = Path(path).with_suffix(".mat")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    savemat(target, values, do_compression=True, oned_as="column")
-    return target
+    return write_file(
+        Path(path).with_suffix(".mat"), lambda file: savemat(file, values, do_compression=True, oned_as="column")
+    )
 
 
 def write_control(
@@ -340,7 +335,7 @@ def write_control(
         lines += [f"delay = {delays!r}  # s, not in the matrices"]
     names = ", ".join(f"{kind}s=list({kind}_units)" for kind in units)
     lines += [f"plant = control.ss(A, B, C, D, {model.dt!r}, {names})", ""]
-    return _write_bytes(target, "\n".join(lines).encode())
+    return write_file(target, "\n".join(lines))
 
 
 LinearWriter = Callable[..., Path]
@@ -440,9 +435,3 @@ def _cell(texts: Any) -> np.ndarray:
     for k, text in enumerate(texts):
         cell[k, 0] = to_line(str(text))
     return cell
-
-
-def _write_bytes(target: Path, data: bytes) -> Path:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_bytes(data)
-    return target

@@ -15,6 +15,7 @@ from greybox.export.plant import Plant, to_plant
 from greybox.export.texts import to_comment, to_line
 from greybox.expressions.operations import Binding
 from greybox.expressions.printer import MODELICA, Printed, Printer
+from greybox.files import write_file
 from greybox.model import Balance, Model
 from greybox.model.system import DryFrictionTerm
 from greybox.numerics import STATE_BOUND_MARGIN
@@ -64,9 +65,7 @@ def to_modelica(plant: Fit | Model, path: str | Path) -> Path:
     source = to_plant(plant)
     target = Path(path).with_suffix(".mo")
     text = modelica_text(source)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(text, encoding="utf-8")
-    return target
+    return write_file(target, text)
 
 
 def modelica_text(plant: Plant) -> str:

@@ -15,6 +15,7 @@ from greybox.export.identifiers import to_identifier
 from greybox.export.plant import Plant, to_plant
 from greybox.export.python_text import INDENT, balance, call, docstring, items, keywords, literal, signal
 from greybox.expressions import NUMPY, PYTHON, Printer
+from greybox.files import write_file
 from greybox.model import Effect, Model, Rule
 from greybox.model.equations import equations_text
 from greybox.model.signals import NamedValues, Parameter, State
@@ -68,9 +69,7 @@ def to_python(plant: Fit | Model, path: str | Path) -> Path:
     source = to_plant(plant)
     target = Path(path).with_suffix(".py")
     text = python_text(source)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(text, encoding="utf-8")
-    return target
+    return write_file(target, text)
 
 
 def python_text(plant: Plant) -> str:

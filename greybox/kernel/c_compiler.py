@@ -31,6 +31,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from greybox.errors import GreyboxError
+from greybox.files import write_file
 from greybox.kernel.policy import CACHE_POLICY, CachePolicy
 
 # Without errno and traps the compiler may use vector instructions; no -ffast-math, so that NaN and infinity keep their
@@ -290,12 +291,8 @@ def _version(command: tuple[str, ...]) -> str:
             )
         versions[stamp] = result.stdout.strip()
         if versions_file is not None:
-            with (
-                contextlib.suppress(OSError),
-                _part_folder(versions_file.parent) as folder,
-            ):  # kept where it can be kept
-                _write_private(folder / versions_file.name, json.dumps(versions).encode())
-                _replace(folder / versions_file.name, versions_file)
+            with contextlib.suppress(OSError):  # kept where it can be kept
+                write_file(versions_file, json.dumps(versions), private=True)
     return versions[stamp]
 
 
@@ -333,14 +330,14 @@ def _compile(compiler: Compiler, flags: Sequence[str], source: str, path: Path) 
     """
     with _part_folder(path.parent) as folder:
         text, library, digest = (folder / f"kernel{suffix}" for suffix in (".c", SUFFIX, ".sha256"))
-        text.write_text(source, encoding="utf-8")
+        write_file(text, source)
         run = run_compiler([*compiler.command, *flags, "-o", str(library), str(text), "-lm"], compiler.timeout)
         if run.returncode != 0 or not library.exists():
             raise CompilerError(
                 f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {summarise_errors(run)}"
             )
         library.chmod(0o700)
-        _write_private(digest, hashlib.sha256(library.read_bytes()).hexdigest().encode())
+        write_file(digest, hashlib.sha256(library.read_bytes()).hexdigest(), private=True)
         _replace(library, path)
         _replace(digest, _digest_path(path))
 
@@ -349,11 +346,6 @@ def _compile(compiler: Compiler, flags: Sequence[str], source: str, path: Path) 
 def _part_folder(parent: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(dir=parent, prefix="part-", ignore_cleanup_errors=True) as folder:
         yield Path(folder)
-
-
-def _write_private(path: Path, data: bytes) -> None:
-    path.write_bytes(data)
-    path.chmod(0o600)
 
 
 def _replace(temporary: Path, path: Path) -> None:

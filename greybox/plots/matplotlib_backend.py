@@ -17,6 +17,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure as Picture
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from greybox.files import write_file
 from greybox.findings import Severity
 from greybox.plots.figure import (
     Area,
@@ -51,9 +52,10 @@ def save_sheet(sheet: Sheet, png: Path, style: PictureStyle = PICTURE) -> None:
     if engine is not None:  # once for both files
         engine.execute(picture)
         picture.set_layout_engine(None)
-    picture.savefig(png, dpi=style.dots_per_inch, pil_kwargs={"compress_level": style.compression})
+    pixels = {"dpi": style.dots_per_inch, "pil_kwargs": {"compress_level": style.compression}}
+    write_file(png, lambda file: picture.savefig(file, format="png", **pixels))
     with rc_context({"svg.hashsalt": "greybox"}):
-        picture.savefig(png.with_suffix(".svg"), metadata={"Date": None})
+        write_file(png.with_suffix(".svg"), lambda file: picture.savefig(file, format="svg", metadata={"Date": None}))
 
 
 def draw_sheet(sheet: Sheet, style: PictureStyle = PICTURE) -> Picture:

@@ -125,7 +125,6 @@ def save_sheets(sheets: Iterable[Sheet], directory: str | Path) -> list[Path]:
     from greybox.plots.matplotlib_backend import save_sheet  # a page needs figures, and not the drawing library
 
     folder = Path(directory)
-    folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
     for sheet in sheets:
         file = folder / f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', sheet.name)}.png"

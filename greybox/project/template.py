@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 from greybox.errors import GreyboxError, nearest
+from greybox.files import write_file
 from greybox.project.folders import template_root
 
 FOLDERS = ("models", "fits", "notebooks")
@@ -96,11 +96,8 @@ def write_project(directory: str | Path, *, plant: str = "", force: bool = False
             f"{target} already holds {listed}{more}; give another folder, or --force to overwrite these files"
         )
     for name, source in sources.items():
-        (target / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source, target / name)
-    (target / "README.md").write_text(
-        readme.format(name=target.resolve().name, model=plant.replace("-", "_")), encoding="utf-8"
-    )
+        write_file(target / name, source.read_bytes())
+    write_file(target / "README.md", readme.format(name=target.resolve().name, model=plant.replace("-", "_")))
     return written
 
 

@@ -26,6 +26,7 @@ from latex2mathml.converter import convert_to_element
 from markupsafe import Markup
 
 from greybox.errors import DataError
+from greybox.files import write_file
 from greybox.findings import Finding
 from greybox.plots.plotly_backend import css_variable, height_on_page, to_plotly
 from greybox.plots.style import PALETTE
@@ -70,10 +71,7 @@ def render_page(page: Page) -> str:
 
 def write_page(page: Page, path: str | Path) -> Path:
     """Write the page to ``path`` (folders are made) and return it."""
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(render_page(page), encoding="utf-8")
-    return target
+    return write_file(path, render_page(page))
 
 
 def _drawn(page: Page) -> bool:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from greybox.errors import DataError
+from greybox.files import write_file
 from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.model.process_noise import intensity_name
@@ -129,10 +130,7 @@ class Fit(Printable, ReadOnly):
 
 def save_fit(fit: Fit, path: str | Path) -> Path:
     """Write ``fit`` to ``path`` (folders are made); numbers that are not finite become null."""
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(format_json(to_json_data(fit_data(fit))) + "\n", encoding="utf-8")
-    return target
+    return write_file(path, format_json(to_json_data(fit_data(fit))) + "\n")
 
 
 def fit_data(fit: Fit) -> dict[str, Any]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import os
 from pathlib import Path
+from typing import BinaryIO
 
 from greybox.experiment.experiment import Experiment
+from greybox.files import write_file
 from greybox.model import Model
 
 
@@ -28,15 +31,18 @@ def write_csv(experiment: Experiment, model: Model, path: str | os.PathLike[str]
     Path
         The file.
     """
-    target = Path(path)
     inputs = [(s.name, s.unit, experiment.inputs[s.name]) for s in model.inputs if s.name in experiment.inputs]
     outputs = [(s.name, s.unit, experiment.outputs[s.name]) for s in model.outputs if s.name in experiment.outputs]
     signals = [("time", "s", experiment.time), *inputs, *outputs]
     heads = [f"{name} [{unit}]" if unit else name for name, unit, _ in signals]
     columns = [values.tolist() for _, _, values in signals]
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with target.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
+
+    def write_rows(file: BinaryIO) -> None:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        writer = csv.writer(text, lineterminator="\n")
         writer.writerow(heads)
         writer.writerows(["" if math.isnan(v) else repr(v) for v in row] for row in zip(*columns, strict=True))
-    return target
+        text.flush()
+        text.detach()
+
+    return write_file(path, write_rows)

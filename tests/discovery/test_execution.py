@@ -64,7 +64,7 @@ def test_a_last_line_that_was_cut_short_is_left_out(tmp_path):
 def test_a_file_that_is_no_journal_is_refused(tmp_path):
     path = tmp_path / "journal.jsonl"
     path.write_text("time,x\n1,2\n3,4\n")
-    with pytest.raises(DataError, match="line 1 is not a finished refit"):
+    with pytest.raises(DataError, match="line 1 is not a journal entry"):
         RefitJournal(path)
 
 

@@ -110,7 +110,7 @@ def test_a_search_goes_on_where_it_was_interrupted(rig, tmp_path, monkeypatch):
 
 def test_a_file_that_is_no_journal_is_refused(rig, tmp_path):
     (tmp_path / "journal.jsonl").write_text("time,x\n1,2\n3,4\n")
-    with pytest.raises(DataError, match="line 1 is not a finished refit"):
+    with pytest.raises(DataError, match="line 1 is not a journal entry"):
         discover(plain_model(micro_actuator), rig[0], validation=rig[1], journal=tmp_path / "journal.jsonl")
 
 

@@ -305,10 +305,10 @@ def test_folders_in_the_place_of_files_do_no_harm(monkeypatch, tmp_path):
 
 
 def test_a_full_disk_leads_to_another_folder_or_to_the_interpreted_kernel(monkeypatch):
-    def full(*_):
+    def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(compiling, "_write_private", full)
+    monkeypatch.setattr(compiling, "write_file", full)
     with pytest.warns(GreyboxWarning, match="No space left on device"):
         kernel = make_kernel(halving(0.75))
     assert kernel.name == "interpreted"

@@ -102,3 +102,32 @@ def test_a_function_that_users_call_documents_its_parameters(name: str) -> None:
     if inspect.signature(function).parameters:
         assert re.search(r"^Parameters\n-{10}$", text, re.MULTILINE), f"{name} has no section Parameters"
     assert re.search(r"^(Returns|Yields)\n-+$", text, re.MULTILINE), f"{name} has no section Returns"
+
+
+WRITERS = {"write_text", "write_bytes", "copyfile", "copy2", "copytree", "to_csv", "to_parquet", "truncate"}
+"""Calls that write a file by its name."""
+DRAWERS = {"savefig", "savez", "savez_compressed", "savemat", "ZipFile"}
+"""Calls that write a file by its name, or into an open one."""
+
+
+def writes_by_name(call: ast.Call) -> bool:
+    """Whether a call opens a file for writing and is not given one that `write_file` has opened."""
+    name = getattr(call.func, "attr", getattr(call.func, "id", ""))
+    if name == "open":
+        texts = [a for a in (*call.args, *(k.value for k in call.keywords)) if isinstance(a, ast.Constant)]
+        modes = [str(text.value) for text in texts if re.fullmatch(r"[rwaxbt+]{1,3}", str(text.value))]
+        return any(set("wax+") & set(mode) for mode in modes)
+    into_open_file = bool(call.args) and getattr(call.args[0], "id", "") == "file"
+    return name in WRITERS or (name in DRAWERS and not into_open_file)
+
+
+def test_one_module_writes_files() -> None:
+    """A result is whole or it is the old one because `greybox.files` writes it."""
+    elsewhere = [
+        f"{path.relative_to(ROOT)}:{node.lineno} {ast.unparse(node)[:60]}"
+        for path in LIBRARY
+        if path != ROOT / "greybox" / "files.py"
+        for node in ast.walk(parsed(path))
+        if isinstance(node, ast.Call) and writes_by_name(node)
+    ]
+    assert not elsewhere, "\n".join(["write with greybox.files.write_file or append_line:", *elsewhere])

@@ -20,11 +20,11 @@ ROOT = Path(__file__).resolve().parents[2]
 # long as the rooms of that row do not import one another in a circle.
 ROWS = [
     {"errors", "linear_algebra", "numerics", "values"},
-    {"findings"},
+    {"findings", "files"},
     {"units"},
     {"expressions"},
     {"model", "experiment"},
-    {"effects", "integrators", "result", "noise", "parallel"},
+    {"effects", "integrators", "result", "noise", "parallel", "journal"},
     {"kernel", "optim"},
     {"transcription"},
     {"simulation", "signals", "twin", "filtering"},
