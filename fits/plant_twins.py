@@ -62,6 +62,7 @@ class _Run:
         self.extra = [name for effect in effects for name in STATES.get(effect, ())]
         self.at = {name: len(plant.states) + k for k, name in enumerate(self.extra)}
         self.held = [self.dry(body) is not None for body in plant.bodies]
+        self.direction = [1.0] * len(plant.bodies)
         self.play = self.sent = None
 
     def run(self, inputs):
@@ -181,7 +182,7 @@ class _Run:
                     d[body.velocity] = 0.0
                     continue
                 v = x[body.velocity]
-                force -= _sliding(friction, v) * copysign(1.0, v)
+                force -= _sliding(friction, v) * self.direction[k]
             forces.append(force)
             d[body.velocity] = force / p[body.mass]
         if "sensor_lag" in self.e:
@@ -202,6 +203,7 @@ class _Run:
                 if friction is not None and self.held[k] and abs(forces[k]) > friction.get("Fs", friction["Fc"]):
                     self.held[k] = False
                     x[body.velocity] = copysign(1e-300, forces[k])  # zero, with the sign of the motion to come
+        self.direction = [copysign(1.0, x[body.velocity]) for body in self.plant.bodies]  # the same throughout a step
         k1, _ = self.rates(x, u)
         k2, _ = self.rates(moved(k1, 0.5), u)
         k3, _ = self.rates(moved(k2, 0.5), u)
