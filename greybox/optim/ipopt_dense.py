@@ -2,118 +2,13 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.optim.damped_gauss_newton import run_damped_gauss_newton
-from greybox.optim.gradient_sampling import run_gradient_sampling
-from greybox.optim.minimisation import Minimisation, stop_on_interrupt
-from greybox.optim.policy import DEFAULT_POLICY, MinimisationPolicy
-from greybox.optim.quadratic_model import QuadraticModel
-from greybox.optim.status import (
-    IPOPT_STATUS,
-    IterationCallback,
-    MinimisationResult,
-    TerminationStatus,
-    TerminationTest,
-)
-
-
-def minimise(
-    evaluate: Callable[[np.ndarray], QuadraticModel],
-    start: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    *,
-    scale: float = 1.0,
-    value_at_start: QuadraticModel | None = None,
-    tolerance: float = 1e-8,
-    iterations: int = 200,
-    termination_test: TerminationTest | None = None,
-    thorough: bool = True,
-    progress: IterationCallback | None = None,
-    policy: MinimisationPolicy = DEFAULT_POLICY,
-) -> MinimisationResult:
-    """Minimise ``evaluate(z).cost`` within bounds by IPOPT, and go on by other methods where IPOPT stalls.
-
-    Where IPOPT shortens a step again and again for nothing, or finds none, damped Gauss-Newton steps go on from the best point. Where
-    they gain nothing either, the cost has a kink and its gradient misleads: the search goes on by gradient sampling (``thorough``)
-    or ends. Ctrl-C ends it after the present iteration; the best point so far is kept.
-
-    Parameters
-    ----------
-    evaluate
-        Cost, gradient (n,) and positive semidefinite Hessian approximation (n, n) at a point (n,). An infinite cost is a trial point
-        that IPOPT draws back from.
-    start, low, high
-        The first point and the bounds (n,), infinite where there are none.
-    scale
-        Divides the cost, so that IPOPT's tolerance is a relative one.
-    value_at_start
-        ``evaluate(start)``, where the caller has it already.
-    tolerance, iterations
-        IPOPT's tolerance on the scaled problem, and the most iterations it may take.
-    termination_test
-        ``(z, value) -> TerminationStatus | None``, asked at the start and after every iteration about the best point so far: a
-        statistical rule knows better than a gradient norm when nothing is left to gain.
-    thorough
-        Whether to search on around a kink.
-    progress
-        ``(iteration, cost)`` is called after every iteration.
-    policy
-        When a search counts as stalled, and how it goes on.
-
-    Returns
-    -------
-    MinimisationResult
-        The best point and how the search ended. A start that cannot be evaluated is a result as well, with
-        `TerminationStatus.NO_START`.
-
-    Raises
-    ------
-    Exception
-        What ``evaluate`` raises.
-    """
-    began = time.perf_counter()
-    search = Minimisation(evaluate, scale, termination_test, progress, policy)
-    if value_at_start is not None:
-        search.remember(start, value_at_start)
-    if not np.isfinite(search(start).cost):
-        seconds = time.perf_counter() - began
-        return MinimisationResult(start, np.inf, TerminationStatus.NO_START, 0, search.evaluations, seconds)
-    ipopt_word, iteration_count = "", 0
-    if len(start) == 0:
-        status = TerminationStatus.CONVERGED
-    elif search.test_termination():
-        status = search.status or TerminationStatus.CONVERGED
-    else:
-        with stop_on_interrupt(search):
-            ipopt_word, iteration_count = _run_ipopt(search, start, low, high, tolerance, iterations)
-            ipopt_status = IPOPT_STATUS.get(ipopt_word, TerminationStatus.FAILED)
-            # Where IPOPT gives up, another method may not.
-            gave_up = search.stalled or ipopt_status in (TerminationStatus.STUCK, TerminationStatus.FAILED)
-            if gave_up and not (search.stop or search.status):
-                _continue_without_ipopt(search, low, high, thorough)
-        status = search.status or (TerminationStatus.INTERRUPTED if search.stop else ipopt_status)
-    z, seconds = np.clip(search.best, low, high), time.perf_counter() - began
-    return MinimisationResult(
-        z, search.best_cost, status, iteration_count, search.evaluations, seconds, ipopt_word, search.best_value
-    )
-
-
-def _continue_without_ipopt(search: Minimisation, low: np.ndarray, high: np.ndarray, thorough: bool) -> None:
-    """Where IPOPT finds no step that gains, either the search strayed from a smooth optimum, or the cost has a kink."""
-    policy = search.policy
-    if run_damped_gauss_newton(search, low, high, policy.damped) or search.stop:
-        return
-    if thorough:
-        search.status = run_gradient_sampling(search, low, high, policy.sampling)
-    else:
-        search.status = TerminationStatus.STUCK
+from greybox.optim.minimisation import Minimisation
+from greybox.optim.status import IPOPT_STATUS, TerminationStatus
 
 
 class _Callback(ca.Callback):
@@ -183,7 +78,8 @@ class _AfterIteration(_Callback):
     """Called after every iteration."""
 
     def fill(self, search: Minimisation, arg: list, res: list) -> None:
-        res[0][0] = search.finish_iteration()
+        bounds = self.owner.bounds
+        res[0][0] = search.finish_iteration() or (bounds is not None and search.compare_with_prediction(*bounds))
 
 
 class _Solver:
@@ -193,6 +89,7 @@ class _Solver:
         column, one = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, 1)
         none, empty = ca.Sparsity(0, 1), ca.Sparsity(0, 0)
         self.search: Any = None
+        self.bounds: tuple[np.ndarray, np.ndarray] | None = None
         # Symmetric: the rows of the lower triangle are the columns of the upper one.
         self.triangle = np.tril_indices(n)
         cost = _Cost("cost", self, [column], [one])
@@ -233,24 +130,30 @@ class _Solver:
 _idle: dict[tuple[int, float, int], list[_Solver]] = {}
 
 
-def _run_ipopt(
-    search: Minimisation, start: np.ndarray, low: np.ndarray, high: np.ndarray, tolerance: float, iterations: int
-) -> tuple[str, int]:
-    """IPOPT's return status in its own words, and the number of its iterations."""
-    key = len(start), tolerance, iterations
+def run_ipopt(
+    search: Minimisation, low: np.ndarray, high: np.ndarray, tolerance: float, iterations: int, may_hand_over: bool
+) -> TerminationStatus:
+    """IPOPT's status after its search from the best point.
+
+    ``may_hand_over``: whether it stops after an iteration that gained what the quadratic model predicts, `Minimisation.predicts_well`.
+    """
+    key = len(search.best), tolerance, iterations
     idle = _idle.setdefault(key, [])
     try:
         solver = idle.pop()  # in one step, so that two threads never share a solver
     except IndexError:
         solver = _Solver(*key)
-    solver.search = search
-    solver.function(x0=start, lbx=low, ubx=high)
+    solver.search, solver.bounds = search, (low, high) if may_hand_over else None
+    search.forget_prediction()
+    solver.function(x0=search.best, lbx=low, ubx=high)
     stats = solver.function.stats()
     solver.search = None
     idle.append(solver)
     if search.error is not None:
         raise search.error
-    return stats["return_status"], int(stats["iter_count"])
+    search.ipopt_word = stats["return_status"]
+    search.steps += int(stats["iter_count"])
+    return IPOPT_STATUS.get(search.ipopt_word, TerminationStatus.FAILED)
 
 
 def _solution_sparsity(name: str, n: int) -> ca.Sparsity:

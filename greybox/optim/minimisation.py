@@ -12,14 +12,15 @@ import numpy as np
 
 from greybox.optim.policy import MinimisationPolicy
 from greybox.optim.quadratic_model import QuadraticModel
-from greybox.optim.status import IterationCallback, TerminationStatus, TerminationTest
+from greybox.optim.status import IterationCallback, SolverName, TerminationStatus, TerminationTest
 
 
 class Minimisation:
     """The function being minimised, with its last value kept (IPOPT asks for cost, gradient and Hessian one by one).
 
     ``best``, ``best_value`` and ``best_cost`` are those of the best point so far; ``status`` is how the search ended, None while it
-    runs; ``shortenings`` counts the evaluations since the last gain; ``error`` is what ``evaluate`` raised.
+    runs; ``shortenings`` counts the evaluations since the last gain; ``error`` is what ``evaluate`` raised. ``steps`` and ``solvers``
+    are the iterations so far and what made them; ``ipopt_word`` is IPOPT's return status in its own words.
     """
 
     def __init__(
@@ -32,7 +33,10 @@ class Minimisation:
     ) -> None:
         self.evaluate, self.scale, self.progress, self.policy = evaluate, scale, progress, policy
         self.termination_test = termination_test
-        self.evaluations = self.iteration = self.shortenings = 0
+        self.evaluations = self.iteration = self.shortenings = self.steps = 0
+        self.solvers: list[SolverName] = []
+        self.ipopt_word = ""
+        self.forget_prediction()
         self.stop = False
         self.error: BaseException | None = None
         self.status: TerminationStatus | None = None
@@ -42,7 +46,9 @@ class Minimisation:
         self._last: tuple[bytes, Any] = (b"", None)
 
     def __call__(self, z: np.ndarray) -> QuadraticModel:
-        """The function at ``z``; what it gave last if that is asked again."""
+        """The function at ``z``; what it gave last, or at the best point, if that is asked again."""
+        if self.best_value is not None and np.array_equal(z, self.best):
+            return self.best_value
         if self._last[0] != z.tobytes() or self._last[1] is None:
             if self.stalled:  # IPOPT cannot be told to stop between two iterations
                 return QuadraticModel(np.inf, np.zeros_like(z), np.eye(len(z)))
@@ -67,6 +73,31 @@ class Minimisation:
         if self.termination_test and self.best_value is not None:
             self.status = self.termination_test(self.best, self.best_value)
         return self.status is not None
+
+    def record_solver(self, name: SolverName) -> None:
+        """Note that ``name`` goes on with the search."""
+        if self.solvers[-1:] != [name]:
+            self.solvers.append(name)
+
+    def predict_decrease(self, low: np.ndarray, high: np.ndarray) -> float:
+        """By how much the quadratic model at the best point falls within the bounds."""
+        assert self.best_value is not None  # a search keeps its start
+        return self.best_value.predicted_decrease(low - self.best, high - self.best)
+
+    def is_near(self, low: np.ndarray, high: np.ndarray) -> bool:
+        """Whether the quadratic model sees the minimum close by."""
+        return self.predict_decrease(low, high) <= self.policy.near_share * abs(self.best_cost)
+
+    def forget_prediction(self) -> None:
+        """Begin to compare anew: a solver starts at the best point."""
+        self.predicts_well, self._predicted = False, (-np.inf, np.inf)
+
+    def compare_with_prediction(self, low: np.ndarray, high: np.ndarray) -> bool:
+        """Whether the last iteration gained what the quadratic model predicted before it (``predicts_well`` keeps the answer)."""
+        before, predicted = self._predicted
+        self._predicted = self.best_cost, self.predict_decrease(low, high)
+        self.predicts_well = before - self.best_cost >= self.policy.damped.good_share * predicted
+        return self.predicts_well
 
     def finish_iteration(self) -> bool:
         """Report the progress after an iteration; whether to stop."""

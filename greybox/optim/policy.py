@@ -33,7 +33,7 @@ class TerminationPolicy:
 
 
 @dataclass(frozen=True)
-class DampedGaussNewtonPolicy:
+class GaussNewtonPolicy:
     """How damped Gauss-Newton steps adapt and when they give up."""
 
     initial_damping: float = 1e-6
@@ -92,8 +92,15 @@ class MinimisationPolicy:
     """Times that a step is shortened without any gain before the search counts as stalled: IPOPT halves it each time, so a direction
     that gains nothing at a thousandth of its length points the wrong way, or the gradient is that of one side of a kink."""
 
-    damped: DampedGaussNewtonPolicy = field(default_factory=DampedGaussNewtonPolicy)
-    """The damped Gauss-Newton steps that a stalled search goes on with."""
+    hand_overs: int = 3
+    """Times that IPOPT hands over to damped Gauss-Newton steps because the quadratic model predicted its last iteration well; each
+    time it goes on where a step gains little of what was predicted. 0: IPOPT goes on to the end."""
+
+    near_share: float = 0.5
+    """Predicted decrease, as a share of the cost, up to which damped Gauss-Newton steps are tried before IPOPT: the start is near."""
+
+    damped: GaussNewtonPolicy = field(default_factory=GaussNewtonPolicy)
+    """The damped Gauss-Newton steps that follow IPOPT once it has come close, or has stalled."""
 
     sampling: GradientSamplingPolicy = field(default_factory=GradientSamplingPolicy)
     """The search around a kink, where damped steps gain nothing either."""

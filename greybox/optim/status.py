@@ -43,6 +43,14 @@ class TerminationStatus(StrEnum):
         return self in (TerminationStatus.CONVERGED, TerminationStatus.KINK, TerminationStatus.ACCEPTABLE)
 
 
+class SolverName(StrEnum):
+    """The solvers that a minimisation may go through, as results name them."""
+
+    IPOPT = "IPOPT"
+    GAUSS_NEWTON = "Gauss-Newton"
+    GRADIENT_SAMPLING = "gradient sampling"
+
+
 @dataclass(frozen=True)
 class MinimisationResult:
     """The best point of a minimisation, how it ended, and what it took."""
@@ -65,6 +73,9 @@ class MinimisationResult:
 
     value: Any = None
     """What the minimised function returned at ``z``; None where it never returned anything finite."""
+
+    solver: str = ""
+    """Which solvers ran, in their order: "IPOPT, then Gauss-Newton"; empty where the start was the end."""
 
 
 IterationCallback = Callable[[int, float], object]

@@ -16,7 +16,7 @@ from greybox.estimation.predictor import restore_integration_options
 from greybox.estimation.restore import restore_problem
 from greybox.integrators import DiscretisationPolicy
 from greybox.noise import NoisePolicy
-from greybox.optim import DampedGaussNewtonPolicy, GradientSamplingPolicy, MinimisationPolicy
+from greybox.optim import GaussNewtonPolicy, GradientSamplingPolicy, MinimisationPolicy
 from greybox.result import load_fit
 from greybox.transcription.policy import (
     RobustLossPolicy,
@@ -38,7 +38,7 @@ CHANGED = EstimationPolicy(
     ),
     minimisation=MinimisationPolicy(
         max_shortenings=5,
-        damped=DampedGaussNewtonPolicy(max_steps=20),
+        damped=GaussNewtonPolicy(max_steps=20),
         sampling=GradientSamplingPolicy(radii=(1e-2, 1e-3)),
     ),
 )

@@ -6,35 +6,27 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from greybox.optim import MinimisationPolicy, TerminationStatus, ipopt_dense, minimise
+from greybox.optim import MinimisationPolicy, QuadraticModel, TerminationStatus, ipopt_dense, minimise
 
 
-class Bowl:
+def bowl(z, target=3.0):
     """``sum of (z - target)^2`` with its derivatives."""
-
-    def __init__(self, z, target=3.0):
-        self.cost = float(((z - target) ** 2).sum())
-        self.gradient, self.hessian = 2 * (z - target), 2 * np.eye(len(z))
+    return QuadraticModel(float(((z - target) ** 2).sum()), 2 * (z - target), 2 * np.eye(len(z)))
 
 
-class Curved:
+def curved(z):
     """Rosenbrock's valley as residuals (10 (b - a^2), 1 - a), Gauss-Newton Hessian."""
-
-    def __init__(self, z):
-        r = np.array([10 * (z[1] - z[0] ** 2), 1 - z[0]])
-        jacobian = np.array([[-20 * z[0], 10.0], [-1.0, 0.0]])
-        self.cost, self.gradient, self.hessian = float(r @ r), 2 * jacobian.T @ r, 2 * jacobian.T @ jacobian
+    r = np.array([10 * (z[1] - z[0] ** 2), 1 - z[0]])
+    jacobian = np.array([[-20 * z[0], 10.0], [-1.0, 0.0]])
+    return QuadraticModel(float(r @ r), 2 * jacobian.T @ r, 2 * jacobian.T @ jacobian)
 
 
-class Kinked:
+def kinked(z):
     """A fold along a = b: the slope on either side leads across, and the Hessian knows nothing of it."""
-
-    def __init__(self, z):
-        a, b = z
-        self.cost = float(1 + 10 * abs(a - b) + (a - 1) ** 2 + (b - 1) ** 2)
-        fold = 10 * np.sign(a - b)
-        self.gradient = np.array([fold + 2 * (a - 1), -fold + 2 * (b - 1)])
-        self.hessian = 2 * np.eye(2)
+    a, b = z
+    cost = float(1 + 10 * abs(a - b) + (a - 1) ** 2 + (b - 1) ** 2)
+    fold = 10 * np.sign(a - b)
+    return QuadraticModel(cost, np.array([fold + 2 * (a - 1), -fold + 2 * (b - 1)]), 2 * np.eye(2))
 
 
 def free(n):
@@ -42,24 +34,21 @@ def free(n):
 
 
 def test_rosenbrocks_valley_is_minimised():
-    result = minimise(Curved, np.array([-1.2, 1.0]), *free(2))
+    result = minimise(curved, np.array([-1.2, 1.0]), *free(2))
     assert result.status is TerminationStatus.CONVERGED
     assert result.z == pytest.approx([1, 1], abs=1e-6)
     assert result.value.cost == result.cost < 1e-12
 
 
 def test_a_variable_ends_exactly_at_its_bound():
-    result = minimise(Bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]))
+    result = minimise(bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]))
     assert result.status is TerminationStatus.CONVERGED
     assert result.z[0] <= 1.0 and result.z == pytest.approx([1, 3], abs=1e-4)
 
 
 def test_an_infinite_cost_shortens_the_step():
     def wall(z):
-        value = Bowl(z)
-        if z[0] > 3.5:
-            value.cost, value.gradient, value.hessian = np.inf, 0 * z, 0 * value.hessian
-        return value
+        return QuadraticModel(np.inf, 0 * z, np.zeros((1, 1))) if z[0] > 3.5 else bowl(z)
 
     result = minimise(lambda z: wall(z), np.array([-40.0]), *free(1))
     assert result.z == pytest.approx([3], abs=1e-6)
@@ -69,37 +58,37 @@ def test_an_infinite_cost_shortens_the_step():
 
 def test_a_known_value_at_the_start_is_not_computed_again():
     asked = []
-    minimise(lambda z: asked.append(z.copy()) or Bowl(z), np.zeros(2), *free(2), value_at_start=Bowl(np.zeros(2)))
+    minimise(lambda z: asked.append(z.copy()) or bowl(z), np.zeros(2), *free(2), value_at_start=bowl(np.zeros(2)))
     assert asked and not any(np.array_equal(z, np.zeros(2)) for z in asked)
 
 
 def test_each_point_is_computed_once():
     asked = []
-    result = minimise(lambda z: asked.append(z.tobytes()) or Curved(z), np.array([-1.2, 1.0]), *free(2))
+    result = minimise(lambda z: asked.append(z.tobytes()) or curved(z), np.array([-1.2, 1.0]), *free(2))
     assert len(asked) == result.evaluations
     assert all(a != b for a, b in pairwise(asked))
 
 
 def test_the_termination_test_ends_the_search():
     ended = minimise(
-        Curved,
+        curved,
         np.array([-1.2, 1.0]),
         *free(2),
         termination_test=lambda z, v: TerminationStatus.ACCEPTABLE if v.cost < 1 else None,
     )
     assert ended.status is TerminationStatus.ACCEPTABLE and 0 < ended.cost < 1
     at_once = minimise(
-        Curved, np.array([-1.2, 1.0]), *free(2), termination_test=lambda z, v: TerminationStatus.CONVERGED
+        curved, np.array([-1.2, 1.0]), *free(2), termination_test=lambda z, v: TerminationStatus.CONVERGED
     )
     assert at_once.iterations == 0 and at_once.evaluations == 1
 
 
 def test_a_search_converges_at_a_kink_with_few_evaluations():
-    result = minimise(Kinked, np.array([2.0, -1.0]), *free(2))
+    result = minimise(kinked, np.array([2.0, -1.0]), *free(2))
     assert result.status is TerminationStatus.KINK and result.status.success
     assert result.cost == pytest.approx(1.0, abs=0.01)
     assert result.evaluations < 200
-    quick = minimise(Kinked, np.array([2.0, -1.0]), *free(2), thorough=False)
+    quick = minimise(kinked, np.array([2.0, -1.0]), *free(2), thorough=False)
     assert quick.status is TerminationStatus.STUCK and quick.evaluations < result.evaluations
 
 
@@ -109,11 +98,11 @@ def test_a_search_converges_at_a_kink_with_few_evaluations():
 def test_a_stalled_search_goes_on_by_damped_steps(finished):
     """Stalled at once, as behind a barrier that leads away from the optimum: where the gradient is right, no kink is reported."""
     at_once = MinimisationPolicy(max_shortenings=0)
-    result = minimise(Curved, np.array([-1.2, 1.0]), *free(2), termination_test=finished, policy=at_once)
+    result = minimise(curved, np.array([-1.2, 1.0]), *free(2), termination_test=finished, policy=at_once)
     assert result.status is TerminationStatus.CONVERGED
     assert result.z == pytest.approx([1, 1], abs=1e-3 if finished else 1e-9)
     assert result.evaluations < 60
-    held = minimise(Bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]), policy=at_once)
+    held = minimise(bowl, np.zeros(2), np.array([-5.0, -5.0]), np.array([1.0, 9.0]), policy=at_once)
     assert held.z == pytest.approx([1, 3], abs=1e-9)
 
 
@@ -121,11 +110,11 @@ def test_an_exception_of_the_cost_is_raised_and_the_solver_stays_usable():
     def breaks(z):
         if z[0] > 1:
             raise ZeroDivisionError("a bug in the model")
-        return Bowl(z)
+        return bowl(z)
 
     with pytest.raises(ZeroDivisionError, match="a bug in the model"):
         minimise(breaks, np.zeros(3), *free(3))
-    assert minimise(Bowl, np.zeros(3), *free(3)).z == pytest.approx(np.full(3, 3.0))
+    assert minimise(bowl, np.zeros(3), *free(3)).z == pytest.approx(np.full(3, 3.0))
 
 
 def test_one_solver_serves_one_search_after_another(monkeypatch):
@@ -134,7 +123,7 @@ def test_one_solver_serves_one_search_after_another(monkeypatch):
     original = ipopt_dense._Solver.__init__
     monkeypatch.setattr(ipopt_dense._Solver, "__init__", lambda self, *a: made.append(a) or original(self, *a))
     for target in (1.0, 2.0, 5.0):
-        assert minimise(lambda z, t=target: Bowl(z, t), np.zeros(2), *free(2)).z == pytest.approx([target, target])
+        assert minimise(lambda z, t=target: bowl(z, t), np.zeros(2), *free(2)).z == pytest.approx([target, target])
     assert len(made) == 1
 
 
@@ -142,7 +131,7 @@ def test_concurrent_and_nested_searches_do_not_mix():
     results = {}
 
     def search(target):
-        results[target] = minimise(lambda z: Bowl(z, target), np.zeros(2), *free(2)).z
+        results[target] = minimise(lambda z: bowl(z, target), np.zeros(2), *free(2)).z
 
     threads = [threading.Thread(target=search, args=(float(t),)) for t in range(1, 5)]
     for thread in threads:
@@ -152,7 +141,7 @@ def test_concurrent_and_nested_searches_do_not_mix():
     assert all(z == pytest.approx([t, t], abs=1e-6) for t, z in results.items())
 
     def outer(z):
-        inner = minimise(lambda w: Bowl(w, 7.0), np.zeros(2), *free(2)).z
-        return Bowl(z, inner[0])
+        inner = minimise(lambda w: bowl(w, 7.0), np.zeros(2), *free(2)).z
+        return bowl(z, inner[0])
 
     assert minimise(outer, np.zeros(2), *free(2)).z == pytest.approx([7, 7], abs=1e-5)
