@@ -151,12 +151,6 @@ STATE_BOUND_MARGIN = 1e-9
 LOST_IN_ROUNDING = 1e-13
 """A predicted decrease below this share of the cost cannot be told from the rounding error of a sum over a long record."""
 
-SINGULAR_CURVATURE = 1e-13
-"""Singular values of a scaled Gauss-Newton matrix below this share of the largest one are rounding errors."""
-
-FLAT_CURVATURE = 1e-12
-"""Eigenvalues of a scaled Gauss-Newton matrix below this share of the largest one show no direction."""
-
 SUM_TO_ONE_WEIGHT = 1e3
 """Weight of the equation that makes the weights of a convex combination add up to one, beside gradients of size one."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from greybox.numerics import FLAT_CURVATURE, SUM_TO_ONE_WEIGHT, TINY
+from greybox.numerics import SUM_TO_ONE_WEIGHT, TINY
 from greybox.optim.minimisation import Minimisation
 from greybox.optim.policy import GradientSamplingPolicy
 from greybox.optim.quadratic_model import QuadraticModel
@@ -73,7 +73,5 @@ def _search_line(
 
 def _sampling_axes(value: QuadraticModel, radius: float) -> np.ndarray:
     """Steps (k, n), one in each row, along which the quadratic part of the cost is ``radius`` times the cost."""
-    scale = np.sqrt(np.maximum(np.diag(value.hessian), TINY))
-    curvature, vectors = np.linalg.eigh(value.hessian / np.outer(scale, scale))
-    usable = curvature > FLAT_CURVATURE * curvature.max()
-    return (vectors[:, usable] / np.sqrt(0.5 * curvature[usable])).T / scale * np.sqrt(radius * value.cost)
+    axes, curvature = value.principal_axes()
+    return np.asarray((axes / np.sqrt(0.5 * curvature)).T / value.scale * np.sqrt(radius * value.cost))

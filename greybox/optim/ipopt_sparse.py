@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.optim.minimisation import stop_on_interrupt
-from greybox.optim.status import IPOPT_STATUS, IterationCallback, MinimisationResult, TerminationStatus
+from greybox.optim.status import IPOPT_STATUS, IterationCallback, MinimisationResult, SolverName, TerminationStatus
 
 
 class _IterationMonitor(ca.Callback):
@@ -98,5 +98,12 @@ def solve_sparse(
     z = np.clip(solution["x"].full().ravel(), low, high)
     seconds = time.perf_counter() - began
     return MinimisationResult(
-        z, float(solution["f"]) * scale, status, int(stats["iter_count"]), monitor.count, seconds, ipopt_word
+        z,
+        float(solution["f"]) * scale,
+        status,
+        int(stats["iter_count"]),
+        monitor.count,
+        seconds,
+        ipopt_word,
+        solver=SolverName.IPOPT,
     )

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from greybox.optim import MinimisationPolicy, QuadraticModel, TerminationStatus, ipopt_dense, minimise
+from greybox.optim import MinimisationPolicy, QuadraticModel, Termination, TerminationStatus, ipopt_dense, minimise
 
 
 def bowl(z, target=3.0):
@@ -145,3 +145,72 @@ def test_concurrent_and_nested_searches_do_not_mix():
         return bowl(z, inner[0])
 
     assert minimise(outer, np.zeros(2), *free(2)).z == pytest.approx([7, 7], abs=1e-5)
+
+
+def near(limit):
+    return lambda z, value: TerminationStatus.CONVERGED if value.cost < limit else None
+
+
+def decay(z):
+    """``exp(a - exp(b) t)`` against noisy samples of ``3 exp(-2 t)``."""
+    t = np.linspace(0, 2, 50)
+    y = 3 * np.exp(-2 * t) + 0.01 * np.random.default_rng(0).standard_normal(50)
+    model = np.exp(z[0] - np.exp(z[1]) * t)
+    r, jacobian = (model - y) / 0.01, np.column_stack([model, -np.exp(z[1]) * t * model]) / 0.01
+    return QuadraticModel(float(r @ r), 2 * jacobian.T @ r, 2 * jacobian.T @ jacobian)
+
+
+def test_ipopt_hands_over_where_the_quadratic_model_predicts_well():
+    start, (low, high) = np.array([0.0, -1.0]), (np.full(2, -5.0), np.full(2, 5.0))
+
+    def run(policy):
+        end = Termination(low=low, high=high, count=50)
+        return minimise(decay, start, low, high, termination_test=end.test, scale=1e4, policy=policy)
+
+    result, ipopt = run(MinimisationPolicy()), run(MinimisationPolicy(hand_overs=0))
+    assert result.solver == "IPOPT, then Gauss-Newton" and ipopt.solver == "IPOPT"
+    assert result.status is ipopt.status is TerminationStatus.CONVERGED
+    assert result.z == pytest.approx(ipopt.z, abs=1e-5) and np.exp(result.z) == pytest.approx([3, 2], rel=0.01)
+    assert result.evaluations <= ipopt.evaluations
+    assert 0 < result.iterations < result.evaluations
+
+
+def test_a_near_start_needs_no_ipopt():
+    def offset(z):
+        value = curved(z)
+        return QuadraticModel(value.cost + 100.0, value.gradient, value.hessian)
+
+    result = minimise(offset, np.array([0.9, 0.8]), *free(2), termination_test=near(100 + 1e-12))
+    assert result.solver == "Gauss-Newton" and result.iterations <= 3 and result.solver_status == ""
+
+
+def test_without_a_termination_test_ipopt_goes_on_to_the_end():
+    assert minimise(bowl, np.zeros(2), *free(2)).solver == "IPOPT"
+    assert minimise(bowl, np.zeros(0), *free(0)).solver == ""
+
+
+def test_gauss_newton_alone_within_bounds():
+    low, high = np.array([-2.0, -2.0]), np.array([0.5, 2.0])
+    result = minimise(curved, np.array([-1.2, 1.0]), low, high, method="gauss_newton")
+    assert result.solver == "Gauss-Newton" and result.status is TerminationStatus.CONVERGED
+    assert result.z == pytest.approx([0.5, 0.25], abs=1e-9)
+    assert minimise(curved, np.array([-1.2, 1.0]), low, high, method="gauss_newton", iterations=2).status is (
+        TerminationStatus.ITERATION_LIMIT
+    )
+
+
+def test_gauss_newton_alone_stays_among_allowed_points():
+    visited = []
+
+    def on_circle(z):
+        return z / np.linalg.norm(z)
+
+    result = minimise(
+        lambda z: visited.append(z) or bowl(z, np.array([3.0, 4.0])),
+        np.array([1.0, 0.0]),
+        *free(2),
+        method="gauss_newton",
+        project=on_circle,
+    )
+    assert np.linalg.norm(visited, axis=1) == pytest.approx(np.ones(len(visited)))
+    assert result.z == pytest.approx([0.6, 0.8], abs=1e-3)
