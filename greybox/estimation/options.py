@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -93,7 +93,7 @@ class FitOptions(SolverOptions):
 
     def to_data(self) -> dict[str, Any]:
         """The options as plain values, for a result to store."""
-        return dict(to_json_data(asdict(self)))
+        return dict(to_json_data(self))
 
     @property
     def robust(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 
@@ -10,9 +11,13 @@ from greybox.expressions.text import expression_text, signed_text
 from greybox.model.balance import Balance
 from greybox.model.model import Model
 from greybox.model.process_noise import intensity_unit
+from greybox.model.system import System
 from greybox.units import format_unit
 
 Line = Callable[[str, str, str], str]  # name, unit, text -> one line of the equations
+
+# System -> width -> text: models that share a system differ in values alone, of which the equations say nothing.
+_TEXTS: WeakKeyDictionary[System, dict[int, str]] = WeakKeyDictionary()
 
 
 def equations_text(model: Model, width: int = 110) -> str:
@@ -33,6 +38,13 @@ def equations_text(model: Model, width: int = 110) -> str:
     str
         Lines with name, unit and equation.
     """
+    texts = _TEXTS.setdefault(model.system, {})
+    if width not in texts:
+        texts[width] = _write_equations(model, width)
+    return texts[width]
+
+
+def _write_equations(model: Model, width: int) -> str:
     system = model.system
     heads = [(b.name, _bracketed(b.unit)) for b in system.balances]
     pushed = {

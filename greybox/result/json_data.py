@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import fields
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,11 @@ def format_json(data: Mapping[str, Any]) -> str:
 
 def to_json_data(value: Any) -> Any:
     """``value`` as JSON data: arrays become lists, dataclasses dictionaries, NaN and infinities None."""
+    kind = type(value)
+    if kind in (str, bool, int, NoneType):  # most values: asking for abstract classes is slow
+        return value
+    if kind is float:
+        return value if math.isfinite(value) else None
     if isinstance(value, np.ndarray):
         return to_json_data(value.tolist())
     if isinstance(value, Mapping):
