@@ -111,10 +111,12 @@ def estimate_score_covariance(
     """
     total = np.zeros((variables.size, variables.size))
     for e, (r, jacobian) in zip(experiments or range(len(rows)), rows, strict=True):
-        slopes = np.where(np.isfinite(r)[:, :, None], jacobian, 0.0)
+        measured = np.isfinite(r)
+        slopes = jacobian if measured.all() else np.where(measured[:, :, None], jacobian, 0.0)
         block = np.ix_(variables.columns(e), variables.columns(e))
         for j, process in enumerate(colour.models):
-            total[block] += colour.variance[j] * compute_toeplitz_form(slopes[:, j], process.autocorrelation(len(r)))
+            lags = len(r) if process.order else 1
+            total[block] += colour.variance[j] * compute_toeplitz_form(slopes[:, j], process.autocorrelation(lags))
     return total
 
 

@@ -136,26 +136,33 @@ def fit_autoregression(
     0
     """
     max_order = policy.max_order if max_order is None else max_order
-    forward = np.asarray(values, float).copy()
-    backward = forward.copy()
+    forward = backward = _trim_gaps(np.asarray(values, float))
+    is_whole = bool(np.isfinite(forward).all())
     count = np.isfinite(forward).sum() / copies
     reflection: list[float] = []
     best, chosen, criterion = 0.0, 0, 0.0
     for order in range(1, min(max_order, int(count / policy.samples_per_order)) + 1):
         f, b = forward[1:], backward[:-1]
-        both = np.isfinite(f) & np.isfinite(b)
-        energy = float(f[both] @ f[both] + b[both] @ b[both])
-        if both.sum() < policy.samples_per_order or energy <= 0:
+        both = slice(None) if is_whole else np.isfinite(f) & np.isfinite(b)
+        used_f, used_b = f[both], b[both]
+        energy = float(used_f @ used_f + used_b @ used_b)
+        if len(used_f) < policy.samples_per_order or energy <= 0:
             break
-        k = 2 * float(f[both] @ b[both]) / energy
+        k = 2 * float(used_f @ used_b) / energy
         if not abs(k) < 1:
             break
         reflection.append(k)
         forward, backward = f - k * b, b - k * f
-        criterion += both.sum() / copies * np.log(1 - k * k) + np.log(count)
+        criterion += len(used_f) / copies * np.log(1 - k * k) + np.log(count)
         if criterion < best:
             best, chosen = criterion, order
     return AutoRegression(tuple(reflection[:chosen]))
+
+
+def _trim_gaps(values: np.ndarray) -> np.ndarray:
+    """``values`` (N,) without the gaps at their ends, of which nothing is to be learnt."""
+    measured = np.flatnonzero(np.isfinite(values))
+    return values[measured[0] : measured[-1] + 1] if len(measured) else values[:0]
 
 
 def _count_samples_behind(measured: np.ndarray, most: int) -> np.ndarray:
