@@ -19,7 +19,9 @@ def models(
     model: Annotated[
         str | None,
         typer.Argument(
-            metavar="MODEL", help="The model to print: its name or its file. Without MODEL, all are listed."
+            metavar="MODEL",
+            autocompletion=completion.models,
+            help="The model to print: its name or its file. Without MODEL, all are listed.",
         ),
     ] = None,
     *,

@@ -108,10 +108,11 @@ def security_policy(scripts: Sequence[str | bytes]) -> str:
 
 def mathml(latex: str) -> Markup:
     """LaTeX as MathML, which browsers typeset and screen readers read; as its text where it cannot be typeset."""
+    latex = _as_text(latex)
     try:
         root = convert_to_element(latex, display="block")
     except Exception:  # whatever the converter stumbles over: the reader gets the formula as it is written
-        return Markup("<code>{}</code>").format(_as_text(latex))
+        return Markup("<code>{}</code>").format(latex)
     for element in root.iter():
         # The converter leaves texts as they came, with marks of its own such as &#x0002B; among them.
         element.text, element.tail = (None if t is None else unescape(t) for t in (element.text, element.tail))
