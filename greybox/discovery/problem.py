@@ -110,7 +110,7 @@ class DiscoveryProblem:
         outputs = [o.name for o in fit.model.outputs]
         std = np.array([fit.noise.std.get(name, np.nan) for name in outputs])
         colour = tuple(AutoRegression(fit.noise.colour.get(name, ())) for name in outputs)
-        noise = NoiseModel(tuple(outputs), std, fit.noise.sources, colour, False)
+        noise = NoiseModel(tuple(outputs), std, fit.noise.sources, colour, False, fit.noise.bounds)
         options = FitOptions.from_data(fit.provenance.options)
         experiments = tuple(t.experiment for t in fit.traces)
         return cls(fit.model, experiments, noise, (), options, budget=budget or SearchBudget())

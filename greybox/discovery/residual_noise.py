@@ -1,8 +1,8 @@
-"""Noise or missing effect, if the noise was not given: the colour of the best model's residual.
+"""What a selection weighs the residual with where the noise is not known from outside, and structure left in a residual.
 
-A correlated residual makes every likelihood ratio of white noise too large, and an estimated level too small. Where neither
-the user nor a quiet record gives the colour, it is read from the residual of the best model found, as noise of first order
-(one time constant): what a sensor, a filter or a drift leaves behind. A missing effect leaves more than that, and shows.
+The residual of a candidate is never taken for the noise: it holds what the candidate lacks. The records bound the noise
+(`greybox.noise`), and a sensor bounds how long it remembers; within these bounds the weights follow the residual of the best model found,
+because a correlated residual makes every likelihood ratio of white noise too large.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.discovery.policy import ResidualNoisePolicy
 from greybox.discovery.problem import CandidateFit
-from greybox.noise import NoiseModel, NoiseSource, fit_autoregression, join_series
+from greybox.noise import AutoRegression, BoundDirection, NoiseModel, NoiseSource, fit_autoregression, join_series
 from greybox.transcription import SingleShooting
 
 # Sources of a noise level that do not depend on the records that are fitted.
@@ -26,22 +26,40 @@ def is_noise_known(noise: NoiseModel, quiet: bool) -> bool:
 
 
 def is_level_known(noise: NoiseModel) -> bool:
-    """Whether the level of every output comes from outside the records that are fitted."""
-    return all(source in INDEPENDENT_SOURCES for source in noise.sources.values())
+    """Whether the level of every output is known, and not bounded only."""
+    return noise.is_level_known
 
 
 def estimate_residual_noise(candidate: CandidateFit, policy: ResidualNoisePolicy) -> NoiseModel:
-    """The noise as the residual shows it: first-order colour, and the level of every output whose level was not given."""
+    """The weights of a selection: no larger than the noise can be, and no longer remembered than a sensor remembers.
+
+    A level that is known stays. One that is only bounded becomes what the model leaves where that is less; what it leaves beyond the
+    bound, or remembers for longer than a sensor, is the model's error and shows as such. The colour follows the residual up to there,
+    unless the records show it themselves.
+    """
     noise = candidate.problem.noise
     std, colour = noise.std.copy(), list(noise.colour)
     for j, series in _normalised_residuals(candidate):
         name = candidate.problem.model.outputs[j].name
-        if noise.sources.get(name) not in INDEPENDENT_SOURCES:
-            std[j] = noise.std[j] * float(np.sqrt(np.nanmean(series**2)))
-        fitted = fit_autoregression(series, max_order=1, policy=candidate.problem.policy.noise)
-        coloured = fitted.order and abs(fitted.reflection[0]) > policy.white_correlation
-        colour[j] = fitted if coloured else type(fitted)()
+        bound = noise.bound(name)
+        left = noise.std[j] * float(np.sqrt(np.nanmean(series**2)))
+        if bound is None:
+            std[j] = left
+        elif bound.direction is BoundDirection.AT_MOST:
+            std[j] = min(left, bound.level)
+        elif bound.direction is BoundDirection.AT_LEAST:
+            std[j] = max(left, bound.level)
+        if bound is None or bound.correlation_time is None:
+            fitted = fit_autoregression(series, max_order=1, policy=candidate.problem.policy.noise)
+            colour[j] = _limit_memory(fitted, policy)
     return replace(noise, std=std, colour=tuple(colour))
+
+
+def _limit_memory(fitted: AutoRegression, policy: ResidualNoisePolicy) -> AutoRegression:
+    """Noise of first order that a sensor can have; white where it hardly remembers."""
+    if not fitted.order or abs(fitted.reflection[0]) <= policy.white_correlation:
+        return AutoRegression()
+    return AutoRegression((min(fitted.reflection[0], policy.longest_correlation),))
 
 
 def is_same_noise(noise: NoiseModel, before: NoiseModel, policy: ResidualNoisePolicy) -> bool:

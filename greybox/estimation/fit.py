@@ -38,7 +38,7 @@ from greybox.experiment.time_gaps import refuse_long_time_gaps
 from greybox.model import Model
 from greybox.model.equations import equations_text
 from greybox.noise import AutoRegression, NoiseModel
-from greybox.noise.noise_sources import NoiseSource
+from greybox.noise import NoiseSource
 from greybox.result import (
     Fit,
     FitConstraints,
@@ -261,6 +261,11 @@ def _to_fit(model: Model, solution: Solution, options: FitOptions) -> Fit:
                 o.name: a.reflection
                 for o, a in zip(model.outputs, problem.noise.colour, strict=True)
                 if o.name in misfit
+            },
+            bounds={
+                o.name: replace(bound, level=float(problem.noise.std[j]))
+                for j, o in enumerate(model.outputs)
+                if o.name in misfit and (bound := problem.noise.bound(o.name)) is not None
             },
         ),
         uncertainty=FitUncertainty(

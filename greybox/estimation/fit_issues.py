@@ -20,7 +20,7 @@ from greybox.experiment import Experiment, collect_record_findings
 from greybox.experiment.findings import is_sensor_fault
 from greybox.findings import Finding, Severity
 from greybox.model import Model
-from greybox.noise.noise_sources import NoiseSource
+from greybox.noise import NoiseSource
 from greybox.result import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.transcription import DecisionVector
 from greybox.transcription.problem import EstimationProblem

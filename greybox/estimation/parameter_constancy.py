@@ -13,8 +13,7 @@ from scipy.special import ndtri
 from greybox.estimation.policy import ConstancyPolicy, EstimationPolicy, ExcessPolicy, IntervalPolicy
 from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour, estimate_score_covariance
 from greybox.linear_algebra import decompose_symmetric
-from greybox.noise import AutoRegression
-from greybox.noise.noise_sources import NoiseSource
+from greybox.noise import AutoRegression, NoiseSource
 from greybox.transcription import DecisionVector
 from greybox.transcription.decision_vector import SHARED
 from greybox.transcription.solution import Runs, Solution

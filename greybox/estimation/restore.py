@@ -105,7 +105,7 @@ def restore_noise(fit: Fit) -> NoiseModel:
     std = np.array([fit.noise.std.get(o.name, 1.0) for o in outputs])
     colour = tuple(AutoRegression(tuple(fit.noise.colour.get(o.name, ()))) for o in outputs)
     known = bool(fit.noise.sources) and all(source.is_independent for source in fit.noise.sources.values())
-    return NoiseModel(tuple(o.name for o in outputs), std, fit.noise.sources, colour, known)
+    return NoiseModel(tuple(o.name for o in outputs), std, fit.noise.sources, colour, known, fit.noise.bounds)
 
 
 def restore_likelihood(fit: Fit) -> PredictionErrorObjective:

@@ -47,6 +47,11 @@ class AutoRegression(Printable):
         """Variance of ``e`` as a share of the variance of the noise: one for white noise."""
         return self.predictors[-1][1]
 
+    @property
+    def memory(self) -> float:
+        """How long the noise remembers, in samples: the sum of the sizes of its autocorrelation from the first lag on, 0 for white."""
+        return float(np.abs(self.autocorrelation(NOISE_POLICY.memory_samples)[1:]).sum()) if self.order else 0.0
+
     def autocorrelation(self, count: int) -> np.ndarray:
         """Autocorrelation at lags 0 ... count-1."""
         rho = np.ones(1)

@@ -1,10 +1,13 @@
-"""Noise of each output from the most trustworthy source there is: given, quiet record, repetition, differences, residual."""
+"""Noise of each output from the most trustworthy source there is.
+
+Given, a quiet record, repetition, the flat pieces of a record, the spectrum of what no linear response explains, differences. Never the
+residual of a model that may lack something: it would call noise what is missing.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,79 +18,27 @@ from greybox.experiment.sampling import find_time_gaps
 from greybox.model import Model
 from greybox.noise.autoregression import AutoRegression, fit_autoregression, join_series
 from greybox.noise.differences import estimate_noise_of_records, estimate_spread
+from greybox.noise.flat_pieces import estimate_resolution, find_flat_pieces
+from greybox.noise.noise_model import WHITE, BoundDirection, NoiseBound, NoiseModel, NoiseSource
 from greybox.noise.policy import NOISE_POLICY, NoisePolicy
 from greybox.noise.repeats import deviations_between_periods, deviations_between_repeats
-from greybox.values import Printable
-
-WHITE = AutoRegression()
-
-
-class NoiseSource(StrEnum):
-    """Where the noise of an output is known from, the most trustworthy first."""
-
-    GIVEN = "given"
-    QUIET_RECORD = "quiet_record"
-    REPEATED_PERIODS = "repeated_periods"
-    REPEATED_EXPERIMENTS = "repeated_experiments"
-    DIFFERENCES = "differences"
-    RESIDUAL = "residual"
-    INNOVATIONS = "innovations"
-
-    @classmethod
-    def _missing_(cls, value: object) -> NoiseSource | None:
-        """The source that an older file names by a phrase."""
-        phrases = {
-            "quiet record": cls.QUIET_RECORD,
-            "repeated periods": cls.REPEATED_PERIODS,
-            "repeated experiments": cls.REPEATED_EXPERIMENTS,
-            "the records' differences": cls.DIFFERENCES,
-            "the residual of the fit": cls.RESIDUAL,
-            "the innovations": cls.INNOVATIONS,
-        }
-        return phrases.get(str(value))
-
-    @property
-    def is_independent(self) -> bool:
-        """Whether it does not use the records that are fitted."""
-        return self in (NoiseSource.GIVEN, NoiseSource.QUIET_RECORD)
-
-
-@dataclass(frozen=True)
-class NoiseModel(Printable):
-    """Level and colour of the noise of each output.
-
-    Parameters
-    ----------
-    outputs
-        Names of the model's outputs, in their order (ny).
-    std : array (ny,)
-        Standard deviations in the model's units. Of an output with too few samples for any source it is the spread of the
-        measurement, until there is a fit with a residual.
-    sources
-        Where each is known from, by name of the measured outputs. An output that reads the same in every row has none.
-    colour
-        An autoregression for each output (ny), of order zero where the noise is white or its colour unknown.
-    known
-        Whether no level was estimated from the records that are fitted.
-    """
-
-    outputs: tuple[str, ...]
-    std: np.ndarray
-    sources: Mapping[str, NoiseSource]
-    colour: tuple[AutoRegression, ...]
-    known: bool
-
-    @property
-    def coloured(self) -> bool:
-        """Whether the noise of any output is known to be coloured."""
-        return any(a.order for a in self.colour)
-
+from greybox.noise.spectrum import LeftoverSpectrum, leftover_spectrum, spectral_level
 
 @dataclass(frozen=True)
 class _Level:
     std: float
     source: NoiseSource
     colour: AutoRegression = WHITE
+    direction: BoundDirection | None = None
+    samples: float = np.inf
+
+    def to_bound(self, period: float) -> NoiseBound:
+        """What it says, with samples ``period`` apart in s."""
+        shows_colour = self.source not in (NoiseSource.GIVEN, NoiseSource.DIFFERENCES, NoiseSource.RESIDUAL)
+        direction = self.direction or self.source.direction
+        known = self.colour.order > 0 or (shows_colour and direction is BoundDirection.ABOUT)
+        time = period * self.colour.memory if known else None
+        return NoiseBound(self.std, direction, self.source, time, float(1 / np.sqrt(2 * self.samples)))
 
 
 def estimate_noise(
@@ -148,7 +99,9 @@ def estimate_noise(
         del levels[name]
     sources = {name: level.source for name, level in levels.items()}
     known = all(source.is_independent for source in sources.values())
-    return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known)
+    period = float(np.median(np.concatenate([e.intervals for e in experiments]))) if experiments else 1.0
+    bounds = {name: level.to_bound(period) for name, level in levels.items()}
+    return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known, bounds)
 
 
 def _estimate_level(
@@ -170,32 +123,104 @@ def _estimate_level(
         series = join_series(at_rest)
         if _have_same_pace(experiments, quiet, policy):
             colour = fit_autoregression(series, policy=policy)
-        enough = np.isfinite(series).sum() >= policy.quiet_min_samples and not is_constant(series)
-        if name not in given and enough:
-            return _Level(estimate_spread(series, robust=robust), NoiseSource.QUIET_RECORD, colour)
+        samples = int(np.isfinite(series).sum())
+        if name not in given and samples >= policy.quiet_min_samples and not is_constant(series):
+            return _Level(estimate_spread(series, robust=robust), NoiseSource.QUIET_RECORD, colour, samples=samples)
     if name in given:
         return _Level(given[name], NoiseSource.GIVEN, colour)
+    measured = [e for e in experiments if name in e.outputs]
+    columns = [e.outputs[name] for e in measured]
+    movement = float(np.nanstd(np.concatenate(columns))) or float(np.nanmax(np.abs(np.concatenate(columns)))) or 1.0
+    rounding = estimate_resolution(columns, policy) / np.sqrt(12)
+    level = (
+        _repeated_level(experiments, name, inputs, robust, alike, policy)
+        or _flat_level(measured, name, inputs, robust, policy)
+        or _moving_level(measured, name, inputs, robust, policy)
+        or _Level(movement, NoiseSource.RESIDUAL)
+    )
+    if max(level.std, rounding) < policy.min_relative_level * movement:
+        return replace(level, std=policy.min_relative_level * movement, direction=BoundDirection.AT_MOST)
+    return replace(level, std=max(level.std, rounding))
+
+
+def _repeated_level(
+    experiments: Sequence[Experiment],
+    name: str,
+    inputs: Sequence[str],
+    robust: bool,
+    alike: bool,
+    policy: NoisePolicy,
+) -> _Level | None:
+    """The noise from periods of a periodic input, or from experiments with the same input."""
     periods = [d for e in experiments if (d := deviations_between_periods(e, name, inputs, policy))]
-    for source, sets in (
-        (NoiseSource.REPEATED_PERIODS, periods),
-        (
-            NoiseSource.REPEATED_EXPERIMENTS,
-            deviations_between_repeats(experiments, name, inputs, policy) if alike else [],
-        ),
-    ):
+    repeats = deviations_between_repeats(experiments, name, inputs, policy) if alike else []
+    for source, sets in (NoiseSource.REPEATED_PERIODS, periods), (NoiseSource.REPEATED_EXPERIMENTS, repeats):
         if sets and estimate_spread(series := join_series([d for each in sets for d in each])) > 0:
             # K repeats less their mean hold the information of K - 1.
             copies = sum(map(len, sets)) / sum(len(each) - 1 for each in sets)
-            level_colour = fit_autoregression(series, copies=copies, policy=policy)
-            return _Level(estimate_spread(series, robust=robust), source, level_colour)
-    values = np.concatenate([e.outputs[name] for e in experiments if name in e.outputs])
-    movement = float(np.nanstd(values)) or float(np.nanmax(np.abs(values))) or 1.0
+            colour = fit_autoregression(series, copies=copies, policy=policy)
+            samples = np.isfinite(series).sum() / copies
+            return _Level(estimate_spread(series, robust=robust), source, colour, samples=samples)
+    return None
+
+
+def _flat_level(
+    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, policy: NoisePolicy
+) -> _Level | None:
+    """The noise from the flat pieces of the records, no larger than what their spectra allow."""
+    flat = find_flat_pieces(experiments, name, inputs, policy)
+    if flat is None:
+        return None
+    series = join_series(flat.pieces)
+    samples = int(np.isfinite(series).sum())
+    if not flat.agree:
+        return _Level(flat.most, NoiseSource.FLAT_PIECES, WHITE, BoundDirection.AT_MOST, samples)
+    colour = fit_autoregression(series, policy=policy)
+    if colour.memory > policy.longest_memory:
+        # What remembers for longer moves: the pieces had not settled, or something drifts.
+        return _Level(flat.std, NoiseSource.FLAT_PIECES, WHITE, BoundDirection.AT_MOST, samples)
+    level = max(estimate_spread(series, robust=True), flat.std) if robust else flat.std
+    return _Level(level, NoiseSource.FLAT_PIECES, colour, BoundDirection.ABOUT, samples)
+
+
+def _moving_level(
+    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, policy: NoisePolicy
+) -> _Level | None:
+    """The noise while the plant moves: from what is left of the spectrum, or from differences where records are short or broken."""
+    spectra = [] if robust else _leftover_spectra(experiments, name, inputs, policy)
+    if spectra:
+        level = spectral_level(spectra, policy)
+        if level.is_noise:
+            return _Level(level.std, NoiseSource.SPECTRUM, level.colour, BoundDirection.ABOUT, level.freedom / 2)
+        return _Level(level.most, NoiseSource.SPECTRUM, WHITE, BoundDirection.AT_MOST, level.freedom / 2)
     # The signal jumps across a gap in time: no difference may reach over it.
-    columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments if name in e.outputs]
-    level = estimate_noise_of_records(columns, robust=robust, policy=policy)
-    if not np.isfinite(level):
-        return _Level(movement, NoiseSource.RESIDUAL)
-    return _Level(max(level, policy.min_relative_level * movement), NoiseSource.DIFFERENCES)
+    columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
+    differences = estimate_noise_of_records(columns, robust=robust, policy=policy)
+    return _Level(differences, NoiseSource.DIFFERENCES) if np.isfinite(differences) else None
+
+
+def _leftover_spectra(
+    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], policy: NoisePolicy
+) -> list[LeftoverSpectrum]:
+    """What no linear response explains, in every stretch of evenly sampled rows without a gap that is long enough."""
+    spectra = []
+    for record in experiments:
+        values = record.outputs[name]
+        if is_constant(values):
+            continue
+        driven = np.column_stack([record.inputs[n] for n in inputs]) if inputs else np.zeros((record.rows, 0))
+        missing = ~np.isfinite(values)
+        breaks = np.union1d(find_time_gaps(record.time) + 1, np.flatnonzero(np.diff(missing.astype(int))) + 1)
+        if not record.regular and not len(find_time_gaps(record.time)):
+            continue
+        edges = np.concatenate([[0], breaks, [record.rows]]).astype(int)
+        for start, stop in zip(edges[:-1], edges[1:], strict=True):
+            if missing[start]:
+                continue
+            spectrum = leftover_spectrum(driven[start:stop], values[start:stop], policy)
+            if spectrum is not None:
+                spectra.append(spectrum)
+    return spectra
 
 
 def _find_silent_outputs(levels: Mapping[str, _Level], experiments: Sequence[Experiment]) -> list[str]:
@@ -207,7 +232,7 @@ def _find_silent_outputs(levels: Mapping[str, _Level], experiments: Sequence[Exp
     resting = [name for name, each in columns.items() if all(map(is_constant, each))]
     if len(resting) == len(levels):
         return []
-    return [name for name in resting if levels[name].source is NoiseSource.DIFFERENCES]
+    return [name for name in resting if levels[name].source in (NoiseSource.SPECTRUM, NoiseSource.DIFFERENCES)]
 
 
 def _check_given(model: Model, given: Mapping[str, float]) -> None:

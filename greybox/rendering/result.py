@@ -121,7 +121,9 @@ def write_noise(noise: FitNoise) -> str:
         if name in noise.log_std:
             text = _write_estimated_level(noise, name)
         else:
-            text = describe_source(source, AutoRegression(tuple(noise.colour.get(name, ()))))
+            bound = noise.bound(name)
+            direction = source.direction if bound is None else bound.direction
+            text = describe_source(source, AutoRegression(tuple(noise.colour.get(name, ()))), direction)
         groups.setdefault(text, []).append(name)
     if len(groups) == 1 and not noise.log_std:
         return next(iter(groups))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from greybox.files import write_file
 from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.model.process_noise import intensity_name
-from greybox.noise.noise_sources import NoiseSource
+from greybox.noise import BoundDirection, NoiseBound, NoiseSource
 from greybox.result.fit_parts import (
     Estimate,
     FitConstraints,
@@ -167,6 +167,7 @@ def fit_data(fit: Fit) -> dict[str, Any]:
         "noise_colour": fit.noise.colour,
         "noise_log_std": fit.noise.log_std,
         "noise_units": fit.noise.units,
+        "noise_bounds": {name: asdict(bound) for name, bound in fit.noise.bounds.items()},
         "interval_kind": fit.uncertainty.kind,
         "inflation": fit.uncertainty.inflation,
         "discretisation_shift": fit.discretisation.shift,
@@ -246,6 +247,16 @@ def load_fit(path: str | Path, model: Model) -> Fit:
             {n: tuple(k) for n, k in get("noise_colour", {}).items()},
             _numbers(get("noise_log_std", {})),
             dict(get("noise_units", {})),
+            {
+                name: NoiseBound(
+                    float(b["level"]),
+                    BoundDirection(b["direction"]),
+                    NoiseSource(b["source"]),
+                    b["correlation_time"],
+                    float(b["relative_error"]),
+                )
+                for name, b in get("noise_bounds", {}).items()
+            },
         ),
         uncertainty=FitUncertainty(
             tuple(data["free"]),

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from greybox.experiment import Experiment
 from greybox.experiment.experiment import Hold
 from greybox.findings import Finding
-from greybox.noise.noise_sources import NoiseSource
+from greybox.noise import NoiseBound, NoiseSource
 from greybox.values import Printable, ReadOnly
 
 
@@ -160,6 +160,8 @@ class FitNoise(Printable, ReadOnly):
         Standard deviation of the logarithm of each level that a likelihood estimated.
     units
         Unit of each of these.
+    bounds
+        What is known of each level: about as large, at most or at least, and for how long it remembers.
     """
 
     std: Mapping[str, float]
@@ -167,6 +169,14 @@ class FitNoise(Printable, ReadOnly):
     colour: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     log_std: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    bounds: Mapping[str, NoiseBound] = field(default_factory=dict)
+
+    def bound(self, output: str) -> NoiseBound | None:
+        """What is known of the noise of an output: as it was found, or what its source says in general; None without a source."""
+        source = self.sources.get(output)
+        if output in self.bounds or source is None:
+            return self.bounds.get(output)
+        return NoiseBound(self.std.get(output, float("nan")), source.direction, source)
 
     def interval(self, output: str) -> tuple[float, float]:
         """The 95 % interval of a level that a likelihood estimated, by a factor either way."""

@@ -1,5 +1,6 @@
 """Level and colour of the noise, and structure left in a residual, from residuals that are given: nothing is simulated."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +15,7 @@ from greybox.discovery.residual_noise import (
     is_same_noise,
 )
 from greybox.estimation.policy import EstimationPolicy
-from greybox.noise import AutoRegression, NoiseModel, NoiseSource
+from greybox.noise import AutoRegression, BoundDirection, NoiseBound, NoiseModel, NoiseSource
 
 WHITE = AutoRegression()
 POLICY = ResidualNoisePolicy()
@@ -59,10 +60,24 @@ def test_noise_is_known_from_outside_the_fitted_records_only(source, quiet, know
     assert is_noise_known(noise(source), quiet) is known
 
 
-def test_a_coloured_residual_gives_the_noise_its_colour_and_level(with_residual):
+def test_a_coloured_residual_gives_its_colour_and_never_a_level_above_the_bound(with_residual):
     estimated = estimate_residual_noise(with_residual(3.0 * coloured()), POLICY)
-    assert estimated.std[0] == pytest.approx(3.0, rel=0.1)
+    assert estimated.std[0] == 1.0
     assert estimated.colour[0].reflection[0] == pytest.approx(0.8, abs=0.05)
+    quieter = estimate_residual_noise(with_residual(0.3 * coloured()), POLICY)
+    assert quieter.std[0] == pytest.approx(0.3, rel=0.1)
+
+
+def test_a_known_level_and_colour_stay(with_residual):
+    flat = NoiseBound(1.0, BoundDirection.ABOUT, NoiseSource.FLAT_PIECES, 0.0)
+    model = replace(noise(NoiseSource.FLAT_PIECES), bounds={"x": flat})
+    estimated = estimate_residual_noise(with_residual(0.3 * coloured(), model), POLICY)
+    assert estimated.std[0] == 1.0 and estimated.colour[0].order == 0
+
+
+def test_a_residual_remembers_no_longer_than_a_sensor(with_residual):
+    estimated = estimate_residual_noise(with_residual(coloured(correlation=0.999)), POLICY)
+    assert estimated.colour[0].reflection[0] == POLICY.longest_correlation
 
 
 def test_a_white_residual_gives_no_colour(with_residual):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from greybox.noise import AutoRegression, NoiseModel, NoiseSource
+from greybox.noise import AutoRegression, BoundDirection, NoiseBound, NoiseModel, NoiseSource
 
 WHITE, COLOURED = AutoRegression(), AutoRegression((0.9,))
 GOLDEN = [
@@ -17,12 +17,18 @@ GOLDEN = [
     ),
     (NoiseSource.REPEATED_PERIODS, WHITE, "estimated from repeated periods (white)"),
     (NoiseSource.REPEATED_EXPERIMENTS, WHITE, "estimated from repeated experiments (white)"),
+    (NoiseSource.FLAT_PIECES, WHITE, "estimated from flat pieces of the records (white)"),
     (
-        NoiseSource.DIFFERENCES,
+        NoiseSource.SPECTRUM,
         WHITE,
-        "estimated from differences of the records (too small if the noise is coloured)",
+        "at most what no linear response explains of the records, nonlinear motion included",
     ),
-    (NoiseSource.RESIDUAL, WHITE, "estimated from the residual of the fit (too few samples for a better estimate)"),
+    (NoiseSource.DIFFERENCES, WHITE, "at most differences of the records, if the noise is white"),
+    (
+        NoiseSource.RESIDUAL,
+        WHITE,
+        "at most the residual of the fit, which holds what the model lacks (too few samples for another source)",
+    ),
     (NoiseSource.INNOVATIONS, WHITE, "estimated from the innovations (white)"),
 ]
 
@@ -30,6 +36,22 @@ GOLDEN = [
 @pytest.mark.parametrize(("source", "colour", "text"), GOLDEN)
 def test_each_source_has_its_words(source, colour, text):
     assert str(NoiseModel(("x",), np.ones(1), {"x": source}, (colour,), True)) == text
+
+
+@pytest.mark.parametrize(
+    ("direction", "source", "text"),
+    [
+        (
+            BoundDirection.ABOUT,
+            NoiseSource.SPECTRUM,
+            "estimated from the frequencies without signal (AR(1), correlation 0.9 from sample to sample)",
+        ),
+        (BoundDirection.AT_MOST, NoiseSource.FLAT_PIECES, "at most the loudest flat pieces of the records"),
+    ],
+)
+def test_a_bound_has_its_direction(direction, source, text):
+    bounds = {"x": NoiseBound(1.0, direction, source)}
+    assert str(NoiseModel(("x",), np.ones(1), {"x": source}, (COLOURED,), True, bounds)) == text
 
 
 def test_outputs_with_one_source_share_its_words():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from greybox import Experiment, FitOptions, fit
-from greybox.noise.noise_sources import NoiseSource
+from greybox.noise import NoiseSource
 from greybox.rendering.tables import format_with_std, make_formatter
 from greybox.result import FitNoise
 from greybox.signals import multisine
@@ -60,7 +60,7 @@ def test_both_ends_of_a_printed_interval_differ_from_the_value_and_units_are_tid
         (FitNoise({"x": 0.1}, {"x": NoiseSource.GIVEN}), "given"),
         (
             FitNoise({"x": 0.1, "i": 2.0}, {"x": NoiseSource.GIVEN, "i": NoiseSource.DIFFERENCES}),
-            "x: given; i: estimated from differences of the records (too small if the noise is coloured)",
+            "x: given; i: at most differences of the records, if the noise is white",
         ),
         (
             FitNoise({"x": 0.1}, {"x": NoiseSource.INNOVATIONS}, {}, {"x": 0.05}, {"x": "m"}),

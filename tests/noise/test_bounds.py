@@ -1,0 +1,183 @@
+"""Noise from one record alone: never too little where it is called a ceiling, and right where it is called known."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.experiment import Experiment
+from greybox.noise import BoundDirection, NoiseSource, estimate_noise
+from greybox.noise.flat_pieces import estimate_resolution
+from greybox.noise.spectrum import leftover_spectrum, spectral_level
+
+ROWS = 2500
+
+
+def multisine(rng, top):
+    """Random phases, equal amplitudes up to the share ``top`` of half the sampling rate; not periodic in the record."""
+    spectrum = np.zeros(ROWS + 1, complex)
+    lines = np.arange(1, int(top * ROWS))
+    spectrum[lines] = np.exp(2j * np.pi * rng.random(len(lines)))
+    u = np.fft.irfft(spectrum, 2 * ROWS)[:ROWS]
+    return u / u.std()
+
+
+def chirp(rng, top):
+    n = np.arange(ROWS)
+    return np.sin(np.pi * top * n**2 / (2 * ROWS))
+
+
+def steps(rng, top):
+    return np.repeat(rng.normal(size=ROWS), max(2, int(1 / top)))[:ROWS]
+
+
+SIGNALS = {
+    "slow multisine": (multisine, 0.05),
+    "fast multisine": (multisine, 0.5),
+    "chirp": (chirp, 0.4),
+    "steps": (steps, 0.02),
+}
+
+
+def resonance(u, frequency=0.5, damping=0.05):
+    """A second-order plant, sampled."""
+    a = [1.0, -2 * np.exp(-damping * frequency) * np.cos(frequency), np.exp(-2 * damping * frequency)]
+    return lfilter([0.0, sum(a)], a, u)
+
+
+def hardening(u):
+    """A mass on a hardening spring with dry friction, integrated by small steps."""
+    x = v = 0.0
+    rows = []
+    for force in u:
+        for _ in range(10):
+            v += 0.1 * (0.25 * (force - x - 0.3 * x**3) - 0.05 * v - 0.05 * np.tanh(2000 * v))
+            x += 0.1 * v
+        rows.append(x)
+    return np.array(rows)
+
+
+def coloured(rng, rho, rows=ROWS):
+    return lfilter([1.0], [1.0, -rho], rng.normal(size=rows + 500) * np.sqrt(1 - rho**2))[500:]
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.7, 0.95])
+@pytest.mark.parametrize("share", [1e-2, 1e-4])
+@pytest.mark.parametrize("kind", SIGNALS)
+@pytest.mark.parametrize("plant", [resonance, hardening])
+def test_a_ceiling_is_never_below_the_noise_and_a_known_level_is_right(plant, kind, share, rho):
+    rng = np.random.default_rng(1)
+    make, top = SIGNALS[kind]
+    u = make(rng, top)
+    y = plant(u)
+    std = share * y.std()
+    level = spectral_level([leftover_spectrum(u[:, None], y + std * coloured(rng, rho))])
+    if level.is_noise:
+        assert level.std == pytest.approx(std, rel=0.25)
+    else:
+        assert level.most > 0.85 * std
+    if plant is resonance:  # all of it is linear, however fast: little but noise is left
+        assert level.most < 1.7 * std
+
+
+def model(names=("y",)):
+    def balances(x, u, p):
+        return [Balance(f"{n}_rate", "V/s", 1, n, decay=-p.k * x[n]) for n in names]
+
+    outputs = [Output(n, "V") for n in names]
+    return Model("m", [State(n, "V") for n in names], [Input("u", "V")], outputs, [Parameter("k", "1/s", 1.0)], balances)
+
+
+def bound_of(u, y):
+    record = Experiment("r", 0.01 * np.arange(len(y)), {"u": u}, {"y": y})
+    return estimate_noise(model(), [record], {}).bound("y")
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.7])
+def test_flat_pieces_show_level_and_colour(rho):
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.normal(size=10), 250)
+    y = resonance(u, damping=0.2)
+    bound = bound_of(u, y + 1e-3 * coloured(rng, rho))
+    assert bound.source is NoiseSource.FLAT_PIECES and bound.direction is BoundDirection.ABOUT
+    assert bound.level == pytest.approx(1e-3, rel=0.1)
+    assert bound.correlation_time == pytest.approx(0.01 * rho / (1 - rho), abs=0.01)
+
+
+def test_pieces_of_different_loudness_give_a_ceiling():
+    rng = np.random.default_rng(3)
+    u = np.repeat([0.0, 1.0, 0.0, 2.0, 1.0, 2.0], 250)
+    bound = bound_of(u, u + (1e-4 + 1e-2 * u) * rng.normal(size=len(u)))
+    assert bound.source is NoiseSource.FLAT_PIECES and bound.direction is BoundDirection.AT_MOST
+    assert bound.level == pytest.approx(2e-2, rel=0.15)
+
+
+def test_drift_is_no_noise():
+    rng = np.random.default_rng(4)
+    u = np.repeat([0.0, 1.0, 0.0, 2.0], 500)
+    wandering = np.cumsum(0.01 * rng.normal(size=len(u)))
+    bound = bound_of(u, u + wandering + 1e-4 * rng.normal(size=len(u)))
+    assert bound.direction is BoundDirection.AT_MOST
+
+
+def test_a_sensor_in_codes_has_at_least_their_rounding():
+    rng = np.random.default_rng(5)
+    u = multisine(rng, 0.05)
+    y = np.round(resonance(u) / 0.05) * 0.05
+    assert estimate_resolution([y]) == pytest.approx(0.05)
+    bound = bound_of(u, y)
+    assert 0.9 * 0.05 / np.sqrt(12) < bound.level < 2 * 0.05 / np.sqrt(12)
+    assert estimate_resolution([rng.normal(size=500)]) == 0.0
+
+
+def test_a_record_without_noise_has_a_ceiling_only():
+    u = multisine(np.random.default_rng(6), 0.05)
+    bound = bound_of(u, resonance(u))
+    assert bound.direction is BoundDirection.AT_MOST and bound.floor is None
+
+
+def test_a_hysteresis_without_noise_is_not_called_noise():
+    # Bouc-Wen: m 2, c 10, k 5e4, alpha 5e4, beta 800, gamma -1100, at 750 Hz with 5 to 150 Hz, 50 N rms
+    rng = np.random.default_rng(7)
+    rows, rate, fine = 4096, 750.0, 20
+    spectrum = np.zeros(rows + 1, complex)
+    frequency = np.arange(rows + 1) * rate / (2 * rows)
+    band = (frequency >= 5) & (frequency <= 150)
+    spectrum[band] = np.exp(2j * np.pi * rng.random(band.sum()))
+    dense = np.fft.irfft(np.concatenate([spectrum, np.zeros(rows * (fine - 1))]), 2 * rows * fine)[: rows * fine]
+    force = 50 * dense / dense.std()
+    x = v = z = 0.0
+    y, h = [], 1 / (rate * fine)
+    for k, f in enumerate(force):
+        if k % fine == 0:
+            y.append(x)
+        v += h * (f - 10 * v - 5e4 * x - 5e4 * z) / 2
+        x += h * v
+        z += h * (v - 800 * abs(v) * z + 1100 * v * abs(z))
+    y = np.array(y)
+    level = spectral_level([leftover_spectrum(force[::fine][:, None], y)])
+    linear_misfit = np.sqrt(leftover_spectrum(force[::fine][:, None], y).power.mean())
+    assert not level.is_noise
+    assert level.most < 0.2 * linear_misfit
+
+
+@pytest.mark.parametrize(
+    ("file", "inputs", "output", "low", "high"),
+    [
+        ("silverbox/train_multisine.csv", [1], 2, 1e-6, 2.4e-4),
+        ("cascaded_tanks/train.csv", [1], 2, 1e-3, 0.2),
+        ("hydraulic_motor/train.csv", [1], 2, 1e-3, 0.03),
+        ("hanging_load/train.csv", [3], 2, 5e-4, 0.01),
+        ("two_cylinders/train.csv", [1, 2], 3, 5e-4, 0.03),
+        ("two_cylinders/train.csv", [1, 2], 4, 5e-4, 0.03),
+        ("dc_motor_tacho/escada500.csv", [1], 2, 9e-3, 0.035),
+    ],
+)
+def test_measured_records_bound_their_noise_far_below_what_a_plain_model_leaves(shared_data, file, inputs, output, low, high):
+    table = np.genfromtxt(shared_data / file, delimiter=",", skip_header=1)
+    names = [f"u{k}" for k in inputs]
+    record = Experiment("r", table[:, 0], {n: table[:, k] for n, k in zip(names, inputs, strict=True)}, {"y": table[:, output]})
+    one = model()
+    several = Model("m", one.states, [Input(n, "V") for n in names], one.outputs, one.parameters, one.balances)
+    bound = estimate_noise(several, [record], {}).bound("y")
+    assert low < bound.ceiling < high
