@@ -37,8 +37,7 @@ from greybox.experiment import Experiment
 from greybox.experiment.time_gaps import refuse_long_time_gaps
 from greybox.model import Model
 from greybox.model.equations import equations_text
-from greybox.noise import AutoRegression, NoiseModel
-from greybox.noise import NoiseSource
+from greybox.noise import AutoRegression, NoiseModel, NoiseSource
 from greybox.result import (
     Fit,
     FitConstraints,

@@ -20,7 +20,7 @@ from greybox.experiment import Experiment, collect_record_findings
 from greybox.experiment.findings import is_sensor_fault
 from greybox.findings import Finding, Severity
 from greybox.model import Model
-from greybox.noise import NoiseSource
+from greybox.noise import BoundDirection, NoiseSource
 from greybox.result import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.transcription import DecisionVector
 from greybox.transcription.problem import EstimationProblem
@@ -35,7 +35,12 @@ def find_status_details(solution: Solution, misfit: Mapping[str, Misfit]) -> tup
         return ()
     ratios = compute_noise_ratios(solution, misfit)
     worst = max(ratios, key=lambda name: ratios[name])
-    values = {"ratio": ratios[worst], "without_outliers": bool(solution.problem.loss)}
+    bound = solution.problem.noise.bound(worst)
+    values = {
+        "ratio": ratios[worst],
+        "without_outliers": bool(solution.problem.loss),
+        "noise_at_most": bound is not None and bound.direction is BoundDirection.AT_MOST,
+    }
     return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values),)
 
 

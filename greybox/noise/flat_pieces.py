@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -73,9 +74,7 @@ def estimate_resolution(columns: Sequence[np.ndarray], policy: NoisePolicy = NOI
     return float(np.quantile(steps, policy.code_step))
 
 
-def _find_resting_stretches(
-    record: Experiment, inputs: Sequence[str], policy: NoisePolicy
-) -> list[tuple[int, int]]:
+def _find_resting_stretches(record: Experiment, inputs: Sequence[str], policy: NoisePolicy) -> list[tuple[int, int]]:
     """First and last row (exclusive) of the stretches in which no input moves and no row is missing."""
     moves = np.zeros(record.rows - 1, bool)
     for name in inputs:
@@ -83,7 +82,7 @@ def _find_resting_stretches(
         moves |= ~(np.abs(np.diff(values)) <= policy.same_input * np.ptp(values))
     moves[find_time_gaps(record.time)] = True
     edges = np.concatenate([[0], np.flatnonzero(moves) + 1, [record.rows]])
-    return [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= 2 * policy.flat_min_rows]
+    return [(int(a), int(b)) for a, b in pairwise(edges) if b - a >= 2 * policy.flat_min_rows]
 
 
 def _settled_end(values: np.ndarray, policy: NoisePolicy) -> np.ndarray | None:

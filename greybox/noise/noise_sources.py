@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from greybox.noise.noise_model import WHITE, BoundDirection, NoiseBound, NoiseMo
 from greybox.noise.policy import NOISE_POLICY, NoisePolicy
 from greybox.noise.repeats import deviations_between_periods, deviations_between_repeats
 from greybox.noise.spectrum import LeftoverSpectrum, leftover_spectrum, spectral_level
+
 
 @dataclass(frozen=True)
 class _Level:
@@ -214,7 +216,7 @@ def _leftover_spectra(
         if not record.regular and not len(find_time_gaps(record.time)):
             continue
         edges = np.concatenate([[0], breaks, [record.rows]]).astype(int)
-        for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        for start, stop in pairwise(edges):
             if missing[start]:
                 continue
             spectrum = leftover_spectrum(driven[start:stop], values[start:stop], policy)

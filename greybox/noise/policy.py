@@ -77,7 +77,8 @@ class NoisePolicy:
     lowest_band_chance: float = 0.2
     """Probability that the lowest of all bands falls short by more than is allowed for."""
     longest_correlation: float = 0.95
-    """Largest correlation of a sensor's noise from sample to sample, twenty samples of memory: what remembers for longer is no sensor's noise."""
+    """Largest correlation of a sensor's noise from sample to sample, twenty samples of memory: what remembers for longer is something
+    else."""
     colour_gain: float = 9.0
     """Twice the log-likelihood by which two correlations must differ for one of them to be unlikely: three standard deviations."""
     about_ratio: float = 1.6

@@ -12,6 +12,7 @@ the highest frequency down.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.special import chdtri
@@ -88,7 +89,7 @@ def leftover_spectrum(
         return None
     edges = np.linspace(0, len(y), blocks + 1).astype(int)
     position, power, freedom, measured = [], [], [], []
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
+    for start, end in pairwise(edges):
         away = np.linspace(-1.0, 1.0, end - start)
         shape = away[:, None] ** np.arange(order)
         response = (u[start:end, :, None] * shape[:, None, :]).reshape(end - start, -1)
@@ -167,9 +168,7 @@ def _fit_sensor(
     )
 
 
-def _most_of_a_sensor(
-    frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray, policy: NoisePolicy
-) -> float:
+def _most_of_a_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray, policy: NoisePolicy) -> float:
     """The largest standard deviation of a sensor whose spectrum nowhere exceeds what is left."""
     # The lowest of many bands is low by chance: each counts as what one of them hardly ever falls short of.
     power = power * freedom / chdtri(freedom, 1 - policy.lowest_band_chance / len(power))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from greybox.noise import AutoRegression
+from greybox.noise import AutoRegression, BoundDirection
 from greybox.rendering.noise import describe_source
 from greybox.rendering.policy import TEXT_LIMITS
 from greybox.rendering.registry import renders, sentences
@@ -14,6 +14,7 @@ from greybox.rendering.tables import format_number, format_table, format_with_st
 from greybox.units import format_unit
 
 if TYPE_CHECKING:
+    from greybox.noise import NoiseBound
     from greybox.result import Estimate, Fit, FitNoise, Misfit
 
 MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
@@ -26,11 +27,11 @@ def write_fit(fit: Fit) -> str:
     lines += format_table(["parameter", "value", "95 % interval", "unit", ""], to_constant_rows(fit))
     if fit.constraints.priors:
         lines += ["", *_write_priors(fit)]
-    lines += ["", *_write_misfits("misfit (free run)", fit.misfit)]
+    lines += ["", *_write_misfits("misfit (free run)", fit.misfit, fit.noise)]
     if fit.prediction.one_step:
-        lines += ["", *_write_misfits("prediction (1 step ahead)", fit.prediction.one_step)]
+        lines += ["", *_write_misfits("prediction (1 step ahead)", fit.prediction.one_step, fit.noise)]
     if fit.validation:
-        lines += ["", *_write_misfits("on validation records (free run)", fit.validation.misfit)]
+        lines += ["", *_write_misfits("on validation records (free run)", fit.validation.misfit, fit.noise)]
     intervals = _write_interval_kind(fit)
     if intervals:
         lines += ["", f"intervals: {intervals}"]
@@ -91,12 +92,13 @@ def to_constant_cells(name: str, e: Estimate) -> list[str]:
     return [name, format_with_std(e.value, e.std), f"[{low}, {high}]", format_unit(e.unit), remark]
 
 
-def to_misfit_cells(m: Misfit) -> list[str]:
-    """rmse, best fit and rmse over noise, as tables show them."""
+def to_misfit_cells(m: Misfit, bound: NoiseBound | None = None) -> list[str]:
+    """rmse, best fit and rmse over noise, as tables show them; over noise that is only bounded it is at least that."""
+    at_least = "at least " if bound is not None and bound.direction is BoundDirection.AT_MOST else ""
     return [
         f"{format_number(m.rmse, 4)} {format_unit(m.unit)}".rstrip(),
         f"{m.best_fit_percent:.2f} %",
-        f"{format_number(m.noise_ratio, 4)} x noise",
+        f"{at_least}{format_number(m.noise_ratio, 4)} x noise",
     ]
 
 
@@ -109,8 +111,9 @@ def _write_priors(fit: Fit) -> list[str]:
     return format_table(["prior", "prior value", "shift", "variance reduction", "conflict"], rows)
 
 
-def _write_misfits(title: str, misfit: Mapping[str, Misfit]) -> list[str]:
-    return format_table([title, *MISFIT_HEADS], [[name, *to_misfit_cells(m)] for name, m in misfit.items()])
+def _write_misfits(title: str, misfit: Mapping[str, Misfit], noise: FitNoise) -> list[str]:
+    rows = [[name, *to_misfit_cells(m, noise.bound(name))] for name, m in misfit.items()]
+    return format_table([title, *MISFIT_HEADS], rows)
 
 
 @renders("FitNoise")

@@ -154,7 +154,12 @@ def _record_figures(fit: Fit, trace: Trace, k: int, stretches: int, *, follow: b
 
 def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> PageTable:
     rows = [
-        [run.trace.name, "validation" if run.validation else "fitted", output, *map(typeset_number, to_misfit_cells(m))]
+        [
+            run.trace.name,
+            "validation" if run.validation else "fitted",
+            output,
+            *map(typeset_number, to_misfit_cells(m, fit.noise.bound(output))),
+        ]
         for run in runs
         for output, m in compute_record_misfits(fit, run.trace, run.skip).items()
     ]

@@ -85,7 +85,9 @@ def model(names=("y",)):
         return [Balance(f"{n}_rate", "V/s", 1, n, decay=-p.k * x[n]) for n in names]
 
     outputs = [Output(n, "V") for n in names]
-    return Model("m", [State(n, "V") for n in names], [Input("u", "V")], outputs, [Parameter("k", "1/s", 1.0)], balances)
+    return Model(
+        "m", [State(n, "V") for n in names], [Input("u", "V")], outputs, [Parameter("k", "1/s", 1.0)], balances
+    )
 
 
 def bound_of(u, y):
@@ -173,10 +175,14 @@ def test_a_hysteresis_without_noise_is_not_called_noise():
         ("dc_motor_tacho/escada500.csv", [1], 2, 9e-3, 0.035),
     ],
 )
-def test_measured_records_bound_their_noise_far_below_what_a_plain_model_leaves(shared_data, file, inputs, output, low, high):
+def test_measured_records_bound_their_noise_far_below_what_a_plain_model_leaves(
+    shared_data, file, inputs, output, low, high
+):
     table = np.genfromtxt(shared_data / file, delimiter=",", skip_header=1)
     names = [f"u{k}" for k in inputs]
-    record = Experiment("r", table[:, 0], {n: table[:, k] for n, k in zip(names, inputs, strict=True)}, {"y": table[:, output]})
+    record = Experiment(
+        "r", table[:, 0], {n: table[:, k] for n, k in zip(names, inputs, strict=True)}, {"y": table[:, output]}
+    )
     one = model()
     several = Model("m", one.states, [Input(n, "V") for n in names], one.outputs, one.parameters, one.balances)
     bound = estimate_noise(several, [record], {}).bound("y")

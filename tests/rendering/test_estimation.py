@@ -28,6 +28,12 @@ GOLDEN = [
     (
         "misfit_ratio",
         "x",
+        {"ratio": 1.2, "without_outliers": False, "noise_at_most": True},
+        "misfit at least 1.2 times the noise in x",
+    ),
+    (
+        "misfit_ratio",
+        "x",
         {"ratio": 1.2, "without_outliers": True},
         "misfit 1.2 times the noise in x, outliers excluded",
     ),
