@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from greybox.estimation.likelihood_search import LikelihoodOptimum
+from greybox.estimation.objective import ResidualRows
 from greybox.estimation.policy import DEFAULT_POLICY, IntervalPolicy
-from greybox.estimation.sandwich import (
-    estimate_kernel_score_covariance,
-    estimate_residual_colour,
-    estimate_score_covariance,
-)
+from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, estimate_score_covariance
 from greybox.linear_algebra import SymmetricDecomposition, decompose_symmetric, eliminate
-from greybox.noise import NoisePolicy
 from greybox.numerics import TINY
 from greybox.result import IntervalKind
 from greybox.transcription import DecisionVector, Evaluation
-from greybox.transcription.solution import Runs
+from greybox.transcription.problem import EstimationProblem
 
 
 @dataclass(frozen=True)
@@ -35,87 +31,169 @@ class ParameterCovariance:
     covariance: np.ndarray
     open_directions: tuple[dict[str, float], ...]
     kind: IntervalKind = IntervalKind.GAUSS_NEWTON
-    inflation: np.ndarray | None = None
+    inflation: np.ndarray = field(default_factory=lambda: np.empty(0))
     degrees: float = np.inf
     information: np.ndarray | None = None
     scores: np.ndarray | None = None
+    log_noise: np.ndarray = field(default_factory=lambda: np.empty(0))
+    """Standard deviation of the logarithm of each noise level that was estimated with the rest (k,)."""
+
+    @classmethod
+    def unknown(cls, variables: DecisionVector) -> ParameterCovariance:
+        """That of the constants where there is no optimum."""
+        n, levels = len(variables.which), len(variables.estimated_noise)
+        return cls(np.full((n, n), np.nan), (), inflation=np.ones(n), log_noise=np.full(levels, np.nan))
+
+    @classmethod
+    def of(
+        cls,
+        variables: DecisionVector,
+        spread: np.ndarray,
+        decomposition: SymmetricDecomposition,
+        *,
+        kind: IntervalKind,
+        inflation: np.ndarray,
+        information: np.ndarray,
+        scores: np.ndarray,
+        degrees: float = np.inf,
+    ) -> ParameterCovariance:
+        """From the covariance ``spread`` in ``z`` of the constants off their bounds, and of the noise levels after them.
+
+        ``decomposition`` of their information says which of them the data leave open; ``information`` and ``scores`` are those of the
+        constants alone.
+        """
+        inside = np.flatnonzero(~variables.active)
+        k, spans = len(inside), variables.spans[inside]
+        variance = np.where(decomposition.is_open, np.inf, np.diag(spread))
+        open_spread = spread.copy()
+        open_spread[np.diag_indices_from(spread)] = variance
+        whole_inflation = np.ones(len(variables.which))
+        whole_inflation[inside] = inflation[:k]
+        return cls(
+            _place(open_spread[:k, :k] * np.outer(spans, spans), variables),
+            list_open_directions([variables.names[j] for j in inside] + [""] * (len(spread) - k), decomposition),
+            kind,
+            whole_inflation,
+            degrees,
+            _place(information, variables),
+            _place(scores, variables),
+            np.sqrt(variance[k:]),
+        )
 
 
 def estimate_covariance(
     variables: DecisionVector,
     evaluation: Evaluation,
-    noise_given: bool,
-    rows: Runs | None = None,
-    unknowns: int | None = None,
-    variance_floor: np.ndarray | None = None,
+    residuals: ResidualRows,
+    colour: ResidualColour,
+    problem: EstimationProblem,
     policy: IntervalPolicy = DEFAULT_POLICY.intervals,
-    noise_policy: NoisePolicy = DEFAULT_POLICY.noise,
 ) -> ParameterCovariance:
     """Covariance of the constants, initial states projected out; constants at a bound count as fixed there.
 
     With the Jacobian ``J`` of the residual, its covariance ``R`` and the precision ``P`` of the priors it is the sandwich
     ``A^-1 (J'R J + P) A^-1`` with ``A = J'J + P``. Where the residual is white, ``R`` is ``s^2``, the residual variance over the noise
-    variance, and at least one where the noise was given: without priors that is ``s^2 (J'J)^-1``, the Gauss-Newton covariance, and
-    with them, at ``s^2 = 1``, the posterior covariance ``A^-1``. With ``rows``, the residuals and Jacobians of each record, each output
-    has an ``s^2`` of its own and the residual may be coloured (`greybox.estimation.sandwich`); without them it is taken to be white.
-    Constants along an undetermined direction get an infinite variance. ``unknowns``: how many numbers were estimated.
-    ``variance_floor`` (ny,): see `estimate_residual_colour`.
-    ``noise_policy``: how the colour of the residual is estimated.
+    variance of each output, and at least one where the noise was given: without priors that is ``s^2 (J'J)^-1``, the Gauss-Newton
+    covariance, and with them, at ``s^2 = 1``, the posterior covariance ``A^-1``. The ``residuals`` may be coloured
+    (`greybox.estimation.sandwich`); ``colour`` is theirs. Constants along an undetermined direction get an infinite
+    variance.
     """
-    n = len(variables.which)
-    covariance = np.full((n, n), np.nan)
-    if n == 0 or not np.isfinite(evaluation.cost):
-        return ParameterCovariance(covariance, ())
-    unknowns = variables.size if unknowns is None else unknowns
+    n, inside = len(variables.which), np.flatnonzero(~variables.active)
+    if not n:
+        return ParameterCovariance.unknown(variables)
     prior = variables.penalty(variables.here)[2] / 2
     known = np.diag(np.pad(prior, (0, variables.size - n)))
-    data = evaluation.hessian / 2 - known if rows is None else compute_information(variables, rows)
-    inside = np.flatnonzero(~variables.active)
-    block = np.ix_(inside, inside)
-    projector = eliminate(data + known, np.arange(n), np.arange(n, variables.size))
-    information = (projector @ data[:, :n])[block]
-    information = (information + information.T) / 2
-    held = np.diag(prior[inside])
-    inside_information = decompose_symmetric(information + held)
-    inverse = inside_information.pseudo_inverse
-    degrees = float(max(evaluation.count - unknowns + int(variables.has_prior.sum()), 1))
-    variance = float(evaluation.squares.sum()) / degrees
-    if noise_given:
-        degrees = np.inf if variance <= 1 or variance_floor is not None else degrees
-        variance = max(variance, 1.0)
-    scores, kind, inflation = variance * information, IntervalKind.GAUSS_NEWTON, np.ones(n)
-    if rows is not None:
-        colour = estimate_residual_colour(rows, unknowns, noise_given, variance_floor, policy, noise_policy)
-        scores = (projector @ estimate_score_covariance(variables, rows, colour.white) @ projector.T)[block]
-    spread = inverse @ (scores + held) @ inverse
-    if rows is not None and colour.coloured:
+    rows = residuals.rows
+    data, held = residuals.compute_information(variables), np.diag(prior[inside])
+    projector = eliminate(data + known, inside, np.arange(n, variables.size))
+    information = _symmetrise(projector @ data[:, inside])
+    decomposition = decompose_symmetric(information + held)
+    inverse = decomposition.pseudo_inverse
+    degrees = float(max(evaluation.count - colour.unknowns + int(variables.has_prior.sum()), 1))
+    if problem.noise.known and (problem.variance_floor is not None or evaluation.squares.sum() <= degrees):
+        degrees = np.inf
+    scores = projector @ estimate_score_covariance(variables, rows, colour.white) @ projector.T
+    spread, kind, inflation = inverse @ (scores + held) @ inverse, IntervalKind.GAUSS_NEWTON, np.ones(len(inside))
+    if colour.coloured:
         white = np.diag(spread)
-        scores = (projector @ estimate_score_covariance(variables, rows, colour) @ projector.T)[block]
-        other = estimate_kernel_score_covariance(variables, rows, colour, projector, policy)[block]
+        scores = projector @ estimate_score_covariance(variables, rows, colour) @ projector.T
+        other = estimate_kernel_score_covariance(variables, rows, colour, projector, policy)
         spread = raise_to_larger(*(inverse @ (middle + held) @ inverse for middle in (scores, other)))
         with np.errstate(divide="ignore", invalid="ignore"):
-            inflation[inside] = np.sqrt(np.diag(spread) / white)
+            inflation = np.sqrt(np.diag(spread) / white)
         kind, degrees = IntervalKind.SANDWICH, colour.degrees
-    spread[np.diag_indices_from(spread)] = np.where(inside_information.is_open, np.inf, np.diag(spread))
-    slopes = variables.spans[inside]
-    covariance[block] = spread * np.outer(slopes, slopes)
-    names = [variables.names[k] for k in inside]
-    directions = list_open_directions(names, inside_information)
-    return ParameterCovariance(
-        covariance, directions, kind, inflation, degrees, _placed(information, inside, n), _placed(scores, inside, n)
+    return ParameterCovariance.of(
+        variables,
+        spread,
+        decomposition,
+        kind=kind,
+        inflation=inflation,
+        degrees=degrees,
+        information=information,
+        scores=scores,
     )
 
 
-def compute_information(variables: DecisionVector, rows: Runs) -> np.ndarray:
-    """``J'J`` (size, size) of the residuals that were measured."""
-    total = np.zeros((variables.size, variables.size))
-    for e, (r, jacobian) in enumerate(rows):
-        slopes, columns = jacobian[np.isfinite(r)], variables.columns(e)
-        total[np.ix_(columns, columns)] += slopes.T @ slopes
-    return total
+def estimate_likelihood_covariance(
+    optimum: LikelihoodOptimum,
+    residuals: ResidualRows,
+    colour: ResidualColour,
+    policy: IntervalPolicy = DEFAULT_POLICY.intervals,
+) -> ParameterCovariance:
+    """Covariance of the constants and of the noise levels at the optimum, the first states estimated as well.
+
+    The observed information is half the Hessian of ``-2 log L``, by central differences of its exact gradient; where it is not positive
+    definite, the expected one. Where the innovations are correlated from sample to sample (``colour``) the model lacks something: then
+    it is the sandwich ``A^-1 B A^-1`` with Newey and West's covariance ``B`` of the scores, which for a model that lacks nothing are
+    martingale differences, but no standard deviation gets smaller by that. Constants at a bound count as fixed there.
+    """
+    v = optimum.objective.variables
+    n, inside, parts = len(v.which), np.flatnonzero(~v.active), v.split(np.arange(v.size))
+    wanted, first_states = np.concatenate([inside, parts.noise_levels]), parts.initial_states.ravel()
+    kind, whole = IntervalKind.OBSERVED_INFORMATION, compute_observed_information(optimum, policy)
+    expected = optimum.evaluation.hessian / 2
+    decomposition = decompose_symmetric(_reduce_information(expected, wanted, first_states))
+    inverse = _invert_within(_reduce_information(whole, wanted, first_states), decomposition)
+    if inverse is None:
+        kind, whole, inverse = IntervalKind.EXPECTED_INFORMATION, expected, decomposition.pseudo_inverse
+    spread = inverse
+    if colour.coloured:
+        rows = [(np.ones((len(s), 1)), s[:, None, :]) for s in residuals.scores]
+        projector = eliminate(whole, wanted, first_states)
+        scores = estimate_kernel_score_covariance(v, rows, colour, projector, policy)
+        spread, kind = raise_to_larger(inverse, inverse @ scores @ inverse), IntervalKind.SANDWICH
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inflation = np.sqrt(np.diag(spread) / np.diag(inverse))
+    data = whole - np.diag(np.pad(v.penalty(v.here)[2] / 2, (0, v.size - n)))
+    information = _reduce_information(data, inside, np.arange(n, v.size))
+    return ParameterCovariance.of(
+        v, spread, decomposition, kind=kind, inflation=inflation, information=information, scores=information
+    )
 
 
-def _placed(matrix: np.ndarray, inside: np.ndarray, n: int) -> np.ndarray:
+def compute_observed_information(optimum: LikelihoodOptimum, policy: IntervalPolicy) -> np.ndarray:
+    """Half the Hessian (size, size) of ``-2 log L`` at the optimum; an experiment's first states concern it alone."""
+    objective, v = optimum.objective, optimum.objective.variables
+    expected = np.diag(optimum.evaluation.hessian) / 2
+    steps = np.where(expected > 0, policy.difference_share / np.sqrt(np.maximum(expected, TINY)), 0.0)
+    concerned: list[list[int] | None] = [None] * v.size
+    for experiment, states in enumerate(v.split(np.arange(v.size)).initial_states):
+        for k in states:
+            concerned[k] = [experiment]
+    whole = np.zeros((v.size, v.size))
+    for k in np.flatnonzero(steps):
+        step = v.here
+        step[k] = min(steps[k], policy.longest_difference)
+        rise = objective.gradient(step, concerned[k]) - objective.gradient(-step, concerned[k])
+        whole[k] = rise / (4 * step[k])
+    places = np.arange(len(v.which))
+    whole[places, places] += v.penalty(v.here)[2] / 2
+    return _symmetrise(whole)
+
+
+def _place(matrix: np.ndarray, variables: DecisionVector) -> np.ndarray:
+    """A matrix of the constants off their bounds among all of them (nf, nf), NaN elsewhere."""
+    n, inside = len(variables.which), np.flatnonzero(~variables.active)
     whole = np.full((n, n), np.nan)
     whole[np.ix_(inside, inside)] = matrix
     return whole
@@ -151,91 +229,6 @@ def list_open_directions(names: list[str], information: SymmetricDecomposition) 
         shares = vector / vector[np.argmax(np.abs(vector))]
         result.append({name: float(w) for name, w in zip(names, shares, strict=True) if abs(w) > 1e-2})
     return tuple(result)
-
-
-@dataclass(frozen=True)
-class LikelihoodCovariance:
-    """``constants`` as `ParameterCovariance` has them; ``noise`` (ny,): standard deviation of the logarithm of each output's
-    estimated noise,
-    NaN where it was given.
-    """
-
-    constants: ParameterCovariance
-    noise: np.ndarray
-
-
-def estimate_likelihood_covariance(
-    optimum: LikelihoodOptimum,
-    policy: IntervalPolicy = DEFAULT_POLICY.intervals,
-    noise_policy: NoisePolicy = DEFAULT_POLICY.noise,
-) -> LikelihoodCovariance:
-    """Covariance of the constants and of the noise levels at the optimum, the first states estimated as well.
-
-    The observed information is half the Hessian of ``-2 log L``, by central differences of its exact gradient; where it is not positive
-    definite, the expected one. Where the innovations are correlated from sample to sample the model lacks something: then it is the
-    sandwich ``A^-1 B A^-1`` with Newey and West's covariance ``B`` of the scores, which for a model that lacks nothing are martingale
-    differences, but no standard deviation gets smaller by that. Constants at a bound count as fixed there.
-    """
-    u = optimum.cost.unknowns
-    n, ny = len(u.variables.which), len(u.level)
-    if not u.size or not optimum.status.success:
-        return LikelihoodCovariance(ParameterCovariance(np.full((n, n), np.nan), ()), np.full(ny, np.nan))
-    inside = np.flatnonzero(~u.variables.active)
-    k = len(inside)
-    wanted = np.concatenate([inside, np.arange(u.variables.size, u.size)])
-    first_states = np.arange(n, u.variables.size)
-    kind, whole = IntervalKind.OBSERVED_INFORMATION, compute_observed_information(optimum, policy)
-    expected = optimum.evaluation.hessian / 2
-    projector = eliminate(expected, wanted, first_states)
-    expected_information = decompose_symmetric(_symmetrise(projector @ expected[:, wanted]))
-    inverse = expected_information.pseudo_inverse
-    observed = _invert_within(_reduce_information(whole, wanted, first_states), expected_information)
-    if observed is None:
-        kind, whole = IntervalKind.EXPECTED_INFORMATION, expected
-    else:
-        inverse, projector = observed, eliminate(whole, wanted, first_states)
-    covariance, inflation = inverse.copy(), np.ones(n)
-    innovations = optimum.cost.innovations()
-    colour = estimate_residual_colour([(r, r) for r in innovations], 0, True, policy=policy, noise_policy=noise_policy)
-    if colour.coloured:
-        rows = [(np.ones((len(s), 1)), s[:, None, :]) for s in optimum.cost.scores()]
-        covariance = raise_to_larger(
-            inverse, inverse @ estimate_kernel_score_covariance(u, rows, colour, projector, policy) @ inverse
-        )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inflation[inside] = np.sqrt(np.diag(covariance) / np.diag(inverse))[:k]
-        kind = IntervalKind.SANDWICH
-    open_variance = np.where(expected_information.is_open, np.inf, np.diag(covariance))
-    covariance[np.diag_indices_from(covariance)] = open_variance
-    result, information = np.full((n, n), np.nan), np.full((n, n), np.nan)
-    block, spans = np.ix_(inside, inside), u.variables.spans[inside]
-    result[block] = covariance[:k, :k] * np.outer(spans, spans)
-    data = whole - np.diag(np.pad(u.variables.penalty(u.variables.here)[2] / 2, (0, u.size - n)))
-    information[block] = _reduce_information(data, inside, np.arange(n, u.size))
-    names = [u.variables.names[j] for j in inside] + [""] * (len(wanted) - k)
-    directions = list_open_directions(names, expected_information)
-    noise = np.full(ny, np.nan)
-    noise[u.estimated] = np.sqrt(np.diag(covariance)[k:])
-    return LikelihoodCovariance(
-        ParameterCovariance(result, directions, kind, inflation, np.inf, information, information), noise
-    )
-
-
-def compute_observed_information(optimum: LikelihoodOptimum, policy: IntervalPolicy) -> np.ndarray:
-    """Half the Hessian (size, size) of ``-2 log L`` at the optimum; an experiment's first states concern it alone."""
-    cost, u = optimum.cost, optimum.cost.unknowns
-    expected = np.diag(optimum.evaluation.hessian) / 2
-    steps = np.where(expected > 0, policy.difference_share / np.sqrt(np.maximum(expected, TINY)), 0.0)
-    whole = np.zeros((u.size, u.size))
-    each, n = len(u.variables.free_states), len(u.variables.which)
-    for k in np.flatnonzero(steps):
-        step = np.zeros(u.size)
-        step[k] = min(steps[k], policy.longest_difference)
-        concerned = [int(k - n) // each] if n <= k < u.variables.size else None
-        whole[k] = (cost.gradient(step, concerned) - cost.gradient(-step, concerned)) / (4 * step[k])
-    places = np.arange(n)
-    whole[places, places] += u.variables.penalty(u.variables.here)[2] / 2
-    return _symmetrise(whole)
 
 
 def _reduce_information(information: np.ndarray, wanted: np.ndarray, others: np.ndarray) -> np.ndarray:

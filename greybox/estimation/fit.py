@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.errors import FitError, ModelError, nearest
-from greybox.estimation.covariance import estimate_covariance
 from greybox.estimation.estimates import (
     check_priors,
     locate_fitted,
@@ -24,34 +23,31 @@ from greybox.estimation.fit_issues import (
     find_status_details,
     find_validation_issues,
 )
-from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
-from greybox.estimation.parameter_constancy import find_solution_shifts
-from greybox.estimation.prediction_error_fit import fit_by_prediction
-from greybox.estimation.robust_estimation import refit_robustly, summarise_outliers
-from greybox.estimation.sandwich import estimate_residual_colour
-from greybox.estimation.step_size_sensitivity import measure_discretisation_shift, polish_by_gauss_newton
-from greybox.estimation.traces import compute_misfits, make_traces, to_noise_by_output
+from greybox.estimation.noise_loop import estimate_by_simulation_error, summarise_outliers
+from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
+from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
+from greybox.estimation.prediction_error import estimate_by_prediction_error
+from greybox.estimation.process_noise_tests import likelihood_ratio_tests, set_intensity_limits
 from greybox.estimation.validate import validate
 from greybox.estimation.versions import read_versions
 from greybox.experiment import Experiment
 from greybox.experiment.time_gaps import refuse_long_time_gaps
 from greybox.model import Model
 from greybox.model.equations import equations_text
-from greybox.noise import AutoRegression, NoiseModel, NoiseSource
+from greybox.noise import NoiseModel
 from greybox.result import (
     Fit,
     FitConstraints,
     FitDiscretisation,
     FitNoise,
     FitUncertainty,
+    PredictionReport,
     Provenance,
     SolverReport,
 )
-from greybox.transcription.policy import JoiningPolicy
-from greybox.transcription.problem import prepare_problem
 from greybox.transcription.progress import FitProgressCallback
 from greybox.transcription.records import to_experiments
-from greybox.transcription.solve import Solution, solve
+from greybox.transcription.strategy import make_strategy
 
 
 def fit(
@@ -136,166 +132,109 @@ def fit(
     if colour not in list(ColourTreatment):
         raise ModelError(f"unknown colour {colour!r}; {nearest(colour, list(map(str, ColourTreatment)))}")
     judges = to_experiments(validation) if validation else ()  # refused before the work is done, and not after it
+    optimum: Optimum
     if model.noisy_states:
         if colour == ColourTreatment.RESIDUAL:
             raise ModelError(
                 "colour 'residual': process noise makes the innovations white; leave out the colour, or the process noise"
             )
-        result = fit_by_prediction(model, experiments, noise, quiet, options, report, initial)
-        return _add_validation(result, judges, skip, options, raise_on_failure)
-    problem = prepare_problem(
-        model,
-        experiments,
-        noise,
-        at_rest=options.at_rest,
-        method=options.method,
-        substeps=options.substeps,
-        quiet=quiet,
-        per_experiment=options.per_experiment,
-        robust=options.robust,
-        initial=initial,
-        policy=options.policy,
-    )
-    if not problem.step.per_interval:
-        refuse_long_time_gaps(judges)
-    if colour == ColourTreatment.WHITE:
-        problem = problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in model.outputs)))
-    solution = solve(problem, options, report)
-    if NoiseSource.RESIDUAL in problem.noise.sources.values() and solution.status.success:
-        solution = _weigh_by_residual(solution, options, report)
-    solution = refit_robustly(solution, options, report)
-    if colour == ColourTreatment.RESIDUAL and solution.status.success:
-        solution = refit_robustly(_whiten_by_residual(solution, options, report), options, report)
-    solution = polish_by_gauss_newton(solution, options.policy.convergence)
-    return _add_validation(_to_fit(model, solution, options), judges, skip, options, raise_on_failure)
-
-
-def _add_validation(
-    result: Fit, validation: Experiment | Sequence[Experiment], skip: int, options: FitOptions, raise_on_failure: bool
-) -> Fit:
-    """``result`` with its misfit on validation records; FitError for a failure that is to be raised."""
-    if validation and result.success:
-        judged = validate(result.model, validation, noise=result.noise.std, skip=skip, options=options)
+        estimate = estimate_by_prediction_error(
+            model, experiments, noise, options, report, quiet=quiet, initial=initial
+        )
+        tests = likelihood_ratio_tests(estimate.optimum, estimate.names, estimate.zero, estimate.sizes, options)
+        optimum = PredictionOptimum(model, estimate.solution, options.policy, tests, maximum=estimate.optimum)
+    else:
+        problem = prepare_estimation(model, experiments, noise, options, quiet=quiet, initial=initial)
+        if not problem.step.per_interval:
+            refuse_long_time_gaps(judges)
+        solution = estimate_by_simulation_error(problem, options, colour, report)
+        optimum = SimulationOptimum(model, solution, options.policy)
+    result = assemble_fit(optimum, options)
+    if judges and result.success:
+        judged = validate(result.model, judges, noise=result.noise.std, skip=skip, options=options)
         issues = find_validation_issues(result.misfit, judged.misfit, options.policy)
         result = replace(result, validation=judged, findings=(*result.findings, *issues))
     if raise_on_failure and not result.success:
-        raise FitError(f"fit of {result.model.title}: {result.solver.status_message}")
+        raise FitError(f"fit of {model.title}: {result.solver.status_message}")
     return result
 
 
-def _weigh_by_residual(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
-    """The fit repeated with the residual's own size as the noise of the outputs whose noise nothing else tells."""
-    problem, evaluation = solution.problem, solution.evaluation
-    counts = np.maximum(evaluation.counts, 1)
-    size = np.sqrt(evaluation.squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
-    by_residual = np.array([problem.noise.sources.get(o.name) is NoiseSource.RESIDUAL for o in problem.model.outputs])
-    least = options.policy.noise.min_relative_level
-    std = problem.noise.std * np.where(by_residual & (size > 0), np.maximum(size, least), 1.0)
-    weighted = replace(problem.with_noise(replace(problem.noise, std=std)), variables=solution.variables)
-    return solve(weighted, replace(options, progressive=False), report)
-
-
-def _whiten_by_residual(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
-    """The fit repeated with the noise coloured as the residual is, where its colour is not known already."""
-    problem, variables = solution.problem, solution.variables
-    residual = estimate_residual_colour(
-        solution.residuals(),
-        solution.unknowns,
-        problem.noise.known,
-        policy=options.policy.intervals,
-        noise_policy=options.policy.noise,
-    )
-    models = tuple(
-        known if known.order else estimated
-        for known, estimated in zip(problem.noise.colour, residual.models, strict=True)
-    )
-    if all(a is b for a, b in zip(models, problem.noise.colour, strict=True)):
-        return solution
-    coloured = replace(problem.with_noise(replace(problem.noise, colour=models)), variables=variables)
-    return solve(coloured, replace(options, progressive=False), report)
-
-
-def _to_fit(model: Model, solution: Solution, options: FitOptions) -> Fit:
-    problem, variables, policy = solution.problem, solution.variables, options.policy
-    traces, rows = make_traces(problem, solution.simulate()), solution.residuals()
-    misfit = compute_misfits(problem, traces)
-    covariance = estimate_covariance(
-        variables,
-        solution.evaluation,
-        problem.noise.known,
-        rows,
-        solution.unknowns,
-        problem.variance_floor,
-        policy.intervals,
-        policy.noise,
-    )
-    parameters, priors = to_estimates(variables, covariance), check_priors(variables, covariance)
+def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
+    """The result of an estimation, by simulation error or by prediction error."""
+    model, problem, variables, covariance = optimum.model, optimum.problem, optimum.variables, optimum.covariance
+    misfit, search, solution = optimum.misfit, optimum.search, optimum.solution
+    prediction = optimum if isinstance(optimum, PredictionOptimum) else None
+    measured = [(j, o) for j, o in enumerate(model.outputs) if o.name in misfit]
+    parameters = set_intensity_limits(to_estimates(variables, covariance), optimum.tests)
+    priors = check_priors(variables, covariance)
     per_experiment, tied = to_experiment_estimates(variables, covariance), to_tied_estimates(variables, covariance)
-    robust = summarise_outliers(solution)
-    step_shift = measure_discretisation_shift(solution, np.sqrt(np.diag(covariance.covariance)))
-    shifts = find_solution_shifts(solution, rows, policy)
+    robust = summarise_outliers(problem, optimum.runs)
+    free, matrix = _to_named_covariance(optimum)
     findings = (
-        *find_fit_issues(solution, covariance, parameters, misfit, traces, shifts, step_shift, policy),
-        *find_option_issues(problem, tied, per_experiment, priors, robust, policy),
+        *find_fit_issues(optimum, parameters),
+        *find_option_issues(problem, tied, per_experiment, priors, robust, options.policy),
     )
-    measured = [j for j, o in enumerate(model.outputs) if o.name in misfit]
-    inflation = np.ones(len(variables.names)) if covariance.inflation is None else covariance.inflation
+    estimated_noise = [model.outputs[j] for j in variables.estimated_noise]
     return Fit(
-        model=model.start(**{name: float(variables.fixed[k]) for k, name in enumerate(model.values)}),
+        model=optimum.fitted_model,
         parameters=parameters,
         misfit=misfit,
-        traces=traces,
+        traces=optimum.traces,
         solver=SolverReport(
-            str(solution.status),
-            solution.status.success,
-            float(solution.evaluation.cost),
-            _collect_statistics(solution, options.policy.joining),
-            solution.strategy,
-            find_status_details(solution, misfit),
+            str(optimum.status),
+            optimum.status.success,
+            float(optimum.evaluation.cost),
+            {
+                "optimiser": "IPOPT",
+                "ipopt_status": search.solver_status,
+                "iterations": search.iterations,
+                "passes": search.evaluations,
+                "seconds": search.seconds,
+                "record_shares": [1.0] if prediction else list(solution.shares),
+                "transcription": "prediction" if prediction else solution.transcription,
+                "free_run": not prediction and solution.is_free_run(options.policy.joining),
+                "method": problem.method,
+                "kernel": (prediction.maximum.objective.kalman.kernel if prediction else problem.kernel).name,
+                "substeps": problem.step.substeps,
+            },
+            make_strategy("prediction", exact=prediction.is_exact) if prediction else solution.strategy,
+            find_status_details(optimum),
         ),
         noise=FitNoise(
-            to_noise_by_output(problem, misfit),
+            {o.name: float(problem.noise.std[j]) for j, o in measured},
             dict(problem.noise.sources),
+            {o.name: problem.noise.colour[j].reflection for j, o in measured},
+            dict(zip((o.name for o in estimated_noise), covariance.log_noise.tolist(), strict=False)),
+            {o.name: o.unit for o in estimated_noise},
             {
-                o.name: a.reflection
-                for o, a in zip(model.outputs, problem.noise.colour, strict=True)
-                if o.name in misfit
-            },
-            bounds={
                 o.name: replace(bound, level=float(problem.noise.std[j]))
-                for j, o in enumerate(model.outputs)
-                if o.name in misfit and (bound := problem.noise.bound(o.name)) is not None
+                for j, o in measured
+                if not prediction and (bound := problem.noise.bound(o.name)) is not None
             },
         ),
         uncertainty=FitUncertainty(
-            tuple(model.all_parameters[k].name for k in locate_fitted(variables)),
-            to_model_covariance(variables, covariance.covariance),
-            covariance.kind,
-            dict(zip(variables.names, inflation.tolist(), strict=True)),
+            free, matrix, covariance.kind, dict(zip(variables.names, covariance.inflation.tolist(), strict=True))
         ),
         discretisation=FitDiscretisation(
-            solution.discretisation or problem.step.label,
-            {model.outputs[j].name: float(solution.integration_error[j]) for j in measured},
-            dict(zip(variables.names, step_shift.tolist(), strict=True)),
+            optimum.discretisation,
+            {o.name: float(solution.integration_error[j]) for j, o in measured},
+            dict(zip(variables.names, optimum.step_shift.tolist(), strict=True)),
         ),
         provenance=Provenance(options.to_data(), equations_text(model), read_versions()),
         constraints=FitConstraints({tie.name: tie.formula for tie in model.ties}, tied, per_experiment, priors),
         robust=robust,
+        prediction=prediction.report() if prediction else PredictionReport(),
         findings=add_record_findings(findings, problem.experiments),
     )
 
 
-def _collect_statistics(solution: Solution, policy: JoiningPolicy) -> dict[str, object]:
-    return {
-        "optimiser": "IPOPT",
-        "ipopt_status": solution.solver_status,
-        "iterations": solution.iterations,
-        "passes": solution.evaluations,
-        "seconds": solution.seconds,
-        "record_shares": list(solution.shares),
-        "transcription": solution.transcription,
-        "free_run": solution.is_free_run(policy),
-        "method": solution.problem.method,
-        "kernel": solution.problem.kernel.name,
-        "substeps": solution.problem.step.substeps,
-    }
+def _to_named_covariance(optimum: Optimum) -> tuple[tuple[str, ...], np.ndarray]:
+    """The parameters that were free in the order of the model, and their covariance; NaN for an intensity that became zero."""
+    everything, variables = optimum.model.all_parameters, optimum.variables
+    estimated = [everything[k].name for k in locate_fitted(variables)]
+    zero = [test.name for test in optimum.tests if test.value == 0]
+    free = tuple(q.name for q in everything if q.name in (*estimated, *zero))
+    matrix = np.full((len(free), len(free)), np.nan)
+    places = [free.index(name) for name in estimated]
+    matrix[np.ix_(places, places)] = to_model_covariance(variables, optimum.covariance.covariance)
+    return free, matrix

@@ -8,13 +8,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.estimation.covariance import LikelihoodCovariance, ParameterCovariance
+from greybox.estimation.covariance import ParameterCovariance
 from greybox.estimation.findings import EstimationCode
-from greybox.estimation.likelihood_search import LikelihoodOptimum
+from greybox.estimation.noise_loop import compute_noise_ratios
+from greybox.estimation.optimum import Optimum, PredictionOptimum
 from greybox.estimation.parameter_constancy import ParameterShift
 from greybox.estimation.policy import EstimationPolicy
 from greybox.estimation.process_noise_tests import ProcessNoiseTest
-from greybox.estimation.robust_estimation import compute_noise_ratios
 from greybox.estimation.simulation_failure import locate_simulation_failure
 from greybox.experiment import Experiment, collect_record_findings
 from greybox.experiment.findings import is_sensor_fault
@@ -24,118 +24,89 @@ from greybox.noise import BoundDirection, NoiseSource
 from greybox.result import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.transcription import DecisionVector
 from greybox.transcription.problem import EstimationProblem
-from greybox.transcription.solution import Solution
 
 
-def find_status_details(solution: Solution, misfit: Mapping[str, Misfit]) -> tuple[Finding, ...]:
-    """Why a run broke off, or the largest misfit over noise: a wrong model converges too."""
-    if solution.evaluation.failed:
-        return (locate_simulation_failure(solution.problem, solution.variables, *solution.evaluation.failed),)
-    if not misfit:
+def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
+    """Why a run broke off, or the largest misfit over noise: a wrong model converges too.
+
+    For a filter it is the largest error one step ahead with that of the free run beside it.
+    """
+    misfit, failed = optimum.misfit, optimum.evaluation.failed
+    if isinstance(optimum, PredictionOptimum):
+        if failed:
+            return (Finding(EstimationCode.FILTER_NOT_FINITE, Severity.ERROR, "", {"experiment": failed[0] + 1}),)
+        ratios = {name: m.noise_ratio for name, m in optimum.one_step.items()}
+    else:
+        if failed:
+            return (locate_simulation_failure(optimum.problem, optimum.variables, *failed),)
+        ratios = compute_noise_ratios(optimum.problem, misfit)
+    if not ratios:
         return ()
-    ratios = compute_noise_ratios(solution, misfit)
     worst = max(ratios, key=lambda name: ratios[name])
-    bound = solution.problem.noise.bound(worst)
+    if isinstance(optimum, PredictionOptimum):
+        values = {"one_step": ratios[worst], "free_run": misfit[worst].noise_ratio}
+        return (Finding(EstimationCode.PREDICTION_RATIO, Severity.NOTE, worst, values),)
+    bound = optimum.problem.noise.bound(worst)
     values = {
         "ratio": ratios[worst],
-        "without_outliers": bool(solution.problem.loss),
+        "without_outliers": bool(optimum.problem.loss),
         "noise_at_most": bound is not None and bound.direction is BoundDirection.AT_MOST,
     }
     return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values),)
 
 
-def find_likelihood_status_details(
-    optimum: LikelihoodOptimum, one_step: Mapping[str, Misfit], free_run: Mapping[str, Misfit]
-) -> tuple[Finding, ...]:
-    """Why the filter broke off, or the largest error one step ahead with that of the free run beside it."""
-    if optimum.evaluation.failed:
-        experiment = optimum.evaluation.failed[0] + 1
-        return (Finding(EstimationCode.FILTER_NOT_FINITE, Severity.ERROR, "", {"experiment": experiment}),)
-    if not one_step:
-        return ()
-    worst = max(one_step, key=lambda name: one_step[name].noise_ratio)
-    values = {"one_step": one_step[worst].noise_ratio, "free_run": free_run[worst].noise_ratio}
-    return (Finding(EstimationCode.PREDICTION_RATIO, Severity.NOTE, worst, values),)
+def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tuple[Finding, ...]:
+    """Findings about the end of an estimation, the most important first.
 
-
-def find_fit_issues(
-    solution: Solution,
-    covariance: ParameterCovariance,
-    estimates: Mapping[str, Estimate],
-    misfit: Mapping[str, Misfit],
-    traces: Sequence[Trace],
-    shifts: Sequence[ParameterShift],
-    step_shift: np.ndarray,
-    policy: EstimationPolicy,
-) -> tuple[Finding, ...]:
-    """Findings about a fit by simulation error, the most important first.
-
-    ``shifts``: parameters that are not constant; ``step_shift`` (nf,): change of each free parameter with half the step, in its
-    standard deviations.
+    A free run is held against the noise; a prediction corrects what it lacks, so its process noise is judged instead.
     """
-    limits = policy.reporting
-    result = list(_find_other_plant(misfit, policy))
+    limits, predicts = optimum.policy.reporting, isinstance(optimum, PredictionOptimum)
+    covariance, misfit = optimum.covariance, optimum.misfit
+    tested = [test.name for test in optimum.tests]
+    zero = [test.name for test in optimum.tests if test.value == 0]
+    at_bound = [n for n, e in estimates.items() if e.at_bound and n not in zero]
+    wide = [n for n, e in estimates.items() if e.std is not None and not (e.at_bound or e.determined or n in tested)]
+    result = [] if predicts else _find_other_plant(misfit, optimum.policy)
     result += _find_undetermined_directions(covariance)
-    at_bound = [name for name, e in estimates.items() if e.at_bound]
-    wide = [n for n, e in estimates.items() if e.std is not None and not e.at_bound and not e.determined]
     result += _list_parameters(EstimationCode.STOPPED_BY_BOUND, at_bound)
     result += _list_parameters(EstimationCode.PARAMETER_UNDETERMINED, wide)
-    result += _find_excess_misfit(solution, misfit, policy)
-    result += _find_shifts(shifts, limits.listed_shifts)
-    correlated = [
-        n
-        for n, m in misfit.items()
-        if m.noise_ratio > limits.least_noise_ratio and compute_lag_one_correlation(traces, n) > limits.correlation
-    ]
-    inflation = covariance.inflation
-    if (
-        covariance.kind == IntervalKind.SANDWICH
-        and correlated
-        and inflation is not None
-        and np.isfinite(inflation).any()
-    ):
-        values = {"outputs": correlated, "inflation": float(np.nanmax(inflation))}
-        result.append(Finding(EstimationCode.RESIDUAL_CORRELATED, Severity.NOTE, "", values))
-    error = dict(zip((o.name for o in solution.problem.model.outputs), solution.integration_error, strict=True))
+    result += [] if predicts else _find_excess_misfit(optimum.problem, misfit, optimum.policy)
+    result += _find_shifts(optimum.parameter_shifts, limits.listed_shifts)
+    result += [_judge_process_noise(optimum, test, estimates[test.name]) for test in optimum.tests]
+    result += _find_correlation(optimum)
+    if predicts and optimum.solution.problem.noise.coloured:
+        result.append(Finding(EstimationCode.NOISE_COLOUR_IGNORED))
+    outputs = [o.name for o in optimum.problem.model.outputs]
+    error = dict(zip(outputs, optimum.solution.integration_error, strict=True))
     coarse = [
         n
         for n, m in misfit.items()
         if error[n] > limits.integration_error and error[n] > limits.integration_share * m.noise_ratio
     ]
-    if coarse:
+    if coarse and not predicts:
         result.append(Finding(EstimationCode.INTEGRATION_TOO_COARSE, Severity.WARNING, "", {"outputs": coarse}))
-    result += _find_step_shifts(_find_moved_by_step(solution.variables, covariance, step_shift, policy))
+    moved = _find_moved_by_step(optimum.variables, covariance, optimum.step_shift, optimum.policy)
+    if moved:
+        result.append(Finding(EstimationCode.STEP_MOVES_PARAMETERS, Severity.WARNING, "", {"shifts": moved}))
     return tuple(result)
 
 
-def find_likelihood_issues(
-    model: Model,
-    problem: EstimationProblem,
-    covariance: LikelihoodCovariance,
-    estimates: Mapping[str, Estimate],
-    intensities: Sequence[ProcessNoiseTest],
-    step_shift: Mapping[str, float],
-    shifts: Sequence[ParameterShift],
-    policy: EstimationPolicy,
-) -> tuple[Finding, ...]:
-    """Findings about a fit by prediction error, the most important first; ``model`` has the fitted values."""
-    result = _find_undetermined_directions(covariance.constants)
-    tested = [i.name for i in intensities]
-    zero = [i.name for i in intensities if i.value == 0]
-    at_bound = [name for name, e in estimates.items() if e.at_bound and name not in zero]
-    wide = [n for n, e in estimates.items() if e.std is not None and not (e.at_bound or e.determined or n in tested)]
-    result += _list_parameters(EstimationCode.STOPPED_BY_BOUND, at_bound)
-    result += _list_parameters(EstimationCode.PARAMETER_UNDETERMINED, wide)
-    result += _find_shifts(shifts, policy.reporting.listed_shifts)
-    result += [_judge_process_noise(model, problem, i, estimates[i.name]) for i in intensities]
-    inflation = covariance.constants.inflation
-    if covariance.constants.kind == IntervalKind.SANDWICH and inflation is not None and np.isfinite(inflation).any():
-        values = {"inflation": float(np.nanmax(inflation))}
-        result.append(Finding(EstimationCode.INNOVATIONS_CORRELATED, Severity.WARNING, "", values))
-    if problem.noise.coloured:
-        result.append(Finding(EstimationCode.NOISE_COLOUR_IGNORED))
-    result += _find_step_shifts({n: s for n, s in step_shift.items() if s > policy.reporting.step_shift})
-    return tuple(result)
+def _find_correlation(optimum: Optimum) -> list[Finding]:
+    """Residuals or innovations that are correlated from sample to sample, and what the intervals allow for them."""
+    covariance, limits = optimum.covariance, optimum.policy.reporting
+    if covariance.kind != IntervalKind.SANDWICH or not np.isfinite(covariance.inflation).any():
+        return []
+    inflation = float(np.nanmax(covariance.inflation))
+    if isinstance(optimum, PredictionOptimum):
+        return [Finding(EstimationCode.INNOVATIONS_CORRELATED, Severity.WARNING, "", {"inflation": inflation})]
+    correlated = [
+        n
+        for n, m in optimum.misfit.items()
+        if m.noise_ratio > limits.least_noise_ratio
+        and compute_lag_one_correlation(optimum.traces, n) > limits.correlation
+    ]
+    values = {"outputs": correlated, "inflation": inflation}
+    return [Finding(EstimationCode.RESIDUAL_CORRELATED, Severity.NOTE, "", values)] if correlated else []
 
 
 def find_option_issues(
@@ -249,13 +220,15 @@ def _find_undetermined_directions(covariance: ParameterCovariance) -> list[Findi
     ]
 
 
-def _find_excess_misfit(solution: Solution, misfit: Mapping[str, Misfit], policy: EstimationPolicy) -> list[Finding]:
+def _find_excess_misfit(
+    problem: EstimationProblem, misfit: Mapping[str, Misfit], policy: EstimationPolicy
+) -> list[Finding]:
     """Misfit above the noise; what it means depends on how the noise is known."""
-    ratios = compute_noise_ratios(solution, misfit)
+    ratios = compute_noise_ratios(problem, misfit)
     louder = {n: ratio for n, ratio in ratios.items() if ratio > policy.excess.noise_ratio}
     if not louder:
         return []
-    sources = solution.problem.noise.sources
+    sources = problem.noise.sources
     uncertain = all(
         sources.get(n) is NoiseSource.DIFFERENCES and ratio < policy.excess.difference_noise_ratio
         for n, ratio in louder.items()
@@ -281,12 +254,6 @@ def _find_shifts(shifts: Sequence[ParameterShift], listed: int) -> list[Finding]
     return [Finding(EstimationCode.PARAMETER_NOT_CONSTANT, Severity.WARNING, "", {"shifts": values})]
 
 
-def _find_step_shifts(shifts: Mapping[str, float]) -> list[Finding]:
-    if not shifts:
-        return []
-    return [Finding(EstimationCode.STEP_MOVES_PARAMETERS, Severity.WARNING, "", {"shifts": dict(shifts)})]
-
-
 def _find_moved_by_step(
     variables: DecisionVector, covariance: ParameterCovariance, shift: np.ndarray, policy: EstimationPolicy
 ) -> dict[str, float]:
@@ -299,11 +266,9 @@ def _find_moved_by_step(
     return {variables.names[k]: float(shift[k]) for k in np.flatnonzero(moved)}
 
 
-def _judge_process_noise(
-    model: Model, problem: EstimationProblem, test: ProcessNoiseTest, estimate: Estimate
-) -> Finding:
+def _judge_process_noise(optimum: Optimum, test: ProcessNoiseTest, estimate: Estimate) -> Finding:
     """One intensity: where it acts, how sure it is, and what it means."""
-    driven = find_driven_balances(model, test.name)
+    driven = find_driven_balances(optimum.fitted_model, test.name)
     values: dict[str, Any] = {
         "states": list(driven),
         "balances": list(dict.fromkeys(balance for balance, _, _ in driven.values())),
@@ -315,7 +280,8 @@ def _judge_process_noise(
     if not test.significant:
         values["p_value"] = test.p_value
         return Finding(EstimationCode.PROCESS_NOISE_NOT_SIGNIFICANT, Severity.NOTE, test.name, values)
-    period = float(np.median(np.concatenate([r.h for r in problem.records])) * problem.records[0].rows_per_sample)
+    records = optimum.problem.records
+    period = float(np.median(np.concatenate([r.h for r in records])) * records[0].rows_per_sample)
     values |= {
         "intensity": estimate.value,
         "ratio": test.ratio,

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
+from greybox.estimation.objective import Objective, PredictionErrorObjective
 from greybox.estimation.options import FitOptions
 from greybox.estimation.policy import LikelihoodSearchPolicy
-from greybox.estimation.prediction_error import PredictionErrorObjective
-from greybox.numerics import AT_BOUND, RANK_CUTOFF, TINY
 from greybox.optim import TerminationStatus, minimise
+from greybox.optim.termination import Termination
 from greybox.transcription import Evaluation
 from greybox.transcription.progress import FitProgress, FitProgressCallback
+
+ObjectiveT = TypeVar("ObjectiveT", bound=Objective)
 
 
 @dataclass(frozen=True)
 class LikelihoodOptimum:
-    """The optimum: ``cost`` with ``z = 0`` there, its evaluation, how the search ended, and the work it took."""
+    """The optimum: ``objective`` with ``z = 0`` there, its evaluation, how the search ended, and the work it took."""
 
-    cost: PredictionErrorObjective
+    objective: PredictionErrorObjective
     evaluation: Evaluation
     status: TerminationStatus
-    word: str
+    solver_status: str
     iterations: int
     evaluations: int
     seconds: float
@@ -38,21 +41,15 @@ def maximise_likelihood(
     cost: PredictionErrorObjective, options: FitOptions, report: FitProgressCallback | None = None
 ) -> LikelihoodOptimum:
     """The most likely unknowns, from ``z = 0`` of ``cost`` on."""
-    begin = cost.evaluate(np.zeros(cost.unknowns.size))
+    begin = cost.evaluate(cost.variables.here)
     if not np.isfinite(begin.cost):
         return LikelihoodOptimum(cost, begin, TerminationStatus.NO_START, "", 0, 1, 0.0)
-    if not cost.unknowns.size:
+    if not cost.variables.size:
         return LikelihoodOptimum(cost, begin, TerminationStatus.CONVERGED, "", 0, 1, 0.0)
-    cost = cost.at(cost.unknowns.rescale(max(begin.count, 1), np.diag(begin.hessian) / 2))
-    low, high = cost.unknowns.bounds()
-    policy, costs = options.policy.likelihood_search, list[float]()
-
-    def finished(z: np.ndarray, e: Evaluation) -> TerminationStatus | None:
-        if predicted_decrease(e, compute_scoring_step(e, low - z, high - z)) <= policy.negligible_decrease:
-            return TerminationStatus.CONVERGED
-        costs.append(e.cost)
-        flat = len(costs) > policy.patience and costs[-1 - policy.patience] - e.cost <= policy.little_gain
-        return TerminationStatus.ACCEPTABLE if flat else None
+    cost = cost.at(cost.variables.rescale(float(max(begin.count, 1)), np.diag(begin.hessian) / 2))
+    low, high = cost.variables.bounds()
+    policy = options.policy.likelihood_search
+    termination = Termination(policy.termination, low, high)
 
     def progress(iteration: int, _: float) -> None:
         if report:
@@ -60,25 +57,25 @@ def maximise_likelihood(
 
     outcome = minimise(
         cost.evaluate,
-        np.zeros(cost.unknowns.size),
+        cost.variables.here,
         low,
         high,
         scale=float(max(begin.count, 1)),
         tolerance=options.tolerance,
         iterations=options.iterations,
-        termination_test=finished,
+        termination_test=termination.test,
         thorough=False,
         progress=progress,
         policy=options.policy.minimisation,
     )
     polished, status = (
-        fisher_scoring(cost.at(cost.unknowns.moved(outcome.z)), policy, policy.last_digits),
+        fisher_scoring(cost.at(cost.variables.recentre(outcome.z)), policy, policy.last_digits),
         outcome.status,
     )
     if polished.status.success and not status.success and status is not TerminationStatus.INTERRUPTED:
         status = TerminationStatus.CONVERGED
     return LikelihoodOptimum(
-        polished.cost,
+        polished.objective,
         polished.evaluation,
         status,
         outcome.solver_status,
@@ -95,20 +92,20 @@ def fisher_scoring(
 
     Ends where a step promises to lower -2 log L by less than ``negligible``, or none lowers it: stuck, if much was promised.
     """
-    negligible = policy.negligible_decrease if negligible is None else negligible
-    evaluation, passes = cost.evaluate(np.zeros(cost.unknowns.size)), 1
+    negligible = policy.termination.negligible_decrease if negligible is None else negligible
+    evaluation, passes = cost.evaluate(cost.variables.here), 1
     if not np.isfinite(evaluation.cost):
         return LikelihoodOptimum(cost, evaluation, TerminationStatus.NO_START, "", 0, passes, 0.0)
     decrease = np.inf
     for _ in range(policy.scoring_steps):
-        low, high = cost.unknowns.bounds()
-        step = compute_scoring_step(evaluation, low, high)
-        decrease = predicted_decrease(evaluation, step)
+        low, high = cost.variables.bounds()
+        step = evaluation.bounded_step(low, high)
+        decrease = evaluation.decrease_along(step)
         if decrease <= negligible:
             break
         for share in 0.5 ** np.arange(policy.halvings):
             z = np.clip(share * step, np.minimum(low, 0.0), np.maximum(high, 0.0))
-            moved = cost.at(cost.unknowns.moved(z))
+            moved = cost.at(cost.variables.recentre(z))
             after = moved.evaluate(np.zeros(len(z)))
             passes += 1
             if after.cost < evaluation.cost:
@@ -118,70 +115,42 @@ def fisher_scoring(
             break
     status = (
         TerminationStatus.CONVERGED
-        if decrease <= max(negligible, policy.negligible_decrease)
+        if decrease <= max(negligible, policy.termination.negligible_decrease)
         else TerminationStatus.STUCK
     )
     return LikelihoodOptimum(cost, evaluation, status, "", 0, passes, 0.0)
 
 
-def compute_scoring_step(evaluation: Evaluation, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The step (size,) to the minimum of the quadratic model of the cost within bounds, by an active set.
-
-    ``low`` and ``high`` are the distances to the bounds. Undetermined directions stay. An intensity of process noise near zero has next to
-    no curvature and a large step: what its bound cuts off must count neither as a step nor as a promise.
-    """
-    g, h = evaluation.gradient, evaluation.hessian
-    low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
-    step, inside = np.zeros(len(g)), ~((low >= -AT_BOUND) & (g > 0) | (high <= AT_BOUND) & (g < 0))
-    while inside.any():
-        block = h[np.ix_(inside, inside)]
-        slope = g[inside] + h[np.ix_(inside, ~inside)] @ step[~inside]
-        scale = np.sqrt(np.maximum(np.diag(block), TINY))
-        free = -np.linalg.lstsq(block / np.outer(scale, scale), slope / scale, rcond=RANK_CUTOFF)[0] / scale
-        step[inside] = np.clip(free, low[inside], high[inside])
-        beyond = inside.copy()
-        beyond[inside] = step[inside] != free
-        if not beyond.any():
-            break
-        inside &= ~beyond
-    return step
-
-
-def predicted_decrease(evaluation: Evaluation, step: np.ndarray) -> float:
-    """By how much the quadratic model of the cost falls along ``step``."""
-    return -float(evaluation.gradient @ step + 0.5 * step @ evaluation.hessian @ step)
-
-
-def hold_parameters(cost: PredictionErrorObjective, values: Mapping[str, float]) -> PredictionErrorObjective:
+def hold_parameters(cost: ObjectiveT, values: Mapping[str, float]) -> ObjectiveT:
     """The same cost with some constants held at ``values``, in every experiment."""
-    v = cost.unknowns.variables
+    v = cost.variables
     names = [q.name for q in v.model.all_parameters]
     places = [names.index(name) for name in values]
     fixed = v.fixed.copy()
     fixed[places] = list(values.values())
-    return cost.at(replace(cost.unknowns, variables=replace(v, fixed=fixed).hold(np.isin(v.which, places))))
+    return cost.at(replace(v, fixed=fixed).hold(np.isin(v.which, places)))
 
 
 def start_at(cost: PredictionErrorObjective, values: Mapping[str, float]) -> PredictionErrorObjective:
-    """The same cost with ``z = 0`` at other values of some free constants, by their names in the model."""
-    u = cost.unknowns
-    labels = {
-        label: values[q.name]
-        for label, q in zip(u.variables.names, u.variables.quantities, strict=True)
-        if q.name in values
-    }
-    return cost.at(replace(u, variables=u.variables.with_values(labels)))
+    """The same cost at other values of some free constants, by their names in the model."""
+    v = cost.variables
+    return cost.at(
+        v.with_values(
+            {label: values[q.name] for label, q in zip(v.names, v.quantities, strict=True) if q.name in values}
+        )
+    )
 
 
 def raise_noise_to_innovations(cost: PredictionErrorObjective) -> PredictionErrorObjective:
-    """``cost`` with each estimated noise as large as the innovations at ``z = 0`` say, where nothing else can make them so large."""
-    u = cost.unknowns
+    """``cost`` with each estimated noise as large as the innovations say, where nothing else can make them so large."""
+    v = cost.variables
     squares = np.nansum(np.concatenate([r**2 for r in cost.innovations()]), axis=0)
     counts = sum(np.isfinite(r.y).sum(axis=0) for r in cost.records)
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.sqrt(squares / counts)
-    ratio = np.where(u.estimated & np.isfinite(ratio) & (ratio > 1), ratio, 1.0)
-    return cost.at(replace(u, level=u.level * ratio))
+        growth = np.log(np.sqrt(squares / counts))[v.estimated_noise]
+    z = v.here
+    v.split(z).noise_levels[:] = np.where(np.isfinite(growth), np.maximum(growth, 0.0), 0.0)
+    return cost.at(v.recentre(z))
 
 
 def select_best_start(costs: Sequence[PredictionErrorObjective]) -> PredictionErrorObjective:

@@ -11,7 +11,7 @@ import numpy as np
 from greybox.errors import GreyboxError, ModelError
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
-from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
+from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
 from greybox.estimation.policy import DEFAULT_POLICY, MultistartPolicy
 from greybox.experiment import Experiment
 from greybox.findings import Finding, Severity
@@ -20,7 +20,6 @@ from greybox.model.signals import Parameter
 from greybox.noise import NoiseModel
 from greybox.parallel import JobProgressCallback, run_jobs
 from greybox.result import Fit, StartResult
-from greybox.transcription.problem import EstimationProblem, prepare_problem
 from greybox.transcription.solve import solve
 from greybox.values import Printable
 
@@ -118,7 +117,9 @@ def multistart(
             " without its process noise"
         )
     group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
-    known_noise = _prepare(model, group, noise, options, quiet).noise  # once; refuses here what no start can use
+    known_noise = prepare_estimation(
+        model, group, noise, options, quiet=quiet
+    ).noise  # once; refuses here what no start can use
     begins = [{q.name: q.value for q in model.free_parameters}, *draw_starts(model, starts - 1, seed, factor)]
     results, interrupted = run_jobs(
         _fit_from, (model, group, known_noise, options), begins, executor=executor, workers=workers, report=report
@@ -205,31 +206,10 @@ def _is_same_optimum(a: float, b: float, policy: MultistartPolicy) -> bool:
     return b**2 <= (1 + policy.same_cost) * a**2 or b - a <= policy.same_noise_ratio
 
 
-def _prepare(
-    model: Model,
-    experiments: Sequence[Experiment],
-    noise: Mapping[str, float] | NoiseModel | None,
-    options: FitOptions,
-    quiet: Experiment | Sequence[Experiment] = (),
-) -> EstimationProblem:
-    return prepare_problem(
-        model,
-        experiments,
-        noise,
-        at_rest=options.at_rest,
-        method=options.method,
-        substeps=options.substeps,
-        quiet=quiet,
-        per_experiment=options.per_experiment,
-        robust=options.robust,
-        policy=options.policy,
-    )
-
-
 def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, float], float, str]:
     """One start, where it runs: the values it ended with, misfit over noise, status."""
     model, experiments, noise, options = common
-    solution = solve(_prepare(model.start(**begin), experiments, noise, options), options)
+    solution = solve(prepare_estimation(model.start(**begin), experiments, noise, options), options)
     evaluation, status = solution.evaluation, str(solution.status)
     if not np.isfinite(evaluation.cost):
         return {}, np.inf, status

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
 from greybox.errors import ModelError
 from greybox.estimation.policy import DEFAULT_POLICY, EstimationPolicy
+from greybox.experiment import Experiment
+from greybox.model import Model
+from greybox.noise import NoiseModel
 from greybox.result import to_json_data
 from greybox.transcription.options import SolverOptions
+from greybox.transcription.problem import EstimationProblem, prepare_problem
 from greybox.transcription.robust_loss import RobustLoss, parse_loss
 
 
@@ -113,3 +117,28 @@ def resolve_options(options: Any) -> FitOptions:
         shown = ", ".join(f"{k}={v!r}" for k, v in options.items()) if isinstance(options, dict) else "at_rest=True"
         raise ModelError(f"options: {options!r} is not a FitOptions; write options=FitOptions({shown})")
     return options
+
+
+def prepare_estimation(
+    model: Model,
+    experiments: Experiment | Sequence[Experiment],
+    noise: Mapping[str, float] | NoiseModel | None,
+    options: FitOptions,
+    *,
+    quiet: Experiment | Sequence[Experiment] = (),
+    initial: Sequence[Mapping[str, float]] = (),
+) -> EstimationProblem:
+    """`prepare_problem` as ``options`` say."""
+    return prepare_problem(
+        model,
+        experiments,
+        noise,
+        at_rest=options.at_rest,
+        method=options.method,
+        substeps=options.substeps,
+        quiet=quiet,
+        per_experiment=options.per_experiment,
+        robust=options.robust,
+        initial=initial,
+        policy=options.policy,
+    )

@@ -10,13 +10,13 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtri
 
-from greybox.estimation.policy import ConstancyPolicy, EstimationPolicy, ExcessPolicy, IntervalPolicy
-from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour, estimate_score_covariance
+from greybox.estimation.policy import ConstancyPolicy, EstimationPolicy
+from greybox.estimation.sandwich import ResidualColour, estimate_score_covariance
 from greybox.linear_algebra import decompose_symmetric
-from greybox.noise import AutoRegression, NoiseSource
+from greybox.noise import AutoRegression, NoiseModel, NoiseSource
 from greybox.transcription import DecisionVector
 from greybox.transcription.decision_vector import SHARED
-from greybox.transcription.solution import Runs, Solution
+from greybox.transcription.solution import Runs
 
 
 class PartKind(StrEnum):
@@ -72,18 +72,6 @@ class ConstancyInput:
     outputs: Sequence[np.ndarray]
     colour: ResidualColour
     excluded: Sequence[str] = ()
-
-
-def find_solution_shifts(solution: Solution, rows: Runs, policy: EstimationPolicy) -> list[ParameterShift]:
-    """`find_parameter_shifts` of a fit by simulation error, from the weighted residual (N, ny) of each record and its slopes (N, ny, L)."""
-    if not np.isfinite(solution.evaluation.cost):
-        return []
-    problem = solution.problem
-    runs = zip(problem.records, solution.simulate(), strict=True)
-    names = [e.name for e in problem.experiments]
-    outputs = [record.samples(y) for record, (y, _) in runs]
-    colour = _estimate_noise_colour(solution, rows, policy.excess, policy.constancy, policy.intervals)
-    return find_parameter_shifts(ConstancyInput(solution.variables, names, outputs, colour), rows, policy.constancy)
 
 
 def find_parameter_shifts(tested: ConstancyInput, rows: Runs, policy: ConstancyPolicy) -> list[ParameterShift]:
@@ -171,28 +159,20 @@ def _split_by_motion(tested: ConstancyInput, policy: ConstancyPolicy) -> list[Da
     ]
 
 
-def _estimate_noise_colour(
-    solution: Solution, rows: Runs, excess: ExcessPolicy, policy: ConstancyPolicy, intervals: IntervalPolicy
-) -> ResidualColour:
-    """Colour and variance of what noise alone leaves in the weighted residual."""
-    noise, everything = solution.problem.noise, np.concatenate([r for r, _ in rows])
-    problem = solution.problem
-    colour = estimate_residual_colour(
-        rows, solution.unknowns, noise.known, problem.variance_floor, intervals, problem.policy.noise
-    )
-    names = [o.name for o in solution.problem.model.outputs]
-    counts = np.isfinite(everything).sum(axis=0)
-    ratio = np.sqrt(np.nansum(everything**2, axis=0) / np.maximum(counts, 1))
-    colour = replace(colour, variance=tuple(max(v, policy.least_noise_ratio**2) for v in colour.variance))
-    for j, name in enumerate(names):
-        limit = (
-            excess.difference_noise_ratio if noise.sources.get(name) is NoiseSource.DIFFERENCES else excess.noise_ratio
-        )
-        if ratio[j] > limit:
-            models, variance = list(colour.models), list(colour.variance)
+def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel, policy: EstimationPolicy) -> ResidualColour:
+    """Colour and variance of what noise alone leaves in the weighted residuals ``rows``, which have the ``colour``.
+
+    Where the residual clearly exceeds the noise it is white noise of the size that is known.
+    """
+    residual = np.concatenate([r for r, _ in rows])
+    counts = np.isfinite(residual).sum(axis=0)
+    ratio = np.sqrt(np.nansum(residual**2, axis=0) / np.maximum(counts, 1))
+    models, variance = list(colour.models), [max(v, policy.constancy.least_noise_ratio**2) for v in colour.variance]
+    for j, name in enumerate(noise.outputs):
+        by_differences = noise.sources.get(name) is NoiseSource.DIFFERENCES
+        if ratio[j] > (policy.excess.difference_noise_ratio if by_differences else policy.excess.noise_ratio):
             models[j], variance[j] = AutoRegression(), 1.0
-            colour = replace(colour, models=tuple(models), variance=tuple(variance))
-    return colour
+    return replace(colour, models=tuple(models), variance=tuple(variance))
 
 
 def _step_to_optimum(

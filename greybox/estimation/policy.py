@@ -14,21 +14,23 @@ from typing import Any
 
 from scipy.special import chdtri
 
+from greybox.optim.policy import TerminationPolicy
 from greybox.transcription.policy import SolverPolicy
 
 
 @dataclass(frozen=True)
-class RobustPolicy:
-    """How a fit with a robust loss finds the scale of its residual."""
+class NoiseLoopPolicy:
+    """How often noise model and solution are estimated in turn, and when both stand still."""
 
-    settled_scale: float = 0.02
-    """The scale stands still when it changes by less than this share from fit to fit."""
+    settled_size: float = 0.02
+    """The level of a noise, or the scale of a robust loss, stands still when it changes by less than this share from round to round."""
 
-    rounds: int = 5
-    """Fits with a new scale at most."""
+    rounds: int = 8
+    """Solutions under a new noise model at most. Most fits need none, one with a robust loss three or four."""
 
     least_scale: float = 0.3
-    """Lower limit of the scale over an estimated noise, which outliers may have made so much too large; less is rounding."""
+    """Lower limit of the scale of a robust loss over an estimated noise, which outliers may have made so much too large; less is
+    rounding."""
 
 
 @dataclass(frozen=True)
@@ -92,17 +94,14 @@ class ConstancyPolicy:
 class LikelihoodSearchPolicy:
     """When the search for the most likely parameters of a model with process noise has converged."""
 
-    negligible_decrease: float = 1e-6
-    """Predicted decrease of -2 log L below which a search has converged: a thousandth of a standard deviation, squared."""
+    termination: TerminationPolicy = field(
+        default_factory=lambda: TerminationPolicy(negligible_decrease=1e-6, little_gain=1e-2)
+    )
+    """A thousandth of a standard deviation, squared; acceptable where -2 log L fell by less than a hundredth within the patience, as a
+    filter of a model with dry friction is not smooth everywhere."""
 
     last_digits: float = 1e-12
     """The same for the scoring steps after it, so that the parameters have their digits."""
-
-    patience: int = 12
-    """Iterations over which the gain is looked at: a filter of a model with dry friction is not smooth everywhere."""
-
-    little_gain: float = 1e-2
-    """A search ends as acceptable when -2 log L fell by less than this within its patience."""
 
     scoring_steps: int = 10
     """Steps of Fisher scoring at most."""
@@ -226,7 +225,7 @@ class MultistartPolicy:
 class EstimationPolicy(SolverPolicy):
     """All decision numbers of an estimation, those of the steps it is made of included; see the class of each field."""
 
-    robust: RobustPolicy = field(default_factory=RobustPolicy)
+    noise_loop: NoiseLoopPolicy = field(default_factory=NoiseLoopPolicy)
     intervals: IntervalPolicy = field(default_factory=IntervalPolicy)
     excess: ExcessPolicy = field(default_factory=ExcessPolicy)
     constancy: ConstancyPolicy = field(default_factory=ConstancyPolicy)

@@ -11,23 +11,16 @@ import numpy as np
 
 from greybox.errors import DataError, ModelError, nearest
 from greybox.estimation.likelihood_search import fisher_scoring, maximise_likelihood
-from greybox.estimation.options import FitOptions, resolve_options
-from greybox.estimation.prediction_error import (
-    PredictionErrorObjective,
-    compute_free_runs,
-    make_likelihood_unknowns,
-    predict_ahead,
-)
-from greybox.estimation.prediction_error_fit import MaximumLikelihoodEstimate, maximum_likelihood_estimate
+from greybox.estimation.objective import PredictionErrorObjective
+from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
+from greybox.estimation.prediction_error import MaximumLikelihoodEstimate, estimate_by_prediction_error
 from greybox.experiment import Experiment
-from greybox.filtering import KalmanFilter
 from greybox.filtering.kalman_filter import LOG_TWO_PI
 from greybox.kernel import Record
 from greybox.model import Model
 from greybox.noise import AutoRegression, NoiseModel, fit_autoregression, join_series
 from greybox.numerics import TINY
 from greybox.result import Fit
-from greybox.transcription.problem import prepare_problem
 from greybox.transcription.solve import solve
 from greybox.values import Printable
 
@@ -63,36 +56,24 @@ def restore_integration_options(fit: Fit) -> FitOptions:
 
 
 def make_likelihood(
-    given: FixedParameterModel, experiments: Experiment | Sequence[Experiment], *, free: bool = False
+    given: FixedParameterModel, experiments: Experiment | Sequence[Experiment]
 ) -> PredictionErrorObjective:
     """The likelihood of records with nothing unknown but the first states, and the outputs' noise where that is neither given
-    nor known from a quiet record; with ``free`` the free constants of the model are unknown too."""
-    options = given.options
-    model = given.model if free else given.model.fix(*given.model.values)
-    problem = prepare_problem(
-        model,
-        experiments,
-        given.noise,
-        at_rest=options.at_rest,
-        method=options.method,
-        substeps=options.substeps,
-        per_experiment=options.per_experiment if free else (),
-        policy=options.policy,
-    )
-    kalman = KalmanFilter.of(model.system, problem.step, known_start=not problem.variables.initial.free.any())
-    unknowns = make_likelihood_unknowns(problem, problem.variables, options.policy.likelihood_search)
-    return PredictionErrorObjective(unknowns, kalman, problem.records)
+    nor known from a quiet record."""
+    frozen, options = given.model.fix(*given.model.values), replace(given.options, per_experiment=())
+    problem = prepare_estimation(frozen, experiments, given.noise, options)
+    return PredictionErrorObjective.of(problem, options.policy.likelihood_search)
 
 
 def estimate_initial_state(
     cost: PredictionErrorObjective, options: FitOptions, rows: int = 0
 ) -> PredictionErrorObjective:
-    """``cost`` with ``z = 0`` at the most likely unknowns, from the first ``rows`` of each record (0: all of them)."""
+    """``cost`` at its most likely point, from the first ``rows`` of each record (0: all of them)."""
     part = replace(cost, records=tuple(r.first(min(rows, len(r.y))) for r in cost.records)) if rows else cost
     optimum = maximise_likelihood(part, options)
     if not optimum.status.success:
         optimum = fisher_scoring(part, options.policy.likelihood_search)
-    return cost.at(optimum.cost.unknowns)
+    return cost.at(optimum.objective.variables)
 
 
 class CorrectionKind(StrEnum):
@@ -138,18 +119,10 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
     frozen = given.model.fix(*given.model.values)
     if frozen.noisy_states:
         cost = estimate_initial_state(make_likelihood(given, experiments), given.options)
-        levels = _name_levels(frozen, cost.unknowns.level, cost.records)
+        levels = _name_levels(frozen, cost.noise, cost.records)
         return PredictionCorrection(frozen, levels, CorrectionKind.KALMAN_FILTER)
-    options = given.options
-    problem = prepare_problem(
-        frozen,
-        experiments,
-        given.noise,
-        at_rest=options.at_rest,
-        method=options.method,
-        substeps=options.substeps,
-        policy=options.policy,
-    )
+    options = replace(given.options, per_experiment=())
+    problem = prepare_estimation(frozen, experiments, given.noise, options)
     levels, runs = _name_levels(frozen, problem.noise.std, problem.records), solve(problem, options).simulate()
     errors = [r.samples(r.y - y) for r, (y, _) in zip(problem.records, runs, strict=True)]
     series = {o.name: join_series([e[:, j] for e in errors]) for j, o in enumerate(frozen.outputs)}
@@ -159,7 +132,7 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
     if not any(colour.order for colour in colours.values()):
         return PredictionCorrection(frozen, levels, CorrectionKind.NONE_WHITE)
     states = find_correctable_states(frozen)
-    estimate = maximum_likelihood_estimate(frozen.with_process_noise(*states), experiments, given.noise, (), options)
+    estimate = estimate_by_prediction_error(frozen.with_process_noise(*states), experiments, given.noise, options)
     colour_score = sum(_score_colour(series[name], colour) for name, colour in colours.items())
     if estimate.optimum.status.success and _score_states(estimate) < colour_score:
         return _correct_by_states(frozen, states, estimate)
@@ -174,12 +147,12 @@ def classify_filter(model: Model) -> CorrectionKind:
 def _correct_by_states(
     frozen: Model, states: Sequence[str], estimate: MaximumLikelihoodEstimate
 ) -> PredictionCorrection:
-    cost = estimate.optimum.cost
-    variables = cost.unknowns.variables
+    cost = estimate.optimum.objective
+    variables = cost.variables
     values = dict(zip((q.name for q in variables.model.all_parameters), variables.fixed.tolist(), strict=True))
     model = frozen.with_process_noise(*states)
     model = model.fix(**{name: values[name] for name in estimate.names})
-    levels = _name_levels(model, cost.unknowns.level, cost.records)
+    levels = _name_levels(model, cost.noise, cost.records)
     return PredictionCorrection(model, levels, CorrectionKind.ESTIMATED_KALMAN_FILTER)
 
 
@@ -199,8 +172,8 @@ def _name_levels(model: Model, level: np.ndarray, records: Sequence[Record]) -> 
 
 def _score_states(estimate: MaximumLikelihoodEstimate) -> float:
     """``-2 log L`` of the filter, and what its intensities and noise levels cost."""
-    unknowns, evaluation = estimate.optimum.cost.unknowns, estimate.optimum.evaluation
-    numbers = len(unknowns.variables.which) + int(unknowns.estimated.sum())
+    variables, evaluation = estimate.optimum.objective.variables, estimate.optimum.evaluation
+    numbers = len(variables.which) + len(variables.estimated_noise)
     return evaluation.cost + numbers * float(np.log(max(evaluation.count, 1)))
 
 
@@ -256,9 +229,9 @@ class Predictor:
         cost = self._prepare(experiment, initial)
         names = [o.name for o in self.correction.model.outputs]
         if self.correction.model.noisy_states:
-            return _name_outputs(names, predict_ahead(cost, steps)[0])
+            return _name_outputs(names, cost.predict_ahead(steps)[0])
         record = cost.records[0]
-        free, seen = record.samples(compute_free_runs(cost)[0][0]), record.samples(record.y)
+        free, seen = record.samples(cost.simulate()[0][0]), record.samples(record.y)
         for j, name in enumerate(names):
             if name in self.correction.colours:
                 free[:, j] += self.correction.colours[name].predict(seen[:, j] - free[:, j], steps)
@@ -268,7 +241,7 @@ class Predictor:
         """Outputs by name (N,) of the free run; ``initial`` as for `predict`."""
         cost = self._prepare(experiment, initial)
         names = [o.name for o in self.correction.model.outputs]
-        return _name_outputs(names, cost.records[0].samples(compute_free_runs(cost)[0][0]))
+        return _name_outputs(names, cost.records[0].samples(cost.simulate()[0][0]))
 
     def _prepare(self, experiment: Experiment, initial: InitialState | None) -> PredictionErrorObjective:
         model = self.correction.model
@@ -285,9 +258,8 @@ class Predictor:
         if missing:
             raise ModelError(f"initial: no value for {', '.join(missing)}; give every state, or None to estimate them")
         cost = make_likelihood(replace(given, options=replace(self.options, at_rest=False)), experiment)
-        v = cost.unknowns.variables
-        begin = replace(v.initial, guess=np.array([[float(initial[n]) for n in states]]))
-        return cost.at(replace(cost.unknowns, variables=replace(v, initial=begin)))
+        begin = replace(cost.variables.initial, guess=np.array([[float(initial[n]) for n in states]]))
+        return cost.at(replace(cost.variables, initial=begin))
 
 
 def predictor(

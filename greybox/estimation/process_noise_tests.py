@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -18,10 +18,11 @@ from greybox.estimation.likelihood_search import (
     select_best_start,
     start_at,
 )
+from greybox.estimation.objective import PredictionErrorObjective
 from greybox.estimation.options import FitOptions
 from greybox.estimation.policy import ProcessNoisePolicy
-from greybox.estimation.prediction_error import PredictionErrorObjective
 from greybox.model import Model
+from greybox.result import Estimate
 
 
 @dataclass(frozen=True)
@@ -84,11 +85,11 @@ def drop_insignificant(
     """The optimum with every intensity at zero for which that is as likely, and their names."""
     zero: list[str] = []
     for name in names:
-        near = fisher_scoring(remove_process_noise(optimum.cost, name), options.policy.likelihood_search)
+        near = fisher_scoring(remove_process_noise(optimum.objective, name), options.policy.likelihood_search)
         if near.evaluation.cost <= optimum.evaluation.cost + options.policy.process_noise.negligible_decrease:
             # Each by itself: of two intensities that stand for one another either can be zero, not both.
             zero.append(name)
-            optimum = maximise_likelihood(near.cost, options)
+            optimum = maximise_likelihood(near.objective, options)
     return optimum, tuple(zero)
 
 
@@ -105,7 +106,9 @@ def likelihood_ratio_tests(
     options: FitOptions,
 ) -> tuple[ProcessNoiseTest, ...]:
     """Each intensity with its likelihood ratio against zero, everything else estimated anew."""
-    policy, variables = options.policy.process_noise, optimum.cost.unknowns.variables
+    if not optimum.status.success:
+        return ()
+    policy, variables = options.policy.process_noise, optimum.objective.variables
     p = variables.parameters(variables.here)
     values = dict(zip((q.name for q in variables.model.all_parameters), p, strict=True))
     tests = []
@@ -114,7 +117,7 @@ def likelihood_ratio_tests(
             upper = find_upper_limit(optimum, name, policy.floor * sizes[name], options)
             tests.append(ProcessNoiseTest(name, 0.0, 0.0, 1.0, limits=(0.0, upper)))
             continue
-        rest = maximise_likelihood(raise_noise_to_innovations(remove_process_noise(optimum.cost, name)), options)
+        rest = maximise_likelihood(raise_noise_to_innovations(remove_process_noise(optimum.objective, name)), options)
         ratio = max(rest.evaluation.cost - optimum.evaluation.cost, 0.0)
         p_value = 0.5 * float(chdtrc(1, ratio))
         limited = ratio < policy.limit_ratio
@@ -131,7 +134,7 @@ def find_upper_limit(optimum: LikelihoodOptimum, name: str, begin: float, option
     policy, search = options.policy.process_noise, options.policy.likelihood_search
     limit, tolerance = policy.limit_ratio, policy.limit_tolerance * policy.limit_ratio
     least = optimum.evaluation.cost
-    near, low, high = optimum.cost, begin, np.inf
+    near, low, high = optimum.objective, begin, np.inf
     value = begin
     # With the other unknowns held the cost rises at least as fast: up to there the limit is not reached.
     while value < begin / policy.floor and hold_parameters(near, {name: value}).cost() - least < limit:
@@ -142,7 +145,18 @@ def find_upper_limit(optimum: LikelihoodOptimum, name: str, begin: float, option
         if abs(rise - limit) <= tolerance:
             break
         if trial.status.success:
-            near = trial.cost
+            near = trial.objective
         low, high = (value, high) if rise < limit else (low, value)
         value = policy.limit_growth * value if np.isinf(high) else float(np.sqrt(low * high))
     return value
+
+
+def set_intensity_limits(parameters: Mapping[str, Estimate], tests: Sequence[ProcessNoiseTest]) -> dict[str, Estimate]:
+    """Intensities that are zero, or not certainly more, with their limit in place of an interval that cannot reach zero."""
+    limited = dict(parameters)
+    for test in tests:
+        if test.value == 0:
+            limited[test.name] = Estimate(0.0, parameters[test.name].unit, None, test.limits, False, True)
+        elif test.limits is not None:
+            limited[test.name] = replace(parameters[test.name], interval=test.limits)
+    return limited

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from greybox.errors import FitError
-from greybox.estimation.options import FitOptions
-from greybox.estimation.prediction_error import PredictionErrorObjective, compute_innovations
-from greybox.estimation.predictor import FixedParameterModel, make_likelihood
-from greybox.model import Model
+from greybox.estimation.objective import Objective, PredictionErrorObjective, ResidualRows, SimulationErrorObjective
+from greybox.estimation.options import FitOptions, prepare_estimation
 from greybox.noise import AutoRegression, NoiseModel
 from greybox.result import Fit
-from greybox.transcription.problem import EstimationProblem, prepare_problem
+from greybox.transcription.problem import EstimationProblem
 from greybox.transcription.robust_loss import RobustLoss
 
 
@@ -39,48 +36,55 @@ def has_free_run(fit: Fit) -> bool:
     )
 
 
-def restore_problem(
-    fit: Fit, model: Model | None = None, held: Mapping[int, Mapping[str, float]] | None = None
-) -> EstimationProblem:
+def restore_problem(fit: Fit) -> EstimationProblem:
     """The problem of ``fit`` with its records, its noise, its loss and its initial states, at its optimum.
 
-    With another ``model`` if given, and with constants ``held`` at a value in some experiments (by their number).
+    An intensity of process noise that became zero stays there.
 
-    Raises FitError for a fit that did not succeed, that was saved without its inputs, or whose run is not a free one (arcs, or
-    the segments of an unstable plant).
+    Raises FitError for a fit that did not succeed, that was saved without its inputs, or whose run is neither a free one (but arcs, or
+    the segments of an unstable plant) nor a prediction.
     """
-    _check_fit(fit, "intervals need")
-    if not has_free_run(fit):
+    _check_fit(fit)
+    without = [name for name in fit.model.noise_parameters if fit.model.values[name] == 0]
+    problem = prepare_estimation(
+        fit.model.fix(*without), [t.experiment for t in fit.traces], restore_noise(fit), restore_options(fit)
+    )
+    variables = problem.variables.with_values(_label_experiment_values(fit))
+    start = np.array([[t.initial_state[name] for name in problem.model.system.state_names] for t in fit.traces])
+    variables = replace(variables, initial=replace(variables.initial, guess=start))
+    return replace(problem, loss=restore_loss(fit), variables=variables)
+
+
+def restore_objective(fit: Fit) -> Objective:
+    """What ``fit`` minimised, at its optimum; raises as `restore_problem`."""
+    problem = restore_problem(fit)
+    if fit.prediction.process_noise:
+        policy = FitOptions.from_data(fit.provenance.options).policy
+        return PredictionErrorObjective.of(problem, policy.likelihood_search)
+    return SimulationErrorObjective(problem)
+
+
+def restore_residuals(fit: Fit) -> tuple[Objective, ResidualRows]:
+    """What ``fit`` minimised, and its residuals or innovations with their slopes. Raises FitError where they are not finite."""
+    objective = restore_objective(fit)
+    residuals = objective.linearise()
+    if residuals is None:
+        raise FitError(f"fit of {fit.model.title}: its filter is not finite at the fitted parameters; fit again")
+    return objective, residuals
+
+
+def _check_fit(fit: Fit) -> None:
+    if not fit.success:
+        raise FitError(
+            f"fit of {fit.model.title}: {fit.solver.status_message}; intervals need a fit that has succeeded"
+        )
+    if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
+        raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
+    if not (has_free_run(fit) or fit.prediction.process_noise):
         raise FitError(
             f"fit of {fit.model.title}: its simulation is not a free run ({fit.solver.statistics['transcription']}), which"
             " this result needs; use the intervals of the fit itself, or fit by single shooting if the plant is stable"
         )
-    options = restore_options(fit)
-    records = [t.experiment for t in fit.traces]
-    for e, values in (held or {}).items():
-        records[e] = replace(records[e], conditions={**records[e].conditions, **values})
-    problem = prepare_problem(
-        model or fit.model,
-        records,
-        restore_noise(fit),
-        at_rest=options.at_rest,
-        method=options.method,
-        substeps=options.substeps,
-        per_experiment=options.per_experiment,
-        policy=options.policy,
-    )
-    variables = problem.variables.with_values(_label_experiment_values(fit))
-    problem = replace(problem, loss=restore_loss(fit))
-    start = np.array([[t.initial_state[name] for name in problem.model.system.state_names] for t in fit.traces])
-    initial = replace(variables.initial, guess=start)
-    return replace(problem, variables=replace(variables, initial=initial))
-
-
-def _check_fit(fit: Fit, what: str) -> None:
-    if not fit.success:
-        raise FitError(f"fit of {fit.model.title}: {fit.solver.status_message}; {what} a fit that has succeeded")
-    if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
-        raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
 
 
 def _label_experiment_values(fit: Fit) -> dict[str, float]:
@@ -106,42 +110,3 @@ def restore_noise(fit: Fit) -> NoiseModel:
     colour = tuple(AutoRegression(tuple(fit.noise.colour.get(o.name, ()))) for o in outputs)
     known = bool(fit.noise.sources) and all(source.is_independent for source in fit.noise.sources.values())
     return NoiseModel(tuple(o.name for o in outputs), std, fit.noise.sources, colour, known, fit.noise.bounds)
-
-
-def restore_likelihood(fit: Fit) -> PredictionErrorObjective:
-    """The likelihood of a fit with process noise, its constants and first states free, ``z = 0`` at its optimum.
-
-    An intensity that became zero stays there.
-
-    Raises FitError for a fit that did not succeed, or was saved without its inputs.
-    """
-    _check_fit(fit, "its innovations need")
-    saved = FitOptions.from_data(fit.provenance.options)
-    options = replace(
-        saved,
-        method=str(fit.solver.statistics.get("method", saved.method)),
-        substeps=int(fit.solver.statistics.get("substeps", 0)),
-    )
-    std = np.array([fit.noise.std.get(o.name, 1.0) for o in fit.model.outputs])
-    outputs = tuple(o.name for o in fit.model.outputs)
-    noise = NoiseModel(outputs, std, fit.noise.sources, tuple(AutoRegression() for _ in std), True)
-    none = [name for name in fit.model.noise_parameters if fit.model.values[name] == 0]
-    cost = make_likelihood(
-        FixedParameterModel(fit.model.fix(*none), noise, options), [t.experiment for t in fit.traces], free=True
-    )
-    v = cost.unknowns.variables
-    start = np.array([[t.initial_state[name] for name in fit.model.system.state_names] for t in fit.traces])
-    variables = replace(v.with_values(_label_experiment_values(fit)), initial=replace(v.initial, guess=start))
-    return cost.at(replace(cost.unknowns, variables=variables))
-
-
-def compute_innovation_rows(fit: Fit) -> tuple[list[tuple[np.ndarray, np.ndarray]], PredictionErrorObjective]:
-    """For each record of ``fit`` its standardised innovations (N, ny), NaN in gaps, and the slopes (N, ny, L) of the innovations
-    themselves over their standard deviation.
-
-    L are the columns of the experiment, see `LikelihoodUnknowns.columns`. How the standard deviations depend on the unknowns is
-    left out: what
-    only scales an innovation does not explain it.
-    """
-    cost = restore_likelihood(fit)
-    return [(e, mean) for e, mean, _ in compute_innovations(cost).rows], cost

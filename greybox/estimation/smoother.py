@@ -9,9 +9,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from greybox.errors import ModelError, nearest
+from greybox.estimation.objective import PredictionErrorObjective
 from greybox.estimation.options import FitOptions
 from greybox.estimation.policy import InitialStatePolicy
-from greybox.estimation.prediction_error import PredictionErrorObjective, evaluate_initial_state
 from greybox.estimation.predictor import estimate_initial_state, fix_parameters, make_likelihood
 from greybox.experiment import Experiment
 from greybox.filtering import smooth_states
@@ -95,7 +95,7 @@ def smooth(
     """
     given = fix_parameters(model, noise, options)
     cost = estimate_initial_state(make_likelihood(given, experiment), given.options)
-    pn, x0 = evaluate_initial_state(cost, 0)
+    pn, x0 = cost.start(0)
     smoothed = smooth_states(
         cost.kalman, cost.records[0], pn, x0, _make_prior_covariance(cost, given.options.policy.initial_state)
     )
@@ -117,7 +117,7 @@ def smooth(
         filtered_std=by_state(before),
         innovations={o.name: innovations[:, j] for j, o in measured},
         log_likelihood=-0.5 * cost.cost(),
-        noise={o.name: float(cost.unknowns.level[j]) for j, o in measured},
+        noise={o.name: float(cost.noise[j]) for j, o in measured},
         process_noise={name: value for name, value in given.model.noise_intensities.items() if value},
         units={s.name: s.unit for s in given.model.all_states},
         discretisation=cost.kalman.filter_step.label,
@@ -126,13 +126,13 @@ def smooth(
 
 def _make_prior_covariance(cost: PredictionErrorObjective, policy: InitialStatePolicy) -> np.ndarray | None:
     """A wide covariance (nx, nx) of the first states about their estimate; None where they are declared."""
-    v = cost.unknowns.variables
+    v = cost.variables
     free = v.free_states
     if not len(free):
         return None
     n = len(v.which)
     block = slice(n, n + len(free))
-    information = cost.evaluate(np.zeros(cost.unknowns.size)).hessian[block, block] / 2
+    information = cost.evaluate(v.here).hessian[block, block] / 2
     scale = np.sqrt(
         np.maximum(np.diag(information), UNSEEN_INFORMATION * max(np.diag(information).max(initial=0.0), TINY))
     )

@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from greybox.errors import DataError
-from greybox.estimation.options import FitOptions, resolve_options
-from greybox.estimation.robust_estimation import refit_robustly
+from greybox.estimation.noise_loop import estimate_by_simulation_error
+from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
 from greybox.estimation.traces import compute_misfits, make_traces
 from greybox.experiment import Experiment
 from greybox.model import Model
 from greybox.result import Validation
 from greybox.transcription import DecisionVector
 from greybox.transcription.options import Hessian, Transcription
-from greybox.transcription.problem import EstimationProblem, guess_initial_states, prepare_problem
+from greybox.transcription.problem import EstimationProblem, guess_initial_states
 from greybox.transcription.select_transcription import select_transcription
 from greybox.transcription.solve import solve
 from greybox.transcription.step_refinement import refine_step
@@ -66,19 +66,14 @@ def validate(
     1.02
     """
     options = replace(
-        resolve_options(options), transcription=Transcription.AUTOMATIC, arc_length=0.0, hessian=Hessian.GAUSS_NEWTON
+        resolve_options(options),
+        per_experiment=(),
+        transcription=Transcription.AUTOMATIC,
+        arc_length=0.0,
+        hessian=Hessian.GAUSS_NEWTON,
     )
     frozen = model.fix(*model.values)
-    problem = prepare_problem(
-        frozen,
-        experiments,
-        noise,
-        at_rest=options.at_rest,
-        method=options.method,
-        substeps=options.substeps,
-        robust=options.robust,
-        policy=options.policy,
-    )
+    problem = prepare_estimation(frozen, experiments, noise, options)
     shortest = min(len(r.u) for r in problem.records)
     if skip < 0 or skip >= shortest:
         raise DataError(f"skip: {skip} rows, but the shortest validation record has {shortest}; leave out fewer rows")
@@ -98,7 +93,7 @@ def validate(
         if variables.initial.free.any():
             first = _cut_to_first_rows(problem, initial_rows or skip or options.policy.initial_state.first_rows)
             single = replace(options, transcription=Transcription.SINGLE, progressive=False)
-            variables = refit_robustly(solve(first, single), single, None).variables
+            variables = estimate_by_simulation_error(first, single).variables
         problem = _refine_until_fine(problem, variables, options)
         runs = tuple(problem.shooting(variables).simulate(variables.here))
     traces = make_traces(problem, runs)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
 
+from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.options import FitOptions
-from greybox.estimation.restore import compute_innovation_rows, restore_problem
+from greybox.estimation.restore import restore_residuals
 from greybox.estimation.sandwich import ColumnLayout
 from greybox.linear_algebra import decompose_symmetric
 from greybox.noise import NOISE_POLICY, AutoRegression, NoisePolicy, fit_autoregression, join_series
@@ -24,7 +25,6 @@ from greybox.residuals.statistics import (
     split_into_blocks,
 )
 from greybox.result import Fit
-from greybox.transcription.simulation_error import RobustShooting
 from greybox.values import Printable
 
 Rows = Sequence[tuple[np.ndarray, np.ndarray]]
@@ -169,7 +169,7 @@ def residual_tests(fit: Fit, *, policy: ResidualTestPolicy = RESIDUAL_TEST_POLIC
     >>> [(t.output, t.kind) for t in tests.alarms]  # doctest: +SKIP
     [('x', 'whiteness')]
     """
-    rows, raw, layout = _innovations(fit) if fit.prediction.process_noise else _free_run(fit)
+    rows, raw, layout = _restore_rows(fit)
     inputs = {i.name: [trace.inputs[i.name] for trace in fit.traces] for i in fit.model.inputs}
     noise_policy = FitOptions.from_data(fit.provenance.options).policy.noise
     tests: list[ResidualTest] = []
@@ -250,18 +250,15 @@ def run_residual_tests(
     ]
 
 
-def _free_run(fit: Fit) -> tuple[Rows, Rows, ColumnLayout]:
-    """Residual and slopes of each record, the same with the outliers that a robust fit leaves out, and where its slopes belong."""
-    problem = restore_problem(fit)
-    variables = problem.variables
-    shooting, zero = problem.shooting(variables), variables.here
-    rows = shooting.residuals(zero)
-    return rows, shooting.whiten_residuals(zero) if isinstance(shooting, RobustShooting) else rows, variables
-
-
-def _innovations(fit: Fit) -> tuple[Rows, Rows, ColumnLayout]:
-    rows, cost = compute_innovation_rows(fit)
-    return rows, rows, cost.unknowns
+def _restore_rows(fit: Fit) -> tuple[Rows, Rows, ColumnLayout]:
+    """Residual or innovations and slopes of each record, the same with the outliers that a robust fit leaves out, and where its slopes
+    belong.
+    """
+    objective, residuals = restore_residuals(fit)
+    raw = residuals.rows
+    if isinstance(objective, SimulationErrorObjective) and objective.problem.loss is not None:
+        raw = SimulationErrorObjective(replace(objective.problem, loss=None)).linearise().rows
+    return residuals.rows, raw, objective.variables
 
 
 def _spread_columns(slopes: Sequence[np.ndarray], columns: Sequence[np.ndarray], size: int) -> list[np.ndarray]:

@@ -97,11 +97,31 @@ class SingleShooting:
         return add_prior_penalty(v, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts))
 
     def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each record the weighted residuals (N, ny), measured minus model, and their Jacobian (N, ny, L) along
-        `DecisionVector.columns`.
+        """For each record the residuals (N, ny) whose squares are the cost, and their Jacobian (N, ny, L) along `DecisionVector.columns`.
 
         N samples: rows between them, of a band-limited input, have none.
         """
+        return self.reweigh(self.compute_weighted_errors(z))
+
+    def linearise(
+        self, z: np.ndarray
+    ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[tuple[np.ndarray, np.ndarray]]]:
+        """The outputs (N, ny) of the model with its first states (1, nx), and `residuals`, from one pass where nothing is missing."""
+        errors, runs = self.compute_weighted_errors(z), []
+        for e, (record, (r, _)) in enumerate(zip(self.records, errors, strict=True)):
+            if record.rows_per_sample == 1 and np.isfinite(record.y).all():
+                x0, _ = self.variables.compute_initial_state(z, self.variables.parameters(z, e), e)
+                runs.append((record.y - r / self.weight, x0[None]))
+            else:
+                runs.append(self._simulate(z, e))
+        return runs, self.reweigh(errors)
+
+    def reweigh(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Residuals and Jacobian of weighted errors and theirs."""
+        return errors
+
+    def compute_weighted_errors(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each record measured minus model over the noise (N, ny), and its Jacobian (N, ny, L)."""
         result = []
         for e, record in enumerate(self.records):
             p = self.variables.parameters(z, e)
@@ -112,12 +132,12 @@ class SingleShooting:
 
     def simulate(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each record outputs (N, ny) and states (N, nx) of the model."""
-        runs = []
-        for e, record in enumerate(self.records):
-            p = self.variables.parameters(z, e)
-            q, _, _, x0, _ = self.at(z, p, e)
-            runs.append(self.kernel.simulate(record, q, p, x0))
-        return runs
+        return [self._simulate(z, e) for e in range(len(self.records))]
+
+    def _simulate(self, z: np.ndarray, e: int) -> tuple[np.ndarray, np.ndarray]:
+        p = self.variables.parameters(z, e)
+        q, _, _, x0, _ = self.at(z, p, e)
+        return self.kernel.simulate(self.records[e], q, p, x0)
 
     def at(
         self, z: np.ndarray, p: np.ndarray, e: int
@@ -173,7 +193,7 @@ class WhitenedShooting(SingleShooting):
         gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
         squares, counts = np.zeros(ny), np.zeros(ny, int)
         with np.errstate(all="ignore"):  # what is not finite is found and reported
-            for e, (r, jacobian) in enumerate(self.whiten_residuals(z)):
+            for e, (r, jacobian) in enumerate(self.whiten(self.compute_weighted_errors(z))):
                 is_measured = np.isfinite(self.records[e].samples(self.records[e].y[: self.rows[e]]))
                 r, jacobian = r[: len(is_measured)], jacobian[: len(is_measured)]
                 is_lost = is_measured & ~(np.isfinite(r) & np.isfinite(jacobian).all(axis=2))
@@ -193,16 +213,16 @@ class WhitenedShooting(SingleShooting):
         """Cost, half its slope and weight of each residual (N, ny)."""
         return r**2, r, np.ones_like(r)
 
-    def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each record the whitened residuals (N, ny) and their Jacobian (N, ny, L) along `DecisionVector.columns`."""
-        return self.whiten_residuals(z)
+    def reweigh(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Whitened residuals and their Jacobian."""
+        return self.whiten(errors)
 
-    def whiten_residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each record the free-run residuals (N, ny) and their Jacobian (N, ny, L) in units of their innovations."""
+    def whiten(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Errors (N, ny) and their Jacobian (N, ny, L) in units of their innovations."""
         if not any(colour.order for colour in self.colour):
-            return super().residuals(z)
+            return errors
         result = []
-        for r, jacobian in super().residuals(z):
+        for r, jacobian in errors:
             both = np.concatenate([r[:, :, None], jacobian], axis=2)
             white = np.stack([colour.whiten(both[:, j]) for j, colour in enumerate(self.colour)], axis=1)
             result.append((white[:, :, 0], white[:, :, 1:]))
@@ -235,14 +255,14 @@ class RobustShooting(WhitenedShooting):
         rho, psi, weight, _ = self.loss.terms(r)
         return rho, psi, weight
 
-    def residuals(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """For each record residuals (N, ny) and Jacobian (N, ny, L) of the least-squares problem that the optimum also solves.
+    def reweigh(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Residuals (N, ny) and Jacobian (N, ny, L) of the least-squares problem that the optimum also solves.
 
         With ``m`` the mean curvature of the loss for each output they are ``psi(r) / sqrt(m)`` and ``sqrt(m) J``: gradient and
         curvature are those of the robust cost, and the spread of the residual is what outliers leave of it, so that every
         statement about least squares (covariance, bootstrap, tests) holds for the robust fit (Huber 1981, chapter 7).
         """
-        raw = self.whiten_residuals(z)
+        raw = self.whiten(errors)
         m = np.sqrt(self.loss.mean_curvature(np.concatenate([r for r, _ in raw])))
         return [(self.loss.terms(r)[1] / m, m[:, None] * jacobian) for r, jacobian in raw]
 

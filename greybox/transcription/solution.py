@@ -82,6 +82,12 @@ class Solution:
             return self.joined.runs
         return tuple(self.problem.shooting(self.variables).simulate(self.variables.here))
 
+    def linearise(self) -> tuple[Runs, Runs]:
+        """`simulate`, of the states the first row at least, and `residuals`."""
+        if self.joined:
+            return self.joined.runs, self.residuals()
+        return self.problem.shooting(self.variables).linearise(np.zeros(self.variables.size))
+
     def residuals(self) -> Runs:
         """For each record the weighted residuals (N, ny) of its samples and their Jacobian (N, ny, L) at the optimum."""
         if self.joined:

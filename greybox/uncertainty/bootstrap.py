@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.errors import FitError
-from greybox.estimation.covariance import compute_information
 from greybox.estimation.options import FitOptions
-from greybox.estimation.prediction_error import compute_innovations
-from greybox.estimation.restore import restore_likelihood, restore_problem
-from greybox.estimation.sandwich import ColumnLayout, estimate_residual_colour
+from greybox.estimation.restore import restore_residuals
+from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.linear_algebra import pseudo_inverse
 from greybox.result import Fit
 from greybox.transcription import DecisionVector
@@ -79,17 +76,13 @@ def bootstrap(
     >>> bootstrap(fit, np.random.default_rng(0)).interval["K"]  # doctest: +SKIP
     (6987.5, 7012.6)
     """
-    at = _restore_prediction(fit) if fit.prediction.process_noise else _restore_simulation(fit)
-    v, size = at.variables, at.layout.size
-    shortest = min(len(r) for r, *_ in at.rows)
+    objective, residuals = restore_residuals(fit)
+    v, size = objective.variables, objective.variables.size
+    shortest = min(len(r) for r, _ in residuals.rows)
     if block is None:
         estimation = FitOptions.from_data(fit.provenance.options).policy
         colour = estimate_residual_colour(
-            [(r, slopes) for r, slopes, _ in at.rows],
-            size,
-            at.noise_given,
-            policy=estimation.intervals,
-            noise_policy=estimation.noise,
+            residuals.rows, size, True, policy=estimation.intervals, noise_policy=estimation.noise
         )
         time = max((t for t, _ in colour.times), default=1.0)
         block = max(
@@ -102,47 +95,20 @@ def bootstrap(
         raise FitError(
             f"bootstrap: blocks of {block} rows from a record of {shortest}; give 1 to {shortest // policy.least_blocks} rows"
         )
-    count = sum(int(np.isfinite(r).sum()) for r, *_ in at.rows)
+    count = sum(int(np.isfinite(r).sum()) for r, _ in residuals.rows)
     gradient = np.zeros((replicates, size))
     prior = np.pad(v.penalty(v.here)[2] / 2, (0, size - len(v.which)))
-    for e, (r, slopes, loudness) in enumerate(at.rows):
-        gradient[:, at.layout.columns(e)] += _draw_scores(r, slopes, loudness, replicates, block, generator)
+    for e, (r, slopes) in enumerate(residuals.rows):
+        loudness = residuals.log_variance[e] if residuals.log_variance else None
+        gradient[:, v.columns(e)] += _draw_scores(r, slopes, loudness, replicates, block, generator)
     gradient *= np.sqrt(count / max(count - size, 1))
     gradient += np.sqrt(prior) * generator.normal(size=gradient.shape)
     inside = np.ones(size, bool)
     inside[: len(v.which)] = ~v.active
     steps = np.zeros((replicates, size))
-    steps[:, inside] = -gradient[:, inside] @ pseudo_inverse(at.information[np.ix_(inside, inside)])
+    information = residuals.compute_information(v) + np.diag(prior)
+    steps[:, inside] = -gradient[:, inside] @ pseudo_inverse(information[np.ix_(inside, inside)])
     return _summarise(v, steps[:, : len(v.which)], block, policy)
-
-
-@dataclass(frozen=True)
-class _Optimum:
-    """A fit at its optimum: for each record the weighted residual (N, ny), its slopes (N, ny, L) and, of innovations, those of the
-    logarithm of their variance; half the curvature of the cost.
-    """
-
-    variables: DecisionVector
-    layout: ColumnLayout
-    rows: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
-    information: np.ndarray
-    noise_given: bool
-
-
-def _restore_simulation(fit: Fit) -> _Optimum:
-    problem = restore_problem(fit)
-    v = problem.variables
-    zero = v.here
-    rows = problem.shooting(v).residuals(zero)
-    prior = np.pad(v.penalty(zero)[2] / 2, (0, v.size - len(v.which)))
-    information = compute_information(v, rows) + np.diag(prior)
-    return _Optimum(v, v, [(r, slopes, None) for r, slopes in rows], information, problem.noise.known)
-
-
-def _restore_prediction(fit: Fit) -> _Optimum:
-    cost = restore_likelihood(fit)
-    innovations = compute_innovations(cost)
-    return _Optimum(cost.unknowns.variables, cost.unknowns, innovations.rows, innovations.evaluation.hessian / 2, True)
 
 
 def _draw_scores(

@@ -27,8 +27,8 @@ class ProfilePolicy:
     blind_step: float = 0.1
     """First step over the value of a parameter without a standard deviation: a factor of e^0.1."""
 
-    likelihood_decrease: float = 1e-4
-    """-2 log L of each point is minimised to this; the threshold is near 4."""
+    cost_decrease: float = 1e-4
+    """The rise at each point is minimised to this; the threshold is near 4."""
 
 
 @dataclass(frozen=True)

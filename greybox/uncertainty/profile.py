@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.estimation.covariance import compute_quantile, estimate_covariance
 from greybox.estimation.likelihood_search import fisher_scoring, hold_parameters, maximise_likelihood
+from greybox.estimation.objective import Objective, SimulationErrorObjective
 from greybox.estimation.options import FitOptions
-from greybox.estimation.prediction_error import PredictionErrorObjective
-from greybox.estimation.restore import restore_likelihood, restore_options, restore_problem
+from greybox.estimation.policy import EstimationPolicy
+from greybox.estimation.restore import restore_objective, restore_options
+from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.linear_algebra import pseudo_inverse
 from greybox.result import Fit
-from greybox.transcription import DecisionVector
+from greybox.transcription import DecisionVector, Evaluation
 from greybox.transcription.decision_vector import SHARED
-from greybox.transcription.solve import solve
 from greybox.uncertainty.policy import DEFAULT_PROFILE_POLICY, ProfilePolicy
 from greybox.values import Printable
 
@@ -83,97 +83,61 @@ def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLI
     >>> profile(fit, "K").interval  # doctest: +SKIP
     (6988.2, 7011.9)
     """
-    if fit.prediction.process_noise:
-        return _profile_likelihood(fit, name, policy)
-    problem = restore_problem(fit)
-    v = problem.variables
-    _check_name(name, v)
-    shooting = problem.shooting(v)
-    z = v.here
-    evaluation = shooting.evaluate(z)
-    covariance = estimate_covariance(
-        v,
-        evaluation,
-        problem.noise.known,
-        shooting.residuals(z),
-        variance_floor=problem.variance_floor,
-        policy=problem.policy.intervals,
-        noise_policy=problem.policy.noise,
-    )
-    k = v.names.index(name)
-    variance = covariance.covariance[k, k]
-    std = float(np.sqrt(variance)) if np.isfinite(variance) else None
-    scale = evaluation.cost / max(evaluation.count - v.size, 1)
-    scale = max(scale, 1.0) if problem.noise.known else scale
-    if std is not None and covariance.information is not None:
-        inside = np.flatnonzero(~v.active)
-        whole = covariance.information[np.ix_(inside, inside)] + np.diag(v.penalty(z)[2][inside] / 2)
-        place = int(np.searchsorted(inside, k))
-        scale = float(variance / v.spans[k] ** 2 / pseudo_inverse(whole)[place, place])
-    held = _Refits(fit, v, k, evaluation.cost, scale)
-    return _follow(held, v, name, std, compute_quantile(covariance.degrees) ** 2, policy)
-
-
-def _profile_likelihood(fit: Fit, name: str, policy: ProfilePolicy) -> Profile:
-    """The profile of a constant of a fit with process noise; ``s`` is what coloured innovations widen its standard deviation by."""
-    if name in fit.model.noise_parameters and fit.model.values[name] == 0:
+    if fit.prediction.process_noise and name in fit.model.noise_parameters and fit.model.values[name] == 0:
         raise ModelError(
             f"profile of {name!r}: its estimate is zero, and its interval in the fit is already the limit of the profile likelihood"
         )
-    cost = restore_likelihood(fit)
-    v = cost.unknowns.variables
-    _check_name(name, v)
-    k = v.names.index(name)
-    owner = name[len(v.quantities[k].name) + 2 : -1]
-    stated = fit.constraints.per_experiment[v.quantities[k].name][owner] if owner else fit.parameters[name]
-    widened = fit.uncertainty.inflation.get(name, 1.0)
-    scale = widened**2 if np.isfinite(widened) else 1.0
-    options = FitOptions(policy=FitOptions.from_data(fit.provenance.options).policy)
-    held = _HeldLikelihood(cost, k, cost.cost(), scale, options, policy)
-    return _follow(held, v, name, stated.std, compute_quantile(np.inf) ** 2, policy)
-
-
-def _check_name(name: str, v: DecisionVector) -> None:
+    objective = restore_objective(fit)
+    v = objective.variables
     if name not in v.names:
         raise ModelError(f"profile of {name!r}: not a fitted parameter; {nearest(name, v.names)}")
+    k, evaluation = v.names.index(name), objective.evaluate(v.here)
+    options = restore_options(fit)
+    if isinstance(objective, SimulationErrorObjective):
+        std, scale, threshold = _scale_simulation_error(objective, evaluation, k, options.policy)
+    else:
+        std, scale, threshold = _scale_likelihood(fit, v, k)
+    return _follow(_HeldObjective(objective, k, evaluation.cost, scale, options, policy), name, std, threshold, policy)
 
 
-class _HeldFit(Protocol):
-    """Refits with one parameter held."""
+def _scale_simulation_error(
+    objective: SimulationErrorObjective, evaluation: Evaluation, k: int, policy: EstimationPolicy
+) -> tuple[float | None, float, float]:
+    """Standard deviation of the free constant number ``k``, the cost that is one of them squared, and the threshold in that unit."""
+    problem, v = objective.problem, objective.variables
+    residuals = objective.linearise()
+    colour = estimate_residual_colour(
+        residuals.rows, v.size, problem.noise.known, problem.variance_floor, policy.intervals, policy.noise
+    )
+    covariance = estimate_covariance(v, evaluation, residuals, colour, problem, policy.intervals)
+    threshold, variance = compute_quantile(covariance.degrees) ** 2, covariance.covariance[k, k]
+    if not np.isfinite(variance) or covariance.information is None:
+        scale = evaluation.cost / max(evaluation.count - v.size, 1)
+        return None, max(scale, 1.0) if problem.noise.known else scale, threshold
+    inside = np.flatnonzero(~v.active)
+    whole = covariance.information[np.ix_(inside, inside)] + np.diag(v.penalty(v.here)[2][inside] / 2)
+    place = int(np.searchsorted(inside, k))
+    scale = float(variance / v.spans[k] ** 2 / pseudo_inverse(whole)[place, place])
+    return float(np.sqrt(variance)), scale, threshold
 
-    def rise(self, value: float, near: DecisionVector | None) -> tuple[float, DecisionVector]:
-        """Rise of the minimal cost with the parameter at ``value``, and where; begun at ``near``."""
 
-
-class _Refits:
-    """Refits by simulation error with one parameter held, each begun at the last."""
-
-    def __init__(self, fit: Fit, variables: DecisionVector, k: int, least: float, scale: float) -> None:
-        self.fit, self.name, self.least, self.scale = fit, variables.quantities[k].name, least, scale
-        self.owner, (self.mean, self.std) = int(variables.owner[k]), variables.prior[k]
-        self.options = restore_options(fit)
-
-    def rise(self, value: float, near: DecisionVector | None) -> tuple[float, DecisionVector]:
-        """Rise of the minimal cost with the parameter at ``value``; infinite where there is no fit."""
-        if self.owner == SHARED:
-            problem = restore_problem(self.fit, self.fit.model.fix(**{self.name: value}))
-        else:
-            problem = restore_problem(self.fit, held={self.owner: {self.name: value}})
-        if near is not None:
-            fixed = near.fixed.copy()
-            fixed[list(problem.model.values).index(self.name)] = value
-            conditions = problem.variables.conditions
-            problem = replace(problem, variables=replace(near, model=problem.model, fixed=fixed, conditions=conditions))
-        solution = solve(problem, self.options)
-        cost = solution.evaluation.cost + ((value - self.mean) / self.std) ** 2
-        return (max(cost - self.least, 0.0) / self.scale if np.isfinite(cost) else np.inf), solution.variables
+def _scale_likelihood(fit: Fit, v: DecisionVector, k: int) -> tuple[float | None, float, float]:
+    """The same of a fit with process noise: its standard deviation is widened by coloured innovations alone."""
+    name = v.quantities[k].name
+    owner = v.names[k][len(name) + 2 : -1]
+    stated = fit.constraints.per_experiment[name][owner] if owner else fit.parameters[name]
+    widened = fit.uncertainty.inflation.get(v.names[k], 1.0)
+    return stated.std, widened**2 if np.isfinite(widened) else 1.0, compute_quantile(np.inf) ** 2
 
 
 @dataclass(frozen=True)
-class _HeldLikelihood:
-    """The likelihood with the free parameter number ``k`` of ``objective`` held elsewhere, everything else estimated anew."""
+class _HeldObjective:
+    """What was minimised with the free parameter number ``k`` of ``objective`` held elsewhere, everything else estimated anew.
 
-    objective: PredictionErrorObjective
+    ``least`` is the cost at the optimum, and ``scale`` the unit of its rise.
+    """
+
+    objective: Objective
     k: int
     least: float
     scale: float
@@ -181,33 +145,27 @@ class _HeldLikelihood:
     policy: ProfilePolicy
 
     def rise(self, value: float, near: DecisionVector | None) -> tuple[float, DecisionVector]:
-        """Rise of the least ``-2 log L`` over ``scale`` with the parameter at ``value``, from ``near`` on; infinite without a fit."""
-        v = self.objective.unknowns.variables
+        """Rise of the least cost over ``scale`` with the parameter at ``value``, from ``near`` on; infinite without a fit."""
+        v = self.objective.variables
         name, owner, which = v.quantities[self.k].name, int(v.owner[self.k]), int(v.which[self.k])
         mean, std = v.prior[self.k]
         if owner == SHARED:
-            start = self.objective if near is None else self._with(near)
-            held = hold_parameters(start, {name: value})
+            held = hold_parameters(self.objective if near is None else self.objective.at(near), {name: value})
         else:  # of the other experiments it stays a parameter of their own
             given = [dict(c) for c in v.conditions or [{}] * v.experiments]
             given[owner][which] = value
             others = v.hold(np.arange(len(v.which)) == self.k) if near is None else near
-            held = self._with(replace(others, conditions=tuple(given)))
-        optimum = fisher_scoring(held, self.options.policy.likelihood_search, self.policy.likelihood_decrease)
+            held = self.objective.at(replace(others, conditions=tuple(given)))
+        optimum = fisher_scoring(held, self.options.policy.likelihood_search, self.policy.cost_decrease * self.scale)
         if not optimum.status.success:
-            optimum = maximise_likelihood(optimum.cost, self.options)
+            optimum = maximise_likelihood(optimum.objective, self.options)
         cost = optimum.evaluation.cost + ((value - mean) / std) ** 2
         rise = max(cost - self.least, 0.0) / self.scale if np.isfinite(cost) else np.inf
-        return rise, optimum.cost.unknowns.variables
-
-    def _with(self, variables: DecisionVector) -> PredictionErrorObjective:
-        return self.objective.at(replace(self.objective.unknowns, variables=variables))
+        return rise, optimum.objective.variables
 
 
-def _follow(
-    held: _HeldFit, v: DecisionVector, name: str, std: float | None, threshold: float, policy: ProfilePolicy
-) -> Profile:
-    k = v.names.index(name)
+def _follow(held: _HeldObjective, name: str, std: float | None, threshold: float, policy: ProfilePolicy) -> Profile:
+    v, k = held.objective.variables, held.k
     quantity, best = v.quantities[k], float(v.base[k])
     side = _Side(held, best, std, quantity.positive, threshold, policy)
     low, points_low = side.follow(quantity.bounds[0], -1)
@@ -221,7 +179,7 @@ def _follow(
 class _Side:
     """What both sides of a profile share: refits, the best value, its standard deviation, and the threshold of the rise."""
 
-    held: _HeldFit
+    held: _HeldObjective
     best: float
     std: float | None
     positive: bool

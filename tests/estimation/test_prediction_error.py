@@ -11,7 +11,7 @@ import greybox as gb
 from greybox import FitOptions, fit
 from greybox.errors import ModelError
 from greybox.estimation.findings import EstimationCode
-from greybox.estimation.restore import restore_likelihood
+from greybox.estimation.restore import restore_objective
 from greybox.filtering import KalmanFilter
 from greybox.result import load_fit
 from models.cascaded_tanks import cascaded_tanks
@@ -153,10 +153,10 @@ def test_what_pushes_is_told_with_its_size():
 
 def test_the_likelihood_stays_bounded_where_a_sensor_could_be_perfect():
     """With a first state that meets the first row exactly the noise of one sensor could shrink to nothing at no cost."""
-    cost = restore_likelihood(pushed_fit())
-    unknowns = cost.unknowns
-    levels = [unknowns.level * np.array([1.0, share]) for share in (1.0, 1e-2, 1e-4, 1e-6)]
-    likely = [cost.at(replace(unknowns, level=level)).cost() for level in levels]
+    cost = restore_objective(pushed_fit())
+    noise = cost.variables.noise
+    levels = [replace(noise, level=noise.level * np.array([1.0, share])) for share in (1.0, 1e-2, 1e-4, 1e-6)]
+    likely = [cost.at(replace(cost.variables, noise=level)).cost() for level in levels]
     assert np.all(np.diff(likely) > -1e-6), likely
 
 
@@ -218,7 +218,7 @@ def test_it_is_saved_and_read_back(tmp_path):
         and again.prediction.log_likelihood == found.prediction.log_likelihood
     )
     assert again.prediction == found.prediction
-    assert restore_likelihood(again).cost() == pytest.approx(-2 * found.prediction.log_likelihood, rel=1e-12)
+    assert restore_objective(again).cost() == pytest.approx(-2 * found.prediction.log_likelihood, rel=1e-12)
 
 
 @pytest.mark.parametrize(

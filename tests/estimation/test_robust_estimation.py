@@ -96,7 +96,7 @@ def test_the_gradient_is_that_of_the_robust_cost(text, rho):
     n = problem.variables.size
     z = 0.01 * np.random.default_rng(2).normal(size=n)
     here = shooting.evaluate(z)
-    white = np.concatenate([r for r, _ in shooting.whiten_residuals(z)])
+    white = np.concatenate([r for r, _ in shooting.whiten(shooting.compute_weighted_errors(z))])
     assert here.cost == pytest.approx(np.nansum(loss.terms(white)[0]), rel=1e-12)
     steps = 1e-6 * np.eye(n)
     slopes = [(shooting.evaluate(z + e).cost - shooting.evaluate(z - e).cost) / 2e-6 for e in steps]

@@ -1,0 +1,192 @@
+"""Estimation by simulation error: the noise model and the solution in turn, until both stand still.
+
+The noise that a solution is weighed with may have to be learnt from its own residual: the level of an output that nothing else tells,
+the scale of the bulk of a residual with outliers (a robust loss), the colour where that is asked for. Each changes the weights, and the
+weights change the residual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.estimation.options import ColourTreatment, FitOptions
+from greybox.estimation.policy import NoiseLoopPolicy
+from greybox.estimation.sandwich import estimate_residual_colour
+from greybox.noise import AutoRegression
+from greybox.noise.differences import estimate_spread
+from greybox.noise.noise_sources import NoiseSource
+from greybox.result import Misfit, RobustReport
+from greybox.transcription import DecisionVector
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.progress import FitProgressCallback
+from greybox.transcription.robust_loss import LossKind
+from greybox.transcription.simulation_error import compute_gauss_newton_step
+from greybox.transcription.solution import Runs, Solution
+from greybox.transcription.solve import solve
+
+
+def estimate_by_simulation_error(
+    problem: EstimationProblem,
+    options: FitOptions,
+    colour: ColourTreatment | str = ColourTreatment.KNOWN,
+    report: FitProgressCallback | None = None,
+) -> Solution:
+    """The solution of ``problem`` under a noise model that agrees with its residual.
+
+    A failed solution ends the loop, and so do the rounds of `NoiseLoopPolicy`. The last solution gets its last digits by Gauss-Newton
+    steps.
+    """
+    if colour == ColourTreatment.WHITE:
+        problem = problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in problem.noise.std)))
+    solution = solve(problem, options, report)
+    for _ in range(options.policy.noise_loop.rounds):
+        wanted = update_noise(solution, options, colour) if solution.status.success else None
+        if wanted is None:
+            break
+        before, solution = solution, solve(wanted, replace(options, progressive=False), report)
+        solution = replace(
+            solution,
+            iterations=solution.iterations + before.iterations,
+            evaluations=solution.evaluations + before.evaluations,
+            seconds=solution.seconds + before.seconds,
+        )
+    return polish_by_gauss_newton(solution, options)
+
+
+def update_noise(
+    solution: Solution, options: FitOptions, colour: ColourTreatment | str = ColourTreatment.KNOWN
+) -> EstimationProblem | None:
+    """The problem with what its residual says of the noise, begun at ``solution``; None where that stands still.
+
+    One thing at a time: the levels, then the scale of a robust loss, then the colour.
+    """
+    problem = (
+        _update_level(solution, options)
+        or _update_loss(solution, options)
+        or (_update_colour(solution, options) if colour == ColourTreatment.RESIDUAL else None)
+    )
+    return None if problem is None else replace(problem, variables=solution.variables)
+
+
+def _update_level(solution: Solution, options: FitOptions) -> EstimationProblem | None:
+    """The residual's own size as the noise of the outputs whose noise nothing else tells, as long as it counts as white."""
+    problem, evaluation = solution.problem, solution.evaluation
+    untold = np.array(
+        [
+            problem.noise.sources.get(o.name) is NoiseSource.RESIDUAL and not a.order
+            for o, a in zip(problem.model.outputs, problem.noise.colour, strict=True)
+        ]
+    )
+    if problem.loss is not None or not untold.any():
+        return None
+    counts = np.maximum(evaluation.counts, 1)
+    size = np.sqrt(evaluation.squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
+    ratio = np.where(untold & (size > 0), np.maximum(size, options.policy.noise.min_relative_level), 1.0)
+    if is_settled(ratio, options.policy.noise_loop):
+        return None
+    return problem.with_noise(replace(problem.noise, std=problem.noise.std * ratio))
+
+
+def _update_loss(solution: Solution, options: FitOptions) -> EstimationProblem | None:
+    """The robust loss at the scale of the bulk of each output's residual.
+
+    Huber's loss first: its cost has one minimum where least squares has one, and what it finds is near enough for a loss that bends
+    down. The ``scale`` of each output is that of the bulk of its residual over the noise (1.48 times the median size), and where the
+    noise is known one at least: what the model lacks is not to be taken for outliers. It is constant while the cost is minimised.
+    """
+    loss, before = options.to_loss(), solution.problem.loss
+    if loss is None:
+        return None
+    scale = estimate_bulk_scale(solution, options.policy.noise_loop)
+    if before is None and loss.kind != LossKind.HUBER:
+        loss = replace(loss, kind=LossKind.HUBER, threshold=loss.policy.huber_threshold)
+    elif (
+        before is not None and before.kind == loss.kind and is_settled(scale / before.scale, options.policy.noise_loop)
+    ):
+        return None
+    return replace(solution.problem, loss=replace(loss, scale=scale))
+
+
+def _update_colour(solution: Solution, options: FitOptions) -> EstimationProblem | None:
+    """The noise coloured as the residual is, where its colour is not known already."""
+    noise, policy = solution.problem.noise, options.policy
+    residual = estimate_residual_colour(
+        solution.residuals(), solution.unknowns, noise.known, policy=policy.intervals, noise_policy=policy.noise
+    )
+    models = tuple(
+        known if known.order else estimated for known, estimated in zip(noise.colour, residual.models, strict=True)
+    )
+    if all(a.order == b.order for a, b in zip(models, noise.colour, strict=True)):
+        return None
+    return solution.problem.with_noise(replace(noise, colour=models))
+
+
+def is_settled(ratio: np.ndarray, policy: NoiseLoopPolicy) -> bool:
+    """Whether what is known of the noise stands still: ``ratio`` (ny,) of the new sizes to those before."""
+    return bool(np.all(np.abs(ratio - 1) < policy.settled_size))
+
+
+def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
+    """``solution`` of free runs after some plain Gauss-Newton steps, each kept only if it lowers the cost.
+
+    With a robust loss they are steps of reweighted least squares, each nearer by about the same share: there are more of them.
+    """
+    problem, evaluation, policy = solution.problem, solution.evaluation, options.policy.convergence
+    if solution.joined or not solution.status.success or not solution.variables.size:
+        return solution
+    variables, passes = solution.variables, 0
+    for _ in range(policy.polishing_steps if problem.loss is None else policy.robust_polishing_steps):
+        moved = variables.recentre(_clip_to_bounds(variables, compute_gauss_newton_step(variables, evaluation)))
+        after = problem.shooting(moved).evaluate(np.zeros(moved.size))
+        passes += 1
+        if not after.cost < evaluation.cost:
+            break
+        variables, evaluation = moved, after
+    return replace(solution, variables=variables, evaluation=evaluation, evaluations=solution.evaluations + passes)
+
+
+def _clip_to_bounds(variables: DecisionVector, step: np.ndarray) -> np.ndarray:
+    """``step`` shortened to the bounds, entry by entry."""
+    low, high = variables.bounds()
+    return np.clip(step, np.minimum(low, 0.0), np.maximum(high, 0.0))
+
+
+def estimate_bulk_scale(solution: Solution, policy: NoiseLoopPolicy) -> np.ndarray:
+    """Size of the bulk of each output's residual over its noise (ny,), one at least where the noise is given."""
+    r = compute_whitened_residuals(solution.problem, solution.simulate())
+    least = 1.0 if solution.problem.noise.known else policy.least_scale
+    return np.array([max(estimate_spread(column, robust=True), least) for column in r.T])
+
+
+def compute_noise_ratios(problem: EstimationProblem, misfit: Mapping[str, Misfit]) -> dict[str, float]:
+    """Misfit over noise of each output; of a robust fit that of the bulk, which outliers do not enlarge."""
+    if problem.loss is None:
+        return {name: m.noise_ratio for name, m in misfit.items()}
+    scales = dict(zip((o.name for o in problem.model.outputs), problem.loss.scale, strict=True))
+    return {name: float(scales[name]) for name in misfit}
+
+
+def compute_whitened_residuals(problem: EstimationProblem, runs: Runs) -> np.ndarray:
+    """The residuals (samples, ny) of all records over their noise, whitened where the noise's colour is known; NaN in gaps."""
+    residuals = []
+    for record, (y, _) in zip(problem.records, runs, strict=True):
+        r = record.samples(record.y - y) / problem.noise.std
+        residuals.append(np.column_stack([colour.whiten(r[:, j]) for j, colour in enumerate(problem.noise.colour)]))
+    return np.concatenate(residuals)
+
+
+def summarise_outliers(problem: EstimationProblem, runs: Runs) -> RobustReport:
+    """What a robust fit made of the samples that it took for outliers; nothing for least squares."""
+    loss = problem.loss
+    if loss is None:
+        return RobustReport()
+    r = compute_whitened_residuals(problem, runs)
+    shares = loss.outliers(r).sum(axis=0) / np.maximum(np.isfinite(r).sum(axis=0), 1)
+    names = [o.name for o in problem.model.outputs]
+    measured = [j for j in range(len(names)) if np.isfinite(r[:, j]).any()]
+    return RobustReport(
+        str(loss), {names[j]: float(loss.scale[j]) for j in measured}, {names[j]: float(shares[j]) for j in measured}
+    )

@@ -1,0 +1,302 @@
+"""Where an estimation ended: runs, residuals with their slopes, covariance and tests at the optimum, each computed once.
+
+`SimulationOptimum` is the end of an estimation by simulation error, `PredictionOptimum` of one by prediction error. `assemble_fit` makes
+a `greybox.result.Fit` of either.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from greybox.estimation.covariance import ParameterCovariance, estimate_covariance, estimate_likelihood_covariance
+from greybox.estimation.likelihood_search import LikelihoodOptimum
+from greybox.estimation.objective import Objective, ResidualRows, SimulationErrorObjective
+from greybox.estimation.parameter_constancy import ConstancyInput, ParameterShift, expect_noise, find_parameter_shifts
+from greybox.estimation.policy import EstimationPolicy
+from greybox.estimation.process_noise_tests import ProcessNoiseTest
+from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour
+from greybox.estimation.traces import compute_misfits, make_traces
+from greybox.model import Model
+from greybox.noise import AutoRegression, NoiseSource
+from greybox.optim import TerminationStatus
+from greybox.result import Misfit, PredictionReport, Trace
+from greybox.transcription import DecisionVector, Evaluation
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.solution import Runs, Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum(ABC):
+    """The end of an estimation of ``model``.
+
+    ``solution``: that by simulation error, which is the estimate itself or where its search began.
+    """
+
+    model: Model
+    solution: Solution
+    policy: EstimationPolicy
+
+    tests: Sequence[ProcessNoiseTest] = ()
+    """Of the intensities of process noise."""
+
+    @property
+    @abstractmethod
+    def search(self) -> Solution | LikelihoodOptimum:
+        """How the search ended, and the work it took."""
+
+    @property
+    @abstractmethod
+    def problem(self) -> EstimationProblem:
+        """The problem with the noise as it is known at the optimum."""
+
+    @property
+    @abstractmethod
+    def objective(self) -> Objective:
+        """What was minimised, the present point being the optimum."""
+
+    @property
+    @abstractmethod
+    def runs(self) -> Runs:
+        """For each record the outputs (N, ny) of the free run, and its states, of which there is the first row at least."""
+
+    @property
+    @abstractmethod
+    def residuals(self) -> ResidualRows | None:
+        """The weighted residuals or innovations, and their slopes; None where there are none."""
+
+    @property
+    @abstractmethod
+    def colour(self) -> ResidualColour:
+        """Colour and variance of these."""
+
+    @property
+    @abstractmethod
+    def covariance(self) -> ParameterCovariance:
+        """Of the free constants."""
+
+    @property
+    def variables(self) -> DecisionVector:
+        """The constants and initial states, ``z = 0`` at the optimum."""
+        return self.objective.variables
+
+    @cached_property
+    def fitted_model(self) -> Model:
+        """The model with the fitted values."""
+        return self.model.start(**dict(zip(self.model.values, self.variables.fixed.tolist(), strict=True)))
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """The cost at the optimum with its quadratic model."""
+        return self.search.evaluation
+
+    @property
+    def status(self) -> TerminationStatus:
+        """How the search ended."""
+        return self.search.status
+
+    @property
+    def discretisation(self) -> str:
+        """How the model was integrated."""
+        return self.solution.discretisation or self.problem.step.label
+
+    @cached_property
+    def traces(self) -> tuple[Trace, ...]:
+        """Each record with the free run over it."""
+        return make_traces(self.problem, self.runs)
+
+    @cached_property
+    def misfit(self) -> Mapping[str, Misfit]:
+        """Free-run error of each output."""
+        return compute_misfits(self.problem, self.traces)
+
+    @cached_property
+    def step_shift(self) -> np.ndarray:
+        """Change of each free constant (nf,) when the step is halved, over its standard deviation.
+
+        Zero for a discretisation that is exact. NaN where the finer run overflows or the deviation is unknown. The steps to the optimum
+        at the present step and at half of it are compared, so that what the search has left over does not count.
+        """
+        variables = self.variables
+        change = self._compute_step_change()[: len(variables.which)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(
+                change == 0, 0.0, np.abs(change * variables.spans) / np.sqrt(np.diag(self.covariance.covariance))
+            )
+
+    def _compute_step_change(self) -> np.ndarray:
+        """Change of the unknowns, or of the first of them, in ``z`` with half the step."""
+        variables = self.objective.variables
+        if self.solution.problem.step.per_interval or not len(variables.which):
+            return variables.here
+        finer = self.objective.halve_step().evaluate(variables.here)
+        if not (np.isfinite(finer.cost) and np.isfinite(self.evaluation.cost)):
+            return np.full(variables.size, np.nan)
+        bounds = variables.bounds()
+        return finer.bounded_step(*bounds) - self.evaluation.bounded_step(*bounds)
+
+    @cached_property
+    def parameter_shifts(self) -> list[ParameterShift]:
+        """Parameters that are not constant."""
+        if not self.residuals:
+            return []
+        problem = self.problem
+        outputs = [
+            record.samples(y) if len(y) == len(record.u) else y
+            for record, (y, _) in zip(problem.records, self.runs, strict=True)
+        ]
+        names = [e.name for e in problem.experiments]
+        tested = ConstancyInput(self.variables, names, outputs, self._expected_noise, problem.model.noise_parameters)
+        return find_parameter_shifts(tested, self.residuals.rows, self.policy.constancy)
+
+    @property
+    def _expected_noise(self) -> ResidualColour:
+        """Colour and variance of what noise alone leaves in the rows."""
+        return self.colour
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationOptimum(Optimum):
+    """The end of an estimation by simulation error."""
+
+    @property
+    def search(self) -> Solution:
+        """How the search ended, and the work it took."""
+        return self.solution
+
+    @property
+    def problem(self) -> EstimationProblem:
+        """The problem with the noise as it is known at the optimum."""
+        return self.solution.problem
+
+    @cached_property
+    def objective(self) -> SimulationErrorObjective:
+        """The squares of the simulation error."""
+        return SimulationErrorObjective(replace(self.problem, variables=self.solution.variables))
+
+    @property
+    def runs(self) -> Runs:
+        """For each record the outputs of the free run (or of joined segments), and its states."""
+        return self._linearised[0]
+
+    @property
+    def residuals(self) -> ResidualRows | None:
+        """The weighted residuals and their slopes; None where the simulation overflows."""
+        return ResidualRows(self._linearised[1]) if np.isfinite(self.evaluation.cost) else None
+
+    @cached_property
+    def _linearised(self) -> tuple[Runs, Runs]:
+        return self.solution.linearise()
+
+    @cached_property
+    def colour(self) -> ResidualColour:
+        """Colour and variance of the residuals."""
+        problem, policy = self.problem, self.policy
+        return estimate_residual_colour(
+            self._linearised[1],
+            self.solution.unknowns,
+            problem.noise.known,
+            problem.variance_floor,
+            policy.intervals,
+            policy.noise,
+        )
+
+    @cached_property
+    def covariance(self) -> ParameterCovariance:
+        """Of the free constants."""
+        if not self.residuals:
+            return ParameterCovariance.unknown(self.variables)
+        return estimate_covariance(
+            self.variables, self.evaluation, self.residuals, self.colour, self.problem, self.policy.intervals
+        )
+
+    def _compute_step_change(self) -> np.ndarray:
+        joined = self.solution.joined
+        return joined.shift if joined else super()._compute_step_change()
+
+    @property
+    def _expected_noise(self) -> ResidualColour:
+        """As the noise is known where the residual clearly exceeds it."""
+        return expect_noise(self.colour, self._linearised[1], self.problem.noise, self.policy)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PredictionOptimum(Optimum):
+    """The end of an estimation by prediction error: the ``maximum`` of the likelihood."""
+
+    maximum: LikelihoodOptimum
+
+    @property
+    def search(self) -> LikelihoodOptimum:
+        """How the search ended, and the work it took."""
+        return self.maximum
+
+    @cached_property
+    def problem(self) -> EstimationProblem:
+        """The problem with the noise as it was estimated, white."""
+        problem, variables = self.solution.problem, self.variables
+        std = self.maximum.objective.noise
+        estimated = [problem.model.outputs[j].name for j in variables.estimated_noise]
+        noise = replace(
+            problem.noise,
+            std=std,
+            sources={**problem.noise.sources, **dict.fromkeys(estimated, NoiseSource.INNOVATIONS)},
+            colour=tuple(AutoRegression() for _ in std),
+        )
+        return problem.with_noise(noise)
+
+    @property
+    def objective(self) -> Objective:
+        """Minus twice the logarithm of the likelihood."""
+        return self.maximum.objective
+
+    @cached_property
+    def runs(self) -> Runs:
+        """For each record outputs and states of the free run."""
+        return self.maximum.objective.simulate()
+
+    @cached_property
+    def residuals(self) -> ResidualRows | None:
+        """The innovations with their slopes; None without success."""
+        return self.maximum.objective.linearise() if self.status.success else None
+
+    @cached_property
+    def colour(self) -> ResidualColour:
+        """Colour and variance of the innovations."""
+        rows = self.residuals.rows if self.residuals else ()
+        return estimate_residual_colour(rows, 0, True, policy=self.policy.intervals, noise_policy=self.policy.noise)
+
+    @cached_property
+    def covariance(self) -> ParameterCovariance:
+        """Of the free constants."""
+        if not self.residuals or not self.variables.size:
+            return ParameterCovariance.unknown(self.variables)
+        return estimate_likelihood_covariance(self.maximum, self.residuals, self.colour, self.policy.intervals)
+
+    @cached_property
+    def one_step(self) -> Mapping[str, Misfit]:
+        """Error of each output one step ahead."""
+        return compute_misfits(self.problem, make_traces(self.problem, self.maximum.objective.predict_one_step()))
+
+    @property
+    def discretisation(self) -> str:
+        """How the filter was integrated."""
+        return self.maximum.objective.kalman.filter_step.label
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the Kalman filter is exact: for a linear model and an exact discretisation."""
+        return bool(self.problem.model.system.linear and self.problem.step.per_interval)
+
+    def report(self) -> PredictionReport:
+        """What a fit by prediction error adds."""
+        fitted, likelihood = self.fitted_model, self.maximum.likelihood
+        return PredictionReport(
+            {state: value for state, value in fitted.noise_intensities.items() if state in self.model.noisy_states},
+            self.one_step,
+            likelihood if np.isfinite(likelihood) else None,
+        )
