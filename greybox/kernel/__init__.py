@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Collection
 from functools import lru_cache
 
 from greybox.errors import GreyboxError
@@ -32,7 +33,7 @@ __all__ = [
 _warned: set[str] = set()
 
 
-def make_kernel(step: Step) -> Kernel:
+def make_kernel(step: Step, free: Collection[int] | None = None) -> Kernel:
     """The fastest kernel that works on this machine.
 
     The environment variable ``GREYBOX_KERNEL`` forces ``compiled`` or ``interpreted``. Without a C compiler the interpreted kernel is
@@ -43,6 +44,9 @@ def make_kernel(step: Step) -> Kernel:
     ----------
     step
         The discrete step to run over records.
+    free
+        Numbers of the parameters that directions move, None for any. Directions that move others are allowed, but take a second
+        compilation.
 
     Returns
     -------
@@ -64,7 +68,8 @@ def make_kernel(step: Step) -> Kernel:
     if forced == "interpreted":
         return InterpretedKernel(step, "GREYBOX_KERNEL=interpreted")
     try:
-        return _make_compiled(step) if forced == "compiled" else _make_fallback(step)
+        make = _make_compiled if forced == "compiled" else _make_fallback
+        return make(step, None if free is None else tuple(sorted(set(map(int, free)))))
     except (CompilerError, UnsupportedOperationError) as error:
         if forced == "compiled":
             raise
@@ -73,13 +78,13 @@ def make_kernel(step: Step) -> Kernel:
 
 
 @lru_cache(maxsize=64)  # for the next fit with the same step
-def _make_compiled(step: Step) -> CompiledKernel:
-    return CompiledKernel(step)
+def _make_compiled(step: Step, free: tuple[int, ...] | None) -> CompiledKernel:
+    return CompiledKernel(step, free)
 
 
 @lru_cache(maxsize=64)
-def _make_fallback(step: Step) -> FallbackKernel:
-    return FallbackKernel(_make_compiled(step), _warn_once)
+def _make_fallback(step: Step, free: tuple[int, ...] | None) -> FallbackKernel:
+    return FallbackKernel(_make_compiled(step, free), _warn_once)
 
 
 def _warn_once(error: CompilerError | UnsupportedOperationError) -> None:

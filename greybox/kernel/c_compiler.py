@@ -166,11 +166,10 @@ def describe_machine() -> str:
 
 @lru_cache
 def choose_vector_width(directions: int) -> int:
-    """Doubles in one block of tangents: a vector register, or half of an AVX-512 one (often the faster half) if that is
-    enough."""
+    """Doubles in one block of tangents: a vector register, or half of an AVX-512 one (the faster half) unless there are many."""
     words = set(describe_machine().lower().split())
     if "avx512f" in words:
-        return 8 if directions > 4 else 4
+        return 8 if directions > 16 else 4
     known_x86 = platform.machine().lower() in ("x86_64", "amd64")
     return 4 if "avx" in words or (known_x86 and sys.platform != "linux") else 2
 

@@ -74,7 +74,8 @@ class CRoutine:
 
     def _statements(self, varying: bool) -> list[str]:
         lines = []
-        for kind, k in self.tape.order:
+        # Tangents after all values: nothing waits for them, and no call of a function then comes between their registers.
+        for kind, k in sorted(self.tape.order, key=lambda instruction: instruction[0] != "node"):
             if kind == "node":
                 node = self.tape.nodes[k]
                 if node.op not in (ca.OP_CONST, ca.OP_INPUT) and node.varying == varying:

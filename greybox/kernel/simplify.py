@@ -16,7 +16,7 @@ from greybox.kernel.tape import Scalar, Tangent, Tape
 Terms = dict[int, tuple[float, int | None]]  # tangent -> (sign, coefficient node or None for 1)
 
 
-def simplify_tape(tape: Tape, max_terms: int = 4) -> Tape:
+def simplify_tape(tape: Tape, max_terms: int = 6) -> Tape:
     """The same function with fewer tangent instructions; node numbers are kept.
 
     An instruction that is used once is multiplied out if it has at most ``max_terms`` terms: more of them cost more coefficients than

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -159,12 +159,20 @@ class Scalar:
         return self._with(ca.OP_LT, other, swapped=True)
 
 
-def read_tape(function: ca.Function, *, active: Sequence[int] = (), varying: Sequence[int] = ()) -> Tape:
+def read_tape(
+    function: ca.Function,
+    *,
+    active: Sequence[int] = (),
+    varying: Sequence[int] = (),
+    elements: Mapping[int, Collection[int]] | None = None,
+) -> Tape:
     """The instructions of ``function`` with tangents carried from the ``active`` inputs.
 
-    ``varying`` inputs change at every substep; what depends on the others alone is marked as computed once. Raises
-    UnsupportedOperationError for an operation without a rule.
+    ``varying`` inputs change at every substep; what depends on the others alone is marked as computed once. ``elements``: active input
+    -> its elements that have tangents, all of them where it is left out. Raises UnsupportedOperationError for an operation without a
+    rule.
     """
+    elements = elements or {}
     if not function.is_a("SXFunction"):
         function = function.expand()
     tape = Tape()
@@ -182,7 +190,8 @@ def read_tape(function: ca.Function, *, active: Sequence[int] = (), varying: Seq
         elif op == ca.OP_INPUT:
             which, element = source[0], rows_in[source[0]][source[1]]
             scalar = tape.input(which, element, which in varying)
-            tangent = tape.tangent(Tangent((), None, (which, element), which in varying)) if which in active else None
+            is_active = which in active and (which not in elements or element in elements[which])
+            tangent = tape.tangent(Tangent((), None, (which, element), which in varying)) if is_active else None
             work[target[0]] = (scalar, tangent)
         elif op in (ca.OP_ASSIGN, ca.OP_LIFT):
             work[target[0]] = work[source[0]]

@@ -66,7 +66,7 @@ class EstimationProblem:
     def with_step(self, substeps: int, p: np.ndarray) -> EstimationProblem:
         """The same with another number of substeps."""
         step = _discretise(self.model, self.records, p, None, self.method, substeps, self.policy.discretisation)
-        return replace(self, step=step, kernel=make_kernel(step))
+        return replace(self, step=step, kernel=make_kernel(step, self.variables.which))
 
 
 def prepare_problem(
@@ -122,7 +122,7 @@ def prepare_problem(
         deviation,
         variables,
         step,
-        make_kernel(step),
+        make_kernel(step, variables.which),
         method,
         constant_outputs=constant,
         policy=policy,

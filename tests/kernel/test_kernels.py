@@ -1,11 +1,14 @@
 """Both kernels against plain numpy: simulation, sums, residuals, gaps, tables of coefficients, overflow, every
 operation."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from greybox.errors import DataError, GreyboxError
+from greybox.integrators.composition import as_coefficients
 from greybox.integrators.step import Step
 from greybox.kernel import make_kernel
 from greybox.kernel.interface import check_sums
@@ -168,6 +171,23 @@ def test_kernels_agree(monkeypatch, tmp_path_factory):
         results.append(kernel.sums(record, P[None], np.eye(3)[None], P, np.eye(3), X0, np.zeros((2, 3)), weight))
     for name in ("cost", "gradient", "gauss_newton", "squares"):
         np.testing.assert_allclose(getattr(results[0], name), getattr(results[1], name), rtol=1e-9)
+
+
+@pytest.mark.parametrize("moved", [(0,), (0, 2), (1,), (0, 1, 2)])
+def test_a_kernel_for_some_free_parameters_gives_what_one_for_all_does(monkeypatch, tmp_path_factory, moved):
+    # (0, 2) are announced; other directions are served as well
+    monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path_factory.getbasetemp() / "kernels"))
+    step = replace(oscillator_step(), coefficients=as_coefficients)
+    record, weight = with_gaps(oscillator_record()), np.array([2.0, 0.5])
+    dp = np.zeros((3, 5))
+    dp[moved, : len(moved)] = np.eye(len(moved)) + 0.1
+    dx0 = np.concatenate([np.zeros((2, 3)), np.eye(2)], axis=1)
+    arguments = (record, P[None], dp[None], P, dp, X0, dx0, weight)
+    for name in ("sums", "residuals"):
+        results = [getattr(make_kernel(step, free), name)(*arguments) for free in (None, (0, 2))]
+        values = [(r.gradient, r.gauss_newton) if name == "sums" else r for r in results]
+        for whole, some in zip(*values, strict=True):
+            np.testing.assert_allclose(some, whole, rtol=1e-11, atol=1e-13 * np.nanmax(np.abs(whole)))
 
 
 def growing_step():
