@@ -138,30 +138,3 @@ def test_a_script_without_main_guard_works(tmp_path):
     command = [sys.executable, str(script)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, env=environment)
     assert done.stdout == "[2, 4, 6]\n", done.stderr
-
-
-def test_a_dask_cluster_of_processes(tmp_path):
-    distributed = pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
-    settings = {
-        "n_workers": 2,
-        "threads_per_worker": 1,
-        "processes": True,
-        "dashboard_address": None,
-        "local_directory": str(tmp_path),
-    }
-    with (
-        distributed.LocalCluster(**settings) as cluster,
-        distributed.Client(cluster) as client,
-        client.get_executor() as executor,
-    ):
-        model = lag()
-        data = linear_record(model, np.random.default_rng(1).normal(size=300), 0.01, noise={"x": 1e-3})
-
-        def job(common, start):
-            return os.getpid(), fit(common[0].start(T=start), common[1]).model.values["T"]
-
-        results, _ = run_jobs(job, (model, data), [0.05, 0.2, 0.3], executor=executor)
-        assert [r.error for r in results] == ["", "", ""]
-        assert os.getpid() not in {r.value[0] for r in results}
-        assert all(r.value[1] == pytest.approx(0.1, rel=1e-2) for r in results)
-        assert [r.value[0] for r in run_jobs(dies_once, tmp_path, range(4), executor=executor)[0]] == [0, 1, 2, 3]

@@ -1,0 +1,27 @@
+"""Many independent jobs here, in processes of this machine or on a cluster."""
+
+from greybox.parallel.cluster import open_cluster
+from greybox.parallel.jobs import (
+    JobProgressCallback,
+    JobResult,
+    JobResultCallback,
+    WorkersLostError,
+    open_workers,
+    run_jobs,
+)
+from greybox.parallel.local_pool import count_cores, open_local_pool
+from greybox.parallel.policy import ClusterPolicy, RetryPolicy
+
+__all__ = [
+    "ClusterPolicy",
+    "JobProgressCallback",
+    "JobResult",
+    "JobResultCallback",
+    "RetryPolicy",
+    "WorkersLostError",
+    "count_cores",
+    "open_cluster",
+    "open_local_pool",
+    "open_workers",
+    "run_jobs",
+]

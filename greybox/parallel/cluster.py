@@ -1,0 +1,144 @@
+"""A Dask cluster: joining it, and noticing that it is lost. Dask itself waits for a scheduler for ever."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Any, Protocol
+
+from greybox.errors import GreyboxError
+from greybox.parallel.local_pool import count_cores, quiet_children
+from greybox.parallel.policy import CLUSTER_POLICY, ClusterPolicy
+
+LOCAL = "local"
+"""The address of a cluster that is started on this machine, to try."""
+
+
+class WorkersHealth(Protocol):
+    """Whether it makes sense to wait for workers any longer."""
+
+    def find_fault(self, finished: int) -> str:
+        """Why it does not; empty where it does. ``finished`` counts the jobs that workers have done."""
+
+
+class AlwaysHealthy:
+    """Workers that tell of their end themselves: processes of this machine."""
+
+    def find_fault(self, finished: int) -> str:
+        """Nothing to say."""
+        return ""
+
+
+class DaskHealth:
+    """The scheduler's answers, and the workers that come and go."""
+
+    def __init__(self, client: Any, policy: ClusterPolicy = CLUSTER_POLICY) -> None:
+        self._client, self._policy = client, policy
+        now = time.monotonic()
+        self._looked = self._answered = self._staffed = now
+        self._finished = 0
+        self._present: set[str] = set()
+        self._most_present = self._lost = 0
+
+    def find_fault(self, finished: int) -> str:
+        """Why waiting is in vain: a client that is closed, a scheduler that does not answer, workers that die one after another."""
+        policy, now = self._policy, time.monotonic()
+        if self._client.status in ("closed", "closing"):
+            return "the connection to its scheduler is closed"
+        if finished > self._finished:
+            self._finished, self._lost = finished, 0
+        if now - self._looked < policy.look_seconds:
+            return ""
+        present = self._ask() if self._client.status == "running" else None
+        self._looked = now = time.monotonic()
+        if present is None:
+            silent = now - self._answered
+            return f"its scheduler has not answered for {silent:.0f} s" if silent > policy.silence_seconds else ""
+        self._answered = now
+        self._lost += len(self._present - present)
+        self._present, self._most_present = present, max(self._most_present, len(present))
+        if present:
+            self._staffed = now
+        if now - self._staffed > policy.empty_seconds:
+            return f"it has had no worker for {now - self._staffed:.0f} s"
+        if self._lost > max(policy.least_losses, policy.losses_per_worker * self._most_present):
+            return f"{self._lost} workers have died one after another without finishing a job"
+        return ""
+
+    def _ask(self) -> set[str] | None:
+        """The addresses of the workers; None where the scheduler does not answer."""
+        try:
+            return set(self._client.sync(self._client.scheduler.ncores, callback_timeout=self._policy.call_seconds))
+        except Exception:  # of the network, in as many kinds as there are transports: each means no answer
+            return None
+
+
+def watch_executor(executor: Executor) -> WorkersHealth:
+    """How to notice that an executor is lost; by its kind."""
+    client = getattr(executor, "_client", None)
+    return DaskHealth(client) if type(executor).__module__.startswith("distributed") and client else AlwaysHealthy()
+
+
+@contextmanager
+def open_cluster(address: str, workers: int = 0, policy: ClusterPolicy = CLUSTER_POLICY) -> Iterator[Executor]:
+    """An executor on a Dask cluster.
+
+    Parameters
+    ----------
+    address
+        Of the scheduler, such as ``tcp://10.0.0.5:8786``; ``local`` starts a cluster of processes on this machine.
+    workers
+        Processes of a local cluster; 0 for one on each core.
+    policy
+        How long to wait.
+
+    Yields
+    ------
+    Executor
+        The cluster, until the block ends.
+
+    Raises
+    ------
+    GreyboxError
+        If Dask is not installed, or no scheduler answers at the address.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise GreyboxError(
+            f"cluster {address}: Dask is not installed ({error}); pip install 'greybox-sysid[dask]'"
+        ) from None
+    with ExitStack() as stack:
+        stack.enter_context(quiet_children())
+        logger = logging.getLogger("distributed")
+        stack.callback(logger.setLevel, logger.level)
+        logger.setLevel(logging.CRITICAL)  # a loss is told once, by us
+        try:
+            if address == LOCAL:
+                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="greybox-", ignore_cleanup_errors=True))
+                cluster = distributed.LocalCluster(
+                    n_workers=workers or count_cores(),
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address=None,
+                    local_directory=folder,
+                    silence_logs=logging.CRITICAL,
+                )
+                stack.callback(_close, cluster, policy)
+            client = distributed.Client(cluster if address == LOCAL else address, timeout=policy.connect_seconds)
+        except (OSError, ValueError, RuntimeError, TimeoutError) as error:
+            reason = str(error) or type(error).__name__
+            raise GreyboxError(
+                f"cluster {address}: no scheduler answers ({reason}); give the address of one"
+            ) from error
+        stack.callback(_close, client, policy)
+        yield client.get_executor()
+
+
+def _close(value: Any, policy: ClusterPolicy) -> None:
+    with suppress(Exception):  # it may be lost already, and its loss was told
+        value.close(timeout=policy.close_seconds)

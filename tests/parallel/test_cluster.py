@@ -1,0 +1,325 @@
+"""Jobs on a Dask cluster: faults are survived, or told within a minute with what is finished."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from greybox.errors import GreyboxError
+from greybox.estimation import fit, multistart
+from greybox.parallel import WorkersLostError, cluster, jobs, open_cluster, run_jobs
+from greybox.parallel.cluster import DaskHealth
+from tests.oracles.independent import linear_record
+from tests.parallel.test_jobs import dies_once, lag
+
+needs_dask = pytest.mark.skipif(find_spec("distributed") is None, reason="the extra 'dask' is not installed")
+ANSWER_SECONDS = 60.0
+
+
+def work(folder: Path, item: int) -> tuple[int, int]:
+    """A job of half a second that says which process does it."""
+    (folder / f"worker-{os.getpid()}").touch()
+    time.sleep(0.5)
+    return item, os.getpid()
+
+
+def worker_pids(folder: Path) -> list[int]:
+    return [int(path.name.partition("-")[2]) for path in folder.glob("worker-*")]
+
+
+def kill(pid: int) -> None:
+    with suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+
+
+@contextmanager
+def in_background(action, *arguments) -> Iterator[None]:
+    """``action`` in a thread, which has ended when the block has."""
+    stop = threading.Event()
+    thread = threading.Thread(target=action, args=(stop, *arguments), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join(10)
+
+
+@contextmanager
+def separate_cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, subprocess.Popen, list[subprocess.Popen]]]:
+    """A scheduler and workers as processes of their own: the address and the processes."""
+    file = folder / "scheduler.json"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (os.getcwd(), *filter(None, sys.path))))}
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment, "cwd": folder}
+    base = [sys.executable, "-m", "distributed.cli.dask_{}", "--scheduler-file", str(file)]
+
+    def start(kind: str, *more: str) -> subprocess.Popen:
+        return subprocess.Popen([part.format(kind) for part in base] + list(more), **quiet)
+
+    scheduler = start("scheduler", "--port", "0", "--dashboard-address", ":0")
+    processes = [start("worker", "--nthreads", "1", "--no-dashboard") for _ in range(workers)]
+    try:
+        deadline = time.monotonic() + 60
+        while not file.exists() or not file.read_text():
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        yield json.loads(file.read_text())["address"], scheduler, processes
+    finally:
+        for process in (*processes, scheduler):
+            process.terminate()
+        for process in (*processes, scheduler):
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(10)
+            process.kill()
+
+
+@needs_dask
+def test_a_local_cluster_of_two_processes_survives_the_death_of_one(tmp_path):
+    def kill_one(stop: threading.Event) -> None:
+        while not stop.wait(0.05):
+            if pids := worker_pids(tmp_path):
+                kill(pids[0])
+                return
+
+    with open_cluster("local", 2) as executor, in_background(kill_one):
+        results, interrupted = run_jobs(work, tmp_path, range(8), executor=executor)
+    assert not interrupted
+    assert [r.value[0] for r in results] == list(range(8))
+    assert len({r.value[1] for r in results} | {*worker_pids(tmp_path)}) >= 3  # the dead one was replaced
+    assert os.getpid() not in worker_pids(tmp_path)
+
+
+@needs_dask
+def test_a_model_is_fitted_on_a_cluster_as_here(tmp_path):
+    model = lag()
+    data = linear_record(model, np.random.default_rng(1).normal(size=300), 0.01, noise={"x": 1e-3})
+    with open_cluster("local", 2) as executor:
+
+        def job(common, start):
+            return os.getpid(), fit(common[0].start(T=start), common[1]).model.values["T"]
+
+        results, _ = run_jobs(job, (model, data), [0.05, 0.2, 0.3], executor=executor)
+        assert [r.error for r in results] == ["", "", ""]
+        assert os.getpid() not in {r.value[0] for r in results}
+        assert all(r.value[1] == pytest.approx(0.1, rel=1e-2) for r in results)
+        assert [r.value[0] for r in run_jobs(dies_once, tmp_path, range(4), executor=executor)[0]] == [0, 1, 2, 3]
+
+
+@needs_dask
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("fault", ["scheduler killed", "scheduler stopped", "scheduler ended"])
+def test_a_lost_scheduler_is_told_within_a_minute_with_what_is_finished(tmp_path, fault):
+    number = {
+        "scheduler killed": signal.SIGKILL,
+        "scheduler stopped": signal.SIGSTOP,
+        "scheduler ended": signal.SIGTERM,
+    }
+    with separate_cluster(tmp_path) as (address, scheduler, _), open_cluster(address) as executor:
+        lost_at: list[float] = []
+
+        def lose(done: int, _: int) -> None:
+            if done == 3:
+                scheduler.send_signal(number[fault])
+                lost_at.append(time.monotonic())
+
+        with pytest.raises(WorkersLostError, match="the cluster is given up") as caught:
+            run_jobs(work, tmp_path, range(100), executor=executor, report=lose)
+        assert time.monotonic() - lost_at[0] < ANSWER_SECONDS
+        assert sum(r is not None for r in caught.value.results) >= 3
+        scheduler.send_signal(signal.SIGCONT)
+        scheduler.kill()
+
+
+@needs_dask
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_closed_client_is_told_with_what_is_finished(tmp_path):
+    import distributed
+
+    with (
+        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, local_directory=tmp_path) as local,
+        distributed.Client(local) as client,
+    ):
+        closing = threading.Timer(2.5, client.close)
+        closing.start()
+        began = time.monotonic()
+        with pytest.raises(WorkersLostError) as caught:
+            run_jobs(work, tmp_path, range(100), executor=client.get_executor())
+        assert time.monotonic() - began < ANSWER_SECONDS
+        assert 0 < sum(r is not None for r in caught.value.results) < 100
+        closing.join()
+
+
+@needs_dask
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_workers_that_are_killed_again_and_again_are_told_within_a_minute(tmp_path):
+    def kill_all(stop: threading.Event) -> None:
+        while not stop.wait(0.1):
+            for pid in worker_pids(tmp_path):
+                kill(pid)
+                (tmp_path / f"worker-{pid}").unlink()
+
+    with open_cluster("local", 2) as executor, in_background(kill_all):
+        began, told = time.monotonic(), []
+        try:
+            results, _ = run_jobs(work, tmp_path, range(12), executor=executor)
+            told += [r.error for r in results]
+        except WorkersLostError as error:
+            told.append(str(error))
+        assert time.monotonic() - began < ANSWER_SECONDS
+    assert all("died" in text for text in told)
+
+
+@needs_dask
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_cluster_without_workers_is_told_within_a_minute(tmp_path):
+    with separate_cluster(tmp_path, workers=0) as (address, *_), open_cluster(address) as executor:
+        began = time.monotonic()
+        with pytest.raises(WorkersLostError, match="no worker"):
+            run_jobs(work, tmp_path, range(3), executor=executor)
+        assert time.monotonic() - began < ANSWER_SECONDS
+
+
+@needs_dask
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_all_workers_killed_once_are_replaced(tmp_path):
+    def kill_all_once(stop: threading.Event) -> None:
+        while not stop.wait(0.05):
+            if len(pids := worker_pids(tmp_path)) == 2:
+                for pid in pids:
+                    kill(pid)
+                return
+
+    with open_cluster("local", 2) as executor, in_background(kill_all_once):
+        results, _ = run_jobs(work, tmp_path, range(12), executor=executor)
+    assert [r.value[0] for r in results] == list(range(12))
+
+
+@needs_dask
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_job_that_kills_its_workers_is_named_and_the_others_are_done(tmp_path):
+    def job(common, item):
+        if item == 1:
+            os._exit(9)
+        return item
+
+    with open_cluster("local", 2) as executor:
+        results, _ = run_jobs(job, None, range(6), executor=executor)
+    assert [r.value for r in results] == [0, None, 2, 3, 4, 5]
+    assert "worker" in results[1].error
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x", "127.0.0.1:notaport", ""])
+@needs_dask
+def test_an_address_where_no_scheduler_answers_is_told(monkeypatch, address):
+    policy = cluster.ClusterPolicy(connect_seconds=1.0)
+    began = time.monotonic()
+    with pytest.raises(GreyboxError, match="no scheduler answers"), open_cluster(address or "tcp://", policy=policy):
+        pass
+    assert time.monotonic() - began < 20
+
+
+def test_without_dask_the_remedy_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(GreyboxError, match="pip install"), open_cluster("local"):
+        pass
+
+
+def test_workers_of_another_version_are_told_at_once(monkeypatch):
+    versions = iter(["Python 3.11, greybox aaaa"] + ["Python 3.11, greybox bbbb"] * 99)
+    monkeypatch.setattr(jobs, "describe_version", lambda: next(versions))
+    with ThreadPoolExecutor(1) as threads, pytest.raises(WorkersLostError, match="install the same version") as caught:
+        run_jobs(lambda common, item: item, None, [1], executor=threads)
+    assert caught.value.results == (None,)
+
+
+class FakeClient:
+    """A client whose scheduler answers as told."""
+
+    def __init__(self) -> None:
+        self.status = "running"
+        self.workers: set[str] | None = {"a", "b"}
+        self.scheduler = self
+        self.ncores = None
+
+    def sync(self, *_, **__):
+        if self.workers is None:
+            raise OSError("no answer")
+        return dict.fromkeys(self.workers, 1)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    now = [1000.0]
+    monkeypatch.setattr(cluster.time, "monotonic", lambda: now[0])
+    return now
+
+
+def faults(health: DaskHealth, clock: list[float], seconds: int, finished: int = 0) -> list[str]:
+    """What is found in so many looks, a second apart."""
+    texts = []
+    for _ in range(seconds):
+        clock[0] += 1.5
+        texts.append(health.find_fault(finished))
+    return texts
+
+
+def test_a_scheduler_that_is_silent_for_a_moment_is_waited_for(clock):
+    client = FakeClient()
+    health = DaskHealth(client)
+    client.workers = None
+    assert not any(faults(health, clock, 10))
+    client.workers = {"a"}
+    assert not any(faults(health, clock, 10))
+    client.workers = None
+    assert any("has not answered" in text for text in faults(health, clock, 20))
+
+
+def test_workers_that_come_and_go_are_counted_until_a_job_is_finished(clock):
+    client = FakeClient()
+    health = DaskHealth(client)
+    for k in range(4):
+        client.workers = {f"a{k}", f"b{k}"}
+        (text,) = faults(health, clock, 1)
+        assert (k == 4) == bool(text)
+    client.workers = {"a4", "b4"}
+    assert "died one after another" in faults(health, clock, 1)[0]
+    assert not faults(health, clock, 1, finished=1)[0]
+
+
+def test_a_closed_client_is_a_fault_at_once():
+    client = FakeClient()
+    client.status = "closed"
+    assert "closed" in DaskHealth(client).find_fault(0)
+
+
+def test_multistart_tells_what_is_finished(monkeypatch):
+    model = lag()
+    data = linear_record(model, np.random.default_rng(1).normal(size=100), 0.01, noise={"x": 1e-3})
+
+    class Lost:
+        def find_fault(self, finished: int) -> str:
+            return "it burnt down" if finished else ""
+
+    monkeypatch.setattr(jobs, "watch_executor", lambda executor: Lost())
+    with ThreadPoolExecutor(1) as threads, pytest.raises(WorkersLostError, match="burnt down") as caught:
+        multistart(model, data, starts=4, executor=threads)
+    assert sum(r is not None for r in caught.value.results) >= 1
