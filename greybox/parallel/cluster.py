@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager, suppress
+from importlib import import_module
 from typing import Any, Protocol
 
 from greybox.errors import GreyboxError
@@ -107,7 +108,7 @@ def open_cluster(address: str, workers: int = 0, policy: ClusterPolicy = CLUSTER
         If Dask is not installed, or no scheduler answers at the address.
     """
     try:
-        import distributed
+        distributed = import_module("distributed")  # of the extra `dask`
     except ImportError as error:
         raise GreyboxError(
             f"cluster {address}: Dask is not installed ({error}); pip install 'greybox-sysid[dask]'"
