@@ -192,3 +192,6 @@ FLATTEST_CURVATURE = 1e-14
 
 REFERENCE_TOLERANCE = 1e-9
 """Relative and absolute tolerance of the independent simulation, absolute for states divided by their size: far below any noise."""
+
+LARGEST_VALUE = 1e100
+"""Measured numbers are smaller in any unit. The square of a larger one, over the variance of a noise and summed, can overflow."""

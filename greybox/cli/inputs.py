@@ -111,9 +111,9 @@ def read_records(study: Study, model: Model) -> tuple[tuple[Experiment, ...], tu
             model,
             conditions=from_files,
             split=study.split_holes,
-            columns=dict(study.columns) or None,
             hold=study.hold,  # type: ignore[arg-type]
             allow_constant_input=study.free_decay,
+            **layout_of(study),
         )
         if files
         else ()
@@ -139,7 +139,27 @@ def read_quiet_records(study: Study, model: Model, hold: str | None = None) -> t
     if not study.quiet:
         return ()
     more: dict[str, Any] = {} if hold is None else {"hold": hold}
-    return read_experiments(study.quiet, model, columns=dict(study.columns) or None, allow_constant_input=True, **more)
+    return read_experiments(study.quiet, model, allow_constant_input=True, **layout_of(study), **more)
+
+
+def layout_of(study: Study) -> dict[str, Any]:
+    """How the files of the records are laid out, and how large they may be, as the readers take it. Raises GreyboxError."""
+    from greybox.experiment.policy import READING_POLICY
+
+    if study.headers and study.columns:
+        raise GreyboxError(
+            f"{study.label('headers')} and {study.label('columns')} exclude each other: names for all columns, or headers for some;"
+            " keep one"
+        )
+    for name in ("sampling_time", "read_limit"):
+        if getattr(study, name) < 0:
+            raise GreyboxError(f"{study.label(name)} {getattr(study, name):g}: give a number above 0")
+    layout: dict[str, Any] = {"columns": study.headers or dict(study.columns) or None}
+    if study.sampling_time:
+        layout["sampling_time"] = study.sampling_time
+    if study.read_limit:
+        layout["reading"] = READING_POLICY.times(study.read_limit)
+    return layout
 
 
 def _marked_if_fitted(record: Experiment, estimation: Sequence[Experiment]) -> Experiment:

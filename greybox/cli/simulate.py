@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +14,7 @@ from greybox.cli.answers import SimulationAnswer
 from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error, print_findings, print_note
 from greybox.cli.findings import CommandCode
-from greybox.cli.inputs import add_effects, check_substeps
+from greybox.cli.inputs import add_effects, check_substeps, layout_of
 from greybox.cli.options import NoReport, Texts, check_writable, takes_study
 from greybox.cli.policy import COMMANDS
 from greybox.cli.reporting import write_report
@@ -91,7 +91,12 @@ def simulate(
         float | None, typer.Option("--duration", metavar="SECONDS", help="Duration of the test signal.")
     ] = None,
     sampling_time: Annotated[
-        float | None, typer.Option("--sampling-time", metavar="SECONDS", help="Sampling time of the record.")
+        float | None,
+        typer.Option(
+            "--sampling-time",
+            metavar="SECONDS",
+            help="Sampling time of the test signal, or of an INPUT without a time column.",
+        ),
     ] = None,
     set_: Values,
     initial: Initial,
@@ -129,10 +134,12 @@ def simulate(
     noise_std = Numbers(shape="OUTPUT=STD", example="x=2e-7").from_option("--noise", noise)
     generator = np.random.default_rng(seed)
     shapes = {"--step": step, "--multisine": multisine, "--chirp": chirp}
-    shaping = {"--band": band, "--offset": offset, "--duration": duration, "--sampling-time": sampling_time}
-    chosen = _one_drive(plant, inputs, shapes, shaping, study.columns)
+    shaping = {"--band": band, "--offset": offset, "--duration": duration}
+    layout = layout_of(study)
+    chosen = _one_drive(plant, inputs, shapes, shaping, study)
     if inputs is not None:
-        experiment = read_inputs(inputs, plant, columns=dict(study.columns), hold=study.hold)  # type: ignore[arg-type]
+        layout |= {} if sampling_time is None else {"sampling_time": sampling_time}
+        experiment = read_inputs(inputs, plant, hold=study.hold, **layout)  # type: ignore[arg-type]
         gap = find_longest_time_gap(experiment.time, code=RecordCode.INPUT_HELD_THROUGH_GAP)
         if gap is not None:
             print_note(f"note: {experiment.source}: {gap}")
@@ -189,7 +196,7 @@ def _one_drive(
     inputs: Path | None,
     shapes: Mapping[str, float | None],
     shaping: Mapping[str, object],
-    columns: Collection[str],
+    study: Study,
 ) -> dict[str, float]:
     """The test signal that is wanted, none beside a file of inputs; refuses two drives, and options that would change nothing."""
     chosen = {name: size for name, size in shapes.items() if size is not None}
@@ -199,7 +206,8 @@ def _one_drive(
     idle = [
         name for name, value in shaping.items() if value and (inputs is not None or (name == "--band" and not banded))
     ]
-    idle += ["--column"] if columns and inputs is None else []
+    if inputs is None:
+        idle += [study.label(name) for name in ("columns", "headers", "read_limit") if getattr(study, name)]
     if idle:
         beside = "this test signal" if inputs is None else "a file of inputs"
         raise GreyboxError(

@@ -22,6 +22,7 @@ from greybox.cli.study_values import (
     Count,
     Counts,
     Files,
+    Headers,
     Kind,
     Names,
     Numbers,
@@ -323,9 +324,34 @@ class Study:
         "--column",
         "columns.",
         (*_ALL, SIMULATE),
-        "Header of the column that contains a signal or the time, if it differs from NAME.",
+        "Header of the column that contains a signal or the time, if it differs from NAME; or its number, counted from 1.",
         metavar="NAME=HEADER",
         complete=completion.signals,
+    )
+    headers: tuple[str, ...] = _study_field(
+        Headers(),
+        "--columns",
+        "records.columns",
+        (*_ALL, SIMULATE),
+        "Names of all columns in their order, such as 'time [ms],u,-,x', for files without a header and for matrices; - leaves a"
+        " column out.",
+        metavar="NAME,...",
+    )
+    sampling_time: float = _study_field(
+        Quantity(),
+        "--sampling-time",
+        "records.sampling_time",
+        _ALL,
+        "Seconds between rows, for records without a time column.",
+        metavar="SECONDS",
+    )
+    read_limit: float = _study_field(
+        Quantity(),
+        "--read-limit",
+        "records.read_limit",
+        (*_ALL, SIMULATE),
+        "Raise the limits on the size of record files by this factor.",
+        metavar="FACTOR",
     )
     method: str = _study_field(
         Choice(MethodName),

@@ -212,6 +212,27 @@ class CommaNames(Kind):
 
 
 @dataclass(frozen=True)
+class Headers(Kind):
+    """Headers after one option, separated by commas; blanks and brackets belong to them: ``time [ms],u,-,x [um]``."""
+
+    annotation = str
+    default = ""
+    empty = ()
+
+    def from_option(self, option: str, raw: str) -> tuple[str, ...]:
+        headers = tuple(name.strip() for name in raw.split(","))
+        if not all(headers):
+            raise GreyboxError(f"{option} {raw}: a name is empty; write '-' for a column that is not wanted")
+        return headers
+
+    def from_toml(self, place: str, data: Any) -> tuple[str, ...]:
+        return Names().from_toml(place, data)
+
+    def to_toml(self, value: tuple[str, ...]) -> list[str]:
+        return list(value)
+
+
+@dataclass(frozen=True)
 class Files(Kind):
     """Paths of files. Those in a study file are relative to its folder."""
 

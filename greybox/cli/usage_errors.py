@@ -98,11 +98,11 @@ def _missing(parameter: TyperArgument, ctx: Any, typed: Sequence[str]) -> str:
 
 def describe_missing_argument(command: str, order: Sequence[str], missing: str, typed: Sequence[str]) -> str:
     """Which argument is missing, and in which order they come; a record in the place of the model is named as such."""
-    from greybox.experiment.read import READERS
+    from greybox.experiment.formats import SUFFIXES
 
     usage = f"write {command} {' '.join(order)}; see {command} --help"
     first = next((word for word in typed if not word.startswith("-")), "")
-    if order[0] == "MODEL" and Path(first).suffix.lower() in READERS:
+    if order[0] == "MODEL" and Path(first).suffix.lower() in SUFFIXES:
         return f"{first}: a record, not a model; MODEL comes first: {usage}"
     return f"{command}: {missing} is missing; {usage}"
 

@@ -1,30 +1,92 @@
-"""Tables in MATLAB (.mat), NumPy (.npz) and Parquet files."""
+"""Tables in files of named arrays: MATLAB, NumPy, HDF5, Parquet. Shapes are known at once, numbers are loaded when they are wanted."""
 
 from __future__ import annotations
 
-import zipfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from greybox.errors import DataError
-from greybox.experiment.problems import RowLabels
-from greybox.experiment.table import describe_non_numbers
+from greybox.experiment.policy import READING_POLICY, ReadingPolicy
+from greybox.experiment.problems import RowLabels, shorten
+from greybox.experiment.table import check_size, check_width, describe_non_numbers, describe_wrong_count
+
+Arrays = Mapping[str, np.ndarray]
+ArrayLoader = Callable[[Sequence[str]], Arrays]
+"""Gives the arrays of these names."""
+
+
+@dataclass(frozen=True)
+class ArrayInfo:
+    """What is known of an array before it is loaded: its ``shape``, and what it ``holds`` if not numbers."""
+
+    shape: tuple[int, ...]
+    holds: str = ""
+
+    @property
+    def is_matrix(self) -> bool:
+        """Whether it has several columns of numbers."""
+        return len(self.shape) == 2 and min(self.shape) > 1 and not self.holds
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether it is one column of several numbers."""
+        return not self.holds and len(self.shape) in (1, 2) and max(self.shape) > 1 and not self.is_matrix
+
+
+@dataclass(frozen=True)
+class ArrayColumn:
+    """One column of a table: an array, or in a matrix its column (or row, if it has more columns than rows) ``index``."""
+
+    array: str
+    header: str
+    index: int | None = None
 
 
 @dataclass(frozen=True)
 class ArrayTable:
-    """Named arrays of a file; rows are counted from 1."""
+    """Named arrays of a file; rows are counted from 1. The columns of a matrix ``data`` are called ``data(:,1)``, ``data(:,2)``, ...
 
-    arrays: Mapping[str, np.ndarray]
+    Parameters
+    ----------
+    infos
+        The arrays of the file, in their order.
+    load
+        Loads some of them.
+    columns
+        The columns of the table.
+    policy
+        How much may be loaded.
+    """
+
+    infos: Mapping[str, ArrayInfo]
+    load: ArrayLoader = field(repr=False)
+    columns: tuple[ArrayColumn, ...]
+    policy: ReadingPolicy = field(default=READING_POLICY, repr=False)
+    headless = False
+    header_line = 1
+
+    @classmethod
+    def from_infos(
+        cls, infos: Mapping[str, ArrayInfo], load: ArrayLoader, policy: ReadingPolicy = READING_POLICY
+    ) -> ArrayTable:
+        """The table of a file's arrays. Raises DataError for more columns than the policy allows."""
+        check_width(sum(min(i.shape) if i.is_matrix else 1 for i in infos.values()), policy)
+        columns: list[ArrayColumn] = []
+        for name, info in infos.items():
+            if not info.is_matrix:
+                columns.append(ArrayColumn(name, name))
+                continue
+            written = "{}(:,{})" if info.shape[0] >= info.shape[1] else "{}({},:)"
+            columns += [ArrayColumn(name, written.format(name, k + 1), k) for k in range(min(info.shape))]
+        return cls(infos, load, tuple(columns), policy)
 
     @property
     def headers(self) -> tuple[str, ...]:
-        """Names of the arrays."""
-        return tuple(self.arrays)
+        """Names of the columns."""
+        return tuple(column.header for column in self.columns)
 
     @property
     def comments(self) -> tuple[str, ...]:
@@ -36,86 +98,56 @@ class ArrayTable:
         """Rows are called by their number."""
         return RowLabels()
 
+    @property
+    def numbered(self) -> tuple[int, ...]:
+        """Positions of the columns of the only matrix, or of all vectors where there is no matrix."""
+        matrices = [name for name, info in self.infos.items() if info.is_matrix]
+        if matrices:
+            return tuple(
+                k for k, column in enumerate(self.columns) if len(matrices) == 1 and column.array == matrices[0]
+            )
+        return tuple(k for k, column in enumerate(self.columns) if self.infos[column.array].is_vector)
+
+    def rename(self, names: Sequence[str]) -> ArrayTable:
+        """The table with a name for each counted column; the others have none. Raises DataError for another number of names."""
+        if not self.numbered:
+            matrices = [shorten(name) for name, info in self.infos.items() if info.is_matrix]
+            what = f"the matrices {', '.join(matrices)}" if matrices else "no columns of numbers"
+            raise DataError(f"the file has {what}; choose columns by their headers, as in columns={{'u': 'data(:,2)'}}")
+        if len(names) != len(self.numbered):
+            raise DataError(describe_wrong_count(names, len(self.numbered)))
+        named = dict(zip(self.numbered, names, strict=True))
+        return replace(
+            self, columns=tuple(replace(column, header=named.get(k, "")) for k, column in enumerate(self.columns))
+        )
+
     def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
         """Columns (N,) as float64 with NaN for gaps, and the problems met."""
-        columns: dict[int, np.ndarray] = {}
-        problems: list[str] = []
-        for k in positions:
-            header = self.headers[k]
-            columns[k] = _to_column(header, self.arrays[header], self.row_labels, problems)
+        wanted = {k: self.columns[k] for k in positions}
+        problems = [
+            f"column {shorten(column.header)!r} holds {info.holds}, not real numbers; write numbers (time in seconds)"
+            for column in wanted.values()
+            if (info := self.infos[column.array]).holds
+        ]
+        if problems:
+            return {k: np.zeros(0) for k in positions}, problems
+        names = list(dict.fromkeys(column.array for column in wanted.values()))
+        check_size(sum(int(np.prod(self.infos[name].shape, dtype=object)) for name in names), 1, self.policy)
+        arrays = self.load(names)
+        columns = {
+            k: _to_column(column, arrays[column.array], self.row_labels, problems) for k, column in wanted.items()
+        }
         rows = {len(values) for values in columns.values()}
         if not problems and len(rows) > 1:
-            lengths = ", ".join(f"{self.headers[k]!r} {len(v)}" for k, v in columns.items())
+            lengths = ", ".join(f"{shorten(self.headers[k])!r} {len(v)}" for k, v in columns.items())
             problems.append(f"columns differ in length ({lengths} rows); each needs one value for each time")
         return columns, problems
 
 
-def read_mat(path: Path) -> ArrayTable:
-    """Variables of a MATLAB file up to version 7; a field ``x`` of a struct ``data`` is called ``data.x``.
-
-    Raises DataError for version 7.3, which is another format, and for a damaged file.
-    """
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    try:
-        content = loadmat(str(path), simplify_cells=True)
-    except NotImplementedError:
-        raise DataError(
-            f"{path.name}: MATLAB 7.3 files cannot be read;"
-            f" in MATLAB save it again with save('{path.name}', '-v7'), or export it as CSV"
-        ) from None
-    except (MatReadError, ValueError, TypeError, OSError) as error:
-        raise DataError(
-            f"{path.name}: not a readable MATLAB file ({error}); save it again with '-v7', or export it as CSV"
-        ) from error
-    arrays: dict[str, np.ndarray] = {}
-    for name, value in content.items():
-        if name.startswith("__"):
-            continue
-        members = {f"{name}.{n}": v for n, v in value.items()} if isinstance(value, dict) else {name: value}
-        arrays |= {n: np.asarray(v) for n, v in members.items() if not isinstance(v, dict)}
-    return ArrayTable(arrays)
-
-
-def read_npz(path: Path) -> ArrayTable:
-    """Arrays of a NumPy archive; names may carry units, as in ``numpy.savez(file, **{"x [um]": x})``."""
-    try:
-        content: Any = np.load(path, allow_pickle=False)
-        if not isinstance(content, np.lib.npyio.NpzFile):
-            raise ValueError("it holds a single array, not named ones")
-        with content:
-            arrays = {name: content[name] for name in content.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise DataError(
-            f"{path.name}: not a readable .npz file ({error}); write it with numpy.savez(file, time=..., u=...)"
-        ) from error
-    return ArrayTable(arrays)
-
-
-def read_parquet(path: Path) -> ArrayTable:
-    """Columns of a Parquet file."""
-    import pandas as pd
-
-    try:
-        frame = pd.read_parquet(path)
-    except ImportError as error:
-        raise DataError(
-            f"{path.name}: reading Parquet needs the package pyarrow; install it, or export the record as CSV"
-        ) from error
-    except (ValueError, OSError) as error:
-        raise DataError(
-            f"{path.name}: not a readable Parquet file ({error}); write it again, or export the record as CSV"
-        ) from error
-    arrays: dict[str, np.ndarray] = {}
-    for name in frame.columns:
-        column = frame[name]
-        numeric = pd.api.types.is_numeric_dtype(column.dtype)
-        arrays[str(name)] = column.to_numpy(dtype=np.float64, na_value=np.nan) if numeric else column.to_numpy()
-    return ArrayTable(arrays)
-
-
-def _to_column(header: str, array: np.ndarray, labels: RowLabels, problems: list[str]) -> np.ndarray:
+def _to_column(column: ArrayColumn, array: np.ndarray, labels: RowLabels, problems: list[str]) -> np.ndarray:
+    header = shorten(column.header)
+    if column.index is not None and array.ndim == 2:
+        array = array[:, column.index] if array.shape[0] >= array.shape[1] else array[column.index]
     if array.ndim == 2 and 1 in array.shape:
         array = array.ravel()
     if array.ndim != 1:
@@ -127,7 +159,7 @@ def _to_column(header: str, array: np.ndarray, labels: RowLabels, problems: list
         bad = [k for k, v in enumerate(values) if v is None]
         if not bad:
             return np.array(values, dtype=np.float64)
-        problems.append(describe_non_numbers(header, bad, [str(array[k]) for k in bad], labels))
+        problems.append(describe_non_numbers(header, bad, [str(array[k])[:200] for k in bad[:5]], labels))
     else:
         problems.append(f"column {header!r} holds {array.dtype}, not real numbers; write numbers (time in seconds)")
     return np.zeros(0)

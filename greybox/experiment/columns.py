@@ -10,11 +10,16 @@ from enum import StrEnum
 
 import numpy as np
 
-from greybox.errors import ModelError, nearest
+from greybox.errors import DataError, ModelError, nearest
+from greybox.experiment.policy import READING_POLICY
+from greybox.experiment.problems import shorten
+from greybox.experiment.table import DataTable
 from greybox.model import Model
 from greybox.units import convert, unit_converter
 
 TIME = "time"  # the name of the time column
+ColumnMapping = Mapping[str, str | int]
+"""Signal -> header of its column, or its number counted from 1."""
 _BRACKETS = re.compile(r"^(?P<name>[^\[\]]*?)\s*\[(?P<unit>[^\[\]]*)\]$")
 
 
@@ -69,6 +74,8 @@ class ColumnMatch:
 def parse_header(header: str, position: int) -> Column:
     """``x [um]`` or ``x (um)`` as name and unit; parentheses without a unit (``Laser (ch1)``) belong to the name."""
     text = header.strip()
+    if len(text) > READING_POLICY.longest_header:
+        return Column(text, text, "", position)
     square = _BRACKETS.match(text)
     if square:
         return Column(text, square["name"].strip(), square["unit"].strip(), position)
@@ -80,27 +87,38 @@ def parse_header(header: str, position: int) -> Column:
 
 
 def match_columns(
-    headers: Sequence[str], model: Model, mapping: Mapping[str, str] | None, conditions: Sequence[RequestedSignal] = ()
+    table: DataTable,
+    model: Model,
+    mapping: ColumnMapping | None,
+    conditions: Sequence[RequestedSignal] = (),
+    *,
+    has_clock: bool = False,
+    inputs_only: bool = False,
 ) -> ColumnMatch:
-    """Find time and the model's inputs and outputs among ``headers``; ``mapping`` (signal -> header) goes first.
+    """Find time and the model's inputs and outputs among the headers of ``table``; ``mapping`` (signal -> header) goes first.
 
-    An output may be missing as long as another is there, and so may ``conditions``.
+    An output may be missing as long as another is there, and so may ``conditions``. With ``has_clock`` the rows have a known
+    sampling time: then the table must have no time column. With ``inputs_only`` no outputs are looked for.
     """
-    columns = [parse_header(h, k) for k, h in enumerate(headers)]
-    signals = [RequestedSignal(SignalKind.TIME, TIME, "s")]
+    columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
+    clock = RequestedSignal(SignalKind.TIME, TIME, "s")
+    signals = [] if has_clock else [clock]
     signals += [RequestedSignal(SignalKind.INPUT, i.name, i.unit) for i in model.inputs]
-    signals += [RequestedSignal(SignalKind.OUTPUT, o.name, o.unit) for o in model.outputs]
+    if not inputs_only:
+        signals += [RequestedSignal(SignalKind.OUTPUT, o.name, o.unit) for o in model.outputs]
     signals += conditions
     known = [s.name for s in signals]
+    optional = {o.name for o in model.outputs} if inputs_only else set()
+    mapping = {name: header for name, header in (mapping or {}).items() if name in known or name not in optional}
     problems = [
         f"columns names {n!r}, which model {model.name!r} does not have; {nearest(n, known)}"
-        for n in mapping or {}
-        if n not in known
+        for n in mapping
+        if n not in known and n != TIME
     ]
-    matched, free = _apply_mapping(columns, signals, mapping or {}, problems)
+    matched, free = _apply_mapping(columns, signals, mapping, table.numbered, problems)
     missing: list[RequestedSignal] = []
     for signal in signals:
-        if signal.name in (mapping or {}):
+        if signal.name in mapping:
             continue
         hits = [c for c in free if _is_for(c, signal)]
         if hits:
@@ -108,16 +126,30 @@ def match_columns(
         else:
             missing.append(signal)
         if len(hits) > 1:
-            several = " and ".join(repr(c.header) for c in hits)
+            several = " and ".join(repr(shorten(c.header)) for c in hits[:5])
             problems.append(
                 f"{signal.label} has {len(hits)} columns, {several}; keep one, or {_explain_mapping(signal)}"
             )
     used = {c.position for c in matched.values()}
     spare = [c for c in columns if c.position not in used and c.header]
-    problems += _describe_missing(missing, model, spare)
+    if has_clock:
+        times = [repr(shorten(c.header)) for c in free if _is_for(c, clock)]
+        times += [repr(mapping[TIME])] if TIME in mapping else []
+        if times:
+            problems.append(
+                f"the file has a time column, {times[0]}, and a sampling time is given; leave one of them out"
+                " (sampling_time; shell: --sampling-time)"
+            )
+    elif table.headless and not mapping:
+        raise DataError(
+            f"line {table.header_line} holds numbers where the header should be; begin the file with a line of names and units"
+            " such as 'time [s],u [V],x [um]', or name the columns in their order, columns=['time', 'u', 'x'] (shell: --columns"
+            " time,u,x)"
+        )
+    problems += _describe_missing(missing, model, spare, inputs_only)
     return ColumnMatch(
         {s: matched[s] for s in signals if s in matched},
-        tuple(c.header for c in spare),
+        tuple(shorten(c.header) for c in spare),
         tuple(s.name for s in missing if s.kind is SignalKind.OUTPUT),
         tuple(problems),
     )
@@ -130,12 +162,18 @@ def convert_column(values: np.ndarray, signal: RequestedSignal, column: Column, 
     try:
         return np.asarray(convert(values, column.unit, signal.unit), dtype=np.float64)
     except ModelError as error:
-        problems.append(f"column {column.header!r} in {column.unit} does not convert to {signal.label}: {error}")
+        problems.append(
+            f"column {shorten(column.header)!r} in {shorten(column.unit)} does not convert to {signal.label}: {error}"
+        )
         return values
 
 
 def _apply_mapping(
-    columns: list[Column], signals: list[RequestedSignal], mapping: Mapping[str, str], problems: list[str]
+    columns: list[Column],
+    signals: list[RequestedSignal],
+    mapping: ColumnMapping,
+    numbered: Sequence[int],
+    problems: list[str],
 ) -> tuple[dict[RequestedSignal, Column], list[Column]]:
     """Columns that ``mapping`` names, and those left for matching by name."""
     matched: dict[RequestedSignal, Column] = {}
@@ -143,17 +181,17 @@ def _apply_mapping(
         header = mapping.get(signal.name)
         if header is None:
             continue
-        hits = [c for c in columns if c.header == header.strip()] or [c for c in columns if c.name == header.strip()]
+        hits = _find_columns(columns, header, numbered)
         taken = [s for s, c in matched.items() if c in hits]
         if not hits:
             problems.append(
                 f"columns maps {signal.name!r} to {header!r}, which the file does not have;"
-                f" {nearest(header, _list_headers(columns))}"
+                f" {nearest(str(header), _list_headers(columns))}"
             )
         elif len(hits) > 1:
             problems.append(
                 f"columns maps {signal.name!r} to {header!r}, which the file has {len(hits)} times;"
-                " make the headers distinct"
+                " make the headers distinct, or give the number of the column"
             )
         elif taken:
             problems.append(
@@ -166,18 +204,37 @@ def _apply_mapping(
     return matched, [c for c in columns if c.position not in used]
 
 
+def _find_columns(columns: list[Column], header: str | int, numbered: Sequence[int]) -> list[Column]:
+    """The columns with this header, or else with this name, or else with this number, counted from 1."""
+    text = str(header).strip()
+    hits = (
+        []
+        if isinstance(header, int)
+        else [c for c in columns if c.header == text] or [c for c in columns if c.name == text]
+    )
+    if not hits and text.isdecimal() and 1 <= int(text[:9]) <= len(numbered):
+        return [columns[numbered[int(text[:9]) - 1]]]
+    return hits
+
+
 def _is_for(column: Column, signal: RequestedSignal) -> bool:
     if signal.kind is not SignalKind.TIME:
         return column.name == signal.name
     return column.name == "t" or column.name.lower() == TIME  # "T" is a temperature
 
 
-def _describe_missing(missing: Sequence[RequestedSignal], model: Model, spare: Sequence[Column]) -> list[str]:
+def _describe_missing(
+    missing: Sequence[RequestedSignal], model: Model, spare: Sequence[Column], inputs_only: bool
+) -> list[str]:
     """Problems with the signals that no column is for; an output may be missing, but not all of them."""
     needed = [s for s in missing if s.kind in (SignalKind.TIME, SignalKind.INPUT)]
-    problems = [f"no column for {s.label}; {_suggest_headers(s, spare)}" for s in needed]
+    clock = "; where rows have no time, give sampling_time=<seconds> (shell: --sampling-time SECONDS)"
+    problems = [
+        f"no column for {s.label}; {_suggest_headers(s, spare)}{clock if s.kind is SignalKind.TIME else ''}"
+        for s in needed
+    ]
     outputs = [s for s in missing if s.kind is SignalKind.OUTPUT]
-    if len(outputs) == len(model.outputs):
+    if len(outputs) == len(model.outputs) and not inputs_only:
         labels = ", ".join(s.label for s in outputs)
         what = f"any output of model {model.name!r} ({labels}), at least one is needed"
         problems.append(f"no column for {what}; {_suggest_headers(outputs[0], spare)}")
@@ -186,8 +243,13 @@ def _describe_missing(missing: Sequence[RequestedSignal], model: Model, spare: S
 
 def _suggest_headers(signal: RequestedSignal, spare: Sequence[Column]) -> str:
     wanted = signal.name.lower()
+    spare = [c for c in spare if len(c.name) <= READING_POLICY.longest_header]
     close = difflib.get_close_matches(wanted, [c.name.lower() for c in spare], n=3, cutoff=0.5)
-    near = [repr(c.header) for c in spare if c.name.lower() in close or wanted in re.split(r"[\W_]+", c.name.lower())]
+    near = [
+        repr(shorten(c.header))
+        for c in spare
+        if c.name.lower() in close or wanted in re.split(r"[\W_]+", c.name.lower())
+    ]
     guess = f"did you mean {' or '.join(near[:3])}? " if near else ""
     listing = ", ".join(_list_headers(spare))
     if not listing:
@@ -201,7 +263,7 @@ def _explain_mapping(signal: RequestedSignal) -> str:
 
 
 def _list_headers(columns: Sequence[Column], shown: int = 12) -> list[str]:
-    headers = [c.header for c in columns if c.header]
+    headers = [shorten(c.header, 40) for c in columns if c.header]
     return headers[:shown] + ([f"... {len(headers) - shown} more"] if len(headers) > shown else [])
 
 

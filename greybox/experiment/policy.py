@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,27 @@ class RecordPolicy:
 
 @dataclass(frozen=True)
 class ReadingPolicy:
-    """How far into a text file the reader looks, and how much it takes at a time."""
+    """How far into a text file the reader looks, how much it takes at a time, and how large a file may be.
+
+    The limits hold before anything is unpacked, so that a small file cannot fill the memory.
+    """
+
+    largest_file: int = 2_000_000_000
+    """Bytes of a file: 50 million rows of text, minutes of reading."""
+    largest_unpacked: int = 400_000_000
+    """Bytes that the wanted columns take in memory: 5 million rows of 10 signals."""
+    most_columns: int = 10_000
+    """Columns, or variables, of a file; rigs have tens, loggers hundreds."""
+    deepest_nesting: int = 8
+    """Levels of structs inside structs; a logger's are two or three deep."""
+    longest_line: int = 200_000
+    """Bytes of a line of text: 10 000 columns of 20 characters."""
+    longest_header: int = 200
+    """Characters of a header; in a longer one neither unit nor name are looked for."""
+    most_comments: int = 1_000
+    """Lines of comment that are kept, for a header or a condition among them."""
+    bytes_per_block: int = 1_000_000
+    """Bytes looked at together when the encoding is found."""
 
     rows_per_chunk: int = 20_000
     """Lines taken apart at a time: large enough for speed, small enough for memory."""
@@ -67,6 +87,11 @@ class ReadingPolicy:
     """Lines on which the separator is decided."""
     header_lines: int = 60
     """Lines in which the first row of numbers is looked for, to find a header that is not the first line."""
+
+    def times(self, factor: float) -> ReadingPolicy:
+        """The same with limits so many times as large."""
+        names = ("largest_file", "largest_unpacked", "most_columns", "deepest_nesting", "longest_line")
+        return replace(self, **{name: int(factor * getattr(self, name)) for name in names})
 
 
 RECORD_POLICY = RecordPolicy()

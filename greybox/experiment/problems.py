@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.errors import DataError
 from greybox.experiment.policy import RECORD_POLICY, RecordPolicy
+from greybox.numerics import LARGEST_VALUE
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,13 @@ class RowLabels:
         named = [str(int(r) + 1 if self.numbers is None else int(self.numbers[r])) for r in rows[:shown]]
         word = self.word if len(rows) == 1 else f"{self.word}s"
         return f"{word} {enumerate_first(named, len(rows))}"
+
+
+def shorten(text: str, length: int = 60) -> str:
+    """``text`` on one line, fit for a message whatever a file held: no control characters, and not too long."""
+    plain = "".join(letter if letter.isprintable() else " " for letter in text[: 4 * length])
+    words = " ".join(plain.split())
+    return words if len(words) <= length else f"{words[: length - 3]}..."
 
 
 def enumerate_first(shown: Sequence[str], total: int) -> str:
@@ -60,11 +68,15 @@ def find_array_problems(
         )
     for kind, signals in (("input", inputs), ("output", outputs)):
         for name, values in signals.items():
+            empty = ", or leave it empty" if kind == "output" else ""
             problems += _find_rows(
-                f"{kind} {name!r} is infinite",
-                np.isinf(values),
+                f"{kind} {name!r} is infinite", np.isinf(values), labels, f"write a finite number{empty}"
+            )
+            problems += _find_rows(
+                f"{kind} {name!r} is beyond {LARGEST_VALUE:g}",
+                np.isfinite(values) & (np.abs(values) > LARGEST_VALUE),
                 labels,
-                "write a finite number" + (", or leave it empty" if kind == "output" else ""),
+                f"the squares of such numbers overflow; correct it{empty}",
             )
     return problems
 
@@ -115,6 +127,8 @@ def is_constant(values: np.ndarray) -> bool:
 def _find_time_problems(time: np.ndarray, labels: RowLabels) -> list[str]:
     unknown = _find_rows("time is empty or NaN", np.isnan(time), labels, "every row needs its time")
     unknown += _find_rows("time is infinite", np.isinf(time), labels, "every row needs its time")
+    huge = np.isfinite(time) & (np.abs(time) > LARGEST_VALUE)
+    unknown += _find_rows(f"time is beyond {LARGEST_VALUE:g}", huge, labels, "the squares of such numbers overflow")
     if unknown:
         return unknown
     step = np.diff(time)

@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-import difflib
+import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from greybox.errors import DataError
-from greybox.experiment.array_table import read_mat, read_npz, read_parquet
-from greybox.experiment.columns import TIME, ColumnMatch, SignalKind, convert_column, match_columns
+from greybox.experiment.columns import (
+    TIME,
+    ColumnMapping,
+    ColumnMatch,
+    RequestedSignal,
+    SignalKind,
+    convert_column,
+    match_columns,
+)
 from greybox.experiment.conditions import read_conditions, request_conditions
 from greybox.experiment.experiment import Experiment, Hold
 from greybox.experiment.findings import RecordCode
-from greybox.experiment.policy import RECORD_POLICY, RecordPolicy
-from greybox.experiment.problems import (
-    enumerate_first,
-    find_array_problems,
-    find_measurement_problems,
-    raise_problems,
-)
-from greybox.experiment.table import DataTable
-from greybox.experiment.text_table import read_text
+from greybox.experiment.formats import RecordFile, open_record_file
+from greybox.experiment.policy import READING_POLICY, RECORD_POLICY, ReadingPolicy, RecordPolicy
+from greybox.experiment.problems import find_array_problems, find_measurement_problems, raise_problems
 from greybox.findings import Finding
 from greybox.model import Model
 
-READERS: Mapping[str, Callable[[Path], DataTable]] = {
-    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), read_text),
-    ".mat": read_mat,
-    ".npz": read_npz,
-    ".parquet": read_parquet,
-}
 Arrays = dict[str, np.ndarray]
 
 
@@ -41,20 +37,23 @@ def read_csv(
     path: str | os.PathLike[str],
     model: Model,
     *,
-    columns: Mapping[str, str] | None = None,
+    columns: ColumnMapping | Sequence[str] | None = None,
+    sampling_time: float | None = None,
     hold: Hold = "zero",
     name: str | None = None,
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
     policy: RecordPolicy = RECORD_POLICY,
+    reading: ReadingPolicy = READING_POLICY,
 ) -> Experiment:
-    """Read a record for ``model`` from a CSV, TSV, TXT, MAT (up to version 7), NPZ or Parquet file.
+    """Read a record for ``model`` from a CSV, TSV, TXT, MAT, NPZ or Parquet file.
 
     Headers are ``name [unit]``, ``name (unit)`` or ``name`` (then in the model's unit, which ``findings`` say); names are those of
     the model's inputs and outputs, exactly, and ``time`` or ``t`` (seconds unless a unit is given). Values are converted to the
     model's units. Other columns are ignored, which ``findings`` say. Every input needs its column; of the outputs at least
     one. Empty fields and NaN are gaps, allowed in outputs only. Text files: columns separated by ``,``, ``;``, tab or
-    blanks, decimal comma except between commas, lines that begin with ``#`` are comments.
+    blanks, decimal comma except between commas, lines that begin with ``#`` or ``%`` are comments; the last comment before the
+    numbers may be the header. The columns of a matrix ``data`` are called ``data(:,1)``, fields of a struct ``log.x``.
 
     Parameters
     ----------
@@ -63,7 +62,11 @@ def read_csv(
     model
         Its inputs and outputs are looked for, and their units are those of the record.
     columns
-        Signal -> header, where the file's headers are others: ``{"x": "Laser ch1 [um]", "time": "Zeit [ms]"}``.
+        Signal -> header, where the file's headers are others: ``{"x": "Laser ch1 [um]", "time": "Zeit [ms]"}``; a number
+        counts columns from 1. Or the names of all columns in their order, for a file without a header or a matrix:
+        ``["time [ms]", "u", "-", "x"]``, with ``-`` for a column that is not wanted.
+    sampling_time
+        Seconds between rows, for a file without a time column.
     hold
         How the input moves between samples, see `Experiment`.
     name
@@ -75,6 +78,8 @@ def read_csv(
         Accept inputs that are zero throughout (free decay).
     policy
         When a record is long enough, and when a sensor is in doubt.
+    reading
+        How large a file may be.
 
     Returns
     -------
@@ -90,7 +95,8 @@ def read_csv(
     --------
     >>> record = read_csv("run.csv", micro_actuator, columns={"x": "Laser ch1 [um]"})  # doctest: +SKIP
     """
-    (experiment,) = _read_runs(path, model, columns, hold, name, conditions, allow_constant_input, policy, split=False)
+    source = _RecordSource(columns, sampling_time, reading)
+    (experiment,) = _read_runs(path, model, source, hold, name, conditions, allow_constant_input, policy, split=False)
     return experiment
 
 
@@ -98,12 +104,14 @@ def read_experiments(
     paths: Sequence[str | os.PathLike[str]],
     model: Model,
     *,
-    columns: Mapping[str, str] | None = None,
+    columns: ColumnMapping | Sequence[str] | None = None,
+    sampling_time: float | None = None,
     hold: Hold = "zero",
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
     split: bool = False,
     policy: RecordPolicy = RECORD_POLICY,
+    reading: ReadingPolicy = READING_POLICY,
 ) -> tuple[Experiment, ...]:
     """Read several records for one model, each as `read_csv` does.
 
@@ -111,7 +119,7 @@ def read_experiments(
     ----------
     paths
         The files. Files of the same name get their folder's name in front.
-    model, columns, hold, conditions, allow_constant_input, policy
+    model, columns, sampling_time, hold, conditions, allow_constant_input, policy, reading
         As of `read_csv`.
     split
         A file in which time starts anew holds several runs; each becomes a record ``name[first:last]``.
@@ -129,6 +137,7 @@ def read_experiments(
     files = [Path(p) for p in ([paths] if isinstance(paths, (str, os.PathLike)) else paths)]
     if not files:
         raise DataError("no file to read; give at least one path")
+    source = _RecordSource(columns, sampling_time, reading)
     stems = [f.stem for f in files]
     experiments: list[Experiment] = []
     problems: list[str] = []
@@ -136,7 +145,7 @@ def read_experiments(
         name = file.stem if stems.count(file.stem) == 1 else f"{file.parent.name}/{file.stem}"
         try:
             experiments += _read_runs(
-                file, model, columns, hold, name, conditions, allow_constant_input, policy, split=split
+                file, model, source, hold, name, conditions, allow_constant_input, policy, split=split
             )
         except DataError as error:
             problems.append(str(error))
@@ -145,21 +154,68 @@ def read_experiments(
     return tuple(experiments)
 
 
-def open_table(path: str | os.PathLike[str]) -> tuple[Path, DataTable]:
-    """A file that is there and can be read, and its table. Raises DataError otherwise, with the nearest file names."""
-    file = _find_file(path)
-    if not file.stat().st_size:
-        raise DataError(f"{file.name}: the file is empty; it needs a header line and rows of numbers")
+class RecordArrays(NamedTuple):
+    """What a file holds of a model's signals, in the model's units: arrays (N,), and how the rows are called."""
+
+    file: RecordFile
+    match: ColumnMatch
+    time: np.ndarray
+    inputs: Arrays
+    outputs: Arrays
+    conditions: Arrays
+
+
+class _RecordSource(NamedTuple):
+    """How files are laid out, and how large they may be."""
+
+    columns: ColumnMapping | Sequence[str] | None
+    sampling_time: float | None
+    reading: ReadingPolicy
+
+
+def read_arrays(
+    path: str | os.PathLike[str],
+    model: Model,
+    *,
+    columns: ColumnMapping | Sequence[str] | None = None,
+    sampling_time: float | None = None,
+    conditions: Sequence[RequestedSignal] = (),
+    inputs_only: bool = False,
+    reading: ReadingPolicy = READING_POLICY,
+) -> RecordArrays:
+    """The arrays of a file, unchecked; with ``inputs_only`` without outputs. Raises DataError."""
+    by_name = None if columns is None or isinstance(columns, Mapping) else list(columns)
+    if isinstance(columns, str):
+        raise DataError(f"columns={columns!r} is one text; give a list of names, or a dictionary signal -> header")
+    if sampling_time is not None and not 0 < sampling_time < math.inf:
+        raise DataError(
+            f"sampling_time {sampling_time}: give the seconds between rows, above 0 (shell: --sampling-time)"
+        )
+    file = open_record_file(path, names=by_name, policy=reading)
+    mapping = columns if isinstance(columns, Mapping) else None
     try:
-        return file, READERS[file.suffix.lower()](file)
-    except OSError as error:
-        raise DataError(f"{file}: cannot be read ({error})") from error
+        match = match_columns(
+            file.table, model, mapping, conditions, has_clock=sampling_time is not None, inputs_only=inputs_only
+        )
+    except DataError as error:
+        raise DataError(f"{file.path.name}: {error}") from None
+    raise_problems(file.path.name, match.problems)
+    raw, problems = file.values([c.position for c in match.columns.values()])
+    groups: dict[SignalKind, Arrays] = {kind: {} for kind in SignalKind}
+    for signal, column in match.columns.items():
+        groups[signal.kind][signal.name] = convert_column(raw[column.position], signal, column, problems)
+    raise_problems(file.path.name, problems)
+    rows = len(next(iter(raw.values()), ()))
+    time = groups[SignalKind.TIME][TIME] if sampling_time is None else sampling_time * np.arange(rows)
+    return RecordArrays(
+        file, match, time, groups[SignalKind.INPUT], groups[SignalKind.OUTPUT], groups[SignalKind.CONDITION]
+    )
 
 
 def _read_runs(
     path: str | os.PathLike[str],
     model: Model,
-    columns: Mapping[str, str] | None,
+    source: _RecordSource,
     hold: Hold,
     name: str | None,
     conditions: Mapping[str, float | None] | None,
@@ -169,22 +225,19 @@ def _read_runs(
     split: bool,
 ) -> list[Experiment]:
     """The record in a file as `read_csv` gives it; with ``split`` each run of a file in which time starts anew."""
-    file, table = open_table(path)
     given = {name: value for name, value in (conditions or {}).items() if value is not None}
     requested = request_conditions(model, [name for name in conditions or {} if name not in given])
-    match = match_columns(table.headers, model, columns, requested)
-    raise_problems(file.name, match.problems)
-    (time, inputs, outputs, condition_columns), problems = _convert_arrays(table, match)
-    raise_problems(file.name, problems)
-    from_file, findings = read_conditions(requested, condition_columns, table.comments, problems, policy)
-    runs = _cut_runs(time, inputs, outputs, split)
+    record = read_arrays(path, model, conditions=requested, **source._asdict())
+    file, table, problems = record.file.path, record.file.table, list[str]()
+    from_file, findings = read_conditions(requested, record.conditions, table.comments, problems, policy)
+    runs = _cut_runs(record.time, record.inputs, record.outputs, split)
     for rows, t, u, y in runs:
         # A file of too few rows is called so, and not by what else follows from it.
         if len(t) > 1:
             problems += find_array_problems(t, u, y, table.row_labels.select(rows))
         problems += find_measurement_problems(u, y, len(t), allow_constant_input, policy)
     raise_problems(file.name, problems)
-    title, findings = name or file.stem, [*_inspect_columns(match), *findings]
+    title, findings = name or file.stem, [*_inspect_columns(record.match), *findings]
     if len(runs) > 1:
         findings.append(Finding(RecordCode.ONE_OF_RUNS, values={"runs": len(runs)}))
     return [
@@ -214,41 +267,6 @@ def _cut_runs(
         (rows, time[rows], {n: v[rows] for n, v in inputs.items()}, {n: v[rows] for n, v in outputs.items()})
         for rows in parts
     ]
-
-
-def _find_file(path: str | os.PathLike[str]) -> Path:
-    file = Path(path)
-    if file.is_dir():
-        raise DataError(f"{file} is a folder; give a file in it ({', '.join(READERS)})")
-    if file.suffix.lower() not in READERS and file.is_file():
-        raise DataError(
-            f"{file.name}: files of type {file.suffix or '(no suffix)'!r} cannot be read;"
-            f" export it as one of {', '.join(READERS)}"
-        )
-    if file.is_file():
-        return file
-    if not file.parent.is_dir():
-        raise DataError(f"{file}: file not found, there is no folder {str(file.parent)!r}")
-    beside = sorted(f.name for f in file.parent.iterdir() if f.suffix.lower() in READERS)
-    close = difflib.get_close_matches(file.name, beside, n=3, cutoff=0.5)
-    remedy = (
-        f"did you mean {' or '.join(map(repr, close))}?"
-        if close
-        else f"records there: {enumerate_first(beside[:8], len(beside)) or 'none'}"
-    )
-    raise DataError(f"{file}: file not found; {remedy}")
-
-
-def _convert_arrays(
-    table: DataTable, match: ColumnMatch
-) -> tuple[tuple[np.ndarray, Arrays, Arrays, Arrays], list[str]]:
-    """Time, inputs, outputs and conditions in the model's units, and the problems met on the way."""
-    raw, problems = table.values([c.position for c in match.columns.values()])
-    groups: dict[SignalKind, Arrays] = {kind: {} for kind in SignalKind}
-    for signal, column in match.columns.items():
-        groups[signal.kind][signal.name] = convert_column(raw[column.position], signal, column, problems)
-    time = groups[SignalKind.TIME][TIME]
-    return (time, groups[SignalKind.INPUT], groups[SignalKind.OUTPUT], groups[SignalKind.CONDITION]), problems
 
 
 def _inspect_columns(match: ColumnMatch) -> list[Finding]:

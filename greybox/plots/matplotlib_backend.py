@@ -52,8 +52,8 @@ def save_sheet(sheet: Sheet, png: Path, style: PictureStyle = PICTURE) -> None:
     if engine is not None:  # once for both files
         engine.execute(picture)
         picture.set_layout_engine(None)
-    pixels = {"dpi": style.dots_per_inch, "pil_kwargs": {"compress_level": style.compression}}
-    write_file(png, lambda file: picture.savefig(file, format="png", **pixels))
+    compression = {"compress_level": style.compression}
+    write_file(png, lambda file: picture.savefig(file, format="png", dpi=style.dots_per_inch, pil_kwargs=compression))
     with rc_context({"svg.hashsalt": "greybox"}):
         write_file(png.with_suffix(".svg"), lambda file: picture.savefig(file, format="svg", metadata={"Date": None}))
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from greybox.errors import ModelError, nearest
-from greybox.experiment.read import READERS
+from greybox.experiment.formats import SUFFIXES
 from greybox.model import Model
 from greybox.project.folders import find_foreign_project, model_files, project_root, template_root
 from greybox.project.load import display_path, import_from_project, import_standalone, load_model_file, models_in
@@ -57,7 +57,7 @@ def find_model(name: str, folder: Path | None = None) -> Model:
     >>> find_model("micro_actuator").title
     'micro_actuator'
     """
-    if Path(name).suffix.lower() in READERS:
+    if Path(name).suffix.lower() in SUFFIXES:
         names = ", ".join(f.name for f in list_models().models)
         raise ModelError(
             f"{name}: a record, not a model file; MODEL comes first, as in MODEL {name} (known models: {names})"

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
-from greybox.experiment.columns import TIME, Column, RequestedSignal, SignalKind, convert_column, parse_header
+from greybox.experiment.columns import ColumnMapping
 from greybox.experiment.experiment import Hold
-from greybox.experiment.problems import raise_problems
-from greybox.experiment.read import open_table
+from greybox.experiment.policy import READING_POLICY, ReadingPolicy
+from greybox.experiment.read import read_arrays
 from greybox.model import Model
 
 
 def read_inputs(
-    path: str | os.PathLike[str], model: Model, *, columns: Mapping[str, str] | None = None, hold: Hold = "zero"
+    path: str | os.PathLike[str],
+    model: Model,
+    *,
+    columns: ColumnMapping | Sequence[str] | None = None,
+    sampling_time: float | None = None,
+    hold: Hold = "zero",
+    reading: ReadingPolicy = READING_POLICY,
 ) -> Experiment:
     """Read time and the inputs of a model from a file, to simulate where nothing was measured. Other columns are not read.
 
@@ -25,8 +30,8 @@ def read_inputs(
         The file, of a kind that `greybox.read_csv` reads.
     model
         Its inputs are looked for, and their units are those of the record.
-    columns
-        Signal -> header, where the file's headers are others.
+    columns, sampling_time, reading
+        As of `greybox.read_csv`.
     hold
         How the inputs move between samples, see `greybox.Experiment`.
 
@@ -40,27 +45,6 @@ def read_inputs(
     DataError
         For a file that is missing, cannot be read, or lacks an input.
     """
-    file, table = open_table(path)
-    signals = [RequestedSignal(SignalKind.TIME, TIME, "s")]
-    signals += [RequestedSignal(SignalKind.INPUT, i.name, i.unit) for i in model.inputs]
-    headers = [parse_header(header, k) for k, header in enumerate(table.headers)]
-    matched = {signal: _find_column(file.name, signal, headers, columns or {}) for signal in signals}
-    raw, problems = table.values([c.position for c in matched.values()])
-    values = {} if problems else {s.name: convert_column(raw[c.position], s, c, problems) for s, c in matched.items()}
-    raise_problems(file.name, problems)
-    time = values.pop(TIME)
-    return Experiment(file.stem, time, values, {}, hold, source=file.name)
-
-
-def _find_column(file: str, signal: RequestedSignal, headers: Sequence[Column], mapping: Mapping[str, str]) -> Column:
-    wanted = mapping.get(signal.name)
-    if wanted is not None:
-        hits = [c for c in headers if wanted.strip() in (c.header, c.name)]
-    elif signal.kind is SignalKind.TIME:
-        hits = [c for c in headers if c.name.lower() in (TIME, "t")]
-    else:
-        hits = [c for c in headers if c.name == signal.name]
-    if len(hits) == 1:
-        return hits[0]
-    problem = f"{len(hits)} columns for" if hits else "no column for"
-    raise DataError(f"{file}: {problem} {signal.label}; {nearest(wanted or signal.name, [c.header for c in headers])}")
+    record = read_arrays(path, model, columns=columns, sampling_time=sampling_time, inputs_only=True, reading=reading)
+    file = record.file.path
+    return Experiment(file.stem, record.time, record.inputs, {}, hold, source=file.name)

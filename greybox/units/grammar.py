@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import re
 from fractions import Fraction
 from functools import lru_cache
 
 from greybox.errors import ModelError
+
+LONGEST_UNIT = 100
+"""Characters of a unit; no rig has a longer one, and so brackets in brackets stay few."""
 
 Powers = dict[str, float]  # symbol -> exponent, in the order in which the symbols were written
 
@@ -24,14 +28,17 @@ def parse_powers(unit: str) -> tuple[float, Powers]:
         text = text.replace(special, plain)
     if text in ("", "-"):
         return 1.0, {}
+    shown = unit if len(unit) <= LONGEST_UNIT else f"{unit[:LONGEST_UNIT]}..."
     try:
+        if len(text) > LONGEST_UNIT:
+            raise ValueError("too long")
         tokens = _tokens(text)
         factor, powers = _product(tokens)
-        if tokens:
-            raise ValueError(tokens[-1])
-    except (ValueError, IndexError):
+        if tokens or not (0 < factor < math.inf and all(map(math.isfinite, powers.values()))):
+            raise ValueError(tokens[-1] if tokens else factor)
+    except (ValueError, IndexError, ArithmeticError):
         raise ModelError(
-            f"unit {unit!r} cannot be read; write symbols with *, / and ^, as in N*s/m or m^3/(s*Pa)"
+            f"unit {shown!r} cannot be read; write symbols with *, / and ^, as in N*s/m or m^3/(s*Pa)"
         ) from None
     return factor, {symbol: exponent for symbol, exponent in powers.items() if exponent}
 

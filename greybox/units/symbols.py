@@ -123,15 +123,15 @@ def _symbol(symbol: str, unit: str) -> tuple[Unit, bool]:
         return KNOWN[plain], False
     if symbol in RUN_TOGETHER:
         raise ModelError(f"unit {unit!r}: {symbol!r} is not one symbol; write {RUN_TOGETHER[symbol]}")
-    import pint
-
     known = registry()
     try:
         base = known.Quantity(1.0, symbol).to_base_units()
         shifted = known.Quantity(0.0, symbol).to_base_units().magnitude != 0
         if shifted:
             base = known.Quantity(1.0, f"delta_{symbol}").to_base_units()
-    except pint.PintError:
+        if not 0 < base.magnitude < math.inf:
+            raise ValueError(base.magnitude)
+    except Exception:  # pint reads numbers, functions and Python's own words too, and fails in many ways
         raise ModelError(f"unit {unit!r}: {symbol!r} is not a unit; {nearest(symbol, PREFIXED)}") from None
     # What is left out (radian, count, bit) has no dimension.
     powers = tuple((BASE[unit_name], float(e)) for unit_name, e in base.unit_items() if unit_name in BASE)

@@ -106,18 +106,18 @@ def test_a_function_that_users_call_documents_its_parameters(name: str) -> None:
 
 WRITERS = {"write_text", "write_bytes", "copyfile", "copy2", "copytree", "to_csv", "to_parquet", "truncate"}
 """Calls that write a file by its name."""
-DRAWERS = {"savefig", "savez", "savez_compressed", "savemat", "ZipFile"}
+DRAWERS = {"savefig", "savez", "savez_compressed", "savemat"}
 """Calls that write a file by its name, or into an open one."""
 
 
 def writes_by_name(call: ast.Call) -> bool:
     """Whether a call opens a file for writing and is not given one that `write_file` has opened."""
     name = getattr(call.func, "attr", getattr(call.func, "id", ""))
-    if name == "open":
+    into_open_file = bool(call.args) and getattr(call.args[0], "id", "") == "file"
+    if name in ("open", "ZipFile"):
         texts = [a for a in (*call.args, *(k.value for k in call.keywords)) if isinstance(a, ast.Constant)]
         modes = [str(text.value) for text in texts if re.fullmatch(r"[rwaxbt+]{1,3}", str(text.value))]
-        return any(set("wax+") & set(mode) for mode in modes)
-    into_open_file = bool(call.args) and getattr(call.args[0], "id", "") == "file"
+        return any(set("wax+") & set(mode) for mode in modes) and not into_open_file
     return name in WRITERS or (name in DRAWERS and not into_open_file)
 
 

@@ -148,7 +148,7 @@ def test_inputs_are_read_without_outputs(tmp_path: Path) -> None:
     assert np.allclose(record.inputs["u"], [1, 2, 0.5])
     assert record.hold == "first"
     assert not record.outputs
-    with pytest.raises(DataError, match=r"no column for input 'u' \[V\]; known: t \[ms\], drive \[mV\], other"):
+    with pytest.raises(DataError, match=r"no column for input 'u' \[V\]; unused headers: drive \[mV\], other"):
         read_inputs(file, micro_actuator)
     with pytest.raises(DataError, match="file not found"):
         read_inputs(tmp_path / "none.csv", micro_actuator)

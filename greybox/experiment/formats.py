@@ -1,0 +1,170 @@
+"""The kinds of files that records are read from, and what every one of them is guarded against.
+
+A further format is one more `FileFormat`: a function that opens a file as a table of named columns. Its library is imported
+when a file of the kind is opened, and belongs to an extra of the package where it is not needed otherwise.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from greybox.errors import DataError, GreyboxError
+from greybox.experiment.mat_file import read_mat
+from greybox.experiment.npz_file import read_npz
+from greybox.experiment.parquet_file import read_parquet
+from greybox.experiment.policy import READING_POLICY, ReadingPolicy
+from greybox.experiment.problems import enumerate_first, shorten
+from greybox.experiment.table import DataTable, raise_limit
+from greybox.experiment.text_table import read_text
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """One kind of file.
+
+    Attributes
+    ----------
+    name
+        What messages call it.
+    suffixes
+        Endings of its files, in small letters.
+    open
+        Opens a file as a table; any exception of its library may come out.
+    packages
+        Package -> extra of this one that installs it, where one may be missing.
+    remedy
+        What to do about a file that is damaged.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    open: Callable[[Path, ReadingPolicy], DataTable]
+    remedy: str
+    packages: tuple[tuple[str, str], ...] = ()
+
+
+FORMATS = (
+    FileFormat("text", (".csv", ".tsv", ".txt", ".dat"), read_text, "save it again as UTF-8"),
+    FileFormat("MATLAB", (".mat",), read_mat, "save it again with '-v7', or export it as CSV", (("h5py", "hdf5"),)),
+    FileFormat(".npz", (".npz",), read_npz, "write it with numpy.savez(file, time=..., u=...)"),
+    FileFormat(
+        "Parquet",
+        (".parquet",),
+        read_parquet,
+        "write it again, or export the record as CSV",
+        (("pyarrow", "parquet"),),
+    ),
+)
+"""The formats, in the order in which messages list them."""
+
+SUFFIXES = tuple(suffix for kind in FORMATS for suffix in kind.suffixes)
+"""Endings of the files that can be read."""
+
+
+@dataclass(frozen=True)
+class RecordFile:
+    """A file that is there, opened as a table."""
+
+    path: Path
+    kind: FileFormat
+    table: DataTable = field(repr=False)
+
+    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
+        """Columns (N,) as float64 with NaN for gaps, and the problems met. Raises DataError for a damaged file."""
+        with _guarded(self.path, self.kind):
+            return self.table.values(positions)
+
+
+def open_record_file(
+    path: str | os.PathLike[str], *, names: Sequence[str] | None = None, policy: ReadingPolicy = READING_POLICY
+) -> RecordFile:
+    """Open a file of any known kind.
+
+    Parameters
+    ----------
+    path
+        The file.
+    names
+        Names of its columns in their order, in the place of its own; ``-`` for a column that is not wanted.
+    policy
+        How large it may be.
+
+    Raises
+    ------
+    DataError
+        For a file that is missing (with the nearest names), of no known kind, empty, too large or damaged.
+    """
+    file = _find_file(Path(path))
+    size = file.stat().st_size
+    if not size:
+        raise DataError(f"{file.name}: the file is empty; it needs a header line and rows of numbers")
+    if size > policy.largest_file:
+        raise DataError(
+            f"{file.name}: {size / 1e6:.0f} MB, files of at most {policy.largest_file / 1e6:.0f} MB are read; cut the record, or raise"
+            f" the limit {raise_limit('largest_file')}"
+        )
+    kind = next(kind for kind in FORMATS if file.suffix.lower() in kind.suffixes)
+    with _guarded(file, kind):
+        table = kind.open(file, policy)
+        if names is not None:
+            table = table.rename(["" if name.strip() == "-" else name.strip() for name in names])
+        return RecordFile(file, kind, table)
+
+
+@contextmanager
+def _guarded(file: Path, kind: FileFormat) -> Iterator[None]:
+    """Whatever the library of a format raises or warns becomes one sentence with the name of the file."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except GreyboxError as error:
+        text = str(error)
+        raise DataError(text if text.startswith(f"{file.name}: ") else f"{file.name}: {text}") from error
+    except ModuleNotFoundError as error:
+        for package, extra in kind.packages:
+            if package == (error.name or "").partition(".")[0]:
+                raise DataError(
+                    f"{file.name}: reading it needs the package {package}; install it with: pip install 'greybox-sysid[{extra}]', or"
+                    " export the record as CSV"
+                ) from error
+        raise
+    except PermissionError as error:
+        raise DataError(f"{file}: cannot be read ({error.strerror})") from error
+    except MemoryError as error:
+        raise DataError(f"{file.name}: not enough memory to read it, or it is damaged; {kind.remedy}") from error
+    except Exception as error:  # of a library, on bytes that it did not expect
+        reason = shorten(str(error), 120) or type(error).__name__
+        raise DataError(f"{file.name}: not a readable {kind.name} file ({reason}); {kind.remedy}") from error
+
+
+def _find_file(file: Path) -> Path:
+    if file.is_dir():
+        raise DataError(f"{file} is a folder; give a file in it ({', '.join(SUFFIXES)})")
+    if file.exists() and not file.is_file():
+        raise DataError(f"{file} is a pipe or a device; write what comes out of it to a file, and give that")
+    if file.suffix.lower() not in SUFFIXES and file.is_file():
+        raise DataError(
+            f"{file.name}: files of type {file.suffix or '(no suffix)'!r} cannot be read;"
+            f" export it as one of {', '.join(SUFFIXES)}"
+        )
+    if file.is_file():
+        return file
+    if not file.parent.is_dir():
+        raise DataError(f"{file}: file not found, there is no folder {str(file.parent)!r}")
+    beside = sorted(f.name for f in file.parent.iterdir() if f.suffix.lower() in SUFFIXES and f.is_file())
+    close = difflib.get_close_matches(file.name, beside, n=3, cutoff=0.5)
+    remedy = (
+        f"did you mean {' or '.join(map(repr, close))}?"
+        if close
+        else f"records there: {enumerate_first(beside[:8], len(beside)) or 'none'}"
+    )
+    raise DataError(f"{file}: file not found; {remedy}")

@@ -1,0 +1,58 @@
+"""Archives of NumPy arrays (.npz): headers first, arrays when they are wanted, nothing unpickled."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from greybox.errors import DataError
+from greybox.experiment.array_table import ArrayInfo, ArrayTable
+from greybox.experiment.policy import READING_POLICY, ReadingPolicy
+from greybox.experiment.table import check_width
+
+SUFFIX = ".npy"
+HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+
+
+def read_npz(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
+    """Arrays of a NumPy archive; names may carry units, as in ``numpy.savez(file, **{"x [um]": x})``.
+
+    Raises DataError for a member that is no array, or shorter than it claims to be.
+    """
+    with zipfile.ZipFile(path) as archive:
+        check_width(len(archive.infolist()), policy)
+        members = {member.filename.removesuffix(SUFFIX): member for member in archive.infolist()}
+        infos = {}
+        for name, member in members.items():
+            with archive.open(member) as file:
+                infos[name] = _read_info(file, member.file_size)
+
+    def load(names: Sequence[str]) -> Mapping[str, np.ndarray]:
+        arrays = {}
+        with zipfile.ZipFile(path) as archive:
+            for name in names:
+                with archive.open(members[name]) as file:
+                    arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
+        return arrays
+
+    return ArrayTable.from_infos(infos, load, policy)
+
+
+def _read_info(file: IO[bytes], size: int) -> ArrayInfo:
+    """Shape and type of an array from its header; ``size``: bytes of the member."""
+    if file.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
+        raise DataError("a member is no array; write it with numpy.savez(file, time=..., u=...)")
+    version = tuple(file.read(2))
+    if version not in HEADERS:
+        return ArrayInfo((), "an array of another format")
+    shape, _, dtype = HEADERS[version](file)
+    if dtype.hasobject:
+        return ArrayInfo(shape, "Python objects")
+    if int(np.prod(shape, dtype=object)) * dtype.itemsize > size:
+        raise DataError(f"an array claims the shape {shape}, which its {size} bytes cannot hold; write the file again")
+    holds = {"U": "text", "S": "text"}.get(dtype.kind, str(dtype))
+    return ArrayInfo(shape, "" if dtype.kind in "biuf" else holds)
