@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from greybox.estimation.likelihood_search import LikelihoodOptimum
 from greybox.estimation.objective import ResidualRows
+from greybox.estimation.objective_search import LikelihoodMaximum
 from greybox.estimation.policy import DEFAULT_POLICY, IntervalPolicy
 from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, estimate_score_covariance
 from greybox.linear_algebra import SymmetricDecomposition, decompose_symmetric, eliminate
@@ -135,7 +135,7 @@ def estimate_covariance(
 
 
 def estimate_likelihood_covariance(
-    optimum: LikelihoodOptimum,
+    optimum: LikelihoodMaximum,
     residuals: ResidualRows,
     colour: ResidualColour,
     policy: IntervalPolicy = DEFAULT_POLICY.intervals,
@@ -171,7 +171,7 @@ def estimate_likelihood_covariance(
     )
 
 
-def compute_observed_information(optimum: LikelihoodOptimum, policy: IntervalPolicy) -> np.ndarray:
+def compute_observed_information(optimum: LikelihoodMaximum, policy: IntervalPolicy) -> np.ndarray:
     """Half the Hessian (size, size) of ``-2 log L`` at the optimum; an experiment's first states concern it alone."""
     objective, v = optimum.objective, optimum.objective.variables
     expected = np.diag(optimum.evaluation.hessian) / 2

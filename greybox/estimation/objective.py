@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -75,7 +75,11 @@ class Objective(Protocol):
     def variables(self) -> DecisionVector:
         """The decision vector; ``z = 0`` is the present point."""
 
-    def at(self, variables: DecisionVector) -> Objective:
+    @property
+    def squares(self) -> int | None:
+        """How many squares the cost sums up; None for a likelihood."""
+
+    def at(self, variables: DecisionVector) -> Self:
         """The same cost over other variables."""
 
     def evaluate(self, z: np.ndarray) -> Evaluation:
@@ -84,7 +88,7 @@ class Objective(Protocol):
     def linearise(self) -> ResidualRows | None:
         """The residuals with their slopes; None where the run is not finite."""
 
-    def halve_step(self) -> Objective:
+    def halve_step(self) -> Self:
         """The same with half the integration step."""
 
 
@@ -101,6 +105,11 @@ class SimulationErrorObjective:
     def variables(self) -> DecisionVector:
         """The constants and initial states of the problem."""
         return self.problem.variables
+
+    @property
+    def squares(self) -> int:
+        """Number of measurements."""
+        return sum(int(np.isfinite(r.y).sum()) for r in self.problem.records)
 
     def at(self, variables: DecisionVector) -> SimulationErrorObjective:
         """The same cost over other variables."""
@@ -147,9 +156,8 @@ class PredictionErrorObjective:
         return replace(self, kalman=self.kalman.with_substeps(2 * self.kalman.step.substeps))
 
     @property
-    def count(self) -> int:
-        """Number of measurements."""
-        return sum(int(np.isfinite(r.y).sum()) for r in self.records)
+    def squares(self) -> None:
+        """It is a likelihood."""
 
     @property
     def noise(self) -> np.ndarray:

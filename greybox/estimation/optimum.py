@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from greybox.estimation.covariance import ParameterCovariance, estimate_covariance, estimate_likelihood_covariance
-from greybox.estimation.likelihood_search import LikelihoodOptimum
 from greybox.estimation.objective import Objective, ResidualRows, SimulationErrorObjective
+from greybox.estimation.objective_search import LikelihoodMaximum
 from greybox.estimation.parameter_constancy import ConstancyInput, ParameterShift, expect_noise, find_parameter_shifts
 from greybox.estimation.policy import EstimationPolicy
 from greybox.estimation.process_noise_tests import ProcessNoiseTest
@@ -46,7 +46,7 @@ class Optimum(ABC):
 
     @property
     @abstractmethod
-    def search(self) -> Solution | LikelihoodOptimum:
+    def search(self) -> Solution | LikelihoodMaximum:
         """How the search ended, and the work it took."""
 
     @property
@@ -228,10 +228,10 @@ class SimulationOptimum(Optimum):
 class PredictionOptimum(Optimum):
     """The end of an estimation by prediction error: the ``maximum`` of the likelihood."""
 
-    maximum: LikelihoodOptimum
+    maximum: LikelihoodMaximum
 
     @property
-    def search(self) -> LikelihoodOptimum:
+    def search(self) -> LikelihoodMaximum:
         """How the search ended, and the work it took."""
         return self.maximum
 
@@ -294,7 +294,7 @@ class PredictionOptimum(Optimum):
 
     def report(self) -> PredictionReport:
         """What a fit by prediction error adds."""
-        fitted, likelihood = self.fitted_model, self.maximum.likelihood
+        fitted, likelihood = self.fitted_model, -0.5 * self.evaluation.cost
         return PredictionReport(
             {state: value for state, value in fitted.noise_intensities.items() if state in self.model.noisy_states},
             self.one_step,

@@ -100,14 +100,13 @@ class LikelihoodSearchPolicy:
     """A thousandth of a standard deviation, squared; acceptable where -2 log L fell by less than a hundredth within the patience, as a
     filter of a model with dry friction is not smooth everywhere."""
 
-    last_digits: float = 1e-12
-    """The same for the scoring steps after it, so that the parameters have their digits."""
+    last_digits: TerminationPolicy = field(
+        default_factory=lambda: TerminationPolicy(negligible_decrease=1e-12, little_gain=0.0)
+    )
+    """The same for the steps after it, so that the parameters have their digits."""
 
     scoring_steps: int = 10
-    """Steps of Fisher scoring at most."""
-
-    halvings: int = 6
-    """Times each step is halved at most until it lowers the cost."""
+    """Damped steps of Fisher scoring, or Gauss and Newton's, at most where a minimum is near."""
 
     least_noise: float = 1e-4
     """The noise of an output is not followed below this share of what the records' differences say."""

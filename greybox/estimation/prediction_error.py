@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.errors import ModelError
-from greybox.estimation.likelihood_search import LikelihoodOptimum, maximise_likelihood, select_best_start
 from greybox.estimation.objective import PredictionErrorObjective, add_noise_levels
+from greybox.estimation.objective_search import LikelihoodMaximum, search_minimum, select_best_start
 from greybox.estimation.options import FitOptions, prepare_estimation
 from greybox.estimation.process_noise_tests import compute_largest_intensities, drop_insignificant, guess_intensities
 from greybox.experiment import Experiment
@@ -30,7 +30,7 @@ class MaximumLikelihoodEstimate:
     """
 
     solution: Solution
-    optimum: LikelihoodOptimum
+    optimum: LikelihoodMaximum
     names: tuple[str, ...]
     zero: tuple[str, ...]
     sizes: Mapping[str, float]
@@ -67,7 +67,7 @@ def estimate_by_prediction_error(
         guess_intensities(start, names, sizes, options.policy.process_noise)
         for start in _make_starts(model, names, sizes, solution, options)
     ]
-    optimum = maximise_likelihood(select_best_start(starts), options, report)
+    optimum = search_minimum(select_best_start(starts), options, report)
     if not optimum.status.success:
         return MaximumLikelihoodEstimate(solution, optimum, names, (), sizes)
     may_be_zero = [n for n in names if model.parameter(n).bounds[0] == 0]

@@ -10,8 +10,8 @@ from typing import Protocol
 import numpy as np
 
 from greybox.errors import DataError, ModelError, nearest
-from greybox.estimation.likelihood_search import fisher_scoring, maximise_likelihood
 from greybox.estimation.objective import PredictionErrorObjective
+from greybox.estimation.objective_search import refine_minimum, search_minimum
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
 from greybox.estimation.prediction_error import MaximumLikelihoodEstimate, estimate_by_prediction_error
 from greybox.experiment import Experiment
@@ -70,9 +70,9 @@ def estimate_initial_state(
 ) -> PredictionErrorObjective:
     """``cost`` at its most likely point, from the first ``rows`` of each record (0: all of them)."""
     part = replace(cost, records=tuple(r.first(min(rows, len(r.y))) for r in cost.records)) if rows else cost
-    optimum = maximise_likelihood(part, options)
+    optimum = search_minimum(part, options)
     if not optimum.status.success:
-        optimum = fisher_scoring(part, options.policy.likelihood_search)
+        optimum = refine_minimum(part, options)
     return cost.at(optimum.objective.variables)
 
 

@@ -9,16 +9,16 @@ import casadi as ca
 import numpy as np
 from scipy.special import chdtrc
 
-from greybox.estimation.likelihood_search import (
-    LikelihoodOptimum,
-    fisher_scoring,
+from greybox.estimation.objective import PredictionErrorObjective
+from greybox.estimation.objective_search import (
+    LikelihoodMaximum,
     hold_parameters,
-    maximise_likelihood,
     raise_noise_to_innovations,
+    refine_minimum,
+    search_minimum,
     select_best_start,
     start_at,
 )
-from greybox.estimation.objective import PredictionErrorObjective
 from greybox.estimation.options import FitOptions
 from greybox.estimation.policy import ProcessNoisePolicy
 from greybox.model import Model
@@ -80,16 +80,16 @@ def guess_intensities(
 
 
 def drop_insignificant(
-    optimum: LikelihoodOptimum, names: Sequence[str], options: FitOptions
-) -> tuple[LikelihoodOptimum, tuple[str, ...]]:
+    optimum: LikelihoodMaximum, names: Sequence[str], options: FitOptions
+) -> tuple[LikelihoodMaximum, tuple[str, ...]]:
     """The optimum with every intensity at zero for which that is as likely, and their names."""
     zero: list[str] = []
     for name in names:
-        near = fisher_scoring(remove_process_noise(optimum.objective, name), options.policy.likelihood_search)
+        near = refine_minimum(remove_process_noise(optimum.objective, name), options)
         if near.evaluation.cost <= optimum.evaluation.cost + options.policy.process_noise.negligible_decrease:
             # Each by itself: of two intensities that stand for one another either can be zero, not both.
             zero.append(name)
-            optimum = maximise_likelihood(near.objective, options)
+            optimum = search_minimum(near.objective, options)
     return optimum, tuple(zero)
 
 
@@ -99,7 +99,7 @@ def remove_process_noise(cost: PredictionErrorObjective, name: str) -> Predictio
 
 
 def likelihood_ratio_tests(
-    optimum: LikelihoodOptimum,
+    optimum: LikelihoodMaximum,
     names: Sequence[str],
     zero: Sequence[str],
     sizes: Mapping[str, float],
@@ -117,7 +117,7 @@ def likelihood_ratio_tests(
             upper = find_upper_limit(optimum, name, policy.floor * sizes[name], options)
             tests.append(ProcessNoiseTest(name, 0.0, 0.0, 1.0, limits=(0.0, upper)))
             continue
-        rest = maximise_likelihood(raise_noise_to_innovations(remove_process_noise(optimum.objective, name)), options)
+        rest = search_minimum(raise_noise_to_innovations(remove_process_noise(optimum.objective, name)), options)
         ratio = max(rest.evaluation.cost - optimum.evaluation.cost, 0.0)
         p_value = 0.5 * float(chdtrc(1, ratio))
         limited = ratio < policy.limit_ratio
@@ -126,13 +126,14 @@ def likelihood_ratio_tests(
     return tuple(tests)
 
 
-def find_upper_limit(optimum: LikelihoodOptimum, name: str, begin: float, options: FitOptions) -> float:
+def find_upper_limit(optimum: LikelihoodMaximum, name: str, begin: float, options: FitOptions) -> float:
     """The intensity from which on ``-2 log L`` exceeds its minimum by the one-sided 95 % point, the other unknowns estimated anew.
 
     ``begin`` is one that does not.
     """
-    policy, search = options.policy.process_noise, options.policy.likelihood_search
+    policy = options.policy.process_noise
     limit, tolerance = policy.limit_ratio, policy.limit_tolerance * policy.limit_ratio
+    enough = replace(options.policy.likelihood_search.termination, negligible_decrease=tolerance)
     least = optimum.evaluation.cost
     near, low, high = optimum.objective, begin, np.inf
     value = begin
@@ -140,7 +141,7 @@ def find_upper_limit(optimum: LikelihoodOptimum, name: str, begin: float, option
     while value < begin / policy.floor and hold_parameters(near, {name: value}).cost() - least < limit:
         low, value = value, policy.limit_growth * value
     for _ in range(policy.limit_steps):
-        trial = fisher_scoring(hold_parameters(near, {name: value}), search, tolerance)
+        trial = refine_minimum(hold_parameters(near, {name: value}), options, enough)
         rise = trial.evaluation.cost - least
         if abs(rise - limit) <= tolerance:
             break

@@ -28,7 +28,7 @@ class ProfilePolicy:
     """First step over the value of a parameter without a standard deviation: a factor of e^0.1."""
 
     cost_decrease: float = 1e-4
-    """The rise at each point is minimised to this; the threshold is near 4."""
+    """The cost of each point is minimised to this share of the residual's variance (of one, for a likelihood); the threshold is near 4."""
 
 
 @dataclass(frozen=True)

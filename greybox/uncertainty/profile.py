@@ -9,8 +9,8 @@ import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.estimation.covariance import compute_quantile, estimate_covariance
-from greybox.estimation.likelihood_search import fisher_scoring, hold_parameters, maximise_likelihood
 from greybox.estimation.objective import Objective, SimulationErrorObjective
+from greybox.estimation.objective_search import hold_parameters, refine_minimum, search_minimum
 from greybox.estimation.options import FitOptions
 from greybox.estimation.policy import EstimationPolicy
 from greybox.estimation.restore import restore_objective, restore_options
@@ -156,9 +156,12 @@ class _HeldObjective:
             given[owner][which] = value
             others = v.hold(np.arange(len(v.which)) == self.k) if near is None else near
             held = self.objective.at(replace(others, conditions=tuple(given)))
-        optimum = fisher_scoring(held, self.options.policy.likelihood_search, self.policy.cost_decrease * self.scale)
+        termination = self.options.policy.likelihood_search.termination
+        optimum = refine_minimum(
+            held, self.options, replace(termination, negligible_decrease=self.policy.cost_decrease)
+        )
         if not optimum.status.success:
-            optimum = maximise_likelihood(optimum.objective, self.options)
+            optimum = search_minimum(optimum.objective, self.options)
         cost = optimum.evaluation.cost + ((value - mean) / std) ** 2
         rise = max(cost - self.least, 0.0) / self.scale if np.isfinite(cost) else np.inf
         return rise, optimum.objective.variables
