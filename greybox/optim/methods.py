@@ -163,4 +163,8 @@ def _follow_quadratic_model(search: Minimisation, low: np.ndarray, high: np.ndar
     """Damped steps as long as they gain what the quadratic model predicts; whether the search is over."""
     search.record_solver(SolverName.GAUSS_NEWTON)
     steps = min(search.policy.damped.max_steps, max(iterations - search.steps, 0))
-    return run_gauss_newton(search, low, high, search.policy.damped, steps=steps, while_predicted=True) or search.stop
+    is_over = run_gauss_newton(search, low, high, search.policy.damped, steps=steps, while_predicted=True)
+    if search.status is TerminationStatus.ITERATION_LIMIT and search.steps < iterations:
+        # Reweighted least squares may gain a little of everything for a hundred steps: IPOPT goes on.
+        search.status, is_over = None, False
+    return is_over or search.stop
