@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from greybox.estimation import FitOptions, fit, multistart, predict, smooth, validate
     from greybox.experiment import Experiment, read_csv, read_experiments
     from greybox.export import linearise
-    from greybox.model import Balance, Curve, DryFriction, Effect, Model
+    from greybox.model import Balance, Characteristic, DryFriction, Effect, Model
     from greybox.model.signals import Input, Output, Parameter, State
     from greybox.reports import report
     from greybox.residuals import residual_tests
@@ -66,7 +66,7 @@ _NAMES = {
     "export": ("linearise",),
     "model": (
         "Balance",
-        "Curve",
+        "Characteristic",
         "DryFriction",
         "Effect",
         "Model",
@@ -106,7 +106,7 @@ _HOME = {name: f"greybox.{module}" for module, names in _NAMES.items() for name 
 
 __all__ = [
     "Balance",
-    "Curve",
+    "Characteristic",
     "DryFriction",
     "Effect",
     "Experiment",

@@ -1,10 +1,10 @@
 """The model language: named balances of named terms, effects as values, models as values."""
 
 from greybox.model.balance import Balance
-from greybox.model.curve import Curve
+from greybox.model.characteristic import Characteristic
 from greybox.model.effect import DryFriction, Effect
 from greybox.model.model import Model
 from greybox.model.rules import Rule
 from greybox.model.system import System
 
-__all__ = ["Balance", "Curve", "DryFriction", "Effect", "Model", "Rule", "System"]
+__all__ = ["Balance", "Characteristic", "DryFriction", "Effect", "Model", "Rule", "System"]

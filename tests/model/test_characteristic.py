@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox import Balance, Curve, Input, Model, Output, Parameter, State
+from greybox import Balance, Characteristic, Input, Model, Output, Parameter, State
 from greybox.errors import ModelError
 
 AT = (0.0, 50.0, 120.0, 200.0)
@@ -15,7 +15,7 @@ TORQUE = (0.0, 0.02, 0.15, 0.5)
 
 
 def make_fan(shape: str, start: tuple[float, ...] = (0.0, 0.05, 0.1, 0.3)) -> Model:
-    fan = Curve("fan", "N*m", over="rad/s", at=AT, start=start, shape=shape)
+    fan = Characteristic("fan", "N*m", over="rad/s", at=AT, start=start, shape=shape)
 
     def balances(x, u, p):
         return [Balance("torque", "N*m", p.J, "w", motor=p.k * u.i, fan=-fan(x.w, p))]
@@ -36,7 +36,7 @@ def make_fan(shape: str, start: tuple[float, ...] = (0.0, 0.05, 0.1, 0.3)) -> Mo
 
 @pytest.mark.parametrize("shape", ["any", "rising"])
 def test_it_is_the_interpolation_of_numpy_between_the_points(shape: str) -> None:
-    curve = Curve("fan", "N*m", over="rad/s", at=AT, start=TORQUE, shape=shape)
+    curve = Characteristic("fan", "N*m", over="rad/s", at=AT, start=TORQUE, shape=shape)
     values = {q.name: q.value for q in curve.parameters}
     x = np.linspace(0, 200, 81)
     height = [float(ca.DM(curve(ca.DM(place), values))) for place in x]
@@ -44,7 +44,7 @@ def test_it_is_the_interpolation_of_numpy_between_the_points(shape: str) -> None
 
 
 def test_the_outermost_pieces_go_on() -> None:
-    curve = Curve("c", "V", over="V", at=(0, 1, 2), start=(0, 1, 3))
+    curve = Characteristic("c", "V", over="V", at=(0, 1, 2), start=(0, 1, 3))
     values = {q.name: q.value for q in curve.parameters}
     assert float(curve(ca.DM(4.0), values)) == pytest.approx(7.0)
     assert float(curve(ca.DM(-2.0), values)) == pytest.approx(-2.0)
@@ -87,11 +87,11 @@ def test_a_fit_finds_the_curve_with_intervals(shape: str) -> None:
 def test_a_curve_that_cannot_be_is_refused(change: dict, words: str) -> None:
     settings = {"at": (0, 1, 2), "start": (0, 1, 2)} | change
     with pytest.raises(ModelError, match=words):
-        Curve("c", "V", over="V", **settings)
+        Characteristic("c", "V", over="V", **settings)
 
 
 def test_a_falling_curve_counts_its_falls() -> None:
-    curve = Curve("c", "V", over="V", at=(0, 1, 2), start=(3, 1, 0), shape="falling")
+    curve = Characteristic("c", "V", over="V", at=(0, 1, 2), start=(3, 1, 0), shape="falling")
     values = {q.name: q.value for q in curve.parameters}
     assert [q.name for q in curve.parameters][:3] == ["c_1", "c_fall_2", "c_fall_3"]
     assert float(curve(ca.DM(1.5), values)) == pytest.approx(0.5)

@@ -14,7 +14,7 @@ from greybox.errors import ModelError
 from greybox.model.signals import Expression, NamedValues, Parameter
 
 
-class CurveTrend(StrEnum):
+class CharacteristicTrend(StrEnum):
     """What is known of a curve's course."""
 
     ANY = "any"
@@ -23,7 +23,7 @@ class CurveTrend(StrEnum):
 
 
 @dataclass(frozen=True)
-class Curve:
+class Characteristic:
     """A curve ``y = name(x)`` in a balance, to be fitted: the torque of a fan, the flow of a valve over its lift, a reading curve.
 
     Straight pieces join the points; beyond the first and the last one the outermost pieces go on. The heights at the points are parameters
@@ -56,7 +56,7 @@ class Curve:
 
     Examples
     --------
-    >>> fan = Curve("fan", "N*m", over="rad/s", at=(0, 100, 200), start=(0, 0.1, 0.4), shape="rising")
+    >>> fan = Characteristic("fan", "N*m", over="rad/s", at=(0, 100, 200), start=(0, 0.1, 0.4), shape="rising")
     >>> [q.name for q in fan.parameters]
     ['fan_1', 'fan_rise_2', 'fan_rise_3', 'fan_at_1', 'fan_at_2', 'fan_at_3']
 
@@ -68,7 +68,7 @@ class Curve:
     over: str
     at: tuple[float, ...]
     start: tuple[float, ...]
-    shape: CurveTrend | str = CurveTrend.ANY
+    shape: CharacteristicTrend | str = CharacteristicTrend.ANY
     bounds: tuple[float, float] = (-math.inf, math.inf)
     source: str = "rough start of a curve that is fitted"
     description: str = ""
@@ -77,23 +77,29 @@ class Curve:
         object.__setattr__(self, "at", tuple(map(float, self.at)))
         object.__setattr__(self, "start", tuple(map(float, self.start)))
         try:
-            object.__setattr__(self, "shape", CurveTrend(self.shape))
+            object.__setattr__(self, "shape", CharacteristicTrend(self.shape))
         except ValueError:
-            shapes = ", ".join(CurveTrend)
-            raise ModelError(f"curve {self.name!r}: unknown shape {self.shape!r}; give one of {shapes}") from None
+            shapes = ", ".join(CharacteristicTrend)
+            raise ModelError(
+                f"characteristic {self.name!r}: unknown shape {self.shape!r}; give one of {shapes}"
+            ) from None
         if len(self.at) < 2 or not np.all(np.diff(self.at) > 0):
-            raise ModelError(f"curve {self.name!r}: its points must ascend, two at least; at = {_listed(self.at)}")
+            raise ModelError(
+                f"characteristic {self.name!r}: its points must ascend, two at least; at = {_listed(self.at)}"
+            )
         if len(self.start) != len(self.at):
             raise ModelError(
-                f"curve {self.name!r}: {len(self.start)} heights to start from for {len(self.at)} points; give one a point"
+                f"characteristic {self.name!r}: {len(self.start)} heights to start from for {len(self.at)} points; give one a point"
             )
         if self._direction and np.any(self._direction * np.diff(self.start) < 0):
-            raise ModelError(f"curve {self.name!r}: start = {_listed(self.start)} is not {self.shape}")
+            raise ModelError(f"characteristic {self.name!r}: start = {_listed(self.start)} is not {self.shape}")
 
     @property
     def _direction(self) -> float:
         """1 of a rising curve, -1 of a falling one, 0 of any other."""
-        return {CurveTrend.RISING: 1.0, CurveTrend.FALLING: -1.0}.get(CurveTrend(self.shape), 0.0)
+        return {CharacteristicTrend.RISING: 1.0, CharacteristicTrend.FALLING: -1.0}.get(
+            CharacteristicTrend(self.shape), 0.0
+        )
 
     @property
     def parameters(self) -> list[Parameter]:
