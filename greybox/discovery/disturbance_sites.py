@@ -118,8 +118,7 @@ def linearise_run(candidate: CandidateFit, record: int, first: int, rows: int) -
 
 def unwhitened_shooting(candidate: CandidateFit) -> SingleShooting:
     """The candidate's residuals in units of the noise, not whitened."""
-    problem = candidate.problem
-    return SingleShooting(candidate.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
+    return candidate.problem.with_plain_squares().shooting(candidate.variables)
 
 
 def are_indistinguishable(one: np.ndarray, other: np.ndarray) -> bool:

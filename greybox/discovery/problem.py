@@ -24,7 +24,6 @@ from greybox.result import Fit
 from greybox.transcription import DecisionVector, Evaluation
 from greybox.transcription.problem import EstimationProblem, prepare_problem
 from greybox.transcription.solve import Solution, solve
-from greybox.transcription.step_refinement import with_substeps
 
 StartValues = Mapping[str, float]
 
@@ -213,7 +212,7 @@ class DiscoveryProblem:
         problem = self.prepare(model.start(**outcome.values))
         variables = with_start_values(problem.variables, outcome.values)
         if outcome.substeps not in (0, problem.step.substeps) and not problem.step.per_interval:
-            problem = with_substeps(problem, outcome.substeps, variables.fixed)
+            problem = problem.with_substeps(outcome.substeps)
         variables = replace(variables, initial=replace(variables.initial, guess=np.array(outcome.initial)))
         e = problem.shooting(variables).evaluate(variables.here)
         return CandidateFit(problem.model, e.cost, e.count, variables.size, problem, variables, e)

@@ -14,7 +14,6 @@ import numpy as np
 from greybox.discovery.policy import ResidualNoisePolicy
 from greybox.discovery.problem import CandidateFit
 from greybox.noise import AutoRegression, BoundDirection, NoiseModel, NoiseSource, fit_autoregression, join_series
-from greybox.transcription import SingleShooting
 
 # Sources of a noise level that do not depend on the records that are fitted.
 INDEPENDENT_SOURCES = (NoiseSource.GIVEN, NoiseSource.QUIET_RECORD)
@@ -84,7 +83,7 @@ def excess_autocorrelation(candidate: CandidateFit, lags: int) -> float:
 def _normalised_residuals(candidate: CandidateFit) -> list[tuple[int, np.ndarray]]:
     """Residual over noise of each measured output, the records one after the other with a gap between."""
     problem = candidate.problem
-    shooting = SingleShooting(candidate.variables, problem.step, problem.kernel, problem.records, 1 / problem.noise.std)
+    shooting = problem.with_plain_squares().shooting(candidate.variables)
     simulated = shooting.simulate(candidate.variables.here)
     runs = [
         (record.samples(y), record.samples(record.y))

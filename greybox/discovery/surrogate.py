@@ -40,7 +40,7 @@ from greybox.estimation import validate
 from greybox.estimation.policy import InitialStatePolicy
 from greybox.experiment import Experiment
 from greybox.result import Fit
-from greybox.transcription.select_transcription import select_transcription
+from greybox.transcription.select import select_transcription
 from greybox.values import Printable, ReadOnly
 
 

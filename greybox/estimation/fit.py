@@ -47,7 +47,7 @@ from greybox.result import (
 )
 from greybox.transcription.progress import FitProgressCallback
 from greybox.transcription.records import to_experiments
-from greybox.transcription.strategy import make_strategy
+from greybox.transcription.solution import make_strategy
 
 
 def fit(

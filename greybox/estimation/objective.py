@@ -21,7 +21,6 @@ from greybox.transcription import DecisionVector, Evaluation
 from greybox.transcription.decision_vector import NoiseLevels
 from greybox.transcription.problem import EstimationProblem
 from greybox.transcription.solution import Runs
-from greybox.transcription.step_refinement import halve_step
 
 
 def add_noise_levels(
@@ -117,15 +116,15 @@ class SimulationErrorObjective:
 
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Cost, gradient and Gauss-Newton matrix."""
-        return self.problem.shooting(self.problem.variables).evaluate(z)
+        return self.problem.shooting().evaluate(z)
 
     def linearise(self) -> ResidualRows:
         """The weighted residuals with their slopes."""
-        return ResidualRows(tuple(self.problem.shooting(self.variables).residuals(self.variables.here)))
+        return ResidualRows(tuple(self.problem.shooting().residuals(self.variables.here)))
 
     def halve_step(self) -> SimulationErrorObjective:
         """The same with half the integration step."""
-        return SimulationErrorObjective(halve_step(self.problem))
+        return SimulationErrorObjective(self.problem.halve_step())
 
 
 @dataclass(frozen=True)

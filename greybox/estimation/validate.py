@@ -5,19 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from greybox.errors import DataError
 from greybox.estimation.noise_loop import estimate_by_simulation_error
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
 from greybox.estimation.traces import compute_misfits, make_traces
 from greybox.experiment import Experiment
 from greybox.model import Model
+from greybox.optim import TerminationStatus
 from greybox.result import Validation
 from greybox.transcription import DecisionVector
 from greybox.transcription.options import Hessian, Transcription
 from greybox.transcription.problem import EstimationProblem, guess_initial_states
-from greybox.transcription.select_transcription import select_transcription
+from greybox.transcription.select import select_transcription
+from greybox.transcription.solution import Solution
 from greybox.transcription.solve import solve
-from greybox.transcription.step_refinement import refine_step
+from greybox.transcription.step_refinement import refine_step, solve_with_refined_steps
 
 
 def validate(
@@ -102,13 +106,16 @@ def validate(
 
 def _refine_until_fine(problem: EstimationProblem, variables: DecisionVector, options: FitOptions) -> EstimationProblem:
     """The same problem with a step that is as small for these records as a fit to them would have made it."""
-    for _ in range(options.policy.step_refinement.halvings):
-        evaluation = problem.shooting(variables).evaluate(variables.here)
-        smaller, _ = refine_step(problem, variables, evaluation, options)
-        if smaller is None:
-            break
-        problem = smaller
-    return problem
+
+    def evaluate(problem: EstimationProblem) -> Solution:
+        evaluation, nothing = problem.shooting().evaluate(problem.variables.here), np.zeros(len(problem.noise.std))
+        return Solution(
+            problem, problem.variables, evaluation, TerminationStatus.CONVERGED, "", 0, 1, 0.0, (1.0,), nothing
+        )
+
+    at_start = replace(problem, variables=variables)
+    policy = options.policy.step_refinement
+    return solve_with_refined_steps(at_start, evaluate, lambda s: refine_step(s, options), policy).problem
 
 
 def _cut_to_first_rows(problem: EstimationProblem, rows: int) -> EstimationProblem:

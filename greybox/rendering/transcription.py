@@ -82,8 +82,5 @@ register(
         TranscriptionReason.INTEGRATING_GROWING: _write_integrating(
             "a growing part of the record keeps the free run near the data"
         ),
-        TranscriptionReason.INTEGRATING_SEGMENTS: _write_integrating(
-            "errors accumulate along the record and do not decay"
-        ),
     }
 )

@@ -9,7 +9,7 @@ states' physical bounds hold as path constraints. Memory grows with the record: 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -17,13 +17,150 @@ import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.kernel import Record
-from greybox.numerics import AT_BOUND, CONSTANT_STATE
+from greybox.numerics import AT_BOUND
+from greybox.optim import MinimisationResult, solve_sparse
 from greybox.transcription.condensing import compute_state_slopes
 from greybox.transcription.decision_vector import DecisionVector
+from greybox.transcription.initialisation import initialise_without_continuity
+from greybox.transcription.options import Hessian, SolverOptions
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.progress import FitProgressCallback, ProgressMonitor
+from greybox.transcription.segments import cut_by_growth, measure_state_ranges
+from greybox.transcription.select import TranscriptionChoice
 from greybox.transcription.simulation_error import Evaluation, add_prior_penalty
+from greybox.transcription.solution import Runs, SegmentedRun, Solution
+from greybox.transcription.step_refinement import (
+    Refinement,
+    compute_change_over_noise,
+    is_too_coarse,
+    solve_with_refined_steps,
+)
 
 SCHEMES = ("radau", "legendre")
-HESSIANS = ("gauss-newton", "exact")
+HESSIANS = tuple(map(str, Hessian))
+# Three points are of third order at least, also on stiff equations (Hairer, Wanner, Solving Ordinary Differential Equations II, stage
+# order): halving an interval again changes eight times less than halving it once did.
+_ORDER = 3
+_POINTS = 3
+_TITLES = {"radau": "Radau", "legendre": "Legendre"}
+
+
+def solve_collocation(
+    choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None = None
+) -> Solution:
+    """Minimise over the constants and the states at three points of every sampling interval.
+
+    The intervals are halved once, to see what that changes, and again until it changes too little to matter. ``substeps`` of
+    the options are the elements of an interval, if given.
+    """
+    search = _CollocationSearch(choice, options, report)
+    policy = options.policy.step_refinement
+    # The first solution has halved them once already.
+    solution = solve_with_refined_steps(
+        choice.problem, search.solve, search.refine, replace(policy, halvings=policy.halvings - 1)
+    )
+    problem, elements = solution.problem, search.elements
+    if not problem.step.per_interval:  # whoever continues with a free run needs steps as fine as these
+        problem = solution.at_optimum.with_substeps(max(problem.step.substeps, _POINTS * elements))
+    return replace(
+        solution,
+        problem=problem,
+        transcription=str(choice.transcription),
+        strategy=choice.to_strategy(held_samples=search.at.held),
+        joined=search.join() if solution.status.success else None,
+        discretisation=f"collocation, three {_TITLES[search.scheme]} points"
+        + (" a sample" if elements == 1 else f" in each of {elements} elements a sample"),
+    )
+
+
+class _CollocationSearch:
+    """A search with ever shorter elements, each from the optimum of those twice as long."""
+
+    def __init__(self, choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None) -> None:
+        problem = choice.problem
+        self.options, self.report = options, report
+        self.scheme = choice.transcription.removeprefix("collocation-")
+        self.elements, self.is_over = max(options.substeps, 1), False
+        self.error, self.shift = np.zeros(len(problem.noise.std)), np.zeros(len(problem.variables.which))
+        guess = problem.variables.initial.guess
+        start, states = initialise_without_continuity(problem, cut_by_growth(problem))
+        # Where no piece of a record can be simulated, its first states stay.
+        states = [np.where(np.isfinite(x), x, guess[e]) for e, x in enumerate(states)]
+        self.start, self.at = (start, states), None
+
+    def solve(self, problem: EstimationProblem) -> Solution:
+        """The optimum with half the elements' length, and what the halving changed."""
+        work = []
+        if self.at is None:
+            self.at = self._solve(*self.start, self.elements)
+            work.append(self.at.outcome)
+        self.is_over = not self.at.outcome.status.success
+        if not self.is_over:
+            finer = self._solve(self.at.problem, self.at.states, 2 * self.elements)
+            work.append(finer.outcome)
+            self.is_over = not finer.outcome.status.success or bool(self.options.substeps)
+            if finer.outcome.status.success:
+                before, after = self.at.problem.variables, finer.problem.variables
+                self.error = compute_change_over_noise(problem, self.at.simulate(), finer.simulate())
+                self.shift = (after.base - before.base) / after.spans
+            if not self.is_over:
+                self.at, self.elements = finer, 2 * self.elements
+                self.error, self.shift = self.error / 2.0**_ORDER, self.shift / 2.0**_ORDER
+        outcome, problem = self.at.outcome, self.at.problem
+        return Solution(
+            problem,
+            problem.variables,
+            self.at.evaluation,
+            outcome.status,
+            outcome.solver_status,
+            sum(w.iterations for w in work),
+            sum(w.evaluations for w in work),
+            sum(w.seconds for w in work),
+            (1.0,),
+            self.error,
+        )
+
+    def refine(self, solution: Solution) -> Refinement:
+        """The same problem, if shorter elements are needed."""
+        policy, substeps = self.options.policy.step_refinement, _POINTS * self.elements
+        is_coarse = not self.is_over and is_too_coarse(
+            self.error, solution.problem, solution.evaluation, policy, substeps
+        )
+        return solution.problem if is_coarse else None, self.error
+
+    def join(self) -> SegmentedRun:
+        """The collocated run."""
+        return SegmentedRun(self.at.simulate(), self.at.rows, self.at.problem.variables.size, self.shift)
+
+    def _solve(self, problem: EstimationProblem, states: Sequence[np.ndarray], elements: int) -> _CollocationPoint:
+        program = Collocation(problem, states, scheme=self.scheme, elements=elements, hessian=self.options.hessian)
+        monitor = ProgressMonitor(problem, self.report)
+        outcome = solve_sparse(**program.problem(), iterations=self.options.iterations, progress=monitor)
+        point = program.interpret(outcome.z)
+        at, reached = replace(problem, variables=point.variables), (point.states, point.at_bound)
+        if not outcome.status.success:
+            free_run = at.with_plain_squares().shooting()
+            return _CollocationPoint(outcome, at, *reached, free_run.evaluate(at.variables.here), ())
+        return _CollocationPoint(outcome, at, *reached, *program.linearise(outcome.z))
+
+
+@dataclass(frozen=True)
+class _CollocationPoint:
+    """What a solver ended with: the states (N, nx) of each record and, if it succeeded, the problem linearised there."""
+
+    outcome: MinimisationResult
+    problem: EstimationProblem
+    states: Sequence[np.ndarray]
+    held: int
+    evaluation: Evaluation
+    rows: Runs
+
+    def simulate(self) -> Runs:
+        """Outputs and states at the rows of each record."""
+        output, v, runs = self.problem.model.system.output_function, self.problem.variables, []
+        for e, (record, x) in enumerate(zip(self.problem.records, self.states, strict=True)):
+            runs.append((output(x.T, record.u.T, v.parameters(v.here, e)).full().T, x))
+        return tuple(runs)
 
 
 @dataclass(frozen=True)
@@ -47,8 +184,8 @@ class Collocation:
 
     Parameters
     ----------
-    variables, records, weight
-        As for `SingleShooting`.
+    problem
+        The problem; nothing of its discrete step is used.
     start
         States (N, nx) of each record to begin with, see `initialise_without_continuity`.
     scheme
@@ -70,9 +207,7 @@ class Collocation:
 
     def __init__(
         self,
-        variables: DecisionVector,
-        records: Sequence[Record],
-        weight: np.ndarray,
+        problem: EstimationProblem,
         start: Sequence[np.ndarray],
         *,
         scheme: str = "radau",
@@ -80,14 +215,12 @@ class Collocation:
         elements: int = 1,
         hessian: str = "gauss-newton",
     ) -> None:
-        _check_options(variables, scheme, degree, elements, hessian)
-        self.variables, self.records, self.weight = variables, tuple(records), weight
+        _check_options(problem.variables, scheme, degree, elements, hessian)
+        self.variables, self.records, self.weight = problem.variables, problem.records, 1 / problem.noise.std
         self.scheme, self.degree, self.elements, self.exact = scheme, degree, elements, hessian == "exact"
         self.start = [np.asarray(x, float) for x in start]
-        together = np.concatenate(self.start)
-        spread, size = np.ptp(together, axis=0), np.abs(together).max(axis=0)
-        self.scale = np.where(spread > CONSTANT_STATE * size, spread, np.where(size > 0, size, 1.0))
-        self.nx = together.shape[1]
+        self.scale = measure_state_ranges(np.concatenate(self.start))
+        self.nx = len(self.scale)
 
     def problem(self) -> dict[str, Any]:
         """The program as keyword arguments of `greybox.optim.solve_sparse`: ``nlp`` (x, f, g as MX), ``start``, ``low``, ``high``,
@@ -141,20 +274,19 @@ class Collocation:
         """What a point ``w`` of the program means."""
         v, n = self.variables, len(self.variables.which)
         z, states, position, held = v.here, [], n, 0
-        z[:n] = w[:n]
+        v.split(z).parameters[:] = w[:n]
         edges = np.array([s.bounds for s in v.model.all_states], float).T
-        for e, record in enumerate(self.records):
+        for record in self.records:
             nodes, count = self._count_nodes(record), self._inner_size * len(record.h)
             node_states = w[position : position + nodes * self.nx].reshape(nodes, self.nx)
             points = w[position + node_states.size : position + node_states.size + count].reshape(
                 len(record.h), self._inner_size
             )
             x = (node_states if nodes > 1 else np.vstack([node_states, points[:, -self.nx :]])) * self.scale
-            free = v.free_states
-            z[v.columns(e)[n:]] = (x[0, free] - v.initial.guess[e, free]) / v.initial.scale[free]
             states.append(x)
             held += int((np.abs(x[:, None, :] - edges) <= AT_BOUND * self.scale).any(axis=(1, 2)).sum())
             position += node_states.size + count
+        z = v.place_initial_states(z, np.array([x[0] for x in states]))
         return CollocationResult(v.recentre(z), tuple(states), held)
 
     def _build_expressions(self) -> tuple[ca.MX, ca.MX, ca.MX]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import bmat, coo_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
 from greybox.numerics import FREE_STATE_CURVATURE, TINY
+from greybox.optim import QuadraticModel
 
 
 @dataclass(frozen=True)
@@ -17,8 +18,8 @@ class LinearisedSegment:
     """One linearised segment, in scaled states.
 
     ``residual`` (m,) with ``jacobian`` (m, n + nx) along the constants and its first state; ``ends`` (nx, n + nx) slopes of its last
-    state; ``defect`` (nx,) that state minus the first of the next segment. ``tie``, for states that begin as declared: their
-    numbers, how far they are from that, and its slope along the constants (k, n).
+    state; ``defect`` (nx,) that state minus the first of the next segment (zero after the last one). ``tie``, for states that begin
+    as declared: their numbers, how far they are from that, and its slope along the constants (k, n).
     """
 
     residual: np.ndarray
@@ -29,49 +30,38 @@ class LinearisedSegment:
 
 
 @dataclass(frozen=True)
-class CondensedProblem:
-    """The quadratic ``cost + 2 g'dz + dz'H dz`` with every node at its best for ``dz``, and the nodes that belong to it.
+class CondensedProblem(QuadraticModel):
+    """The model of the cost along the constants, with every segment's first state at its best for them."""
 
-    ``prior``: what priors of the constants add to the cost, its slope (n,) and its curvature (n,).
-    """
+    offset: np.ndarray
+    """Step of the first states (segments, nx) where the constants stay."""
 
-    gradient: np.ndarray
-    hessian: np.ndarray
-    offset: list[np.ndarray]
-    slope: list[np.ndarray]
-    segments: list[list[LinearisedSegment]]
-    prior: tuple[float, np.ndarray | float, np.ndarray | float] = (0.0, 0.0, 0.0)
+    slope: np.ndarray
+    """How they follow the constants (segments, nx, n)."""
 
-    def with_penalty(self, cost: float, slope: np.ndarray, curvature: np.ndarray) -> CondensedProblem:
-        """The same with priors of the constants."""
-        gradient, hessian = self.gradient + slope / 2, self.hessian + np.diag(curvature / 2)
-        return replace(self, gradient=gradient, hessian=hessian, prior=(cost, slope, curvature))
+    segments: Sequence[LinearisedSegment]
+    """What was condensed."""
 
-    def step(self, dz: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
-        """``dz`` and the steps of the nodes (segments + 1, nx) of each record."""
-        return dz, [offset + slope @ dz for offset, slope in zip(self.offset, self.slope, strict=True)]
+    def step(self, dz: np.ndarray) -> np.ndarray:
+        """``dz`` and the step of the first states that belongs to it."""
+        return np.concatenate([dz, (self.offset + self.slope @ dz).ravel()])
 
-    def cost_after(self, step: tuple[np.ndarray, list[np.ndarray]]) -> float:
-        """Cost of the linearised residuals, and of the priors, after a step."""
-        dz, nodes = step
-        cost, slope, curvature = self.prior
-        residuals = (
-            s.residual + s.jacobian[:, : len(dz)] @ dz + s.jacobian[:, len(dz) :] @ ds[k]
-            for segments, ds in zip(self.segments, nodes, strict=True)
-            for k, s in enumerate(segments)
-        )
-        return float(sum(r @ r for r in residuals) + cost + np.sum(slope * dz + 0.5 * curvature * dz**2))
+    def cost_after(self, step: np.ndarray) -> float:
+        """Cost of the linearised residuals after a step."""
+        dz, states = np.split(step, [self.slope.shape[2]])
+        pairs = zip(self.segments, states.reshape(self.offset.shape), strict=True)
+        residuals = (s.residual + s.jacobian @ np.concatenate([dz, ds]) for s, ds in pairs)
+        return float(sum(r @ r for r in residuals))
 
 
-def condense(records: list[list[LinearisedSegment]], n: int) -> CondensedProblem | None:
-    """Eliminate the nodes of each record from a constrained least-squares problem in the constants (n,) and all nodes.
+def condense(records: Sequence[Sequence[LinearisedSegment]], n: int) -> CondensedProblem | None:
+    """Eliminate the first states of the segments from a constrained least-squares problem in the constants (n,) and all of them.
 
-    With ``K = [[H, C'], [C, 0]]`` over the nodes and their constraints, ``H = R'R`` block diagonal and the constants on the right:
+    With ``K = [[H, C'], [C, 0]]`` over the first states and their constraints, ``H = R'R`` block diagonal and the constants on the right:
     a sparse factorisation with pivoting, which is stable whether errors grow or decay along the record. None where there is no step,
     as with slopes of a segment so near to overflow that their squares are beyond it.
     """
-    gradient, hessian = np.zeros(n), np.zeros((n, n))
-    offsets, slopes = [], []
+    solutions = []
     for segments in records:
         nx = len(segments[0].defect)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -83,24 +73,24 @@ def condense(records: list[list[LinearisedSegment]], n: int) -> CondensedProblem
         solution = factors.solve(right)
         if not np.isfinite(solution).all():
             return None
-        states = (len(segments) + 1) * nx
-        nodes = solution[:states].reshape(len(segments) + 1, nx, n + 1)
-        offset, slope = nodes[:, :, 0], nodes[:, :, 1:]
-        for k, s in enumerate(segments):
-            jz, js = s.jacobian[:, :n], s.jacobian[:, n:]
-            jacobian = jz + js @ slope[k]
-            gradient += jacobian.T @ (s.residual + js @ offset[k])
-            hessian += jacobian.T @ jacobian
-        offsets.append(offset)
-        slopes.append(slope)
-    return CondensedProblem(gradient, hessian, offsets, slopes, records)
+        solutions.append(solution[: len(segments) * nx].reshape(len(segments), nx, n + 1))
+    states, flat = np.concatenate(solutions), [s for segments in records for s in segments]
+    offset, slope = states[:, :, 0], states[:, :, 1:]
+    cost, gradient, hessian = 0.0, np.zeros(n), np.zeros((n, n))
+    for k, s in enumerate(flat):
+        jz, js = s.jacobian[:, :n], s.jacobian[:, n:]
+        residual, jacobian = s.residual + js @ offset[k], jz + js @ slope[k]
+        cost += float(residual @ residual)
+        gradient += 2 * jacobian.T @ residual
+        hessian += 2 * jacobian.T @ jacobian
+    return CondensedProblem(cost, gradient, hessian, offset, slope, flat)
 
 
-def _build_system(segments: Sequence[LinearisedSegment], n: int, nx: int) -> tuple[coo_matrix, np.ndarray]:
+def _build_system(segments: Sequence[LinearisedSegment], n: int, nx: int) -> tuple[csc_matrix, np.ndarray]:
     """The matrix ``K`` and its right-hand sides (., 1 + n): for the step as it is, and for each constant."""
     count = len(segments)
-    states = (count + 1) * nx
-    size = states + count * nx + sum(len(s.tie[0]) for s in segments if s.tie)
+    states, joints = count * nx, (count - 1) * nx
+    size = states + joints + sum(len(s.tie[0]) for s in segments if s.tie)
     right = np.zeros((size, n + 1))
     rows: list[np.ndarray] = []
     columns: list[np.ndarray] = []
@@ -121,16 +111,16 @@ def _build_system(segments: Sequence[LinearisedSegment], n: int, nx: int) -> tup
         )
     )
     for k, s in enumerate(segments):
-        node, next_node, constraint = k * nx, (k + 1) * nx, states + k * nx
+        node, next_node, joint = k * nx, (k + 1) * nx, states + k * nx
         put(curvatures[k] + regularisation, node, node)
         right[node:next_node, 0] = -s.jacobian[:, n:].T @ s.residual
         right[node:next_node, 1:] = -s.jacobian[:, n:].T @ s.jacobian[:, :n]
-        put(s.ends[:, n:], constraint, node, mirrored=True)
-        put(-np.eye(nx), constraint, next_node, mirrored=True)
-        right[constraint : constraint + nx, 0] = -s.defect
-        right[constraint : constraint + nx, 1:] = -s.ends[:, :n]
-    put(regularisation, states - nx, states - nx)
-    row = states + count * nx
+        if k + 1 < count:  # it ends where the next one begins
+            put(s.ends[:, n:], joint, node, mirrored=True)
+            put(-np.eye(nx), joint, next_node, mirrored=True)
+            right[joint : joint + nx, 0] = -s.defect
+            right[joint : joint + nx, 1:] = -s.ends[:, :n]
+    row = states + joints
     for k, s in enumerate(segments):
         if s.tie:
             which, distance, slope = s.tie

@@ -287,6 +287,12 @@ class DecisionVector:
         """Change of each free constant (nf,) with its ``z`` at ``z = 0``."""
         return np.where(self.logarithmic, self.base, self.scale)
 
+    @property
+    def units(self) -> np.ndarray:
+        """Physical size of a step of one in each entry of ``z`` (size,); of a logarithmic one, in its logarithm."""
+        states = np.tile(self.initial.scale[self.free_states], self.experiments)
+        return np.concatenate([np.where(self.logarithmic, 1.0, self.scale), states, np.ones(len(self.estimated_noise))])
+
     def is_foreign(self, experiment: int) -> np.ndarray:
         """Which free constants (nf,) are another experiment's own."""
         return (self.owner != SHARED) & (self.owner != self.groups[experiment])

@@ -32,9 +32,6 @@ class TranscriptionReason(StrEnum):
     INTEGRATING_GROWING = "transcription_integrating_growing"
     """An integrator; a growing part of the record keeps the run near the data. Values as before."""
 
-    INTEGRATING_SEGMENTS = "transcription_integrating_segments"
-    """An integrator whose drift adds up along the record. Values as before."""
-
 
 class SolutionCode(StrEnum):
     """What a solution says about itself."""

@@ -1,65 +1,137 @@
-"""Multiple shooting: each record in segments that start from states of their own and are made to meet at the optimum.
+"""Multiple shooting: each record in segments that start from states of their own; they meet at the optimum, or need not (arcs).
 
 For an unstable or chaotic plant, and for long records, where a free run from one initial state forgets the constants (or
-overflows) before the optimiser can use them: an error grows over one segment only.
+overflows) before the optimiser can use them: an error grows over one segment only. Arcs of a chosen length are such segments without
+continuity: the initial state of each is eliminated by itself (`ProjectedShooting`), and what drifts along the record does not add up.
 
-The nodes never reach the optimiser as variables. In each step the segments are linearised,
+With continuity the first states never reach the optimiser as variables either. In each step the segments are linearised,
 
     r_k + R_k ds_k + P_k dz,      ds_{k+1} = A_k ds_k + B_k dz + d_k,      d_k = x(end of segment k) - s_{k+1},
 
-and the nodes eliminated from the constrained least-squares problem, which leaves a bounded one in the constants alone (Bock
-1987; lifted Newton, Albersmeyer and Diehl 2010). They are eliminated with all nodes at once, not by carrying everything back
+and the states eliminated from the constrained least-squares problem, which leaves a bounded one in the constants alone (Bock
+1987; lifted Newton, Albersmeyer and Diehl 2010). They are eliminated with all at once, not by carrying everything back
 to the first one: that product of ``A_k`` is what overflows on an unstable plant.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
+from greybox.errors import DataError, ModelError
 from greybox.integrators import Step
-from greybox.kernel import Kernel, Record, make_kernel
-from greybox.numerics import CONSTANT_STATE
-from greybox.optim.status import TerminationStatus
-from greybox.transcription.arcs import place_cuts
+from greybox.kernel import Record, make_kernel
+from greybox.numerics import TINY
+from greybox.optim import MinimisationResult, QuadraticModel, TerminationStatus, minimise
+from greybox.optim.termination import Termination
 from greybox.transcription.condensing import CondensedProblem, LinearisedSegment, condense
 from greybox.transcription.decision_vector import DecisionVector
-from greybox.transcription.initialisation import (
-    compute_bounded_step,
-    estimate_arc_states,
-    fit_without_continuity,
-    simulate_segments,
-    to_nodes,
-)
-from greybox.transcription.policy import DEFAULT_POLICY, SegmentPolicy, TranscriptionPolicy
-from greybox.transcription.simulation_error import Evaluation, SingleShooting
+from greybox.transcription.initialisation import estimate_segment_states, fit_without_continuity
+from greybox.transcription.options import SolverOptions, Transcription
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.progress import FitProgressCallback, ProgressMonitor, monitor_progress
+from greybox.transcription.projected_initial_states import ProjectedShooting, project_states
+from greybox.transcription.segments import Cuts, SegmentedProblem, cut_by_growth, cut_in_seconds
+from greybox.transcription.select import TranscriptionChoice
+from greybox.transcription.simulation_error import Evaluation, SingleShooting, compute_gauss_newton_step
+from greybox.transcription.single_shooting import solve_single_shooting
+from greybox.transcription.solution import Runs, SegmentedRun, Solution
+from greybox.transcription.step_refinement import Refinement, refine_step, solve_with_refined_steps
 
-Report = Callable[[int, float], object]
-"""``(iteration, cost)``, called after every iteration; an answer that is true ends the search."""
+
+def solve_multiple_shooting(
+    choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None = None
+) -> Solution:
+    """Minimise the cost of each record's segments, which end where the next one begins; arcs need not.
+
+    Raises DataError for arcs that are too short (`split_into_arcs`) or longer than every record, ModelError for too many of them where
+    their states cannot be eliminated.
+    """
+    continuity = choice.transcription is Transcription.MULTIPLE
+    cuts = cut_by_growth(choice.problem) if continuity else _cut_into_arcs(choice.problem, options)
+    search = _SegmentSearch(SegmentedProblem.of(choice.problem, cuts), continuity, options, report)
+    solution = solve_with_refined_steps(choice.problem, search.solve, search.refine, options.policy.step_refinement)
+    count, is_whole = sum(len(places) - 1 for places in cuts), all(len(places) == 2 for places in cuts)
+    values = {"segments": count} if continuity else {"arcs": count, "arc_length": options.arc_length, "whole": is_whole}
+    solution = replace(solution, transcription=str(choice.transcription), strategy=choice.to_strategy(**values))
+    return replace(solution, joined=search.join()) if np.isfinite(solution.evaluation.cost) else solution
+
+
+def _cut_into_arcs(problem: EstimationProblem, options: SolverOptions) -> Cuts:
+    """Arcs of the length that ``options`` ask for."""
+    length, longest = options.arc_length, max(float(record.h.sum()) for record in problem.records)
+    if length > longest * (1 + options.policy.joining.length_tolerance):
+        raise DataError(
+            f"arcs of {length:g} s: the longest record lasts {longest:.6g} s, so no record would be divided; take shorter arcs, or leave"
+            " arc_length out (shell: --arc-length)"
+        )
+    return cut_in_seconds(problem, length)
+
+
+class _SegmentSearch:
+    """A search over segments at one integration step after the other, each from the optimum of the one before."""
+
+    def __init__(
+        self,
+        segmented: SegmentedProblem,
+        continuity: bool,
+        options: SolverOptions,
+        report: FitProgressCallback | None,
+    ) -> None:
+        self.segmented, self.continuity, self.options, self.report = segmented, continuity, options, report
+        self.result: MultipleShootingResult | None = None
+
+    def solve(self, problem: EstimationProblem) -> Solution:
+        """The optimum with the step of ``problem``."""
+        shooting = MultipleShooting(self.segmented.with_step_of(problem), continuity=self.continuity)
+        result = shooting.solve(self.options, initialise=self.result is None, report=self.report)
+        self.result, self.segmented = result, result.segmented
+        return Solution(
+            result.segmented.whole,
+            result.variables,
+            result.evaluation,
+            result.status,
+            result.solver_status,
+            result.iterations,
+            result.evaluations,
+            result.seconds,
+            (1.0,),
+            np.zeros(len(problem.noise.std)),
+        )
+
+    def refine(self, solution: Solution) -> Refinement:
+        """A smaller step if need be."""
+        return refine_step(solution, self.options, lambda problem: self.segmented.with_step_of(problem).simulate())
+
+    def join(self) -> SegmentedRun:
+        """The run of the segments at the optimum, and what half the step does to the constants."""
+        assert self.result is not None  # a solution was found
+        problem, shift = self.segmented.whole, np.zeros(len(self.result.variables.which))
+        if not problem.step.per_interval and len(shift):
+            both = self.segmented, self.segmented.with_step_of(problem.halve_step())
+            coarse, fine = (MultipleShooting(s, continuity=self.continuity).gauss_newton_step() for s in both)
+            shift = fine - coarse
+        size = self.result.variables.size if self.continuity else self.segmented.pieces.variables.size
+        return SegmentedRun(self.segmented.simulate(), self.result.rows, size, shift)
 
 
 @dataclass(frozen=True)
 class MultipleShootingResult:
     """The optimum of a multiple-shooting fit."""
 
-    variables: DecisionVector
-    """The decision vector with ``z = 0`` at the optimum."""
+    segmented: SegmentedProblem
+    """The segments with their present point at the optimum."""
 
     evaluation: Evaluation
     """Cost, gradient and Gauss-Newton matrix of the constants, every state eliminated: the rows of initial states are zero."""
 
-    nodes: tuple[np.ndarray, ...]
-    """First states of the segments of each record, its end included (segments + 1, nx)."""
-
-    runs: tuple[tuple[np.ndarray, np.ndarray], ...]
-    """Outputs (N, ny) and states (N, nx) of each record, segment by segment."""
-
-    rows: tuple[tuple[np.ndarray, np.ndarray], ...]
+    rows: Runs
     """Weighted residuals (N, ny) of each record and their Jacobian (N, ny, L) along `DecisionVector.columns`, states eliminated."""
 
     gap: float
@@ -68,290 +140,356 @@ class MultipleShootingResult:
     status: TerminationStatus
     """How the search ended."""
 
+    solver_status: str
     iterations: int
     evaluations: int
     seconds: float
 
     @property
-    def converged(self) -> bool:
-        """Whether the point can be used as an optimum."""
-        return self.status.success
+    def variables(self) -> DecisionVector:
+        """The decision vector of the whole records with ``z = 0`` at the optimum."""
+        return self.segmented.whole.variables
 
-
-def choose_segment_rows(growth: float, record: Record, policy: SegmentPolicy = DEFAULT_POLICY.segments) -> int:
-    """Samples of a segment for a plant whose errors grow by ``exp(growth t)`` (1/s; at most zero: they do not)."""
-    longest = max(len(record.samples(record.u)) // policy.max_segments, policy.usual_rows)
-    period = record.rows_per_sample * float(np.median(record.h)) if len(record.h) else 1.0
-    if growth > 0:
-        longest = min(longest, int(np.log(policy.max_growth) / (growth * period)))
-    return max(policy.least_rows, longest)
+    @property
+    def states(self) -> np.ndarray:
+        """First states (segments, nx) of the segments of all records."""
+        return self.segmented.pieces.variables.initial.guess
 
 
 class MultipleShooting:
-    """Lifted Gauss-Newton over records cut in segments.
+    """Segments of records, each with a first state of its own.
 
     Parameters
     ----------
-    variables, step, records, weight
-        As for `SingleShooting`.
-    kernel
-        Used for the first guess of the nodes: hidden states of each segment are found from its own samples at the start values,
-        beginning where the segment before ended.
-    rows
-        Samples of a segment: one number, or one for each record.
-    nodes
-        First states of the segments (segments, nx) of each record, in the place of that guess.
-    policy
-        When the search has converged and which steps it takes, how it begins, and how short a segment may be.
+    segmented
+        The segments.
+    continuity
+        Whether a segment ends where the next one begins.
     """
 
-    def __init__(
-        self,
-        variables: DecisionVector,
-        step: Step,
-        kernel: Kernel,
-        records: Sequence[Record],
-        weight: np.ndarray,
-        rows: int | Sequence[int],
-        nodes: Sequence[np.ndarray] | None = None,
-        policy: TranscriptionPolicy = DEFAULT_POLICY,
-    ) -> None:
-        self.variables, self.weight = variables, weight
-        self.policy, self.relaxation = policy.multiple_shooting, policy.relaxation
-        self.single = SingleShooting(variables, step, kernel, records, weight)
-        self.records = self.single.records
-        segment_rows = [rows] * len(records) if isinstance(rows, int) else list(rows)
-        pairs = zip(self.records, segment_rows, strict=True)
-        self.cuts = [place_segments(e, r, n, policy.segments) for e, (r, n) in enumerate(pairs)]
-        self.kernel = make_kernel(add_state_outputs(step))
-        self.nx, self.ny = step.advance.size1_in(0), len(weight)
-        self.segments = [
-            [slice_segment(r, a, b, self.nx) for a, b in pairwise(c)]
-            for r, c in zip(self.records, self.cuts, strict=True)
-        ]
-        self._arcs = estimate_arc_states(self.single, self.cuts, policy.projection) if nodes is None else None
-        first_nodes = to_nodes(self.single, self.cuts, self._arcs) if self._arcs else nodes or ()
-        self.nodes = [np.array(n, float) for n in first_nodes]
-        self.scale = measure_state_ranges(self.nodes)
-        self.evaluations = 0
+    def __init__(self, segmented: SegmentedProblem, *, continuity: bool = True) -> None:
+        self.continuity, self.evaluations = continuity, 0
+        self.policy = segmented.whole.policy.transcription
+        self._place(segmented)
+
+    def _place(self, segmented: SegmentedProblem) -> None:
+        """Let the present point be that of ``segmented``."""
+        self.segmented, pieces = segmented, segmented.pieces
+        self.variables, self.n = pieces.variables, len(pieces.variables.which)
+        self.ny, self.nx = len(pieces.noise.std), pieces.variables.initial.guess.shape[1]
+        self.joints = [not begins for begins in segmented.starts_record[1:]] + [False]
+        if self.continuity:
+            step, weight = add_state_outputs(pieces.step), np.concatenate([1 / pieces.noise.std, np.ones(self.nx)])
+            records = [r for e in range(len(segmented.cuts)) for r in self._slice_record(e)]
+            self.with_ends = SingleShooting(self.variables, step, make_kernel(step), records, weight)
 
     def solve(
-        self, *, iterations: int = 100, relax: bool = True, report: Report | None = None
+        self,
+        options: SolverOptions | None = None,
+        *,
+        initialise: bool = True,
+        report: FitProgressCallback | None = None,
     ) -> MultipleShootingResult:
-        """Minimise the cost with the segments joined, from ``z = 0`` and the present nodes.
+        """Minimise the cost from the present point.
 
         Parameters
         ----------
-        iterations
-            The most iterations.
-        relax
-            Whether the segments are first fitted as arcs that need not meet (not where nodes were given).
+        options
+            How far to go, and where without continuity a general method is used.
+        initialise
+            Whether the first states are estimated first and, with continuity, the segments fitted as if they need not meet.
         report
-            Called with the number of each iteration and its cost; ends the search by an answer that is true.
+            Called after every iteration.
         """
-        began = time.perf_counter()
-        point = _ShootingPoint(self.variables.here, self.nodes)
-        if relax and self._arcs:
-            point.z[: self._arcs.size] = fit_without_continuity(self._arcs, self.relaxation)
-            point.nodes = to_nodes(self.single, self.cuts, self._arcs)
-        linearised = self._linearise(point)
-        status, costs, iteration = TerminationStatus.NO_START, [], 0
-        while linearised is not None:
-            costs.append(linearised.cost)
-            if report and report(iteration, linearised.cost):
-                status = TerminationStatus.INTERRUPTED
-                break
-            is_joined = linearised.gap < self.policy.continuity
-            if self._is_converged(linearised) or (is_joined and self._is_flat(costs)):
-                is_converged = self._is_converged(linearised)
-                status = TerminationStatus.CONVERGED if is_converged else TerminationStatus.ACCEPTABLE
-                break
-            if iteration == iterations:
-                status = TerminationStatus.ITERATION_LIMIT
-                break
-            accepted = self._search_step(point, linearised)
-            if accepted is None:  # at rounding errors, or truly stuck
-                is_optimum = self._is_converged(linearised, self.policy.rounding_slack)
-                status = TerminationStatus.ACCEPTABLE if is_optimum else TerminationStatus.STUCK
-                break
-            point, linearised = accepted
-            iteration += 1
-        return self._make_result(point, linearised, status, iteration, time.perf_counter() - began)
+        options = options or SolverOptions()
+        return (self._solve_joined if self.continuity else self._solve_apart)(options, initialise, report)
 
     def gauss_newton_step(self) -> np.ndarray:
-        """The next Gauss-Newton step of the constants (nf,) in ``z`` from the present nodes; NaN where a segment overflows."""
-        linearised = self._linearise(_ShootingPoint(self.variables.here, self.nodes))
-        if linearised is None:
-            return np.full(len(self.variables.which), np.nan)
-        return self._compute_step(linearised, 0.0)[0]
+        """The next step of the constants (nf,) in ``z`` from the present point; NaN where a segment overflows."""
+        if not self.continuity:
+            whole = self.segmented.whole.variables
+            evaluation = _evaluate_rows(_project_residuals(self.segmented.pieces), whole)
+            return compute_gauss_newton_step(whole, evaluation)[: self.n]
+        linearised = self._linearise(self.variables.here)
+        return np.full(self.n, np.nan) if linearised is None else self._compute_step(linearised)[: self.n]
 
-    def _is_converged(self, linearised: _LinearisedPoint, slack: float = 1.0) -> bool:
+    def _solve_apart(
+        self, options: SolverOptions, initialise: bool, report: FitProgressCallback | None
+    ) -> MultipleShootingResult:
+        """Without continuity.
+
+        Where the cost is plain squares the initial states are eliminated segment by segment, else they are searched for with the
+        constants.
+        """
+        pieces = self.segmented.pieces
+        if not pieces.is_plain_squares:
+            _check_number(self.segmented, options)
+            solution = solve_single_shooting(pieces, replace(options, progressive=False), report)
+            segmented = self.segmented.with_step_of(solution.problem).at(solution.variables)
+            return _make_apart(segmented, solution.evaluation, solution)
+        projected = ProjectedShooting(pieces.shooting(), self.policy.projection)
+        if initialise:
+            projected.carry_states(self.segmented.starts_record)
+        (low, high), zero = projected.bounds(), np.zeros(projected.size)
+        first = projected.evaluate(zero)
+        outcome = minimise(
+            projected.evaluate,
+            zero,
+            low,
+            high,
+            scale=max(first.cost, TINY),
+            value_at_start=first,
+            tolerance=options.tolerance,
+            iterations=options.iterations,
+            termination_test=Termination(options.policy.convergence, low, high, first.count).test,
+            thorough=options.thorough,
+            progress=ProgressMonitor(pieces, report),
+            policy=options.policy.minimisation,
+        )
+        segmented = self.segmented.at(self.variables.recentre(projected.full(outcome.z)))
+        return _make_apart(segmented, outcome.value or first, outcome)
+
+    def _solve_joined(
+        self, options: SolverOptions, initialise: bool, report: FitProgressCallback | None
+    ) -> MultipleShootingResult:
+        """With continuity: lifted Gauss-Newton."""
+        began = time.perf_counter()
+        with monitor_progress(self.segmented.pieces, report) as monitor:
+            if initialise:
+                self._place(self._initialise())
+            linearised = self._linearise(self.variables.here)
+            status, iteration = TerminationStatus.NO_START, 0
+            if linearised is not None:
+                count = max(int(linearised.counts.sum()), 1)
+                termination = Termination(self.policy.multiple_shooting.termination, count=count)
+                visited: list[tuple[float, float]] = []
+                while (ended := self._judge(linearised, termination, iteration, options, monitor)) is None:
+                    visited.append((linearised.violation, linearised.cost))
+                    following = self._search_step(linearised, visited)
+                    if following is None:  # at rounding errors, or truly stuck
+                        slack = self.policy.multiple_shooting.rounding_slack
+                        is_optimum = self._is_converged(linearised, termination, slack)
+                        ended = TerminationStatus.ACCEPTABLE if is_optimum else TerminationStatus.STUCK
+                        break
+                    linearised = following
+                    iteration += 1
+                status = ended
+        return self._make_joined(linearised, status, iteration, time.perf_counter() - began)
+
+    def _initialise(self) -> SegmentedProblem:
+        """First states estimated from the samples of each segment, and constants fitted without continuity."""
+        segmented, v = self.segmented, self.segmented.whole.variables
+        arcs = estimate_segment_states(segmented)
+        point = self.variables.recentre(fit_without_continuity(arcs, self.policy.relaxation))
+        states, declared = point.initial.guess.copy(), ~v.initial.free
+        for e, k in enumerate(np.flatnonzero(segmented.starts_record)):
+            states[k, declared] = v.initial.guess[e, declared]
+        return segmented.at(replace(point, initial=replace(point.initial, guess=states)))
+
+    def _judge(
+        self,
+        linearised: _LinearisedPoint,
+        termination: Termination,
+        iteration: int,
+        options: SolverOptions,
+        monitor: ProgressMonitor,
+    ) -> TerminationStatus | None:
+        """How the search ends at a point; None where it goes on."""
+        if monitor(iteration, linearised.cost):
+            return TerminationStatus.INTERRUPTED
+        if self._is_converged(linearised, termination):
+            return TerminationStatus.CONVERGED
+        if termination.is_flat(linearised.cost) and linearised.gap < self.policy.multiple_shooting.continuity:
+            return TerminationStatus.ACCEPTABLE
+        return TerminationStatus.ITERATION_LIMIT if iteration == options.iterations else None
+
+    def _is_converged(self, linearised: _LinearisedPoint, termination: Termination, slack: float = 1.0) -> bool:
         """Whether a further step would neither lower the cost nor close a gap."""
-        policy, count = self.policy, max(int(linearised.counts.sum()), 1)
-        change = abs(linearised.cost - linearised.condensed.cost_after(self._compute_step(linearised, 0.0)))
-        negligible = policy.negligible_decrease * linearised.cost / count + policy.negligible_ratio**2 * count
-        return linearised.gap <= policy.continuity and change <= slack * negligible
-
-    def _is_flat(self, costs: Sequence[float]) -> bool:
-        """Whether the last iterations gained next to nothing."""
-        patience = self.policy.patience
-        return len(costs) > patience and costs[-1 - patience] - costs[-1] <= self.policy.little_gain * costs[-1]
+        change = abs(linearised.cost - linearised.cost_after(self._compute_step(linearised)))
+        is_joined = linearised.gap <= self.policy.multiple_shooting.continuity
+        return is_joined and termination.is_negligible(change, linearised.cost, slack)
 
     def _search_step(
-        self, point: _ShootingPoint, linearised: _LinearisedPoint
-    ) -> tuple[_ShootingPoint, _LinearisedPoint] | None:
+        self, linearised: _LinearisedPoint, visited: Sequence[tuple[float, float]]
+    ) -> _LinearisedPoint | None:
         """The next point: the longest step, ever more damped, that lowers the cost or the gaps (filter of Fletcher and Leyffer)."""
-        point.filter.append((linearised.violation, linearised.cost))
-        for damping in self.policy.dampings:
+        policy = self.policy.multiple_shooting
+        for damping in policy.dampings:
             step = self._compute_step(linearised, damping)
-            for length in self.policy.step_lengths:
-                trial = self._take_step(point, step, length)
-                linearised_trial = self._linearise(trial)
-                if linearised_trial is not None and trial.accepts(
-                    linearised_trial.violation, linearised_trial.cost, self.policy.filter_margin
-                ):
-                    return trial, linearised_trial
+            for length in policy.step_lengths:
+                trial = self._linearise(linearised.z + length * step)
+                if trial is not None and trial.improves_on(visited, policy.filter_margin):
+                    return trial
         return None
 
-    def _compute_step(self, linearised: _LinearisedPoint, damping: float) -> tuple[np.ndarray, list[np.ndarray]]:
-        """The step of constants and nodes that minimises the condensed quadratic within the bounds of the constants."""
-        condensed = linearised.condensed
-        dz = compute_bounded_step(
-            self.variables, linearised.z, condensed.gradient, condensed.hessian, damping, self.relaxation
-        )
-        return condensed.step(dz)
+    def _compute_step(self, linearised: _LinearisedPoint, damping: float = 0.0) -> np.ndarray:
+        """The step of constants and first states that minimises the condensed quadratic within the bounds of the constants."""
+        z, policy = linearised.z[: self.n], self.policy.relaxation
+        reach = np.where(self.variables.logarithmic, policy.max_log_change, np.inf)
+        low, high = (edge[: self.n] - z for edge in self.variables.bounds())
+        step = linearised.model.bounded_step(np.maximum(low, -reach), np.minimum(high, reach), damping)
+        return linearised.condensed.step(step)
 
-    def _take_step(
-        self, point: _ShootingPoint, step: tuple[np.ndarray, list[np.ndarray]], length: float
-    ) -> _ShootingPoint:
-        dz, ds = step
-        z = point.z.copy()
-        z[: len(dz)] += length * dz
-        nodes = [s + length * d * self.scale for s, d in zip(point.nodes, ds, strict=True)]
-        return _ShootingPoint(z, nodes, list(point.filter))
-
-    def _linearise(self, point: _ShootingPoint) -> _LinearisedPoint | None:
-        """Residuals, end states and their slopes of every segment, the nodes eliminated; None where a segment overflows, or nearly."""
+    def _linearise(self, z: np.ndarray) -> _LinearisedPoint | None:
+        """Residuals, end states and their slopes of every segment, the states eliminated; None where a segment overflows, or nearly."""
         self.evaluations += 1
-        segments, squares, counts = [], np.zeros(self.ny), np.zeros(self.ny, int)
-        for e in range(len(self.records)):
-            record_segments = self._linearise_record(point, e, squares, counts)
-            if record_segments is None:
-                return None
-            segments.append(record_segments)
-        condensed = condense(segments, len(self.variables.which))
-        if condensed is None:
-            return None
-        if self.variables.has_prior.any():
-            condensed = condensed.with_penalty(*self.variables.penalty(point.z))
-        gaps = np.concatenate([np.abs(s.defect) for record_segments in segments for s in record_segments])
-        return _LinearisedPoint(
-            point.z,
-            float(squares.sum()) + condensed.prior[0],
-            squares,
-            counts,
-            condensed,
-            float(gaps.max(initial=0.0)),
-            float(gaps.sum()),
-        )
-
-    def _run_segments(self, point: _ShootingPoint, e: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Residuals and Jacobian, along the constants and its own first state, of each segment of record ``e``; states beside outputs."""
-        n, nx = len(self.variables.which), self.nx
-        p = self.variables.parameters(point.z, e)
-        q, dq, dp, _, _ = self.single.at(point.z, p, e)
-        dx0 = np.zeros((nx, n + nx))
-        dx0[:, n:] = np.diag(self.scale)
-        dq = np.concatenate([dq[:, :, :n], np.zeros((*dq.shape[:2], nx))], axis=2)
-        dp = np.concatenate([dp[:, :n], np.zeros((len(dp), nx))], axis=1)
-        weight = np.concatenate([self.weight, np.ones(nx)])
-        return [
-            self.kernel.residuals(segment, q, dq, p, dp, node, dx0, weight)
-            for segment, node in zip(self.segments[e], point.nodes[e], strict=False)
-        ]
-
-    def _linearise_record(
-        self, point: _ShootingPoint, e: int, squares: np.ndarray, counts: np.ndarray
-    ) -> list[LinearisedSegment] | None:
-        v, n, nodes = self.variables, len(self.variables.which), point.nodes[e]
-        segments = []
-        for k, ((r, j), segment) in enumerate(zip(self._run_segments(point, e), self.segments[e], strict=True)):
-            end, ends = -r[-1, self.ny :], -j[-1, self.ny :]
-            r, j = r[:, : self.ny], j[:, : self.ny]
-            is_measured = np.isfinite(segment.y[:, : self.ny])
+        v, ny, scale = self.variables, self.ny, self.variables.initial.scale
+        states = v.initial.guess + scale * v.split(z).initial_states
+        segments, squares, counts = [], np.zeros(ny), np.zeros(ny, int)
+        for k, (r, j) in enumerate(self.with_ends.residuals(z)):
+            end, ends = -r[-1, ny:], -j[-1, ny:]
+            r, j = r[:, :ny], j[:, :ny]
+            is_measured = np.isfinite(self.with_ends.records[k].samples(self.with_ends.records[k].y)[:, :ny])
             if not all(np.isfinite(values).all() for values in (end, ends, r[is_measured], j[is_measured])):
                 return None
             squares += np.square(np.where(is_measured, r, 0.0)).sum(axis=0)
             counts += is_measured.sum(axis=0)
-            defect = (end - nodes[k + 1]) / self.scale
-            segments.append(LinearisedSegment(r[is_measured], j[is_measured], ends / self.scale[:, None], defect, None))
-        declared = np.flatnonzero(~v.initial.free)
-        if len(declared):  # states that begin as declared
-            *_, x0, dx0 = self.single.at(point.z, v.parameters(point.z, e), e)
-            tie = declared, ((x0 - nodes[0]) / self.scale)[declared], (dx0[:, :n] / self.scale[:, None])[declared]
-            segments[0] = replace(segments[0], tie=tie)
-        return segments
+            defect = (end - states[k + 1]) / scale if self.joints[k] else np.zeros(self.nx)
+            segments.append(LinearisedSegment(r[is_measured], j[is_measured], ends / scale[:, None], defect))
+        self._tie_declared_states(segments, z, states)
+        edges = np.cumsum([0, *(len(places) - 1 for places in self.segmented.cuts)])
+        condensed = condense([segments[a:b] for a, b in pairwise(edges)], self.n)
+        if condensed is None:
+            return None
+        gaps = np.concatenate([np.abs(s.defect) for s in segments])
+        prior = v.penalty(z) if v.has_prior.any() else (0.0, np.zeros(self.n), np.zeros(self.n))
+        return _LinearisedPoint(z, squares, counts, condensed, prior, float(gaps.max()), float(gaps.sum()))
 
-    def _condense_residuals(self, point: _ShootingPoint, e: int, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (N, ny) of record ``e`` and their Jacobian (N, ny, L), ``slope`` (segments + 1, nx, nf) being that of the nodes."""
-        n, pieces = len(self.variables.which), []
-        for k, ((r, j), (a, b)) in enumerate(zip(self._run_segments(point, e), pairwise(self.cuts[e]), strict=True)):
-            r, j = r[: b - a, : self.ny], j[: b - a, : self.ny]
-            pieces.append((r, j[:, :, :n] + j[:, :, n:] @ slope[k]))
-        r, j = (np.concatenate(each) for each in zip(*pieces, strict=True))
-        states = len(self.variables.free_states)
-        return r, np.concatenate([j, np.zeros((*j.shape[:2], states))], axis=2)
+    def _tie_declared_states(self, segments: list[LinearisedSegment], z: np.ndarray, states: np.ndarray) -> None:
+        """Hold the first states of records to what is declared."""
+        whole, scale = self.segmented.whole.variables, self.variables.initial.scale
+        declared = np.flatnonzero(~whole.initial.free)
+        if not len(declared):
+            return
+        point = whole.here
+        whole.split(point).parameters[:] = z[: self.n]
+        for e, k in enumerate(np.flatnonzero(self.segmented.starts_record)):
+            x0, dx0 = whole.compute_initial_state(point, whole.parameters(point, e), e)
+            distance, slope = (x0 - states[k]) / scale, dx0[:, : self.n] / scale[:, None]
+            segments[k] = replace(segments[k], tie=(declared, distance[declared], slope[declared]))
 
-    def _make_result(
-        self,
-        point: _ShootingPoint,
-        linearised: _LinearisedPoint | None,
-        status: TerminationStatus,
-        iteration: int,
-        seconds: float,
+    def _slice_record(self, e: int) -> list[Record]:
+        """The segments of record ``e``; the last row of each is the first of the next and counts for its states alone."""
+        record, places = self.segmented.whole.shooting().records[e], self.segmented.cuts[e]
+        return [slice_segment(record, a, b, self.nx) for a, b in pairwise(places)]
+
+    def _make_joined(
+        self, linearised: _LinearisedPoint | None, status: TerminationStatus, iterations: int, seconds: float
     ) -> MultipleShootingResult:
-        v, n = self.variables, len(self.variables.which)
-        z, free = point.z.copy(), v.free_states
-        for e in range(v.experiments):
-            z[v.columns(e)[n:]] = (point.nodes[e][0][free] - v.initial.guess[e, free]) / v.initial.scale[free]
-        gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
-        work, nodes = (iteration, self.evaluations, seconds), tuple(point.nodes)
+        size, ny, work = self.segmented.whole.variables.size, self.ny, (iterations, self.evaluations, seconds)
+        gradient, hessian = np.zeros(size), np.zeros((size, size))
         if linearised is None:
-            failed = Evaluation(np.inf, gradient, hessian, np.zeros(self.ny), np.zeros(self.ny, int), (0, 0))
-            return MultipleShootingResult(v, failed, nodes, (), (), np.inf, status, *work)
-        gradient[:n], hessian[:n, :n] = 2 * linearised.condensed.gradient, 2 * linearised.condensed.hessian
+            failed = Evaluation(np.inf, gradient, hessian, np.zeros(ny), np.zeros(ny, int), (0, 0))
+            return MultipleShootingResult(self.segmented, failed, (), np.inf, status, "", *work)
+        model, n = linearised.model, self.n
+        gradient[:n], hessian[:n, :n] = model.gradient, model.hessian
         evaluation = Evaluation(linearised.cost, gradient, hessian, linearised.squares, linearised.counts)
-        runs = tuple(simulate_segments(self.single, z, e, self.cuts[e], point.nodes[e]) for e in range(v.experiments))
-        rows = tuple(self._condense_residuals(point, e, linearised.condensed.slope[e]) for e in range(v.experiments))
-        return MultipleShootingResult(v.recentre(z), evaluation, nodes, runs, rows, linearised.gap, status, *work)
-
-
-@dataclass
-class _ShootingPoint:
-    """``z``, the nodes of each record, and the pairs (gaps, cost) that a new point must not be worse than in both."""
-
-    z: np.ndarray
-    nodes: list[np.ndarray]
-    filter: list[tuple[float, float]] = field(default_factory=list)
-
-    def accepts(self, violation: float, cost: float, margin: float) -> bool:
-        """Whether a point is better than each in the filter in one respect or the other."""
-        return all(
-            violation < (1 - margin) * v or cost < c - margin * min(violation, 1.0) * abs(c) for v, c in self.filter
+        rows = []
+        for (r, j), record, slope in zip(
+            self.with_ends.residuals(linearised.z),
+            self.segmented.pieces.records,
+            linearised.condensed.slope,
+            strict=True,
+        ):
+            count = len(record.samples(record.y))
+            r, j = r[:count, :ny], j[:count, :ny]
+            rows.append((r, j[:, :, :n] + j[:, :, n:] @ slope))
+        segmented = self.segmented.at(self.variables.recentre(linearised.z))
+        return MultipleShootingResult(
+            segmented, evaluation, _join_rows(segmented, rows), linearised.gap, status, "", *work
         )
 
 
 @dataclass(frozen=True)
 class _LinearisedPoint:
-    """Cost, gaps, and the problem with its nodes eliminated, at one point."""
+    """One point, and the problem there with its states eliminated; ``prior``: what priors add, its slope and curvature (nf,)."""
 
     z: np.ndarray
-    cost: float
     squares: np.ndarray
     counts: np.ndarray
     condensed: CondensedProblem
+    prior: tuple[float, np.ndarray, np.ndarray]
     gap: float
     violation: float
+
+    @property
+    def cost(self) -> float:
+        """The cost of the segments as they are."""
+        return float(self.squares.sum()) + self.prior[0]
+
+    def improves_on(self, visited: Sequence[tuple[float, float]], margin: float) -> bool:
+        """Whether the point is better than each visited one in its gaps or in its cost."""
+        slack = margin * min(self.violation, 1.0)
+        return all(
+            self.violation < (1 - margin) * gaps or self.cost < cost - slack * abs(cost) for gaps, cost in visited
+        )
+
+    @cached_property
+    def model(self) -> QuadraticModel:
+        """The cost along the constants."""
+        _, slope, curvature = self.prior
+        condensed = self.condensed
+        return QuadraticModel(self.cost, condensed.gradient + slope, condensed.hessian + np.diag(curvature))
+
+    def cost_after(self, step: np.ndarray) -> float:
+        """The linearised cost after a step."""
+        cost, slope, curvature = self.prior
+        dz = step[: len(slope)]
+        return self.condensed.cost_after(step) + cost + float(np.sum(slope * dz + 0.5 * curvature * dz**2))
+
+
+def _make_apart(
+    segmented: SegmentedProblem, evaluation: Evaluation, outcome: Solution | MinimisationResult
+) -> MultipleShootingResult:
+    """The result of a search without continuity, its states eliminated to first order."""
+    work = outcome.solver_status, outcome.iterations, outcome.evaluations, outcome.seconds
+    v = segmented.whole.variables
+    if not np.isfinite(evaluation.cost):
+        empty = np.zeros(v.size), np.zeros((v.size, v.size))
+        failed = Evaluation(np.inf, *empty, evaluation.squares, evaluation.counts, evaluation.failed)
+        return MultipleShootingResult(segmented, failed, (), np.inf, outcome.status, *work)
+    rows = _project_residuals(segmented.pieces)
+    reached = replace(_evaluate_rows(rows, v), cost=evaluation.cost, squares=evaluation.squares)
+    return MultipleShootingResult(segmented, reached, _join_rows(segmented, rows), 0.0, outcome.status, *work)
+
+
+def _check_number(segmented: SegmentedProblem, options: SolverOptions) -> None:
+    most, size = options.policy.joining.most_unknowns, segmented.pieces.variables.size
+    if size > most:
+        raise ModelError(
+            f"arcs of {options.arc_length:g} s: {len(segmented.starts_record)} of them have {size} unknowns together; with coloured"
+            f" noise, robust loss or priors at most {most} are possible: take longer arcs"
+        )
+
+
+def _project_residuals(pieces: EstimationProblem) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Residuals (N, ny) of each segment and their Jacobian (N, ny, nf), its initial state at its best for the constants."""
+    n, result = len(pieces.variables.which), []
+    for r, jacobian in pieces.shooting().residuals(pieces.variables.here):
+        measured = jacobian[np.isfinite(r)]
+        slope = project_states(measured.T @ measured, n)
+        result.append((r, jacobian[:, :, :n] + jacobian[:, :, n:] @ slope))
+    return result
+
+
+def _evaluate_rows(rows: Runs, variables: DecisionVector) -> Evaluation:
+    """Cost, gradient and Gauss-Newton matrix of residuals along the constants, initial states eliminated (their rows are zero)."""
+    n = len(variables.which)
+    gradient, hessian = np.zeros(variables.size), np.zeros((variables.size, variables.size))
+    squares = np.sum([np.nansum(r**2, axis=0) for r, _ in rows], axis=0)
+    counts = np.sum([np.isfinite(r).sum(axis=0) for r, _ in rows], axis=0)
+    for r, jacobian in rows:
+        measured = np.isfinite(r)
+        slopes = jacobian[measured]
+        gradient[:n] += 2 * slopes.T @ r[measured]
+        hessian[:n, :n] += 2 * slopes.T @ slopes
+    return Evaluation(float(squares.sum()), gradient, hessian, squares, counts)
+
+
+def _join_rows(segmented: SegmentedProblem, rows: Runs) -> Runs:
+    """Rows of segments along the constants as those of whole records along `DecisionVector.columns`."""
+    states = len(segmented.whole.variables.free_states)
+    return segmented.join([(r, np.pad(jacobian, ((0, 0), (0, 0), (0, states)))) for r, jacobian in rows])
 
 
 def add_state_outputs(step: Step) -> Step:
@@ -361,19 +499,6 @@ def add_state_outputs(step: Step) -> Step:
     return replace(step, outputs=ca.Function("outputs", [x, u, p], [ca.vertcat(f(x, u, p), x)]))
 
 
-def place_segments(
-    e: int, record: Record, rows: int, policy: SegmentPolicy = DEFAULT_POLICY.segments
-) -> tuple[int, ...]:
-    """First rows of the segments of ``rows`` samples of record ``e`` and, at the end, its number of rows."""
-    return place_cuts(
-        f"record {e + 1}",
-        np.arange(len(record.u), dtype=float),
-        rows=rows,
-        rows_per_sample=record.rows_per_sample,
-        policy=policy,
-    )
-
-
 def slice_segment(record: Record, a: int, b: int, nx: int) -> Record:
     """Rows ``a`` to ``b``; the last one is the first of the next segment and counts for its states alone."""
     last = min(b + 1, len(record.u))
@@ -381,11 +506,3 @@ def slice_segment(record: Record, a: int, b: int, nx: int) -> Record:
     y[: b - a, : record.y.shape[1]] = record.y[a:b]
     y[-1, record.y.shape[1] :] = 0.0
     return replace(record, u=record.u[a:last], y=y, h=record.h[a : last - 1], row=record.row[a : last - 1])
-
-
-def measure_state_ranges(nodes: Sequence[np.ndarray]) -> np.ndarray:
-    """Range of each state over all nodes, one where it never moves."""
-    together = np.concatenate(nodes)
-    spread = np.ptp(together, axis=0)
-    size = np.abs(together).max(axis=0)
-    return np.where(spread > CONSTANT_STATE * size, spread, np.where(size > 0, size, 1.0))

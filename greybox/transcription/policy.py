@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from greybox.integrators.policy import DiscretisationPolicy
 from greybox.noise.policy import NoisePolicy
-from greybox.optim.policy import MinimisationPolicy
+from greybox.optim.policy import GaussNewtonPolicy, MinimisationPolicy, TerminationPolicy
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,10 @@ class SegmentPolicy:
 class MultipleShootingPolicy:
     """When a search over segments has converged, and which steps it takes."""
 
-    negligible_decrease: float = 1e-6
-    """Converged when a further step would lower chi-square by less than this many residual variances ..."""
-
-    negligible_ratio: float = 1e-7
-    """... or the misfit over noise by less than this: data without noise end at rounding errors."""
+    termination: TerminationPolicy = field(
+        default_factory=lambda: TerminationPolicy(negligible_decrease=1e-6, patience=8)
+    )
+    """When nothing is left to gain: within a thousandth of a standard deviation."""
 
     continuity: float = 1e-7
     """Largest gap between segments of a converged solution, as a share of each state's range."""
@@ -84,48 +83,43 @@ class MultipleShootingPolicy:
     """Where no step helps any more, a point that meets the convergence test this many times less strictly is an optimum to within
     rounding errors."""
 
-    patience: int = 8
-    """Iterations after which a search that gains next to nothing counts as flat."""
-
-    little_gain: float = 1e-5
-    """Share of the cost that counts as next to nothing over ``patience`` iterations."""
-
 
 @dataclass(frozen=True)
 class RelaxationPolicy:
     """How the constants are first fitted to segments that need not meet; the result is only a start."""
 
-    max_log_step: float = 1.5
-    """A step changes a positive constant by at most a factor ``e^1.5``."""
+    max_log_change: float = 4.6
+    """A positive constant stays within a factor ``e^4.6``, a hundred, of its start."""
 
-    enough_gain: float = 1e-2
-    """A step that gains less than this share of the cost is the last one."""
+    termination: TerminationPolicy = field(
+        default_factory=lambda: TerminationPolicy(negligible_decrease=1e-3, patience=1, little_gain=1e-2)
+    )
+    """When a step is the last one, in shares of the cost: it gained less than a hundredth, or hardly anything is left."""
 
     max_steps: int = 15
     """Steps at most."""
 
-    dampings: tuple[float, ...] = (0.0, 1e-2, 1.0, 1e2)
-    """Dampings, as shares of the curvature, that are tried in turn until the cost falls."""
+    damped: GaussNewtonPolicy = field(
+        default_factory=lambda: GaussNewtonPolicy(initial_damping=1e-3, increase=100.0, max_rejections=4)
+    )
+    """How the steps are damped: quickly, as the start need not be good."""
 
     prior_weight: float = 0.25
     """Short segments may leave a constant open, so positive ones are held weakly: a factor ``e^2`` is one standard deviation."""
 
 
 @dataclass(frozen=True)
-class ProjectionPolicy:
+class ProjectionPolicy(TerminationPolicy):
     """How well the initial state of each record is found for the constants of the moment."""
 
     negligible_decrease: float = 1e-8
     """Found when a further step would lower chi-square by less than this many residual variances ..."""
 
-    negligible_ratio: float = 1e-8
+    perfect_noise_ratio: float = 1e-8
     """... or the misfit over noise by less than this: data without noise end at rounding errors."""
 
     max_steps: int = 12
     """Gauss-Newton steps at most; from the state of the last point one or two are enough."""
-
-    step_lengths: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05, 0.01)
-    """Shares of a step that are tried in turn, until the cost falls."""
 
 
 @dataclass(frozen=True)
@@ -160,24 +154,11 @@ class RobustLossPolicy:
 
 
 @dataclass(frozen=True)
-class ConvergencePolicy:
+class ConvergencePolicy(TerminationPolicy):
     """When a search by simulation error has converged, and how its last digits are found."""
 
-    negligible_decrease: float = 1e-4
-    """Predicted decrease of chi-square, in units of the residual variance, below which a search over the whole record has converged:
-    the parameters are within 1 % of their standard deviations."""
-
     negligible_decrease_in_part: float = 1e-2
-    """The same over part of a record, which is only a way to a start: a tenth of a standard deviation will do."""
-
-    perfect_noise_ratio: float = 1e-7
-    """A predicted decrease of the misfit over noise below this is negligible too: data without noise end at rounding errors."""
-
-    patience: int = 12
-    """Iterations over which the gain is looked at. A cost with kinks (dry friction) never meets the rules above."""
-
-    little_gain: float = 1e-5
-    """A search ends as acceptable when it gained less than this share of its cost within its patience."""
+    """The negligible decrease over part of a record, which is only a way to a start: a tenth of a standard deviation will do."""
 
     polishing_steps: int = 3
     """Gauss-Newton steps after the search, which ends where nothing is left to gain statistically: they give the parameters their
@@ -193,6 +174,11 @@ class ConvergencePolicy:
     stiff_growth: int = 16
     """Growth of the number of substeps that a fit which is not thorough follows: candidates that stray to stiff parameters would take
     all the time."""
+
+    @property
+    def in_part(self) -> TerminationPolicy:
+        """When a search over part of a record has converged."""
+        return replace(self, negligible_decrease=self.negligible_decrease_in_part)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from greybox.experiment.time_gaps import refuse_long_time_gaps
 from greybox.integrators import DiscretisationPolicy, Step, discretise
 from greybox.kernel import Kernel, Record, make_kernel
 from greybox.model import Model
-from greybox.noise import NoiseModel, estimate_noise
+from greybox.noise import AutoRegression, NoiseModel, estimate_noise
 from greybox.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.transcription.policy import DEFAULT_SOLVER_POLICY, SolverPolicy
 from greybox.transcription.records import to_experiments, to_record
@@ -42,31 +42,58 @@ class EstimationProblem:
     constant_outputs: tuple[str, ...] = ()
     policy: SolverPolicy = DEFAULT_SOLVER_POLICY
 
-    def shooting(self, variables: DecisionVector, share: float = 1.0) -> SingleShooting:
-        """The cost over the first ``share`` of every record; whitened where the noise is known to be coloured, with the ``loss``."""
+    def shooting(self, variables: DecisionVector | None = None, share: float = 1.0) -> SingleShooting:
+        """The cost of free runs over the first ``share`` of every record, for its own variables or others.
+
+        Whitened where the noise is known to be coloured, with the ``loss``.
+        """
+        base = variables or self.variables, self.step, self.kernel, self.records, 1 / self.noise.std, share
         if self.loss is not None:
-            return RobustShooting(
-                variables, self.step, self.kernel, self.records, 1 / self.noise.std, self.noise.colour, self.loss, share
-            )
-        if self.noise.coloured:
-            return WhitenedShooting(
-                variables, self.step, self.kernel, self.records, 1 / self.noise.std, self.noise.colour, share
-            )
-        return SingleShooting(variables, self.step, self.kernel, self.records, 1 / self.noise.std, share)
+            return RobustShooting(*base, colour=self.noise.colour, loss=self.loss)
+        return WhitenedShooting(*base, colour=self.noise.colour) if self.noise.coloured else SingleShooting(*base)
+
+    @property
+    def is_plain_squares(self) -> bool:
+        """Whether the cost is the sum of squared errors over white noise, and of nothing else."""
+        return self.loss is None and not self.noise.coloured and not self.variables.has_prior.any()
+
+    def with_white_noise(self) -> EstimationProblem:
+        """The same with the noise taken to be white."""
+        return replace(self, noise=replace(self.noise, colour=tuple(AutoRegression() for _ in self.noise.colour)))
+
+    def with_plain_squares(self) -> EstimationProblem:
+        """The same with the noise taken to be white, and no other loss than squares."""
+        return replace(self.with_white_noise(), loss=None)
 
     @property
     def variance_floor(self) -> np.ndarray | None:
         """What the loss leaves of the variance of known noise, by output (ny,); None for least squares."""
         return None if self.loss is None else self.loss.least()
 
+    @property
+    def start_parameters(self) -> np.ndarray:
+        """The parameters (np,) at the present point, without any experiment's own."""
+        return self.variables.parameters(self.variables.here)
+
     def with_noise(self, noise: NoiseModel) -> EstimationProblem:
         """The same with other weights."""
         return replace(self, noise=noise)
 
     def with_step(self, substeps: int, p: np.ndarray) -> EstimationProblem:
-        """The same with another number of substeps."""
+        """The same with a step made anew: another method, or another number of substeps (0 to choose)."""
         step = _discretise(self.model, self.records, p, None, self.method, substeps, self.policy.discretisation)
         return replace(self, step=step, kernel=make_kernel(step, self.variables.which))
+
+    def with_substeps(self, substeps: int) -> EstimationProblem:
+        """The same step, repeated more often: nothing is compiled. A delayed input is cut differently, so its step is made anew."""
+        if self.step.past is not None:
+            return self.with_step(substeps, self.variables.fixed)
+        step = replace(self.step, substeps=substeps)
+        return replace(self, step=step, kernel=self.kernel.with_substeps(substeps))
+
+    def halve_step(self) -> EstimationProblem:
+        """The same with half the step."""
+        return self.with_substeps(2 * self.step.substeps)
 
 
 def prepare_problem(

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from greybox.kernel import GaussNewtonSums
 from greybox.linear_algebra import decompose_symmetric
-from greybox.transcription.arcs import find_measured_states
+from greybox.optim import QuadraticModel
+from greybox.optim.gauss_newton import run_gauss_newton
+from greybox.optim.minimisation import Minimisation
+from greybox.optim.policy import DEFAULT_POLICY as MINIMISATION
+from greybox.optim.termination import Termination
 from greybox.transcription.decision_vector import DecisionVector
 from greybox.transcription.policy import DEFAULT_POLICY, ProjectionPolicy
+from greybox.transcription.segments import find_measured_states
 from greybox.transcription.simulation_error import Evaluation, SingleShooting, add_prior_penalty
 
 
@@ -26,11 +33,10 @@ class ProjectedShooting:
         self.shooting, self.policy = shooting, policy
         v = shooting.variables
         self.size = len(v.which)
-        low, high = v.bounds()
-        self._low = low[self.size :].reshape(v.experiments, -1)
-        self._high = high[self.size :].reshape(v.experiments, -1)
-        self._states = np.clip(np.zeros_like(self._low), self._low, self._high)
-        self._state_slopes = np.zeros((*self._states.shape, self.size))
+        self._low, self._high = (v.split(edge).initial_states for edge in v.bounds())
+        self.states = np.clip(np.zeros_like(self._low), self._low, self._high)
+        """The estimated initial states (experiments, states) in units of their scale, relative to the guess."""
+        self._state_slopes = np.zeros((*self.states.shape, self.size))
         self._constants = np.zeros(self.size)
 
     @property
@@ -38,141 +44,112 @@ class ProjectedShooting:
         """The variables with the initial states still in them; see `full`."""
         return self.shooting.variables
 
-    @property
-    def own(self) -> np.ndarray:
-        """The estimated initial states (experiments, states each) in units of their scale, relative to the guess."""
-        return self._states
-
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds on the constants (n,)."""
         low, high = self.variables.bounds()
         return low[: self.size], high[: self.size]
 
     def full(self, z: np.ndarray) -> np.ndarray:
-        """The constants ``z`` (n,) followed by the initial states that belong to them: a point of `variables`."""
+        """The constants ``z`` followed by the initial states that belong to them: a point of `variables`."""
         self.evaluate(z)
-        return np.concatenate([z, self._states.ravel()])
+        return np.concatenate([z, self.states.ravel()])
 
     def carry_states(self, starts_record: Sequence[bool] = ()) -> None:
-        """Begin each arc where the one before it ended: a first guess for arcs that follow each other.
+        """Begin each segment where the one before it ended: a first guess for segments that follow each other.
 
         States that an output shows keep the guess they have. The search for each initial state starts there, in order of time.
-        ``starts_record`` says which arcs begin a record; there nothing is carried over.
+        ``starts_record`` says which segments begin a record; there nothing is carried over.
         """
         v, shooting = self.variables, self.shooting
         scale, z = v.initial.scale[v.free_states], np.zeros(self.size)
         measured = find_measured_states(v)
         hidden = np.array([j not in measured for j in v.free_states])
         for e in range(v.experiments):
-            self._find_initial_state(z, e, self._states[e])
+            self._find_initial_state(z, e, self.states[e])
             if e + 1 == v.experiments:
                 return
             if starts_record and starts_record[e + 1]:
                 continue
-            point = np.concatenate([z, self._states.ravel()])
+            point = np.concatenate([z, self.states.ravel()])
             p = v.parameters(point, e)
             q, _, _, x0, _ = shooting.at(point, p, e)
             _, x = shooting.kernel.simulate(shooting.records[e], q, p, x0)
             if np.isfinite(x[-1]).all():
                 carried = (x[-1] - v.initial.guess[e + 1])[v.free_states] / scale
-                first_states = np.where(hidden, carried, self._states[e + 1])
-                self._states[e + 1] = np.clip(first_states, self._low[e + 1], self._high[e + 1])
+                first_states = np.where(hidden, carried, self.states[e + 1])
+                self.states[e + 1] = np.clip(first_states, self._low[e + 1], self._high[e + 1])
 
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Cost and derivatives along the constants at ``z`` (n,)."""
         ny = len(self.shooting.weight)
         gradient, hessian = np.zeros(self.size), np.zeros((self.size, self.size))
         squares, counts = np.zeros(ny), np.zeros(ny, int)
-        predicted = self._states + self._state_slopes @ (z - self._constants)
-        predicted = np.clip(np.where(np.isfinite(predicted), predicted, self._states), self._low, self._high)
-        last_states, slopes = self._states.copy(), self._state_slopes.copy()
+        predicted = self.states + self._state_slopes @ (z - self._constants)
+        predicted = np.clip(np.where(np.isfinite(predicted), predicted, self.states), self._low, self._high)
+        last_states, slopes = self.states.copy(), self._state_slopes.copy()
         for e in range(self.variables.experiments):
-            record = self._find_initial_state(z, e, predicted[e])
-            if record is None:
-                self._states = last_states  # a trial step too far: keep what belongs to the last good point
+            model = self._find_initial_state(z, e, predicted[e])
+            if model is None:
+                self.states = last_states  # a trial step too far: keep what belongs to the last good point
                 return Evaluation(np.inf, 0 * gradient, 0 * hessian, 0 * squares, 0 * counts, (e, 0))
-            gradient += 2 * record.gradient
-            hessian += 2 * record.hessian
-            squares += record.squares
-            counts += record.counts
-            slopes[e] = record.slope
+            slopes[e] = self._eliminate(model, e)
+            sums, n = model.sums, self.size
+            # Along the constants the states follow; at their best they have no slope of their own.
+            gradient += 2 * (sums.gradient[:n] + slopes[e].T @ sums.gradient[n:])
+            hessian += 2 * (sums.gauss_newton[:n, :n] + sums.gauss_newton[:n, n:] @ slopes[e])
+            squares += sums.squares
+            counts += sums.counts.astype(int)
         self._constants, self._state_slopes = z.copy(), slopes
         return add_prior_penalty(
             self.variables, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts)
         )
 
-    def _find_initial_state(self, z: np.ndarray, e: int, states: np.ndarray) -> _ProjectedRecord | None:
-        """The best initial state of one record at ``z``, by damped Gauss-Newton steps; None where nothing can be simulated."""
-        best = self._project_record(z, e, states)
-        if best is None:
-            states = self._states[e]
-            best = self._project_record(z, e, states)
-        if best is None:
-            return None
-        for _ in range(self.policy.max_steps):
-            count = max(int(best.counts.sum()), 1)
-            negligible = self.policy.negligible_decrease * best.cost / count + self.policy.negligible_ratio**2 * count
-            if best.decrease <= negligible:
-                break
-            step = self._search_line(z, e, states, best)
-            if step is None:
-                break
-            states, best = step
-        self._states[e] = states
-        return best
+    def _find_initial_state(self, z: np.ndarray, e: int, states: np.ndarray) -> _StateModel | None:
+        """The best initial state of one record at ``z``, from ``states`` on; None where nothing can be simulated."""
+        measured = int(np.isfinite(self.shooting.records[e].y).sum())
+        test = Termination(self.policy, self._low[e], self._high[e], measured).test
+        search = Minimisation(lambda s: self._model_states(z, e, s), 1.0, test, None, MINIMISATION)
+        if not np.isfinite(search(states).cost):
+            search.best_value = None
+            if not np.isfinite(search(self.states[e]).cost):
+                return None
+        if not search.test_termination():
+            run_gauss_newton(search, self._low[e], self._high[e], MINIMISATION.damped, steps=self.policy.max_steps)
+        self.states[e] = search.best
+        assert isinstance(search.best_value, _StateModel)  # what `_model_states` returned
+        return search.best_value
 
-    def _search_line(
-        self, z: np.ndarray, e: int, states: np.ndarray, record: _ProjectedRecord
-    ) -> tuple[np.ndarray, _ProjectedRecord] | None:
-        """The first of ever shorter steps that lowers the cost."""
-        for length in self.policy.step_lengths:
-            trial_states = np.clip(states + length * record.step, self._low[e], self._high[e])
-            trial = self._project_record(z, e, trial_states)
-            if trial is not None and trial.cost < record.cost:
-                return trial_states, trial
-        return None
-
-    def _project_record(self, z: np.ndarray, e: int, states: np.ndarray) -> _ProjectedRecord | None:
+    def _model_states(self, z: np.ndarray, e: int, states: np.ndarray) -> _StateModel:
+        """The cost of one record along its initial state."""
         v, shooting, n = self.variables, self.shooting, self.size
-        z_with_states = np.concatenate([z, np.zeros(v.size - n)])
-        z_with_states[v.columns(e)[n:]] = states
-        p = v.parameters(z_with_states, e)
-        q, dq, dp, x0, dx0 = shooting.at(z_with_states, p, e)
+        point = np.concatenate([z, np.zeros(v.size - n)])
+        v.split(point).initial_states[e] = states
+        p = v.parameters(point, e)
+        q, dq, dp, x0, dx0 = shooting.at(point, p, e)
         sums = shooting.kernel.sums(shooting.records[e], q, dq, p, dp, x0, dx0, shooting.weight, shooting.rows[e])
-        if not np.isfinite(sums.cost):
-            return None
-        return _ProjectedRecord(
-            sums.squares,
-            sums.counts.astype(int),
-            sums.gradient,
-            sums.gauss_newton,
-            n,
-            states,
-            self._low[e],
-            self._high[e],
-        )
+        cost = float(sums.squares.sum()) if np.isfinite(sums.cost) else np.inf
+        return _StateModel(cost, 2 * sums.gradient[n:], 2 * sums.gauss_newton[n:, n:], sums)
+
+    def _eliminate(self, model: _StateModel, e: int) -> np.ndarray:
+        """How the initial state follows the constants (states, n); one pushed against its bound stays there."""
+        g, states = model.gradient, self.states[e]
+        is_held = (states <= self._low[e]) & (g > 0) | (states >= self._high[e]) & (g < 0)
+        return project_states(model.sums.gauss_newton, self.size, is_held)
 
 
-class _ProjectedRecord:
-    """One record at one point, its initial state eliminated to first order; a state pushed against its bound stays there."""
+@dataclass(frozen=True)
+class _StateModel(QuadraticModel):
+    """One record along its initial state, with the sums along constants and initial state."""
 
-    def __init__(
-        self,
-        squares: np.ndarray,
-        counts: np.ndarray,
-        gradient: np.ndarray,
-        matrix: np.ndarray,
-        n: int,
-        states: np.ndarray,
-        low: np.ndarray,
-        high: np.ndarray,
-    ) -> None:
-        self.squares, self.counts, self.cost = squares, counts, float(squares.sum())
-        g, b, c = gradient[n:], matrix[:n, n:], matrix[n:, n:]
-        is_held = (states <= low) & (g > 0) | (states >= high) & (g < 0)
-        inverse = decompose_symmetric(np.where(is_held[:, None] | is_held, 0.0, c)).without_doubtful().pseudo_inverse
-        self.step = -inverse @ g
-        self.decrease = float(g @ inverse @ g)
-        self.slope = -inverse @ b.T
-        self.gradient = gradient[:n] - b @ inverse @ g
-        self.hessian = matrix[:n, :n] - b @ inverse @ b.T
+    sums: GaussNewtonSums
+
+
+def project_states(matrix: np.ndarray, n: int, is_held: np.ndarray | bool = False) -> np.ndarray:
+    """``-C^-1 B'`` (states, n) of a Gauss-Newton matrix ``[[A, B], [B', C]]`` of ``n`` constants and some states.
+
+    Zero for states that are held, and along directions that the residuals do not show.
+    """
+    b, c = matrix[:n, n:], matrix[n:, n:]
+    held = np.broadcast_to(is_held, len(c))
+    inverse = decompose_symmetric(np.where(held[:, None] | held, 0.0, c)).without_doubtful().pseudo_inverse
+    return -inverse @ b.T

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from enum import StrEnum
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -19,26 +19,52 @@ from greybox.integrators.policy import DiscretisationPolicy
 from greybox.kernel import Record
 from greybox.model.system import System
 from greybox.transcription.findings import TranscriptionReason
+from greybox.transcription.options import SolverOptions, Transcription
 from greybox.transcription.policy import DEFAULT_POLICY, TranscriptionChoicePolicy
+from greybox.transcription.problem import EstimationProblem
+from greybox.transcription.solution import make_strategy
 
 
-class ProposedTranscription(StrEnum):
-    """A way from a record to an optimisation problem."""
+@dataclass(frozen=True)
+class TranscriptionChoice:
+    """A transcription (`Transcription` without ``automatic``), why it was chosen (None where it was asked for), and the problem with the
+    steps that go with it.
+    """
 
-    SINGLE = "single"
-    """Single shooting: a free run over the record."""
+    transcription: Transcription
+    reason: Finding | None
+    problem: EstimationProblem
 
-    MULTIPLE = "multiple"
-    """Multiple shooting: segments that meet at the optimum."""
+    def to_strategy(self, **values: object) -> Finding:
+        """The strategy with what the search was made of."""
+        code = "" if self.reason is None else str(self.reason.code)
+        reason_values = {} if self.reason is None else dict(self.reason.values)
+        return make_strategy(self.transcription, reason=code, reason_values=reason_values, **values)
 
-    COLLOCATION = "collocation"
-    """Direct collocation: the states at every sample are variables."""
+
+def select_transcription(problem: EstimationProblem, options: SolverOptions) -> TranscriptionChoice:
+    """The transcription that was asked for, else the one that suits the model and the longest record at the start values.
+
+    A stiff model also gets implicit steps, unless the method or the substeps were given.
+    """
+    longest = max(problem.records, key=lambda r: float(r.h.sum()))
+    policy, p = options.policy, problem.start_parameters
+    proposal = propose_transcription(
+        problem.model.system, p, longest, policy=policy.transcription.choice, discretisation=policy.discretisation
+    )
+    if proposal.implicit and options.method == "automatic" and not options.substeps:
+        problem = replace(problem, method="radau").with_step(0, p)
+    if options.arc_length:
+        return TranscriptionChoice(Transcription.ARCS, None, problem)
+    if options.transcription != Transcription.AUTOMATIC:
+        return TranscriptionChoice(Transcription(options.transcription), None, problem)
+    return TranscriptionChoice(proposal.transcription, proposal.reason, problem)
 
 
 class TranscriptionProposal(NamedTuple):
     """A transcription, why it was proposed (a finding with a code of `TranscriptionReason`), and whether it needs implicit steps."""
 
-    transcription: ProposedTranscription
+    transcription: Transcription
     reason: Finding
     implicit: bool = False
 
@@ -48,16 +74,15 @@ def propose_transcription(
     p: np.ndarray,
     record: Record,
     *,
-    integrating: str = "multiple",
     policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice,
     discretisation: DiscretisationPolicy = DISCRETISATION,
 ) -> TranscriptionProposal:
     """The transcription that suits a model and its record, and why.
 
-    Multiple shooting where errors grow along the record (an unstable or chaotic plant) or an integrator makes them drift over a long
-    one. Where the fastest mode asks for more explicit steps than are sensible (stiff, nonlinear) single shooting with implicit
-    steps, or collocation if there are too many states for those (smooth, and not too long). Else single shooting on a growing part
-    of the record.
+    Multiple shooting where errors grow along the record (an unstable or chaotic plant). Where the fastest mode asks for more explicit
+    steps than are sensible (stiff, nonlinear) single shooting with implicit steps, or collocation if there are too many states for
+    those (smooth, and not too long). Else single shooting on a growing part of the record, which also keeps the drift of an
+    integrator near the data.
 
     Parameters
     ----------
@@ -66,9 +91,6 @@ def propose_transcription(
         declared.
     record
         The longest record.
-    integrating
-        What an integrator asks for. On smooth plants with little noise a free run over a growing part of the record (``single``) gets
-        to the optimum as surely as ``multiple`` shooting, and several times faster.
     policy
         The limits.
     discretisation
@@ -79,7 +101,7 @@ def propose_transcription(
     growth = _compute_growth(system, p, record, jacobians, policy)
     if growth * duration > math.log(policy.max_error_growth):
         values = {"rate": growth, "exponent": growth * duration, "duration": duration}
-        return _propose(ProposedTranscription.MULTIPLE, TranscriptionReason.UNSTABLE, values)
+        return _propose(Transcription.MULTIPLE, TranscriptionReason.UNSTABLE, values)
     stiff = _propose_for_stiff(system, jacobians, record, policy, discretisation)
     if stiff:
         return stiff
@@ -87,29 +109,26 @@ def propose_transcription(
     decays = -eigenvalues.real[-eigenvalues.real * duration > policy.forgotten_share]
     slowest = 1 / decays.min() if len(decays) else 0.0
     if not (np.abs(eigenvalues) * duration <= policy.forgotten_share).any():
-        return _propose(ProposedTranscription.SINGLE, TranscriptionReason.STABLE)
+        return _propose(Transcription.SINGLE, TranscriptionReason.STABLE)
     constants: dict[str, float | None] = {
         "duration": duration,
         "time_constants": float(duration / slowest) if slowest else None,
     }
     if duration <= policy.long_run * slowest:
-        return _propose(ProposedTranscription.SINGLE, TranscriptionReason.INTEGRATING_SHORT, constants)
-    transcription = ProposedTranscription(integrating)
-    is_single = transcription is ProposedTranscription.SINGLE
-    reason = TranscriptionReason.INTEGRATING_GROWING if is_single else TranscriptionReason.INTEGRATING_SEGMENTS
-    return _propose(transcription, reason, constants)
+        return _propose(Transcription.SINGLE, TranscriptionReason.INTEGRATING_SHORT, constants)
+    return _propose(Transcription.SINGLE, TranscriptionReason.INTEGRATING_GROWING, constants)
 
 
 def estimate_error_growth(
     system: System, p: np.ndarray, record: Record, policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice
 ) -> float:
-    """Mean rate (1/s) at which small errors grow along ``record``; negative where they decay. See `choose_segment_rows`."""
+    """Mean rate (1/s) at which small errors grow along ``record``; negative where they decay. See `choose_cuts`."""
     jacobians = _linearise_along(system, p, record, policy.linearisation_points)
     return _compute_growth(system, p, record, jacobians, policy)
 
 
 def _propose(
-    transcription: ProposedTranscription,
+    transcription: Transcription,
     reason: TranscriptionReason,
     values: Mapping[str, float | None] = MappingProxyType({}),
     implicit: bool = False,
@@ -162,13 +181,13 @@ def _propose_for_stiff(
         return None
     values = {"fastest": 1 / fastest, "substeps": substeps}
     if system.x.numel() <= discretisation.max_implicit_states:
-        return _propose(ProposedTranscription.SINGLE, TranscriptionReason.STIFF_IMPLICIT, values, True)
+        return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_IMPLICIT, values, True)
     if system.dry or system.updates or system.delays:
-        return _propose(ProposedTranscription.SINGLE, TranscriptionReason.STIFF_NOT_SMOOTH, values)
+        return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_NOT_SMOOTH, values)
     samples = len(record.samples(record.u))
     if samples > policy.max_collocation_samples:
-        return _propose(ProposedTranscription.SINGLE, TranscriptionReason.STIFF_LONG, values | {"samples": samples})
-    return _propose(ProposedTranscription.COLLOCATION, TranscriptionReason.STIFF_COLLOCATION, values)
+        return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_LONG, values | {"samples": samples})
+    return _propose(Transcription.COLLOCATION_RADAU, TranscriptionReason.STIFF_COLLOCATION, values)
 
 
 def _linearise_along(system: System, p: np.ndarray, record: Record, points: int) -> np.ndarray:

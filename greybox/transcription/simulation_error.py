@@ -1,6 +1,6 @@
-"""Single shooting: the model runs freely over each record, from parameters and initial states alone.
+"""The simulation error: the model runs freely over each record, from parameters and initial states alone.
 
-Three costs of the free run's error: squares in units of white noise, squares of the error whitened by the noise's own colour, and a
+Three costs of it: squares in units of white noise, squares of the error whitened by the noise's own colour, and a
 robust loss that outliers cannot pull.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from greybox.integrators import Step
 from greybox.kernel import Kernel, Record
 from greybox.noise import AutoRegression
-from greybox.numerics import AT_BOUND, RANK_CUTOFF, TINY
+from greybox.numerics import AT_BOUND
 from greybox.optim import QuadraticModel
 from greybox.transcription.decision_vector import DecisionVector, ExperimentView
 from greybox.transcription.robust_loss import RobustLoss
@@ -181,8 +181,9 @@ class WhitenedShooting(SingleShooting):
         kernel: Kernel,
         records: Sequence[Record],
         weight: np.ndarray,
-        colour: Sequence[AutoRegression],
         share: float = 1.0,
+        *,
+        colour: Sequence[AutoRegression],
     ):
         super().__init__(variables, step, kernel, records, weight, share)
         self.colour = tuple(colour)
@@ -243,11 +244,12 @@ class RobustShooting(WhitenedShooting):
         kernel: Kernel,
         records: Sequence[Record],
         weight: np.ndarray,
+        share: float = 1.0,
+        *,
         colour: Sequence[AutoRegression],
         loss: RobustLoss,
-        share: float = 1.0,
     ):
-        super().__init__(variables, step, kernel, records, weight, colour, share)
+        super().__init__(variables, step, kernel, records, weight, share, colour=colour)
         self.loss = loss
 
     def terms(self, r: np.ndarray) -> ResidualTerms:
@@ -280,15 +282,10 @@ def add_prior_penalty(variables: DecisionVector, z: np.ndarray, evaluation: Eval
 
 
 def compute_gauss_newton_step(variables: DecisionVector, evaluation: Evaluation) -> np.ndarray:
-    """``-(J'J)^-1 J'r`` (size,) in ``z``; undetermined directions and what lies on its bound stay."""
-    inside = np.ones(variables.size, bool)
-    for edge in variables.bounds():
-        inside &= ~(np.abs(edge) <= AT_BOUND)
-    curvature, slope = evaluation.hessian[np.ix_(inside, inside)], evaluation.gradient[inside]
-    scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
-    step = np.zeros(variables.size)
-    step[inside] = -np.linalg.lstsq(curvature / np.outer(scale, scale), slope / scale, rcond=RANK_CUTOFF)[0] / scale
-    return step
+    """The undamped step (size,) in ``z``; undetermined directions and what lies on its bound stay."""
+    low, high = variables.bounds()
+    reach = np.where((np.abs(low) <= AT_BOUND) | (np.abs(high) <= AT_BOUND), 0.0, np.inf)
+    return evaluation.bounded_step(-reach, reach)
 
 
 def _read_by_step(record: Record, step: Step) -> Record:

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.numerics import AT_BOUND, DECREASE_CUTOFF, TINY
+from greybox.numerics import TINY
 from greybox.optim import IterationCallback, MinimisationResult, TerminationStatus, minimise
+from greybox.optim.termination import Termination
 from greybox.transcription.decision_vector import DecisionVector
 from greybox.transcription.options import SolverOptions, Transcription
-from greybox.transcription.policy import ConvergencePolicy
 from greybox.transcription.problem import EstimationProblem
 from greybox.transcription.progress import FitProgress, FitProgressCallback
 from greybox.transcription.progressive_horizon import (
@@ -21,78 +21,65 @@ from greybox.transcription.progressive_horizon import (
     shorten_share,
 )
 from greybox.transcription.simulation_error import Evaluation
-from greybox.transcription.solution import Solution
-from greybox.transcription.step_refinement import refine_step
-from greybox.transcription.strategy import make_strategy
-
-# Nothing to go on from.
-NO_RESULT = (TerminationStatus.INTERRUPTED, TerminationStatus.NO_START)
+from greybox.transcription.solution import Solution, make_strategy
+from greybox.transcription.step_refinement import NO_RESULT, Refinement, refine_step, solve_with_refined_steps
 
 
-def solve_single(
+def solve_single_shooting(
     problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None = None
 ) -> Solution:
     """Minimise the cost of the free run over each record."""
-    run = _Run(problem, options, report)
-    if options.progressive and problem.variables.size:
-        run.grow()
-    run.fit(1.0)
-    error = np.zeros(len(problem.noise.std))
-    halvings = options.policy.step_refinement.halvings
-    for halving in range(halvings + 1):
-        if run.over:
-            break
-        better, error = refine_step(run.problem, run.variables, run.evaluation, options)
-        if better is None or halving == halvings or run.costly(better):
-            break
-        run.problem, run.known = better, None
-        run.fit(1.0)
-    return Solution(
-        run.problem,
-        run.variables,
-        run.evaluation,
-        run.status,
-        run.word,
-        run.iterations,
-        run.passes,
-        run.seconds,
-        tuple(run.shares),
-        error,
-        make_strategy(Transcription.SINGLE, shares=list(run.shares)),
-    )
+    search = _Search(problem, options, report)
+    return solve_with_refined_steps(problem, search.solve, search.refine, options.policy.step_refinement)
 
 
-class _Run:
-    """A search in progress: where it is, and the work so far.
+class _Search:
+    """A search in progress: where it is, and the work since the last solution.
 
     ``known`` is the evaluation at ``z = 0`` of ``variables`` over the share that comes next, where a former stage has it already.
     """
 
     def __init__(self, problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None) -> None:
-        self.problem, self.options, self.report = problem, options, report
+        self.options, self.report = options, report
         self.horizon, self.convergence = options.policy.progressive_horizon, options.policy.convergence
-        self.variables, self.first = problem.variables, problem.step.substeps
+        self.first_substeps = problem.step.substeps
+        self.progressive = options.progressive and problem.variables.size > 0
+
+    def solve(self, problem: EstimationProblem) -> Solution:
+        """The optimum over whole records, the first time by way of growing parts of them."""
+        self.problem, self.variables, self.known = problem, problem.variables, None
         self.status, self.word = TerminationStatus.CONVERGED, ""
         self.iterations = self.passes = 0
-        self.seconds = 0.0
-        self.shares: list[float] = []
-        self.known: Evaluation | None = None
+        self.seconds, self.shares = 0.0, []
+        if self.progressive:
+            self.progressive = False
+            self.grow()
+        self.fit(1.0)
+        return Solution(
+            problem,
+            self.variables,
+            self.known or self.measure(1.0),
+            self.status,
+            self.word,
+            self.iterations,
+            self.passes,
+            self.seconds,
+            tuple(self.shares),
+            np.zeros(len(problem.noise.std)),
+            make_strategy(Transcription.SINGLE, shares=list(self.shares)),
+        )
+
+    def refine(self, solution: Solution) -> Refinement:
+        """A smaller step if need be, but for one of many candidates that would take all the time: it has strayed to stiff constants."""
+        finer, error = refine_step(solution, self.options)
+        too_stiff = self.convergence.stiff_growth * self.first_substeps
+        is_costly = finer is not None and not self.options.thorough and finer.step.substeps > too_stiff
+        return None if is_costly else finer, error
 
     @property
     def over(self) -> bool:
         """Whether there is nothing to go on from."""
         return self.status in NO_RESULT
-
-    def costly(self, better: EstimationProblem) -> bool:
-        """Whether one of many candidates has strayed to constants so stiff that to follow it would take all the time."""
-        return not self.options.thorough and better.step.substeps > self.convergence.stiff_growth * self.first
-
-    @property
-    def evaluation(self) -> Evaluation:
-        """The present point over the whole record."""
-        if self.known is None:
-            self.known = self.measure(1.0)
-        return self.known
 
     def measure(self, share: float) -> Evaluation:
         """The present point over part of the record."""
@@ -143,24 +130,21 @@ class _Run:
             self.status = TerminationStatus.NO_START
             return None
         self.shares.append(share)
-        variables, start = _rescaled(self.variables, start)
-        shooting = self.problem.shooting(variables, share)
-        evaluate, prior = (
-            shooting.evaluate,
-            _make_weak_prior(variables, start, self.convergence.weak_prior) if share < 1 else None,
-        )
-        low, high = variables.bounds()
+        variables, start = _rescale(self.variables, start)
+        evaluate = self.problem.shooting(variables, share).evaluate
+        is_whole, low_high = share == 1, variables.bounds()
+        prior = None if is_whole else _make_weak_prior(variables, start, self.convergence.weak_prior)
+        policy = self.convergence if is_whole else self.convergence.in_part
         outcome = minimise(
             evaluate if prior is None else lambda z: prior(z, evaluate(z)),
             variables.here,
-            low,
-            high,
+            *low_high,
             scale=max(start.cost, TINY),
             value_at_start=start,
             tolerance=self.options.tolerance,
             iterations=self.options.iterations,
-            termination_test=make_termination_test(low, high, self.convergence, whole=share == 1),
-            thorough=self.options.thorough and share == 1,
+            termination_test=Termination(policy, *low_high, start.count).test,
+            thorough=self.options.thorough and is_whole,
             progress=self.progress(share),
             policy=self.options.policy.minimisation,
         )
@@ -184,18 +168,11 @@ class _Run:
         return progress
 
 
-def _rescaled(variables: DecisionVector, start: Evaluation) -> tuple[DecisionVector, Evaluation]:
+def _rescale(variables: DecisionVector, start: Evaluation) -> tuple[DecisionVector, Evaluation]:
     """Variables in which a step of one changes the cost by about itself, and the evaluation along them."""
-    curvature = np.diag(start.hessian) / 2
-    scaled = variables.rescale(start.cost, curvature)
-    ratio = _spans(scaled) / _spans(variables)
+    scaled = variables.rescale(start.cost, np.diag(start.hessian) / 2)
+    ratio = scaled.units / variables.units
     return scaled, replace(start, gradient=start.gradient * ratio, hessian=start.hessian * ratio[:, None] * ratio)
-
-
-def _spans(v: DecisionVector) -> np.ndarray:
-    """Physical size of a step of one in each entry of ``z`` (for a logarithmic one, in its logarithm)."""
-    states = np.tile(v.initial.scale[v.free_states], v.experiments)
-    return np.concatenate([np.where(v.logarithmic, 1.0, v.scale), states])
 
 
 def _make_weak_prior(
@@ -203,49 +180,11 @@ def _make_weak_prior(
 ) -> Callable[[np.ndarray, Evaluation], Evaluation]:
     """Adds to a cost a weak prior on positive constants, in units of the residual variance at the start."""
     held = np.zeros(v.size)
-    held[: len(v.which)] = np.where(v.logarithmic, precision * max(1.0, start.cost / max(start.count, 1)), 0.0)
+    v.split(held).parameters[v.logarithmic] = precision * max(1.0, start.cost / max(start.count, 1))
 
-    def added(z: np.ndarray, e: Evaluation) -> Evaluation:
+    def add_prior(z: np.ndarray, e: Evaluation) -> Evaluation:
         return replace(
             e, cost=e.cost + held @ z**2, gradient=e.gradient + 2 * held * z, hessian=e.hessian + np.diag(2 * held)
         )
 
-    return added
-
-
-def make_termination_test(
-    low: np.ndarray, high: np.ndarray, policy: ConvergencePolicy, *, whole: bool = True
-) -> Callable[[np.ndarray, Evaluation], TerminationStatus | None]:
-    """Ends a search when a further Gauss-Newton step, off the bounds, would change nothing that matters, or none helps.
-
-    ``whole``: whether the whole record is used, or a part of it that is only a way to a start.
-    """
-    costs: list[float] = []
-    negligible = policy.negligible_decrease if whole else policy.negligible_decrease_in_part
-
-    def test(z: np.ndarray, e: Evaluation) -> TerminationStatus | None:
-        held = (z - low <= AT_BOUND) & (e.gradient > 0) | (high - z <= AT_BOUND) & (e.gradient < 0)
-        gradient, hessian = e.gradient, e.hessian
-        if held.any():
-            gradient, hessian = gradient[~held], hessian[~held][:, ~held]
-        decrease = _predict_decrease(gradient, hessian)
-        if decrease <= negligible * e.cost / max(e.count, 1) + policy.perfect_noise_ratio**2 * e.count:
-            return TerminationStatus.CONVERGED
-        costs.append(e.cost)
-        flat = len(costs) > policy.patience and costs[-1 - policy.patience] - e.cost <= policy.little_gain * e.cost
-        return TerminationStatus.ACCEPTABLE if flat else None
-
-    return test
-
-
-def _predict_decrease(gradient: np.ndarray, hessian: np.ndarray) -> float:
-    """By how much a Gauss-Newton step would lower the cost: ``g' H^-1 g / 2`` over the directions that have a curvature."""
-    scale = np.sqrt(np.maximum(hessian.diagonal(), TINY))
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = hessian / scale / scale[:, None]
-    if not np.isfinite(scaled).all():  # sensitivities near overflow: anything may still be gained
-        return np.inf
-    curvature, vectors = np.linalg.eigh(scaled)
-    usable = curvature > DECREASE_CUTOFF * curvature.max(initial=0.0)
-    along = vectors.T @ (gradient / scale)
-    return 0.5 * float(np.sum(along[usable] ** 2 / curvature[usable]))
+    return add_prior

@@ -1,8 +1,8 @@
-"""Whether the integrator's step is small enough at the optimum, and a smaller one."""
+"""Whether the integrator's step is small enough at the optimum; if not, the search goes on with a smaller one."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +10,68 @@ import numpy as np
 from greybox.integrators import choose_substeps
 from greybox.integrators.discretisation import IMPLICIT
 from greybox.integrators.exponential_relaxation import find_fast_relaxing_states
-from greybox.transcription.decision_vector import DecisionVector
+from greybox.optim import TerminationStatus
 from greybox.transcription.options import SolverOptions
 from greybox.transcription.policy import StepRefinementPolicy
 from greybox.transcription.problem import EstimationProblem
 from greybox.transcription.simulation_error import Evaluation
+from greybox.transcription.solution import Runs, Solution
 
-# Outputs (N, ny) and states (N, nx) of one record.
-Run = tuple[np.ndarray, np.ndarray]
+NO_RESULT = (TerminationStatus.INTERRUPTED, TerminationStatus.NO_START)
+"""Nothing to go on from."""
+
+Refinement = tuple[EstimationProblem | None, np.ndarray]
+"""A problem with a smaller step, None where the present one will do; and the integration error of each output over its noise (ny,)."""
 
 
-def compute_change_over_noise(problem: EstimationProblem, runs: Sequence[Run], finer: Sequence[Run]) -> np.ndarray:
+def solve_with_refined_steps(
+    problem: EstimationProblem,
+    solve: Callable[[EstimationProblem], Solution],
+    refine: Callable[[Solution], Refinement],
+    policy: StepRefinementPolicy,
+) -> Solution:
+    """``solve`` a problem, and go on with ever smaller steps from each solution that ``refine`` calls too coarse."""
+    solution = solve(problem)
+    for halving in range(policy.halvings + 1):
+        if solution.status in NO_RESULT:
+            break
+        finer, error = refine(solution)
+        solution = replace(solution, integration_error=error)
+        if finer is None or halving == policy.halvings:
+            break
+        again = solve(replace(finer, variables=solution.variables)).with_work_of(solution)
+        solution = replace(again, shares=solution.shares, integration_error=error)
+    return solution
+
+
+def refine_step(
+    solution: Solution, options: SolverOptions, simulate: Callable[[EstimationProblem], Runs] | None = None
+) -> Refinement:
+    """What half the step changes in the outputs at a solution, and a smaller step if that matters.
+
+    ``simulate`` runs a problem at its present point, usually over the first quarter of each record.
+    """
+    problem, policy = solution.at_optimum, options.policy.step_refinement
+    if problem.step.per_interval:
+        return None, np.zeros(len(problem.noise.std))
+    if simulate is None:
+        parts = tuple(r.first(max(policy.checked_rows, len(r.u) // 4)) for r in problem.records)
+
+        def simulate(problem: EstimationProblem) -> Runs:
+            return replace(problem, records=parts).shooting().simulate(problem.variables.here)
+
+    runs, halved = simulate(problem), problem.halve_step()
+    error = compute_change_over_noise(problem, runs, simulate(halved))
+    if options.substeps:
+        return None, error
+    needed = _find_stable_substeps(problem, np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs]))
+    used = problem.step.substeps
+    if is_too_coarse(error, problem, solution.evaluation, policy):
+        return halved if needed <= halved.step.substeps else problem.with_substeps(needed), error
+    return (problem.with_substeps(needed) if needed > used else None), error
+
+
+def compute_change_over_noise(problem: EstimationProblem, runs: Runs, finer: Runs) -> np.ndarray:
     """Root-mean-square change of each output from ``runs`` to ``finer`` ones, over its noise (ny,)."""
     change = np.concatenate([a - b for (a, _), (b, _) in zip(runs, finer, strict=True)])
     with np.errstate(over="ignore", invalid="ignore"):
@@ -58,49 +109,11 @@ def _compute_output_movement(problem: EstimationProblem) -> np.ndarray:
     return np.sqrt(np.where(measured, (y - mean) ** 2, 0.0).sum(axis=0) / count)
 
 
-def halve_step(problem: EstimationProblem) -> EstimationProblem:
-    """``problem`` with half the step."""
-    return with_substeps(problem, 2 * problem.step.substeps, problem.variables.fixed)
-
-
-def refine_step(
-    problem: EstimationProblem, variables: DecisionVector, evaluation: Evaluation, options: SolverOptions
-) -> tuple[EstimationProblem | None, np.ndarray]:
-    """A problem with a smaller step, if the present one is too coarse at the optimum; and its error over the noise (ny,).
-
-    The error is that over the first quarter of each record.
-    """
-    if problem.step.per_interval:
-        return None, np.zeros(len(problem.noise.std))
-    policy, z = options.policy.step_refinement, variables.here
-    first_part = replace(
-        problem, records=tuple(r.first(max(policy.checked_rows, len(r.u) // 4)) for r in problem.records)
-    )
-    runs = first_part.shooting(variables).simulate(z)
-    needed = _find_stable_substeps(problem, variables, np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs]))
-    used = problem.step.substeps
-    finer_runs = with_substeps(first_part, 2 * used, variables.fixed).shooting(variables).simulate(z)
-    error = compute_change_over_noise(problem, runs, finer_runs)
-    if options.substeps:
-        return None, error
-    if is_too_coarse(error, problem, evaluation, policy):
-        return with_substeps(problem, max(2 * used, needed), variables.fixed), error
-    return (with_substeps(problem, needed, variables.fixed) if needed > used else None), error
-
-
-def _find_stable_substeps(problem: EstimationProblem, variables: DecisionVector, visited: np.ndarray) -> int:
+def _find_stable_substeps(problem: EstimationProblem, visited: np.ndarray) -> int:
     """Substeps that an explicit method needs at the states ``visited`` (k, nx) to be stable and a little more."""
-    system, p = problem.model.system, variables.fixed
+    system, p = problem.model.system, problem.variables.fixed
     if problem.method in IMPLICIT:
         return 1
     longest = max(float(r.lengths.max()) for r in problem.records)
     fast = find_fast_relaxing_states(system, p, visited) if problem.method == "mixed" else None
     return choose_substeps(system, p, visited, longest, relaxing=fast, policy=problem.policy.discretisation)
-
-
-def with_substeps(problem: EstimationProblem, substeps: int, p: np.ndarray) -> EstimationProblem:
-    """The same step, repeated more often: nothing is compiled. A delayed input is cut differently, so its step is made anew."""
-    if problem.step.past is not None:
-        return problem.with_step(substeps, p)
-    step = replace(problem.step, substeps=substeps)
-    return replace(problem, step=step, kernel=problem.kernel.with_substeps(substeps))

@@ -11,12 +11,10 @@ from greybox.transcription import (
     Collocation,
     DecisionVector,
     MultipleShooting,
-    cut_into_arcs,
-    estimate_nodes,
-    simulate_segments,
+    SegmentedProblem,
 )
 from greybox.transcription.problem import prepare_problem
-from greybox.transcription.projected_initial_states import ProjectedShooting
+from greybox.transcription.segments import cut_in_rows
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import linear_record, values
 
@@ -98,23 +96,15 @@ def test_an_experiment_without_a_condition_has_the_models_value():
 def test_every_transcription_knows_the_conditions():
     data = [record(s, 200) for s in SUPPLIES]
     p = laid_out(start(1.2), data, at_rest=True)
-    weight, truth = 1 / p.noise.std, values(TRUTH)
-    lifted = MultipleShooting(p.variables, p.step, p.kernel, p.records, weight, 40)
-    start_nodes = [n.copy() for n in lifted.nodes]
-    found = lifted.solve()
-    assert found.converged
-    np.testing.assert_allclose(found.variables.fixed, truth, rtol=1e-7)
-    single = p.shooting(p.variables)
-    np.testing.assert_allclose(estimate_nodes(single, lifted.cuts)[1], start_nodes[1])
+    truth = values(TRUTH)
+    segmented = SegmentedProblem.of(p, cut_in_rows(p, 40))
+    for continuity in (True, False):
+        found = MultipleShooting(segmented, continuity=continuity).solve()
+        assert found.status.success
+        np.testing.assert_allclose(found.variables.fixed, truth, rtol=1e-7 if continuity else 1e-6)
 
-    projected = ProjectedShooting(cut_into_arcs(single, rows=40).shooting)
-    low, high = projected.bounds()
-    first = projected.evaluate(np.zeros(len(low)))
-    outcome = minimise(projected.evaluate, np.zeros(len(low)), low, high, scale=first.cost, tolerance=1e-13)
-    np.testing.assert_allclose(projected.variables.parameters(projected.full(outcome.z)), truth, rtol=1e-6)
-
-    states = [simulate_segments(single, p.variables.here, e, lifted.cuts[e], start_nodes[e])[1] for e in range(2)]
-    program = Collocation(p.variables, p.records, weight, states, scheme="legendre", elements=2)
+    states = [x for _, x in segmented.simulate()]
+    program = Collocation(p, states, scheme="legendre", elements=2)
     given = program.problem()
     exact = program.interpret(given["start"]).variables
     np.testing.assert_allclose(exact.fixed, p.variables.fixed)

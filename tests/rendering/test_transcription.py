@@ -42,11 +42,6 @@ INTEGRATING_TEXT = "the model integrates (12.5 s are 83 time constants of its sl
             INTEGRATING,
             f"{INTEGRATING_TEXT}; a growing part of the record keeps the free run near the data",
         ),
-        (
-            TranscriptionReason.INTEGRATING_SEGMENTS,
-            INTEGRATING,
-            f"{INTEGRATING_TEXT}; errors accumulate along the record and do not decay",
-        ),
     ],
 )
 def test_a_reason_reads_as_written(code, values, expected):

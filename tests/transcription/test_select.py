@@ -40,7 +40,7 @@ def propose(model, **options):
         (np.log(20) + 0.01, "multiple", TranscriptionReason.UNSTABLE),
         (np.log(20) - 0.01, "single", TranscriptionReason.STABLE),
         (-1.0, "single", TranscriptionReason.STABLE),
-        (-0.02, "multiple", TranscriptionReason.INTEGRATING_SEGMENTS),
+        (-0.02, "single", TranscriptionReason.INTEGRATING_GROWING),
     ],
 )
 def test_the_eigenvalue_decides(rate, expected, reason):
@@ -48,10 +48,8 @@ def test_the_eigenvalue_decides(rate, expected, reason):
     assert (proposal.transcription, proposal.reason.code) == (expected, reason)
 
 
-def test_an_integrator_is_fitted_by_what_the_caller_asks_for():
-    proposal = propose(first_order(-0.02), integrating="single")
-    assert proposal.transcription == "single"
-    assert proposal.reason.code == TranscriptionReason.INTEGRATING_GROWING
+def test_an_integrator_has_no_time_constant():
+    proposal = propose(first_order(-0.02))
     assert proposal.reason.values == {"duration": pytest.approx(1.0), "time_constants": None}
 
 

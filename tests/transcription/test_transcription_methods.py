@@ -14,22 +14,20 @@ from greybox.estimation import FitOptions
 from greybox.integrators import DiscretisationPolicy
 from greybox.model import Balance, Model
 from greybox.model.signals import Input, Output, Parameter, State
-from greybox.optim import TerminationStatus, minimise, solve_sparse
+from greybox.optim import TerminationStatus, solve_sparse
 from greybox.transcription import (
     Collocation,
     MultipleShooting,
     ProjectedShooting,
-    SingleShooting,
-    choose_segment_rows,
-    cut_into_arcs,
+    SegmentedProblem,
     estimate_error_growth,
-    initialise_without_continuity,
     propose_transcription,
     split_into_arcs,
 )
-from greybox.transcription.arcs import place_cuts
 from greybox.transcription.findings import TranscriptionReason
+from greybox.transcription.initialisation import initialise_without_continuity
 from greybox.transcription.problem import prepare_problem
+from greybox.transcription.segments import choose_segment_rows, cut_in_rows, cut_in_seconds
 from greybox.transcription.solve import solve
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
@@ -100,36 +98,26 @@ def by_single(p, at_rest, substeps):
 
 
 def lifted(p, rows):
-    return MultipleShooting(p.variables, p.step, p.kernel, p.records, 1 / p.noise.std, rows)
+    return MultipleShooting(SegmentedProblem.of(p, cut_in_rows(p, rows)))
 
 
 def by_multiple(p, rows=60):
     found = lifted(p, rows).solve()
-    assert found.converged, found.status
+    assert found.status.success, found.status
     assert found.gap < 1e-7
     return found.variables
 
 
 def by_collocation(p, scheme, hessian="gauss-newton", elements=1):
-    single = p.shooting(p.variables)
-    cuts = [place_cuts("r", np.arange(len(r.u), dtype=float), rows=60) for r in p.records]
-    variables, start = initialise_without_continuity(single, cuts)
-    program = Collocation(
-        variables, p.records, 1 / p.noise.std, start, scheme=scheme, hessian=hessian, elements=elements
-    )
+    at_start, states = initialise_without_continuity(p, cut_in_rows(p, 60))
+    program = Collocation(at_start, states, scheme=scheme, hessian=hessian, elements=elements)
     outcome = solve_sparse(**program.problem())
     assert outcome.status.success, outcome.solver_status
     return program.interpret(outcome.z)
 
 
-def by_arcs(p, **length):
-    arcs = cut_into_arcs(p.shooting(p.variables), **length)
-    projected = ProjectedShooting(arcs.shooting)
-    projected.carry_states(arcs.starts_record)
-    low, high = projected.bounds()
-    first = projected.evaluate(np.zeros(len(low)))
-    outcome = minimise(projected.evaluate, np.zeros(len(low)), low, high, scale=first.cost, tolerance=1e-12)
-    return projected.variables.recentre(projected.full(outcome.z)), outcome
+def by_arcs(p, cuts):
+    return MultipleShooting(SegmentedProblem.of(p, cuts), continuity=False).solve()
 
 
 def error(variables, model):
@@ -141,7 +129,7 @@ def error(variables, model):
 WAYS = {
     "single": (lambda p, rest, n: by_single(p, rest, n), 1e-7, 1e-8),
     "multiple": (lambda p, rest, n: by_multiple(p), 1e-7, 1e-8),
-    "arcs": (lambda p, rest, n: by_arcs(p, rows=75)[0], 1e-7, 1e-8),
+    "arcs": (lambda p, rest, n: by_arcs(p, cut_in_rows(p, 75)).variables, 1e-7, 1e-8),
     "Radau": (lambda p, rest, n: by_collocation(p, "radau").variables, 1e-7, 1e-5),
     "Legendre": (lambda p, rest, n: by_collocation(p, "legendre").variables, 1e-7, 1e-6),
     "Radau, exact Hessian": (lambda p, rest, n: by_collocation(p, "radau", "exact").variables, 1e-7, 1e-5),
@@ -178,7 +166,7 @@ def test_multiple_shooting_ends_where_single_shooting_does_on_noisy_records_with
     p = problem(start, records, noise, False)
     reference = solve(p, FitOptions())
     found = lifted(p, 70).solve()
-    assert found.converged
+    assert found.status.success
     assert found.evaluation.cost == pytest.approx(reference.evaluation.cost, rel=1e-6)
     assert found.evaluation.count == reference.evaluation.count
     information = p.shooting(found.variables).evaluate(found.variables.here).hessian
@@ -192,7 +180,7 @@ def test_multiple_shooting_ends_where_single_shooting_does_on_noisy_records_with
     std = np.sqrt(np.diag(np.linalg.inv(projected / 2)))
     moved = np.log(found.variables.fixed / reference.variables.fixed)[found.variables.which]
     assert np.all(np.abs(moved) < 0.05 * std)
-    joined = np.concatenate([y for y, _ in found.runs])
+    joined = np.concatenate([y for y, _ in found.segmented.simulate()])
     free = np.concatenate([y for y, _ in p.shooting(found.variables).simulate(found.variables.here)])
     np.testing.assert_allclose(joined, free, atol=1e-6 * np.ptp(free, axis=0).max())
 
@@ -209,7 +197,7 @@ def test_an_unstable_plant_is_fitted_by_multiple_shooting_where_single_shooting_
     growth = estimate_error_growth(truth.system, p.variables.fixed, p.records[0])
     assert np.sqrt(12) * 0.8 < growth < np.sqrt(12)
     found = lifted(p, choose_segment_rows(growth, p.records[0])).solve()
-    assert found.converged and found.iterations < 10
+    assert found.status.success and found.iterations < 10
     assert 0.8 * 401 < found.evaluation.cost < 1.2 * 401
     n = len(found.variables.which)
     std = np.sqrt(2 * np.diag(np.linalg.inv(found.evaluation.hessian[:n, :n])))
@@ -231,7 +219,7 @@ def test_a_constant_stops_at_its_bound_in_multiple_shooting(duffing):
     _, start, data, noise, rest, substeps = duffing
     p = problem(start.start(k=3.0).bound(k=(1.0, 3.5)), data, noise, rest, substeps)
     found = lifted(p, 60).solve()
-    assert found.converged, found.status
+    assert found.status.success, found.status
     single = solve(p, FitOptions(substeps=substeps)).variables
     assert found.variables.fixed[1] == single.fixed[1] == 3.5
     np.testing.assert_allclose(found.variables.fixed, single.fixed, rtol=1e-4)
@@ -249,7 +237,7 @@ def test_a_segment_that_overflows_at_the_start_is_a_result_and_not_an_error():
     t = np.arange(100) * 0.1
     p = problem(model, experiment(model, t, np.ones((100, 1)), 2 + np.cos(t)[:, None]), {"x": 0.1}, False, 4)
     found = lifted(p, 50).solve()
-    assert found.status is TerminationStatus.NO_START and not found.converged
+    assert found.status is TerminationStatus.NO_START
     assert found.evaluation.cost == np.inf
 
 
@@ -289,7 +277,7 @@ def test_a_stiff_plant_gets_implicit_steps_or_collocation_and_is_fitted_by_radau
     for line, expected in {
         0: ("single", True),
         DiscretisationPolicy().max_implicit_states - 2: ("single", True),
-        DiscretisationPolicy().max_implicit_states - 1: ("collocation", False),
+        DiscretisationPolicy().max_implicit_states - 1: ("collocation-radau", False),
     }.items():
         larger = stiff(line)
         prepared = prepare_problem(larger, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1)
@@ -300,7 +288,7 @@ def test_a_stiff_plant_gets_implicit_steps_or_collocation_and_is_fitted_by_radau
         assert reason.code == code
     start = model.start(a=3.0, c=0.2)
     prepared = prepare_problem(start, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1)
-    program = Collocation(prepared.variables, prepared.records, np.array([1e4]), [np.column_stack([u, np.array(y)])])
+    program = Collocation(prepared, [np.column_stack([u, np.array(y)])])
     outcome = solve_sparse(**program.problem())
     assert outcome.status.success
     assert error(program.interpret(outcome.z).variables, model) < 1e-3
@@ -313,7 +301,7 @@ def test_states_keep_their_physical_bounds_in_collocation():
     low = np.array([s.bounds[0] for s in model.all_states])
     data = solved_record(model, u, t, [2.0, 2.0])
     p = problem(model, data, {o.name: 0.01 for o in model.outputs}, False, 4)
-    program = Collocation(p.variables, p.records, 1 / p.noise.std, [np.full((60, 2), -1.0)])
+    program = Collocation(p, [np.full((60, 2), -1.0)])
     given = program.problem()
     assert (given["start"][len(p.variables.which) :] >= 0).all()
     outcome = solve_sparse(**given)
@@ -323,17 +311,17 @@ def test_states_keep_their_physical_bounds_in_collocation():
 def test_collocation_refuses_unknown_options_and_equations_that_stick(duffing):
     model, _, data, noise, rest, substeps = duffing
     p = problem(model, data, noise, rest, substeps)
-    weight, start = 1 / p.noise.std, [np.zeros((500, 2))]
+    start = [np.zeros((500, 2))]
     with pytest.raises(ModelError, match="unknown collocation points 'radaus'; did you mean 'radau'"):
-        Collocation(p.variables, p.records, weight, start, scheme="radaus")
+        Collocation(p, start, scheme="radaus")
     with pytest.raises(ModelError, match="degree 12: give 1 to 9"):
-        Collocation(p.variables, p.records, weight, start, degree=12)
+        Collocation(p, start, degree=12)
     with pytest.raises(ModelError, match=r"unknown Hessian 'gauss'.*gauss-newton"):
-        Collocation(p.variables, p.records, weight, start, hessian="gauss")
+        Collocation(p, start, hessian="gauss")
     dry = emps + effect("coulomb_friction")
     q = problem(dry, linear_record(emps, np.sin(np.arange(50)), 1e-3), {"q": 1e-5}, True)
     with pytest.raises(ModelError, match="coulomb_friction sticks or switches"):
-        Collocation(q.variables, q.records, 1 / q.noise.std, start)
+        Collocation(q, start)
 
 
 def test_arcs_cover_every_row_once_and_refuse_lengths_that_are_none():
@@ -395,15 +383,15 @@ def test_short_arcs_forget_a_drift_that_spoils_the_long_run():
     data = experiment(emps, t, u[:, None], np.concatenate(parts)[:, None], {"q": 1e-5}, 1)
     p = problem(emps.start(M=80.0), data, {"q": 1e-5}, False)
     whole = solve(p, FitOptions()).variables
-    short, outcome = by_arcs(p, seconds=0.3)
-    assert outcome.status.success or outcome.status is TerminationStatus.STUCK
+    found = by_arcs(p, cut_in_seconds(p, 0.3))
+    assert found.status.success or found.status is TerminationStatus.STUCK
     free = [q.name for q in emps.free_parameters]
     names = list(emps.values)
     for name in free:
         k = names.index(name)
-        off = [abs(v.fixed[k] / emps.values[name] - 1) for v in (whole, short)]
+        off = [abs(v.fixed[k] / emps.values[name] - 1) for v in (whole, found.variables)]
         assert off[1] < 0.5 * off[0], name
-    assert outcome.cost < 0.2 * p.shooting(whole).evaluate(whole.here).cost
+    assert found.evaluation.cost < 0.2 * p.shooting(whole).evaluate(whole.here).cost
 
 
 def test_a_transcription_is_proposed_with_its_reason(pneumatic):
@@ -413,10 +401,11 @@ def test_a_transcription_is_proposed_with_its_reason(pneumatic):
     truth, start, data, noise, rest, _ = pneumatic
     q = problem(start, data, noise, rest)
     proposal = propose_transcription(truth.system, values(truth), q.records[0])
-    assert proposal.transcription == "multiple"
-    assert proposal.reason.code == TranscriptionReason.INTEGRATING_SEGMENTS
+    assert proposal.transcription == "single"
+    assert proposal.reason.code == TranscriptionReason.INTEGRATING_GROWING
     assert proposal.reason.values["time_constants"] > 50
-    assert propose_transcription(truth.system, values(truth), q.records[0].first(50))[0] == "single"
+    short = propose_transcription(truth.system, values(truth), q.records[0].first(50))
+    assert short.reason.code == TranscriptionReason.INTEGRATING_SHORT
 
 
 def test_segments_of_several_records_keep_their_own_initial_states(duffing):
@@ -424,9 +413,9 @@ def test_segments_of_several_records_keep_their_own_initial_states(duffing):
     model, start, data, noise, rest, substeps = duffing
     other = solved_record(model, 2 * np.cos(np.arange(260) * 0.05), np.arange(260) * 0.02, [-0.2, 1.0])
     p = problem(start, [data, other], noise, rest, substeps)
-    found = MultipleShooting(p.variables, p.step, p.kernel, p.records, 1 / p.noise.std, (100, 40)).solve()
-    assert found.converged
-    assert [len(n) for n in found.nodes] == [6, 8]  # segments and the end; 20 rows of 40 stay a segment
+    found = lifted(p, (100, 40)).solve()
+    assert found.status.success
+    assert [len(places) - 1 for places in found.segmented.cuts] == [5, 7]  # 20 rows of 40 stay a segment
+    assert len(found.states) == 12
     np.testing.assert_allclose(found.variables.initial.guess, [[0.3, 0.0], [-0.2, 1.0]], atol=1e-6)
-    again = SingleShooting(found.variables, p.step, p.kernel, p.records, 1 / p.noise.std)
-    assert again.evaluate(found.variables.here).cost < 1e-6
+    assert p.shooting(found.variables).evaluate(found.variables.here).cost < 1e-6
