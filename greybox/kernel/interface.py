@@ -47,9 +47,17 @@ class Kernel(Protocol):
     samples that are NaN in ``record.y`` are left out.
     """
 
-    name: str
-    description: str
-    reason: str
+    @property
+    def name(self) -> str:
+        """``compiled`` or ``interpreted``."""
+
+    @property
+    def description(self) -> str:
+        """What it is, for people."""
+
+    @property
+    def reason(self) -> str:
+        """Why it is the one."""
 
     def with_substeps(self, substeps: int) -> Kernel:
         """The same step with another number of substeps in an interval; nothing is compiled anew."""
