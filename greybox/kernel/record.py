@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -58,6 +59,18 @@ class Record:
                 f"record: row runs from {self.row.min()} to {self.row.max()},"
                 f" but there are {len(self.lengths)} interval lengths"
             )
+
+    @cached_property
+    def duration(self) -> float:
+        """Seconds from the first row to the last."""
+        return float(self.h.sum())
+
+    @cached_property
+    def period(self) -> float:
+        """Usual length of an interval in seconds; zero where there is none."""
+        if not len(self.h):
+            return 0.0
+        return float(self.h[0] if len(self.lengths) == 1 else np.median(self.h))
 
     def first(self, rows: int) -> Record:
         """The beginning of the record."""

@@ -47,7 +47,7 @@ def select_transcription(problem: EstimationProblem, options: SolverOptions) -> 
 
     A stiff model also gets implicit steps, unless the method or the substeps were given.
     """
-    longest = max(problem.records, key=lambda r: float(r.h.sum()))
+    longest = max(problem.records, key=lambda r: r.duration)
     policy, p = options.policy, problem.start_parameters
     proposal = propose_transcription(
         problem.model.system, p, longest, policy=policy.transcription.choice, discretisation=policy.discretisation
@@ -97,7 +97,7 @@ def propose_transcription(
         How many states the implicit methods take.
     """
     jacobians = _linearise_along(system, p, record, policy.linearisation_points)
-    duration = float(record.h.sum())
+    duration = record.duration
     growth = _compute_growth(system, p, record, jacobians, policy)
     if growth * duration > math.log(policy.max_error_growth):
         values = {"rate": growth, "exponent": growth * duration, "duration": duration}
@@ -143,7 +143,7 @@ def _compute_growth(
     if not len(jacobians):
         return 0.0
     rates = np.linalg.eigvals(jacobians).real.max(axis=1)
-    duration = float(record.h.sum())
+    duration = record.duration
     if system.linear or rates.max() * duration <= math.log(policy.max_error_growth):
         return float(rates.mean())
     return _compute_lyapunov_exponent(_linearise_along(system, p, record, policy.growth_points), duration)
@@ -175,8 +175,7 @@ def _propose_for_stiff(
 ) -> TranscriptionProposal | None:
     """Implicit steps or collocation, where a fast mode rules explicit steps out."""
     fastest = max((compute_fastest_rate(jacobian, system.relaxing) for jacobian in jacobians), default=0.0)
-    period = float(np.median(record.h)) if len(record.h) else 0.0
-    substeps = fastest * period / policy.explicit_step
+    substeps = fastest * record.period / policy.explicit_step
     if system.linear or substeps <= policy.max_explicit_substeps:
         return None
     values = {"fastest": 1 / fastest, "substeps": substeps}
