@@ -92,16 +92,14 @@ class RelaxationPolicy:
     """A positive constant stays within a factor ``e^4.6``, a hundred, of its start."""
 
     termination: TerminationPolicy = field(
-        default_factory=lambda: TerminationPolicy(negligible_decrease=1e-3, patience=1, little_gain=1e-2)
+        default_factory=lambda: TerminationPolicy(negligible_decrease=1e-6, patience=1, little_gain=1e-2)
     )
     """When a step is the last one, in shares of the cost: it gained less than a hundredth, or hardly anything is left."""
 
     max_steps: int = 15
     """Steps at most."""
 
-    damped: GaussNewtonPolicy = field(
-        default_factory=lambda: GaussNewtonPolicy(initial_damping=1e-3, increase=100.0, max_rejections=4)
-    )
+    damped: GaussNewtonPolicy = field(default_factory=lambda: GaussNewtonPolicy(increase=100.0, max_rejections=5))
     """How the steps are damped: quickly, as the start need not be good."""
 
     prior_weight: float = 0.25
