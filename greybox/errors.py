@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 
 class GreyboxError(Exception):
@@ -34,6 +35,23 @@ class OutputError(GreyboxError, OSError):
 
     def __str__(self) -> str:
         return f"{self.filename}: cannot be written ({self.strerror}); what was there before stands"
+
+
+class WorkersLostError(GreyboxError):
+    """The workers cannot go on: their cluster is lost, or they are of another version. The command line ends with exit code 1.
+
+    Attributes
+    ----------
+    fault
+        What is wrong with the workers.
+    results
+        The `greybox.parallel.JobResult` of each job, None for those that are not finished.
+    """
+
+    def __init__(self, fault: str, results: Iterable[Any]) -> None:
+        self.fault, self.results = fault, tuple(results)
+        done = sum(result is not None for result in self.results)
+        super().__init__(f"workers lost: {fault}; {done} of {len(self.results)} jobs are finished")
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

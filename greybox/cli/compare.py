@@ -17,6 +17,7 @@ from greybox.cli.inputs import (
     check_prediction_steps,
     check_skip,
     check_substeps,
+    check_workers,
     constrain,
     fit_options,
     print_record_notes,
@@ -24,7 +25,7 @@ from greybox.cli.inputs import (
     read_records,
     seed_of,
 )
-from greybox.cli.options import Json, NoReport, Silent, check_writable, takes_study
+from greybox.cli.options import STARTS_FILE, Cluster, Json, NoReport, Silent, Workers, check_writable, takes_study
 from greybox.cli.policy import PROGRESS
 from greybox.cli.progress import ShowProgress, describe_progress, share_done, show_progress
 from greybox.cli.reporting import write_report
@@ -49,6 +50,8 @@ def compare(
             "--output", metavar="DIR", help="Folder for compare.json and figures. [default: results/MODEL-compare]"
         ),
     ] = None,
+    workers: Workers = 0,
+    cluster: Cluster = "",
     silent: Silent = False,
     json: Json = False,
     no_report: NoReport = False,
@@ -66,6 +69,7 @@ def compare(
     """
     from greybox.comparison.black_box_candidates import check_sampling_times
     from greybox.comparison.compare import NamedModel, compare_named
+    from greybox.parallel import open_workers
 
     plain = build_model(study)
     extensions = [tuple(name.strip() for name in text.split("+")) for text in study.candidates]
@@ -75,17 +79,27 @@ def compare(
     records, validation = read_records(study, plain)
     quiet = read_quiet_records(study, plain, hold=study.hold)
     check_skip(study, validation)
+    check_workers(workers, cluster, {"--starts N": study.starts > 1})
     check_prediction_steps(study, records, validation)
     check_sampling_times(records, validation, [q.name for q in plain.outputs])
     if not silent:
         print_record_notes(records, validation)
     options, seed = fit_options(study), seed_of(study)
     given = {"noise": dict(study.noise), "quiet": quiet, "options": options}
-    with show_progress() as show:
-        fits = [_fit(models[0], records, show, study.starts, seed, given)]
+    journal = folder / STARTS_FILE
+    with open_workers(workers, cluster) as executor, show_progress() as show:
+        if study.starts > 1:
+            given |= {
+                "starts": study.starts,
+                "seed": seed,
+                "executor": executor,
+                "workers": workers,
+                "journal": journal,
+            }
+        fits = [_fit(models[0], records, show, given)]
         for names, model in zip(extensions, models[1:], strict=True):
             grown = _grown(fits[0][0], names, models[0], show) if study.starts == 1 else None
-            fits.append(grown or _fit(model, records, show, study.starts, seed, given))
+            fits.append(grown or _fit(model, records, show, given))
         black, findings = _black_boxes(plain, records, study.at_rest, show)
         show("judging")
         grey = [NamedModel(fit.model.title, fit, seconds) for fit, seconds in fits]
@@ -98,6 +112,7 @@ def compare(
             options=options,
             findings=findings,
         )
+    journal.unlink(missing_ok=True)
     by_title = None if no_report else {fit.model.title: fit for fit, _ in fits}
     _write(result, folder, records, validation, by_title, quiet=silent, json=json)
 
@@ -141,9 +156,9 @@ def scan_share(what: str, share: float, outputs: Sequence[str]) -> float:
 
 
 def _fit(
-    plant: Model, records: Sequence[Experiment], show: ShowProgress, starts: int, seed: int, given: Mapping[str, Any]
+    plant: Model, records: Sequence[Experiment], show: ShowProgress, given: Mapping[str, Any]
 ) -> tuple[Fit, float]:
-    """The fit, and the seconds it took."""
+    """The fit, from several starts where they are ``given``, and the seconds it took."""
     from greybox.estimation import fit, multistart
 
     def report(progress: FitProgress) -> None:
@@ -153,8 +168,11 @@ def _fit(
         show(f"{plant.title}: {done} of {jobs} starts done", done / jobs)
 
     began = time.perf_counter()
-    if starts > 1:
-        result = multistart(plant, records, starts=starts, seed=seed, report=tally, **given).best
+    if "starts" in given:
+        many = multistart(plant, records, report=tally, **given)
+        if many.interrupted:
+            raise KeyboardInterrupt
+        result = many.best
     else:
         result = fit(plant, records, report=report, **given)
     return result, time.perf_counter() - began

@@ -11,7 +11,7 @@ import typer
 from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
 from greybox.cli.inputs import build_model, print_record_notes, read_quiet_records, read_records
-from greybox.cli.options import Json, NoReport, check_writable, takes_study
+from greybox.cli.options import Cluster, Json, NoReport, Workers, check_writable, takes_study
 from greybox.cli.progress import show_search_progress
 from greybox.cli.reporting import write_report
 from greybox.cli.study import DISCOVER, Study
@@ -27,6 +27,8 @@ def discover(
         Path | None,
         typer.Option("--output", metavar="DIR", help="Folder for the results. [default: results/MODEL-discover]"),
     ] = None,
+    workers: Workers = 0,
+    cluster: Cluster = "",
     json: Json = False,
     no_report: NoReport = False,
 ) -> None:
@@ -48,6 +50,7 @@ def discover(
     from greybox.discovery import refine
     from greybox.effects import effect
     from greybox.estimation import FitOptions
+    from greybox.parallel import open_workers
 
     model = build_model(study)
     folder = check_writable(output or Path("results") / f"{model.name}-discover")
@@ -57,7 +60,7 @@ def discover(
     candidates = [effect(name) for name in study.candidates] or None
     journal = folder / "journal.jsonl"
     try:
-        with show_search_progress() as (say, report):
+        with open_workers(workers, cluster) as executor, show_search_progress() as (say, report):
             result = discover_effects(
                 model,
                 records,
@@ -70,6 +73,8 @@ def discover(
                 on_message=say,
                 journal=journal,
                 on_refit=report,
+                executor=executor,
+                workers=workers,
             )
             if study.further:
                 refinement = refine(

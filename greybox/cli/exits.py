@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 
 from greybox.cli.exit_codes import ExitCode
-from greybox.errors import GreyboxError, OutputError
+from greybox.cli.interrupts import treat_as_interrupts
+from greybox.errors import GreyboxError, OutputError, WorkersLostError
 
 if TYPE_CHECKING:
     from greybox.findings import Finding
@@ -27,10 +28,13 @@ def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
             warnings.showwarning = _print_warning
             if threading.current_thread() is threading.main_thread():
                 signal.signal(signal.SIGINT, signal.default_int_handler)
+                treat_as_interrupts()
             try:
                 command(*args, **options)
             except OutputError as error:  # the computation is done, and its result has no place
                 exit_with_error(str(error), ExitCode.UNSUCCESSFUL)
+            except WorkersLostError as error:
+                exit_with_error(f"{error}; the same command goes on from them", ExitCode.UNSUCCESSFUL)
             except GreyboxError as error:
                 exit_with_error(str(error), ExitCode.BAD_INPUT)
             except BrokenPipeError:  # the reader of the pipe has closed it: nobody is left to read a message

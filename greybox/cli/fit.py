@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +18,7 @@ from greybox.cli.inputs import (
     check_prediction_steps,
     check_skip,
     check_substeps,
+    check_workers,
     constrain,
     fit_options,
     print_record_notes,
@@ -25,7 +27,16 @@ from greybox.cli.inputs import (
     seed_of,
 )
 from greybox.cli.interrupts import hold_interrupts
-from greybox.cli.options import Json, NoReport, Silent, check_writable, takes_study
+from greybox.cli.options import (
+    STARTS_FILE,
+    Cluster,
+    Json,
+    NoReport,
+    Silent,
+    Workers,
+    check_writable,
+    takes_study,
+)
 from greybox.cli.policy import COMMANDS
 from greybox.cli.progress import show_fit_progress, show_progress
 from greybox.cli.reporting import write_report
@@ -36,6 +47,7 @@ if TYPE_CHECKING:
     from greybox.experiment import Experiment
     from greybox.residuals import ResidualTests
     from greybox.result import Fit, Trace
+    from greybox.uncertainty import Bootstrap, Profile
 
 
 @takes_study(FIT)
@@ -45,6 +57,8 @@ def fit(
         Path | None,
         typer.Option("--output", metavar="DIR", help="Folder for fit.json and figures. [default: results/MODEL-fit]"),
     ] = None,
+    workers: Workers = 0,
+    cluster: Cluster = "",
     silent: Silent = False,
     json: Json = False,
     no_report: NoReport = False,
@@ -62,6 +76,7 @@ def fit(
     """
     from greybox.estimation import fit as fit_model
     from greybox.estimation import multistart
+    from greybox.parallel import open_workers
 
     model = constrain(build_model(study), study)
     check_substeps(study, model)
@@ -70,6 +85,8 @@ def fit(
     quiet = read_quiet_records(study, model)
     check_skip(study, validation)
     check_prediction_steps(study, records, validation)
+    shared = {"--starts N": study.starts > 1, "--profile NAME": study.profiles, "--bootstrap N": study.bootstrap}
+    check_workers(workers, cluster, shared)
     if not silent:  # notes on the fitted records stand in the result, but for JSON
         print_record_notes(*((records, validation) if json else (validation,)))
     seed, profiled = seed_of(study), check_intervals(study, model)
@@ -80,28 +97,36 @@ def fit(
         "skip": study.skip,
         "options": fit_options(study),
     }
-    if study.starts > 1:
-        with show_progress() as show:
-            many = multistart(
-                model,
-                records,
-                starts=study.starts,
-                seed=seed,
-                report=lambda done, jobs: show(f"{model.title}: {done} of {jobs} starts done", done / jobs),
-                **given,
-            )
-        result, interrupted = many.best, many.interrupted
-    else:
-        with hold_interrupts() as interrupt, show_fit_progress(model.title, interrupt) as report:
-            result = fit_model(model, records, report=report, **given)
-        interrupted = interrupt.requested
-    with hold_interrupts():
-        saved = result.save(folder / "fit.json")
-    tests = None if interrupted else _residual_tests(result)
-    if json:
-        typer.echo(saved.read_text(encoding="utf-8"), nl=False)
-    elif not silent:
-        typer.echo(str(_answer(result, tests, study, validation, profiled, short=interrupted)))
+    with open_workers(workers, cluster) as executor:
+        if study.starts > 1:
+            journal = folder / STARTS_FILE
+            with show_progress() as show:
+                many = multistart(
+                    model,
+                    records,
+                    starts=study.starts,
+                    seed=seed,
+                    report=lambda done, jobs: show(f"{model.title}: {done} of {jobs} starts done", done / jobs),
+                    executor=executor,
+                    workers=workers,
+                    journal=journal,
+                    **given,
+                )
+            result, interrupted = many.best, many.interrupted
+            if not interrupted:
+                journal.unlink(missing_ok=True)
+        else:
+            with hold_interrupts() as interrupt, show_fit_progress(model.title, interrupt) as report:
+                result = fit_model(model, records, report=report, **given)
+            interrupted = interrupt.requested
+        with hold_interrupts():
+            saved = result.save(folder / "fit.json")
+        tests = None if interrupted else _residual_tests(result)
+        if json:
+            typer.echo(saved.read_text(encoding="utf-8"), nl=False)
+        elif not silent:
+            share = _share(executor, workers)
+            typer.echo(str(_answer(result, tests, study, validation, profiled, share, short=interrupted)))
     if interrupted or result.status == "interrupted":
         older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
         exit_with_error(
@@ -118,6 +143,7 @@ def _answer(
     study: Study,
     validation: Sequence[Experiment],
     profiled: Sequence[str],
+    share: ShareWork,
     *,
     short: bool,
 ) -> FitAnswer:
@@ -131,7 +157,7 @@ def _answer(
     }
     if short:
         return FitAnswer(result, **tables)
-    further = _intervals(result, profiled, study.bootstrap) if result.success else {}
+    further = _intervals(result, profiled, study.bootstrap, share) if result.success else {}
     return FitAnswer(
         result, remedies=tuple(recommend_after_fit(result)), **further, **_scores(result, study, validation), **tables
     )
@@ -157,21 +183,52 @@ def _misfits(result: Fit, traces: Sequence[Trace], skip: int) -> list[RecordMisf
     ]
 
 
-def _intervals(result: Fit, profiled: Iterable[str], replicates: int) -> dict[str, Any]:
-    """The profiles and the bootstrap that were asked for; why there are none, where the fit has none to give."""
+ShareWork = Callable[[Callable[[Any, Any], Any], Any, Sequence[Any]], list[Any]]
+"""Does ``job(common, item)`` for every item, here or in workers. Raises FitError where a job fails."""
+
+
+def _share(executor: Executor | None, workers: int) -> ShareWork:
+    """Where several computations run: in workers where the user asked for them, else here one after the other."""
+    if executor is None and workers < 2:
+        return lambda job, common, items: [job(common, item) for item in items]
+
+    def share(job: Callable[[Any, Any], Any], common: Any, items: Sequence[Any]) -> list[Any]:
+        from greybox.parallel import run_jobs
+
+        results, interrupted = run_jobs(job, common, items, executor=executor, workers=workers)
+        if interrupted:
+            raise KeyboardInterrupt
+        failed = [result.error for result in results if result is not None and result.error]
+        if failed:
+            raise FitError("; ".join(dict.fromkeys(failed)))
+        return [result.value for result in results if result is not None]
+
+    return share
+
+
+def _compute_interval(result: Fit, asked: tuple[str, int]) -> Profile | Bootstrap:
+    """The profile of a parameter, or, without a name, a bootstrap with so many replicates."""
     import numpy as np
 
     from greybox.uncertainty import bootstrap, profile
 
+    name, replicates = asked
+    draws = np.random.default_rng(COMMANDS.bootstrap_seed)
+    return profile(result, name) if name else bootstrap(result, draws, replicates=replicates)
+
+
+def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: ShareWork) -> dict[str, Any]:
+    """The profiles and the bootstrap that were asked for; why there are none, where the fit has none to give."""
     intervals: dict[str, Any] = {}
     try:
         labels = list(_labels(result, profiled))
         zero = [n for n in labels if n in result.model.noise_parameters and result.model.values[n] == 0]
         intervals["zero_noise"] = tuple(zero)
-        intervals["profiles"] = tuple(profile(result, name) for name in labels if name not in zero)
+        asked = [(name, 0) for name in labels if name not in zero]
+        computed = share(_compute_interval, result, asked + [("", replicates)] * bool(replicates))
+        intervals["profiles"] = tuple(computed[: len(asked)])
         if replicates:
-            draws = np.random.default_rng(COMMANDS.bootstrap_seed)
-            intervals["bootstrap"] = bootstrap(result, draws, replicates=replicates)
+            intervals["bootstrap"] = computed[-1]
     except FitError as error:
         intervals["refusal"] = str(error)
     return intervals

@@ -271,6 +271,13 @@ def seed_of(study: Study) -> int:
     return study.seed or 0
 
 
+def check_workers(workers: int, cluster: str, shared: Mapping[str, object]) -> None:
+    """Refuse workers where there is nothing to share; ``shared``: the options whose work they share, with their values."""
+    given = f"--cluster {cluster}" if cluster else f"--workers {workers}" if workers else ""
+    if given and not any(shared.values()):
+        raise GreyboxError(f"{given} has no effect: there is one computation; give {' or '.join(shared)} too")
+
+
 def check_intervals(study: Study, model: Model, policy: CommandPolicy = COMMANDS) -> tuple[str, ...]:
     """The parameters to be profiled. Raises GreyboxError for a parameter that is not fitted and for too few replicates."""
     free = [q.name for q in model.free_parameters]

@@ -1,4 +1,4 @@
-"""Ctrl-C during a fit: the search ends where it is, and what it has found is kept."""
+"""Ctrl-C during a command: the search ends where it is, and what it has found is kept."""
 
 from __future__ import annotations
 
@@ -21,6 +21,17 @@ class Interrupt:
         if self.waits:
             self.waits = False
             signal.raise_signal(signal.SIGINT)
+
+
+def treat_as_interrupts() -> None:
+    """Take a request to end, as batch systems and ``kill`` send it, for Ctrl-C: what is finished is kept, workers end.
+
+    A signal that is ignored stays ignored (``nohup``).
+    """
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, lambda *_: signal.raise_signal(signal.SIGINT))
 
 
 @contextmanager

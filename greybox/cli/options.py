@@ -25,8 +25,30 @@ from greybox.cli.usage_errors import describe_missing_argument
 from greybox.errors import GreyboxError
 from greybox.findings import Finding
 
+STARTS_FILE = "starts.jsonl"
+"""Finished starts of a command that was interrupted, in its output folder."""
+
 Texts = list[str]
 NoReport = Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")]
+Workers = Annotated[
+    int,
+    typer.Option(
+        "--workers",
+        metavar="N",
+        min=0,
+        help="Processes that share the work, on this machine or in --cluster local. [default: one for each core]",
+        show_default=False,
+    ),
+]
+Cluster = Annotated[
+    str,
+    typer.Option(
+        "--cluster",
+        metavar="ADDRESS",
+        help="Scheduler of a Dask cluster that does the work, such as tcp://10.0.0.5:8786; local starts one here, to try.",
+        show_default=False,
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of text.")]
 Silent = Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")]
 

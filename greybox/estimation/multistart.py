@@ -5,20 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from greybox.errors import GreyboxError, ModelError
+from greybox.errors import GreyboxError, ModelError, WorkersLostError
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
 from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
 from greybox.estimation.policy import DEFAULT_POLICY, MultistartPolicy
+from greybox.estimation.start_journal import StartJournal, hash_start
 from greybox.experiment import Experiment
 from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.model.signals import Parameter
 from greybox.noise import NoiseModel
-from greybox.parallel import JobProgressCallback, run_jobs
+from greybox.optim.status import TerminationStatus
+from greybox.parallel import JobProgressCallback, JobResult, run_jobs
 from greybox.result import Fit, StartResult
 from greybox.transcription.solve import solve
 from greybox.values import Printable
@@ -72,6 +75,7 @@ def multistart(
     executor: Executor | None = None,
     workers: int = 0,
     report: JobProgressCallback | None = None,
+    journal: str | Path | None = None,
 ) -> MultiStartResult:
     """Fit ``model`` from its own start and from random ones.
 
@@ -95,6 +99,8 @@ def multistart(
         How many local processes, 0 for one on each core.
     report
         Called as ``report(done, starts)`` after each start.
+    journal
+        File that keeps every finished start; the same call continues from it.
 
     Returns
     -------
@@ -107,6 +113,8 @@ def multistart(
         If no start leads to a result.
     ModelError, DataError
         As `greybox.fit`.
+    WorkersLostError
+        If a cluster is lost. The starts that are finished are in the journal.
     """
     options = resolve_options(options)
     if starts < 1:
@@ -121,9 +129,30 @@ def multistart(
         model, group, noise, options, quiet=quiet
     ).noise  # once; refuses here what no start can use
     begins = [{q.name: q.value for q in model.free_parameters}, *draw_starts(model, starts - 1, seed, factor)]
-    results, interrupted = run_jobs(
-        _fit_from, (model, group, known_noise, options), begins, executor=executor, workers=workers, report=report
-    )
+    kept = None if journal is None else StartJournal(Path(journal))
+    keys = [hash_start(model, group, known_noise, options, begin) if kept else "" for begin in begins]
+    results: list[JobResult | None] = [kept.known.get(key) if kept else None for key in keys]
+    remaining = [k for k, result in enumerate(results) if result is None]
+    before = len(begins) - len(remaining)
+
+    def receive(number: int, result: JobResult) -> None:
+        k = remaining[number]
+        results[k] = result
+        if kept is not None and not result.error:
+            kept.add(keys[k], result)
+
+    try:
+        _, interrupted = run_jobs(
+            _fit_from,
+            (model, group, known_noise, options),
+            [begins[k] for k in remaining],
+            executor=executor,
+            workers=workers,
+            report=None if report is None else lambda done, _: report(before + done, len(begins)),
+            receive=receive,
+        )
+    except WorkersLostError as error:
+        raise WorkersLostError(error.fault, results) from error
     start_results = []
     for begin, job in zip(begins, results, strict=True):
         if job is not None and job.error:
@@ -210,6 +239,8 @@ def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, floa
     """One start, where it runs: the values it ended with, misfit over noise, status."""
     model, experiments, noise, options = common
     solution = solve(prepare_estimation(model.start(**begin), experiments, noise, options), options)
+    if solution.status is TerminationStatus.INTERRUPTED:  # the search hears Ctrl-C itself
+        raise KeyboardInterrupt
     evaluation, status = solution.evaluation, str(solution.status)
     if not np.isfinite(evaluation.cost):
         return {}, np.inf, status

@@ -5,7 +5,6 @@ from greybox.parallel.jobs import (
     JobProgressCallback,
     JobResult,
     JobResultCallback,
-    WorkersLostError,
     open_workers,
     run_jobs,
 )
@@ -18,7 +17,6 @@ __all__ = [
     "JobResult",
     "JobResultCallback",
     "RetryPolicy",
-    "WorkersLostError",
     "count_cores",
     "open_cluster",
     "open_local_pool",

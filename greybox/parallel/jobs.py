@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from greybox.errors import GreyboxError
+from greybox.errors import GreyboxError, WorkersLostError
 from greybox.parallel.cluster import WorkersHealth, open_cluster, watch_executor
 from greybox.parallel.local_pool import LocalPool, count_cores, open_local_pool
 from greybox.parallel.packing import describe_version, pack, unpack, unpack_shared
@@ -30,21 +30,6 @@ JobProgressCallback = Callable[[int, int], None]
 
 JobResultCallback = Callable[[int, JobResult], None]
 """Called with the number of a job and its result."""
-
-
-class WorkersLostError(GreyboxError):
-    """The workers cannot go on: the cluster is lost, or of another version. The command line ends with exit code 1.
-
-    Attributes
-    ----------
-    results
-        The result of each job, None for those that are not finished.
-    """
-
-    def __init__(self, fault: str, results: Sequence[JobResult | None]) -> None:
-        self.results = tuple(results)
-        done = sum(result is not None for result in results)
-        super().__init__(f"workers lost: {fault}; {done} of {len(results)} jobs are finished")
 
 
 def run_jobs(

@@ -15,8 +15,10 @@ from matplotlib.axis import Axis as NumberedAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure as Picture
+from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from greybox.export.texts import to_line
 from greybox.files import write_file
 from greybox.findings import Severity
 from greybox.plots.figure import (
@@ -59,7 +61,20 @@ def save_sheet(sheet: Sheet, png: Path, style: PictureStyle = PICTURE) -> None:
 
 
 def draw_sheet(sheet: Sheet, style: PictureStyle = PICTURE) -> Picture:
-    """A sheet as a figure of matplotlib."""
+    """A sheet as a figure of matplotlib. Texts are shown as they are: a dollar sign in a name begins no formula."""
+    with rc_context({"text.parse_math": False}):
+        picture = _draw_cells(sheet, style)
+    for text in picture.findobj(Text):
+        text.set_text(_as_lines(text.get_text()))
+    return picture
+
+
+def _as_lines(text: str) -> str:
+    """What fonts can show: without control characters and halves of characters (a file name that is not UTF-8)."""
+    return "\n".join(map(to_line, text.split("\n")))
+
+
+def _draw_cells(sheet: Sheet, style: PictureStyle) -> Picture:
     picture = Picture(figsize=sheet.size, dpi=style.dots_per_inch, layout="constrained")
     FigureCanvasAgg(picture)
     picture.suptitle(sentence(sheet.heading), fontsize=style.heading)
@@ -72,7 +87,7 @@ def draw_sheet(sheet: Sheet, style: PictureStyle = PICTURE) -> Picture:
         _draw_panel(axes, cell, style)
         handles, labels = axes.get_legend_handles_labels()
         drawn = dict(zip(labels, handles, strict=True))
-        entries |= {label: drawn[label] for label in cell.panel.labels if label not in entries}
+        entries |= {label: drawn[label] for label in cell.panel.labels if label in drawn and label not in entries}
     if entries:
         picture.legend(
             entries.values(),
@@ -121,7 +136,7 @@ def _set_up(
     if limits is not None:
         set_limits(*limits)
     if categories:
-        axis.set_ticks(range(len(categories)), categories)
+        axis.set_ticks(range(len(categories)), list(map(_as_lines, categories)))
     if spec.scale is Scale.LOG:
         _number_decades(axis)
     if spec.reversed:

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greybox.errors import GreyboxError
+from greybox.errors import GreyboxError, WorkersLostError
 from greybox.estimation import fit, multistart
-from greybox.parallel import WorkersLostError, cluster, jobs, open_cluster, run_jobs
+from greybox.parallel import cluster, jobs, open_cluster, run_jobs
 from greybox.parallel.cluster import DaskHealth
 from tests.oracles.independent import linear_record
 from tests.parallel.test_jobs import dies_once, lag

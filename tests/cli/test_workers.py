@@ -1,0 +1,140 @@
+"""Options that share the work, and signals that end a command."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from greybox.cli.app import app
+
+ROOT = Path(__file__).resolve().parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, sys.path)])}
+COMMAND = [sys.executable, "-m", "greybox.cli"]
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory) -> Path:
+    file = tmp_path_factory.mktemp("record") / "record.csv"
+    words = "simulate micro_actuator --multisine 2 --band 5:800 --duration 0.25 --sampling-time 2.5e-4 --noise x=2e-7 --noise i=5e-3"
+    done = CliRunner().invoke(app, [*words.split(), "--output", str(file), "--no-report"], prog_name="greybox")
+    assert done.exit_code == 0
+    return file
+
+
+@pytest.mark.parametrize("command", ["fit", "compare"])
+@pytest.mark.parametrize("option", [("--workers", "2"), ("--cluster", "local")])
+def test_workers_without_anything_to_share_are_refused(record, tmp_path, command, option):
+    words = [command, "micro_actuator", str(record), "--fix", "M", "--output", str(tmp_path / "out"), *option]
+    words += ["--validate", str(record)] if command == "compare" else []
+    done = CliRunner().invoke(app, words, prog_name="greybox")
+    assert done.exit_code == 2
+    assert "no effect" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["fit", "discover"])
+def test_a_cluster_that_does_not_answer_is_bad_input(record, tmp_path, command, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    words = [
+        command,
+        "micro_actuator",
+        str(record),
+        "--fix",
+        "M",
+        "--output",
+        str(tmp_path / "out"),
+        "--cluster",
+        "local",
+    ]
+    words += ["--starts", "3"] if command == "fit" else ["--validate", str(record)]
+    done = CliRunner().invoke(app, words, prog_name="greybox")
+    assert done.exit_code == 2
+    assert "pip install" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_workers_give_the_fit_that_one_process_gives(record, tmp_path):
+    fits = []
+    for workers in ("1", "2"):
+        out = tmp_path / workers
+        words = (
+            f"fit micro_actuator {record} --fix M --fix Ra --starts 3 --no-report -q --workers {workers} --output {out}"
+        )
+        subprocess.run([*COMMAND, *words.split()], env=ENVIRONMENT, check=True, timeout=170)
+        data = json.loads((out / "fit.json").read_text())
+        fits.append({name: e["value"] for name, e in data["parameters"].items()})
+        assert not (out / "starts.jsonl").exists()
+    assert fits[0] == fits[1]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals as POSIX has them")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_request_to_end_keeps_what_is_finished_and_the_same_command_goes_on(record, tmp_path, number):
+    out = tmp_path / "out"
+    words = f"fit micro_actuator {record} --fix M --fix Ra --starts 200 --workers 1 --no-report -q --output {out}"
+    process = subprocess.Popen([*COMMAND, *words.split()], env=ENVIRONMENT, stderr=subprocess.PIPE, text=True)
+    journal = out / "starts.jsonl"
+    deadline = time.monotonic() + 60
+    while not journal.exists() or journal.read_text().count("\n") < 3:
+        assert time.monotonic() < deadline and process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "interrupted" in err and "Traceback" not in err
+    assert journal.read_text().endswith("\n")
+    assert len(json.loads((out / "fit.json").read_text())["ends"]) >= 3
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-8"])
+def test_names_that_the_terminal_does_not_know_are_no_traceback(record, tmp_path, encoding):
+    folder = tmp_path / "ünï名"
+    words = [
+        "simulate",
+        "micro_actuator",
+        "--step",
+        "1",
+        "--duration",
+        "0.01",
+        "--sampling-time",
+        "1e-3",
+        "--no-report",
+    ]
+    environment = ENVIRONMENT | {"PYTHONIOENCODING": encoding}
+    done = subprocess.run(
+        [*COMMAND, *words, "--output", str(folder / "a.csv")],
+        env=environment,
+        capture_output=True,
+        timeout=120,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert (folder / "a.csv").exists()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names of any bytes")
+def test_a_file_name_that_is_no_text_is_no_traceback(tmp_path):
+    name = os.fsdecode(os.fsencode(tmp_path) + b"/odd\xff\xfe")
+    words = ["simulate", "micro_actuator", "--step", "1", "--duration", "0.01", "--sampling-time", "1e-3"]
+    command = [*COMMAND, *words, "--output", f"{name}.csv"]
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, timeout=120, check=False)
+    assert b"Traceback" not in done.stderr
+    assert done.returncode in (0, 1, 2)
+    again = [*COMMAND, "fit", "micro_actuator", f"{name}.csv", "--fix", "M", "--output", f"{name}-out"]
+    done = subprocess.run(again, env=ENVIRONMENT, capture_output=True, timeout=120, check=False)
+    assert b"Traceback" not in done.stderr, done.stderr.decode()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="closed streams as POSIX has them")
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-", ">/dev/full", "2>/dev/full"])
+def test_closed_or_full_streams_are_no_traceback(closed):
+    line = f"'{sys.executable}' -m greybox.cli models micro_actuator {closed}"
+    done = subprocess.run(["bash", "-c", line], env=ENVIRONMENT, capture_output=True, timeout=120, check=False)
+    assert b"Traceback" not in done.stderr, done.stderr.decode()
