@@ -274,6 +274,12 @@ class MultipleShooting:
                     linearised = following
                     iteration += 1
                 status = ended
+                if (
+                    status is TerminationStatus.CONVERGED
+                ):  # the last step is known already: it gives the constants their digits
+                    last = self._linearise(linearised.z + self._compute_step(linearised))
+                    is_better = last is not None and self._is_converged(last, termination)
+                    linearised = last if is_better and last.cost <= linearised.cost else linearised
         return self._make_joined(linearised, status, iteration, time.perf_counter() - began)
 
     def _initialise(self) -> SegmentedProblem:
