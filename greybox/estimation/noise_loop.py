@@ -12,18 +12,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.options import ColourTreatment, FitOptions
 from greybox.estimation.policy import NoiseLoopPolicy
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.noise import AutoRegression
 from greybox.noise.differences import estimate_spread
 from greybox.noise.noise_sources import NoiseSource
+from greybox.optim import MinimisationMethod, Termination, minimise
 from greybox.result import Misfit, RobustReport
-from greybox.transcription import DecisionVector
 from greybox.transcription.problem import EstimationProblem
 from greybox.transcription.progress import FitProgressCallback
 from greybox.transcription.robust_loss import LossKind
-from greybox.transcription.simulation_error import compute_gauss_newton_step
 from greybox.transcription.solution import Runs, Solution
 from greybox.transcription.solve import solve
 
@@ -132,26 +132,34 @@ def is_settled(ratio: np.ndarray, policy: NoiseLoopPolicy) -> bool:
 def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
     """``solution`` of free runs after some plain Gauss-Newton steps, each kept only if it lowers the cost.
 
-    With a robust loss they are steps of reweighted least squares, each nearer by about the same share: there are more of them.
+    The search ends where nothing is left to gain statistically; these give the parameters their last digits. With a robust loss they are
+    steps of reweighted least squares, each nearer by about the same share: there are more of them.
     """
-    problem, evaluation, policy = solution.problem, solution.evaluation, options.policy.convergence
-    if solution.joined or not solution.status.success or not solution.variables.size:
+    problem, policy = solution.problem, options.policy.noise_loop
+    if solution.joined or not solution.status.success:
         return solution
-    variables, passes = solution.variables, 0
-    for _ in range(policy.polishing_steps if problem.loss is None else policy.robust_polishing_steps):
-        moved = variables.recentre(_clip_to_bounds(variables, compute_gauss_newton_step(variables, evaluation)))
-        after = problem.shooting(moved).evaluate(np.zeros(moved.size))
-        passes += 1
-        if not after.cost < evaluation.cost:
-            break
-        variables, evaluation = moved, after
-    return replace(solution, variables=variables, evaluation=evaluation, evaluations=solution.evaluations + passes)
-
-
-def _clip_to_bounds(variables: DecisionVector, step: np.ndarray) -> np.ndarray:
-    """``step`` shortened to the bounds, entry by entry."""
-    low, high = variables.bounds()
-    return np.clip(step, np.minimum(low, 0.0), np.maximum(high, 0.0))
+    objective = SimulationErrorObjective(replace(problem, variables=solution.variables))
+    low, high = solution.variables.bounds()
+    outcome = minimise(
+        objective.evaluate,
+        solution.variables.here,
+        low,
+        high,
+        method=MinimisationMethod.GAUSS_NEWTON,
+        value_at_start=solution.evaluation,
+        iterations=policy.polishing_steps if problem.loss is None else policy.robust_polishing_steps,
+        termination_test=Termination(policy.last_digits, low, high, objective.squares).test,
+        policy=replace(options.policy.minimisation, damped=policy.polishing),
+    )
+    if not outcome.evaluations:
+        return solution
+    return replace(
+        solution,
+        variables=solution.variables.recentre(outcome.z),
+        evaluation=outcome.value,
+        evaluations=solution.evaluations + outcome.evaluations,
+        seconds=solution.seconds + outcome.seconds,
+    )
 
 
 def estimate_bulk_scale(solution: Solution, policy: NoiseLoopPolicy) -> np.ndarray:

@@ -10,9 +10,7 @@ import numpy as np
 
 from greybox.estimation.objective import Objective, PredictionErrorObjective
 from greybox.estimation.options import FitOptions
-from greybox.optim import TerminationStatus, minimise
-from greybox.optim.policy import TerminationPolicy
-from greybox.optim.termination import Termination
+from greybox.optim import MinimisationMethod, Termination, TerminationPolicy, TerminationStatus, minimise
 from greybox.transcription import Evaluation
 from greybox.transcription.progress import FitProgress, FitProgressCallback
 
@@ -102,7 +100,7 @@ def refine_minimum(
         objective.variables.here,
         low,
         high,
-        method="gauss_newton",
+        method=MinimisationMethod.GAUSS_NEWTON,
         value_at_start=begin,
         iterations=policy.scoring_steps,
         termination_test=Termination(termination or policy.termination, low, high, objective.squares).test,

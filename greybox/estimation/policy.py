@@ -14,7 +14,7 @@ from typing import Any
 
 from scipy.special import chdtri
 
-from greybox.optim.policy import TerminationPolicy
+from greybox.optim import GaussNewtonPolicy, TerminationPolicy
 from greybox.transcription.policy import SolverPolicy
 
 
@@ -31,6 +31,22 @@ class NoiseLoopPolicy:
     least_scale: float = 0.3
     """Lower limit of the scale of a robust loss over an estimated noise, which outliers may have made so much too large; less is
     rounding."""
+
+    polishing_steps: int = 3
+    """Gauss-Newton steps after the last round at most, which give the parameters their last digits."""
+
+    robust_polishing_steps: int = 30
+    """The same with a robust loss, where each step of reweighted least squares is nearer by about the same share."""
+
+    last_digits: TerminationPolicy = field(
+        default_factory=lambda: TerminationPolicy(negligible_decrease=1e-12, perfect_noise_ratio=0.0, little_gain=0.0)
+    )
+    """They end where the next one would move the parameters by a millionth of their standard deviations."""
+
+    polishing: GaussNewtonPolicy = field(
+        default_factory=lambda: GaussNewtonPolicy(initial_damping=0.0, max_rejections=1)
+    )
+    """Undamped, so that they go to the end along sloppy directions as well; the first that gains nothing is the last."""
 
 
 @dataclass(frozen=True)

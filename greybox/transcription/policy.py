@@ -153,17 +153,10 @@ class RobustLossPolicy:
 
 @dataclass(frozen=True)
 class ConvergencePolicy(TerminationPolicy):
-    """When a search by simulation error has converged, and how its last digits are found."""
+    """When a search by simulation error has converged."""
 
     negligible_decrease_in_part: float = 1e-2
     """The negligible decrease over part of a record, which is only a way to a start: a tenth of a standard deviation will do."""
-
-    polishing_steps: int = 3
-    """Gauss-Newton steps after the search, which ends where nothing is left to gain statistically: they give the parameters their
-    last digits."""
-
-    robust_polishing_steps: int = 30
-    """The same with a robust loss, where each step of reweighted least squares is nearer by about the same share."""
 
     weak_prior: float = 0.25
     """Precision of the prior on the logarithm of positive parameters while only part of the record is used: a factor e^2 is one
