@@ -9,6 +9,7 @@ law, ``linear_input`` and ``band_limited_input`` say how the input moves between
 
 from __future__ import annotations
 
+from greybox.effects.contact import CONTACT
 from greybox.effects.damping import DAMPING
 from greybox.effects.elasticity import ELASTICITY
 from greybox.effects.electrical import ELECTRICAL
@@ -17,15 +18,17 @@ from greybox.effects.friction import FRICTION
 from greybox.effects.intersample import BETWEEN_SAMPLES
 from greybox.effects.level import LEVEL
 from greybox.effects.load import LOAD
+from greybox.effects.placement import AT, Placement, find_placements, place_effect
 from greybox.effects.scales import Scales, measure_scales, tailor_to_record
 from greybox.effects.signal_path import SIGNAL_PATH
-from greybox.errors import ModelError, UnitError, nearest
+from greybox.errors import ModelError, nearest
 from greybox.model import Effect, Model
 
 CATALOGUE: tuple[Effect, ...] = (
     *FRICTION,
     *DAMPING,
     *ELASTICITY,
+    *CONTACT,
     *ELECTRICAL,
     *FLOW,
     *LEVEL,
@@ -38,6 +41,7 @@ CATALOGUE: tuple[Effect, ...] = (
 __all__ = [
     "BETWEEN_SAMPLES",
     "CATALOGUE",
+    "CONTACT",
     "DAMPING",
     "ELASTICITY",
     "ELECTRICAL",
@@ -46,10 +50,13 @@ __all__ = [
     "LEVEL",
     "LOAD",
     "SIGNAL_PATH",
+    "Placement",
     "Scales",
     "applicable_effects",
     "effect",
+    "find_placements",
     "measure_scales",
+    "place_effect",
     "tailor_to_record",
 ]
 
@@ -60,7 +67,7 @@ def effect(name: str) -> Effect:
     Parameters
     ----------
     name
-        Its name, as ``docs/catalogue.md`` lists it.
+        Its name, as ``docs/catalogue.md`` lists it; with ``_at_`` and the name of a site for that one.
 
     Returns
     -------
@@ -77,22 +84,27 @@ def effect(name: str) -> Effect:
     >>> effect("coulomb_friction").equation
     '-Fc sign(v)'
     """
-    for entry in CATALOGUE:
-        if entry.name == name:
-            return entry
-    raise ModelError(f"the catalogue has no effect {name!r}; {nearest(name, [entry.name for entry in CATALOGUE])}")
+    entries = {entry.name: entry for entry in CATALOGUE}
+    base, at, site = name.partition(AT)
+    if name not in entries and at and base in entries:
+        return place_effect(entries[base], site)
+    if name not in entries:
+        raise ModelError(f"the catalogue has no effect {name!r}; {nearest(name, list(entries))}")
+    return entries[name]
 
 
 def applicable_effects(model: Model, scales: Scales | None = None) -> list[Effect]:
     """The effects of the catalogue that a model may hide.
 
-    An effect fits if the model has its site, every role that its equation and units speak of and every term that it replaces, and
-    does not contain it already. A model without a balance ``force`` takes no friction, one without a ``displacement`` no spring.
+    An effect fits if the model has a site for it, every role that its equation and units speak of and every term that it replaces, and
+    does not contain it already. A model without the balance of a velocity takes no friction, one without a displacement no spring. Where a
+    model has several sites (bodies, inputs, outputs), each takes an effect of its own: ``coulomb_friction`` at the first,
+    ``coulomb_friction_at_load`` at another.
 
     Parameters
     ----------
     model
-        A model; its ``candidates`` name the effects to consider, none named means all.
+        A model; its ``candidates`` name the effects to consider, none named means all at every site.
     scales
         Those of a record: each effect is then made ready for it with `tailor_to_record`.
 
@@ -108,16 +120,10 @@ def applicable_effects(model: Model, scales: Scales | None = None) -> list[Effec
     UnitError
         If an effect fits but its term has not the unit of its balance: a mistake in the catalogue.
     """
-    wanted = [effect(name).name for name in model.candidates] or [entry.name for entry in CATALOGUE]
-    fitting = [entry for entry in CATALOGUE if entry.name in wanted and _fits(model, entry)]
+    wanted = {effect(name).name for name in model.candidates}
+    entries = tuple(e for e in CATALOGUE if not wanted or any(name.partition(AT)[0] == e.name for name in wanted))
+    placed = [p.effect for p in find_placements(model, entries) if p.effect is not None]
+    fitting = [entry for entry in placed if not wanted or entry.name in wanted]
+    names = {entry.name for entry in (*fitting, *model.effects)}
+    fitting = [e for e in fitting if e.name in wanted or not (e.stands_for and names.issuperset(e.stands_for))]
     return [tailor_to_record(entry, scales) for entry in fitting] if scales else fitting
-
-
-def _fits(model: Model, entry: Effect) -> bool:
-    try:
-        model + entry  # writing the equations out asks for every site, role, term and unit
-    except UnitError:
-        raise
-    except ModelError:
-        return False
-    return True

@@ -44,11 +44,15 @@ def _hysteresis_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Express
 
 
 def _hysteresis_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    # With |gamma| > beta the loop turns into a hardening spring, which has a name of its own.
-    gamma = ca.fmin(ca.fmax(p.gamma, -p.beta), p.beta)
     v = x.velocity
-    closing = {"beta": -p.beta * ca.fabs(v) * x.z, "gamma": -gamma * v * ca.fabs(x.z)}
+    closing = {"beta": -p.beta * ca.fabs(v) * x.z, "gamma": -p.gamma * v * ca.fabs(x.z)}
     return [Balance("loop", "{velocity}", 1, "z", motion=v, **closing)]
+
+
+def _hysteresis_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
+    """Constants that bend the branch visibly over the stroke, and no further than explicit steps follow."""
+    least, most = 1e-3 / s.displacement, 1e3 / s.displacement
+    return {"beta": (least, most), "gamma": (-most, most)}
 
 
 def _coupling_force(x: NamedValues, p: NamedValues) -> Expression:
@@ -138,7 +142,7 @@ viscoelastic_creep = Effect(
         amplitude_parameter("K1", "{force}/{displacement}", "stiffness of the branch that relaxes", low=0.0),
         shape_parameter("tau1", "s", 0.1, (1e-7, 1e6), "time in which it relaxes"),
     ],
-    states=[State("z", "{displacement}", lambda p: p.sensor, relaxing=True, description="crept position")],
+    states=[State("z", "{displacement}", lambda p: p.displacement, relaxing=True, description="crept position")],
     terms=_creep_force,
     balances=_creep_balance,
     equation="-K1 (x - z), tau1 z' = x - z",
@@ -164,7 +168,7 @@ bouc_wen_hysteresis = Effect(
             "1/{displacement}",
             0.0,
             (-1e12, 1e12),
-            "how much softer it is on its way back, between -beta and beta",
+            "how much sooner it yields on its way out than on its way back; below -beta it hardens",
         ),
     ],
     states=[State("z", "{displacement}", relaxing=True, description="stretch of the hysteretic branch")],
@@ -180,6 +184,7 @@ bouc_wen_hysteresis = Effect(
     amplitudes=("alpha",),
     probe=lambda s: {"alpha": s.visible_force / s.displacement},
     grid=lambda s: {"beta": geometric_grid(0.3 / s.displacement, 30 / s.displacement, 5), "gamma": [0.0]},
+    limits=_hysteresis_limits,
 )
 
 second_mode = Effect(
@@ -207,7 +212,7 @@ second_mode = Effect(
         ),
     ],
     states=[
-        State("z1", "{displacement}", lambda p: p.sensor, description="position of the second mass"),
+        State("z1", "{displacement}", lambda p: p.displacement, description="position of the second mass"),
         State("z2", "{velocity}", description="its velocity"),
     ],
     terms=_second_mode_force,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import casadi as ca
 
 from greybox.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
-from greybox.effects.policy import FLOW_LIMITS
+from greybox.effects.policy import FLOW_LIMITS, START
 from greybox.effects.scales import Scales
 from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, State
@@ -70,6 +71,15 @@ def _volumes(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Exp
         "pressure_a": ca.fmax(1 + change, FLOW_LIMITS.least_volume),
         "pressure_b": ca.fmax(1 - change, FLOW_LIMITS.least_volume),
     }
+
+
+def _root_leak(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    pressure = x.pressure
+    return -p.c * pressure / (pressure**2 + p.laminar**2) ** 0.25
+
+
+def _back_pressure(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return -p.b * x.store * x.driven
 
 
 chamber_leakage = Effect(
@@ -153,4 +163,52 @@ position_dependent_volume = Effect(
     probe=lambda s: {"scale": 0.1},
 )
 
-FLOW: tuple[Effect, ...] = (chamber_leakage, choked_flow, supply_droop, position_dependent_volume)
+root_leak = Effect(
+    "root_leak",
+    site="pressure",
+    parameters=[
+        amplitude_parameter("c", "{force}/{pressure}**0.5", "leak over the root of the pressure difference", low=0.0),
+        # Below this pressure the leak is laminar; it only keeps the root smooth.
+        replace(
+            shape_parameter("laminar", "{pressure}", 1.0, (1e-12, 1e12), "pressure below which the leak is laminar"),
+            fixed=True,
+        ),
+    ],
+    terms=_root_leak,
+    equation="-c sqrt(abs(p)) sign(p)",
+    parity="odd",
+    tells_apart=(
+        "Hold the body and let the pressure decay: through an orifice it reaches zero in finite time, through a laminar gap it decays"
+        " by equal ratios in equal times."
+    ),
+    source="orifice law of Torricelli: H. Merritt, Hydraulic Control Systems, Wiley 1967",
+    amplitudes=("c",),
+    probe=lambda s: {"c": s.visible_force / s.store**0.5},
+    grid=lambda s: {"laminar": [START.laminar_share * s.store]},
+)
+
+pump_back_pressure = Effect(
+    "pump_back_pressure",
+    site="store",
+    parameters=[amplitude_parameter("b", "1/{store}", "share of the driven flow lost per pressure or level", low=0.0)],
+    terms=_back_pressure,
+    equation="-b p (flow driven by the inputs)",
+    parity="even",
+    tells_apart=(
+        "Hold the pump at one speed against several pressures: its flow falls with the pressure; a curved pump does so with its speed,"
+        " whatever the pressure."
+    ),
+    source="slope of a pump's characteristic, or its internal leak: H. Merritt, Hydraulic Control Systems, Wiley 1967",
+    amplitudes=("b",),
+    probe=lambda s: {"b": START.visible_share / s.store},
+    limits=lambda s: {"b": (0.0, 10.0 / s.store)},
+)
+
+FLOW: tuple[Effect, ...] = (
+    chamber_leakage,
+    choked_flow,
+    supply_droop,
+    position_dependent_volume,
+    root_leak,
+    pump_back_pressure,
+)

@@ -91,6 +91,31 @@ def _lugre_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     return {"s1": (0.0, 3 * s.storage / s.period)}
 
 
+def _friction_under_load(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
+    level = p.Fc + p.mu * x.transmitted
+    return DryFriction(sliding=level, static=level)
+
+
+def _loaded_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    # The mean level is what a fitted Coulomb friction shows.
+    level, load = values["Fc"], START.mean_load * s.force
+    return [{"Fc": share * level, "mu": (1 - share) * level / load} for share in (0.1, 0.5, 0.9)]
+
+
+def _friction_by_direction(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
+    # Levels that differ are their mean with a constant force beside it, at standstill too.
+    mean = (p.Fp + p.Fm) / 2
+    return DryFriction(sliding=mean, static=mean)
+
+
+def _force_by_direction(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return (p.Fm - p.Fp) / 2
+
+
+def _directions_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    return [{"Fp": share * values["Fc"], "Fm": (2 - share) * values["Fc"]} for share in (1.0, 1.5, 0.5)]
+
+
 def _quadratic_damping(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.B2 * ca.fabs(x.velocity) * x.velocity
 
@@ -173,4 +198,60 @@ quadratic_damping = Effect(
     probe=lambda s: {"B2": s.visible_force / s.velocity**2},
 )
 
-FRICTION: tuple[Effect, ...] = (coulomb_friction, stribeck_friction, lugre_friction, quadratic_damping)
+load_dependent_friction = Effect(
+    "load_dependent_friction",
+    site="force",
+    parameters=[
+        amplitude_parameter("Fc", "{force}", "friction without load", low=0.0),
+        amplitude_parameter("mu", "1", "friction over the force transmitted", low=0.0, high=1.0),
+    ],
+    dry=_friction_under_load,
+    equation="-(Fc + mu (sizes of the forces that do not depend on v)) sign(v)",
+    parents=("coulomb_friction",),
+    parity="odd",
+    tells_apart=(
+        "Move at one speed under several loads: this friction grows with the load, Coulomb and viscous friction do not."
+    ),
+    source=(
+        "gears and harmonic drives: Hamon, Gautier, Garrec 2010, Dynamic identification of robots with a dry friction model depending"
+        " on load and velocity"
+    ),
+    amplitudes=("Fc", "mu"),
+    probe=lambda s: {"Fc": 0.5 * s.visible_force, "mu": START.visible_share},
+    from_parent=_loaded_from_coulomb,
+)
+
+asymmetric_friction = Effect(
+    "asymmetric_friction",
+    site="force",
+    parameters=[
+        amplitude_parameter("Fp", "{force}", "friction while sliding forward", low=0.0),
+        amplitude_parameter("Fm", "{force}", "friction while sliding backward", low=0.0),
+    ],
+    dry=_friction_by_direction,
+    terms=_force_by_direction,
+    equation="-Fp for v > 0, +Fm for v < 0",
+    parents=("coulomb_friction",),
+    stands_for=("coulomb_friction", "constant_load"),
+    parity="odd",
+    tells_apart=(
+        "Coulomb friction with a constant load is exactly the same. Turn the rig over, or take the load off: friction that differs by"
+        " direction stays."
+    ),
+    source=(
+        "Armstrong-Helouvry, Dupont, Canudas de Wit 1994, A survey of models, analysis tools and compensation methods for the"
+        " control of machines with friction"
+    ),
+    amplitudes=("Fp", "Fm"),
+    probe=lambda s: {"Fp": s.visible_force, "Fm": 0.5 * s.visible_force},
+    from_parent=_directions_from_coulomb,
+)
+
+FRICTION: tuple[Effect, ...] = (
+    coulomb_friction,
+    stribeck_friction,
+    lugre_friction,
+    quadratic_damping,
+    load_dependent_friction,
+    asymmetric_friction,
+)

@@ -13,6 +13,8 @@ class StartingValues:
     """Share of the largest force: an effect of this size is visible in a good record and small enough to be nearly linear."""
     friction_ratios: tuple[float, float, float] = (1.2, 1.6, 2.4)
     """Friction at standstill over friction while sliding: about 1.2 for dry metal, up to 2.5 for seals and grease."""
+    mean_load: float = 0.5
+    """Mean of the transmitted force over the largest one."""
     second_mass: float = 0.04
     """Of the moving mass: a second mass of this size is visible but small."""
     second_damping: float = 0.02
@@ -25,6 +27,16 @@ class StartingValues:
     """Largest rate of an overflow, per sampling period: faster than the samples follow, an edge is an edge."""
     longest_delay: float = 16.0
     """Longest delay that is considered, in sampling periods: a longer one is seen with the naked eye."""
+    stop_edges: tuple[float, ...] = (0.9, 0.75, 0.6, 0.45)
+    """Where an end stop may begin, as shares of the travel in the record, the faintest first."""
+    stop_depth: float = 0.3
+    """Share of the travel that a body goes into a stop of visible size."""
+    nearest_stop: float = 0.05
+    """Share of the travel within which no stop is looked for about zero, and beyond its ends."""
+    cogging_periods: tuple[float, ...] = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0)
+    """Periods of a periodic force over the travel of the record that a search starts from."""
+    laminar_share: float = 1e-3
+    """Share of the largest pressure below which a leak is laminar: the root has no slope at zero."""
     bounds_reach: float = 1000.0
     """How far the bounds of a shape parameter reach beyond its start values, as a factor either way."""
     rows: int = 5000

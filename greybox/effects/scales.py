@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import casadi as ca
 import numpy as np
@@ -11,7 +11,36 @@ import numpy as np
 from greybox.effects.policy import START
 from greybox.errors import DataError
 from greybox.model import Effect, Model
+from greybox.model.sites import Site, SiteKind, find_sites
 from greybox.numerics import INTEGRATING_POLE
+
+
+@dataclass(frozen=True)
+class SiteScales:
+    """How large things are at one site: peaks of what an effect there sees, 0 where there is no such signal.
+
+    Attributes
+    ----------
+    displacement, velocity, force, storage
+        Of a balance.
+    lowest, highest
+        Between which the displacement lies.
+    store
+        Peak of the pressure or level that the balance stores.
+    input, sensor, reading
+        Of an input, and of an output: how far it moves from its first value, and its peak.
+    """
+
+    displacement: float = 0.0
+    velocity: float = 0.0
+    force: float = 0.0
+    storage: float = 0.0
+    lowest: float = 0.0
+    highest: float = 0.0
+    store: float = 0.0
+    input: float = 0.0
+    sensor: float = 0.0
+    reading: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -40,6 +69,12 @@ class Scales:
         Peak of the main output itself.
     peaks
         Peak of every state that has a role, by role.
+    lowest, highest
+        Between which the displacement lies.
+    store
+        Peak of the first pressure or level.
+    sites
+        Scales at every site of the model, by the names and labels of the sites.
     """
 
     displacement: float
@@ -56,6 +91,15 @@ class Scales:
     slowest: float
     reading: float = 1.0
     peaks: Mapping[str, float] = field(default_factory=dict)
+    lowest: float = 0.0
+    highest: float = 0.0
+    store: float = 0.0
+    sites: Mapping[str, SiteScales] = field(default_factory=dict)
+
+    def at(self, site: str) -> Scales:
+        """The same as an effect at ``site`` sees it: peaks there in the place of those at the first site of their kind."""
+        shown = {f.name: getattr(self.sites[site], f.name) for f in fields(SiteScales)} if site in self.sites else {}
+        return replace(self, **{name: value for name, value in shown.items() if value})
 
     @property
     def visible_force(self) -> float:
@@ -95,33 +139,69 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
         raise DataError(
             f"model {model.title!r}: no row of the simulated states is finite; start from other values of its parameters"
         )
-    roles = {state.role: k for k, state in enumerate(model.all_states) if state.role}
-
-    def peak(role: str) -> float:
-        return _peak(x[:, roles[role]]) if role in roles else 0.0
-
+    columns = {state.name: x[:, k] for k, state in enumerate(model.all_states)}
+    peaks = {state.role: _peak(columns[state.name]) for state in model.all_states if state.role}
     arguments = [system.x, system.u, system.p]
     every_term = [ca.Function("terms", arguments, [ca.vertcat(*b.terms.values())]) for b in system.balances]
     balances = {b.name: _peak(np.asarray(f(x.T, u.T, p))) for b, f in zip(system.balances, every_term, strict=True)}
-    stored = next((b.storage for b in system.balances if b.name == "force"), 0)
-    shown = np.asarray(system.output_function(x.T, u.T, p))[0]
-    storage = ca.Function("storage", arguments, [ca.SX(stored)])
+    stored = ca.Function("storage", arguments, [ca.vertcat(*[ca.SX(b.storage) for b in system.balances])])
+    storages = dict(zip(balances, np.asarray(stored(x[0], u[0], p)).ravel().tolist(), strict=True))
+    readings = dict(zip(system.output_names, np.asarray(system.output_function(x.T, u.T, p)), strict=True))
+    inputs = dict(zip(system.input_names, u.T, strict=True))
+    sites: dict[str, SiteScales] = {}
+    for site in model.sites:
+        at_site = _measure_site(site, columns, inputs, readings, balances, storages)
+        sites |= {site.name: at_site, site.label: at_site}
+    bodies = [sites[site.name] for site in find_sites("force", model.sites, model.inputs)]
+    body = bodies[0] if bodies else SiteScales()
+    stores = [s.store for s in sites.values() if s.store]
+    shown = readings[system.output_names[0]]
     fastest, slowest = _time_constants(model, x, u, p, duration)
     return Scales(
-        displacement=peak("displacement"),
-        velocity=peak("velocity"),
-        current=peak("current"),
+        displacement=peaks.get("displacement", body.displacement),
+        velocity=peaks.get("velocity", body.velocity),
+        current=peaks.get("current", 0.0),
         input=_peak(u[:, 0]) if u.shape[1] else 0.0,
         sensor=_peak(shown - shown[0]),
-        force=balances.get("force", 0.0),
-        storage=float(storage(x[0], u[0], p)),
+        force=body.force,
+        storage=body.storage,
         balances=balances,
         period=period,
         duration=duration,
         fastest=fastest,
         slowest=slowest,
         reading=_peak(shown),
-        peaks={role: peak(role) for role in roles},
+        peaks=peaks,
+        lowest=body.lowest,
+        highest=body.highest,
+        store=stores[0] if stores else 0.0,
+        sites=sites,
+    )
+
+
+def _measure_site(
+    site: Site,
+    states: Mapping[str, np.ndarray],
+    inputs: Mapping[str, np.ndarray],
+    readings: Mapping[str, np.ndarray],
+    balances: Mapping[str, float],
+    storages: Mapping[str, float],
+) -> SiteScales:
+    if site.kind is SiteKind.INPUT:
+        return SiteScales(input=_peak(inputs[site.name]))
+    if site.kind is SiteKind.OUTPUT:
+        shown = readings[site.name]
+        return SiteScales(sensor=_peak(shown - shown[0]), reading=_peak(shown))
+    seen = {role: states[name] for role, name in site.states.items() if name}
+    displacement = seen.get("displacement", np.zeros(0))
+    return SiteScales(
+        displacement=_peak(displacement) if len(displacement) else 0.0,
+        velocity=_peak(seen["velocity"]) if "velocity" in seen else 0.0,
+        force=balances[site.name],
+        storage=storages[site.name],
+        lowest=float(displacement.min(initial=0.0)),
+        highest=float(displacement.max(initial=0.0)),
+        store=_peak(seen["store"]) if "store" in seen else 0.0,
     )
 
 

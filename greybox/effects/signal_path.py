@@ -35,6 +35,23 @@ def _subtract_dead_zone(value: Expression, x: NamedValues, u: NamedValues, p: Na
     return value - ca.fmin(ca.fmax(value, -p.d), p.d)
 
 
+def _scale_by_sign(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return value - p.g * ca.fmin(value, 0)
+
+
+def _play_of_input(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    # What the state was and where the input is: play does not depend on the way between.
+    return ca.fmin(ca.fmax(x.w, value - p.h), value + p.h)
+
+
+def _update_input_play(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+    return {"w": ca.fmin(ca.fmax(x.w, u.input - p.h), u.input + p.h)}
+
+
+def _rectify(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return value - 2 * p.r * ca.fmin(value, 0)
+
+
 def _spool_position(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return x.w
 
@@ -146,6 +163,72 @@ valve_dead_zone = replace(
         " piston moves."
     ),
     source="overlap of a spool and its ports; Linear ARX modelling of pneumatic actuator system (chapter 10)",
+)
+
+gain_by_sign = Effect(
+    "gain_by_sign",
+    site="input",
+    parameters=[
+        amplitude_parameter(
+            "g", "1", "share by which a negative input does less, negative where it does more", high=1.0
+        )
+    ],
+    on_input=_scale_by_sign,
+    equation="u for u > 0, (1 - g) u for u < 0",
+    parity="even",
+    tells_apart=(
+        "Repeat a step of either sign at two sizes: the answers differ by the same ratio at both sizes, those of an input offset by"
+        " the same amount; a constant load acts with the input at rest too."
+    ),
+    source="unequal piston areas or valve edges; amplifier with unequal branches",
+    amplitudes=("g",),
+    probe=lambda s: {"g": 0.03},
+    limits=lambda s: {"g": (-9.0, 1.0)},
+)
+
+input_hysteresis = Effect(
+    "input_hysteresis",
+    site="drive",
+    parameters=[amplitude_parameter("h", "{drive}", "half of the width of the loop", low=0.0)],
+    states=[State("w", "{drive}", description="input that gets through")],
+    update=_update_input_play,
+    on_input=_play_of_input,
+    equation="w = min(max(w, u - h), u + h), w in the place of u",
+    parity="odd",
+    tells_apart=(
+        "Drive with slow triangles of two sizes: after each reversal nothing happens until the input has come back by 2 h, whatever"
+        " its size; a dead zone is passed at zero only, and a lag shrinks with the frequency."
+    ),
+    source="play in front of the plant: M. Krasnoselskii, A. Pokrovskii, Systems with Hysteresis, Springer 1989",
+    amplitudes=("h",),
+    probe=lambda s: {"h": 0.01 * s.input},
+    limits=lambda s: {"h": (0.0, s.input)},
+)
+
+valve_hysteresis = replace(
+    input_hysteresis,
+    name="valve_hysteresis",
+    site="valve",
+    parameters=(amplitude_parameter("h", "{valve}", "half of the width of the loop", low=0.0),),
+    states=(State("w", "{valve}", description="position of the spool, as the voltage that would hold it"),),
+    source="friction of the spool and remanence of its solenoid, in data sheets of proportional valves: hysteresis 2 h over the range",
+)
+
+rectified_reading = Effect(
+    "rectified_reading",
+    site="sensor",
+    parameters=[
+        amplitude_parameter("r", "1", "0.5 for a sensor that ends at zero, 1 for one without sign", low=0.0, high=1.0)
+    ],
+    on_output=_rectify,
+    equation="y for y > 0, (1 - 2 r) y for y < 0",
+    parity="even",
+    tells_apart=(
+        "Reverse the motion slowly: the reading goes on at zero, or turns round there, while every other output passes through."
+    ),
+    source="tacho with a rectifier, flow meter without direction, converter of one sign",
+    amplitudes=("r",),
+    probe=lambda s: {"r": 0.05},
 )
 
 valve_lag = Effect(
@@ -270,10 +353,14 @@ SIGNAL_PATH: tuple[Effect, ...] = (
     soft_saturation,
     input_dead_zone,
     valve_dead_zone,
+    gain_by_sign,
+    input_hysteresis,
+    valve_hysteresis,
     valve_lag,
     transport_delay,
     input_offset,
     sensor_drift,
     sensor_lag,
     backlash,
+    rectified_reading,
 )

@@ -9,7 +9,8 @@ from typing import Any
 
 import casadi as ca
 
-from greybox.effects import CATALOGUE
+from greybox.effects import CATALOGUE, place_effect
+from greybox.effects.placement import AT
 from greybox.errors import GreyboxError
 from greybox.export.identifiers import to_identifier
 from greybox.export.plant import Plant, to_plant
@@ -221,7 +222,9 @@ def _catalogue_entry(effect: Effect) -> Effect | None:
         names = [q.name for q in e.parameters], [s.name for s in e.states]
         return e.name, e.site, *names, *(getattr(e, hook) for hook in HOOKS)
 
-    return next((entry for entry in CATALOGUE if parts(entry) == parts(effect)), None)
+    entries = [entry for entry in CATALOGUE if effect.name.startswith(entry.name)]
+    placed = [place_effect(e, effect.site) for e in entries if effect.name == f"{e.name}{AT}{effect.site}"]
+    return next((entry for entry in (*entries, *placed) if parts(entry) == parts(effect)), None)
 
 
 def _effect(bound: BoundEffect, model: Model) -> str:
@@ -274,7 +277,7 @@ def _effect_symbols(bound: BoundEffect, model: Model) -> tuple[NamedValues, Name
     u = NamedValues("input", {i.name: ca.SX.sym(i.name) for i in model.inputs}, roles)
     p = NamedValues("parameter", {q.name: ca.SX.sym(q.name) for q in model.stated_parameters}, roles)
     x, p = x.replaced({"sensor": ca.SX.sym(SENSOR)}), p.replaced({"sensor": ca.SX.sym(SENSOR_AT_REST)})
-    return bound.placed.sees_states(x), u, bound.placed.sees_parameters(p)
+    return bound.placed.sees_states(x), bound.placed.sees_inputs(u), bound.placed.sees_parameters(p)
 
 
 def _effect_names(bound: BoundEffect, model: Model) -> dict[str, str]:

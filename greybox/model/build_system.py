@@ -12,6 +12,7 @@ from greybox.model.balance import Balance
 from greybox.model.effect_hooks import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
 from greybox.model.process_noise import build_diffusion
 from greybox.model.signals import NamedValues, Output, State
+from greybox.model.sites import Site, SiteKind, list_sites, require_site
 from greybox.model.system import (
     DryFrictionTerm,
     EffectEquations,
@@ -26,6 +27,8 @@ from greybox.model.ties import apply_ties
 from greybox.numerics import STATE_BOUND_MARGIN
 from greybox.units import format_unit
 
+NOWHERE = Site("", SiteKind.BALANCE, "")
+
 
 def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
     """Each effect with unique names, resolved units and its site.
@@ -37,36 +40,35 @@ def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:
     taken = {item.name for item in plant}
     base = _plant_balances(statement)
     units = _units_by_word(statement, base)
-    inputs, outputs = statement.inputs, statement.outputs
-    sites = [*(b.name for b in base), *(i.name for i in inputs), *(o.name for o in outputs)]
-    site_names = {"sensor": outputs[0].name} | {i.role: i.name for i in inputs if i.role}
-    if inputs:
-        site_names = {"input": inputs[0].name} | site_names
+    sites = list_sites(statement.states, statement.inputs, statement.outputs, base)
     placed: list[PlacedEffect] = []
     for effect in statement.effects:
         if any(effect.name == other.effect.name for other in placed):
             raise ModelError(
                 f"model {statement.name!r} already has the effect {effect.name!r}; an effect can be added once"
             )
-        site = site_names.get(effect.site, effect.site)
-        if effect.site and site not in sites:
-            raise ModelError(
-                f"effect {effect.name!r} acts at {effect.site!r}, which model {statement.name!r} does not have;"
-                f" {nearest(site, sites)}"
-            )
+        site = (
+            require_site(effect.name, effect.site, statement.name, sites, statement.inputs) if effect.site else NOWHERE
+        )
+        words = {word: unit for word, unit in (units | _unit_words(site.units)).items() if site.states.get(word) != ""}
         items: tuple[Item, ...] = (*effect.parameters, *effect.states)
         names = {item.name: f"{effect.name}.{item.name}" if item.name in taken else item.name for item in items}
         parameters = tuple(
-            ParameterSymbol(names[q.name], _fill_unit(q.unit, units, effect, statement.name), q.role)
+            ParameterSymbol(names[q.name], _fill_unit(q.unit, words, effect, statement.name), q.role)
             for q in effect.parameters
         )
         states = tuple(
-            replace(s, name=names[s.name], unit=_fill_unit(s.unit, units, effect, statement.name))
+            replace(s, name=names[s.name], unit=_fill_unit(s.unit, words, effect, statement.name))
             for s in effect.states
         )
         taken |= set(names.values())
         placed.append(PlacedEffect(effect, parameters, states, site))
     return tuple(placed)
+
+
+def plant_sites(statement: Statement) -> tuple[Site, ...]:
+    """The sites of a plant, whatever effects it has."""
+    return list_sites(statement.states, statement.inputs, statement.outputs, _plant_balances(statement))
 
 
 def build_system(statement: Statement) -> System:
@@ -91,7 +93,7 @@ def build_system(statement: Statement) -> System:
     x, u, p, before = _transform_signals(statement, effects, x, u, p)
     balances = {b.name: b for b in statement.balances(x, u, p)}
     outputs = {o.name: _output(o, x, u, p) for o in statement.outputs}
-    start = _start(statement, effects, p, outputs[statement.outputs[0].name], symbols_x, symbols_u)
+    start = _start(statement, effects, p, outputs, symbols_x, symbols_u)
     ranges = dict(zip((q.name for q in every), statement.delay_ranges, strict=False))
     equations = _Equations(
         statement,
@@ -101,6 +103,7 @@ def build_system(statement: Statement) -> System:
         outputs,
         _units_by_word(statement, balances.values()),
         {name: ranges[name] for name in (q.name for q in parameters)} if ranges else {},
+        {name: frozenset(b.terms) for name, b in balances.items()},
     )
     for effect in effects:
         equations.add(effect, *before.get(effect.effect.name, (x, u)), p)
@@ -147,6 +150,7 @@ class _Equations:
     outputs: dict[str, ca.SX]
     units: Mapping[str, str]
     delay_ranges: Mapping[str, tuple[float, ...]]
+    plant_terms: Mapping[str, frozenset[str]]
     dry: list[DryFrictionTerm] = field(default_factory=list)
     updates: list[StateUpdate] = field(default_factory=list)
     delays: list[InputDelay] = field(default_factory=list)
@@ -155,7 +159,8 @@ class _Equations:
         """Apply an effect that comes to see the states ``x`` and the inputs ``u``."""
         effect, outputs = placed.effect, self.outputs
         sensor = outputs[placed.site if placed.site in outputs else self.statement.outputs[0].name]
-        names = placed.sees_states(x.replaced({"sensor": sensor})), u, placed.sees_parameters(p)
+        seen = placed.sees_states(x.replaced({"sensor": sensor, **self._balance_sums(placed, u)}))
+        names = seen, placed.sees_inputs(u), placed.sees_parameters(p)
         for site, changed in (effect.on_term(*names) if effect.on_term else {}).items():
             self.balances[site] = self._balance(site, effect).with_terms_replaced(changed)
         for site, factor in (effect.on_storage(*names) if effect.on_storage else {}).items():
@@ -163,7 +168,9 @@ class _Equations:
         if effect.terms:
             terms = effect.terms(*names)
             for site, term in (terms if isinstance(terms, Mapping) else {placed.site: terms}).items():
-                self.balances[site] = self._balance(site, effect).with_term(effect.name, term)
+                # Dry friction has the name of the effect; what acts beside it has another.
+                term_name = f"{effect.name}_beside" if effect.dry else effect.name
+                self.balances[site] = self._balance(site, effect).with_term(term_name, term)
         if effect.dry:
             target = self._balance(placed.site, effect)
             state, friction = self.states.index(target.state), effect.dry(*names)
@@ -174,7 +181,8 @@ class _Equations:
         model_names = placed.model_names
         for balance in effect.balances(*names) if effect.balances else ():
             name = f"{effect.name}.{balance.name}"
-            unit = _fill_unit(balance.unit, self.units, effect, self.statement.name)
+            words = self.units | _unit_words(placed.place.units)
+            unit = _fill_unit(balance.unit, words, effect, self.statement.name)
             state_name = model_names.get(balance.state, balance.state)
             self.balances[name] = Balance(name, unit, balance.storage, state_name, **balance.terms)
         if effect.update:
@@ -184,6 +192,19 @@ class _Equations:
             self.delays.append(build_delay(effect.name, effect.delay(*names), placed.site, inputs, self.delay_ranges))
         if effect.on_output:
             outputs[placed.site] = effect.on_output(outputs[placed.site], *names)
+
+    def _balance_sums(self, placed: PlacedEffect, u: NamedValues) -> dict[str, ca.SX]:
+        """``x.transmitted``: the sizes of the terms at a balance that do not depend on its velocity; ``x.driven``: those of inputs."""
+        balance = self.balances.get(placed.site)
+        if balance is None:
+            return {}
+        terms = [ca.SX(t) for name, t in balance.terms.items() if name in self.plant_terms[placed.site]]
+        velocity = self.x[self.states.index(balance.state)]
+        inputs = ca.vertcat(*[ca.SX(u[i.name]) for i in self.statement.inputs])
+        symbols = ca.vertcat(*ca.symvar(inputs))
+        sizes = [ca.fabs(t) for t in terms if not ca.depends_on(t, velocity)]
+        driven = [t for t in terms if symbols.numel() and ca.depends_on(t, symbols)]
+        return {"transmitted": sum(sizes, ca.SX(0)), "driven": sum(driven, ca.SX(0))}
 
     def _balance(self, site: str, effect: EffectEquations) -> Balance:
         if site not in self.balances:
@@ -197,18 +218,20 @@ def _transform_signals(
     """States, inputs and parameters as the balances see them, and for effects that change them what came to each of these."""
     for placed in effects:  # parameters where they are used
         if placed.effect.on_parameter:
-            used = placed.effect.on_parameter(placed.sees_states(x), u, placed.sees_parameters(p))
+            used = placed.effect.on_parameter(placed.sees_states(x), placed.sees_inputs(u), placed.sees_parameters(p))
             p = p.replaced({_name_of(name, statement.parameters): value for name, value in used.items()})
     before: dict[str, tuple[NamedValues, NamedValues]] = {}
     for placed in effects:  # inputs on their way in
         if placed.effect.on_input:
             before[placed.effect.name] = x, u
-            value = placed.effect.on_input(u[placed.site], placed.sees_states(x), u, placed.sees_parameters(p))
+            names = placed.sees_states(x), placed.sees_inputs(u), placed.sees_parameters(p)
+            value = placed.effect.on_input(u[placed.site], *names)
             u = u.replaced({placed.site: value})
     for placed in effects:  # states as the model sees them
         if placed.effect.on_state:
             seen = before[placed.effect.name] = x, before.get(placed.effect.name, (x, u))[1]
-            used = placed.effect.on_state(placed.sees_states(x), seen[1], placed.sees_parameters(p))
+            names = placed.sees_states(x), placed.sees_inputs(seen[1]), placed.sees_parameters(p)
+            used = placed.effect.on_state(*names)
             x = x.replaced({_name_of(name, statement.states): value for name, value in used.items()})
     return x, u, p, before
 
@@ -219,15 +242,28 @@ def _plant_balances(statement: Statement) -> list[Balance]:
 
 
 def _start(
-    statement: Statement, effects: Sequence[PlacedEffect], p: NamedValues, reading: ca.SX, x: ca.SX, u: ca.SX
+    statement: Statement,
+    effects: Sequence[PlacedEffect],
+    p: NamedValues,
+    outputs: Mapping[str, ca.SX],
+    x: ca.SX,
+    u: ca.SX,
 ) -> ca.SX:
-    """The state at rest: that of the plant, and those of effects, which may speak of the main output ``reading`` at rest."""
+    """The state at rest: that of the plant, and those of effects, which may speak of the reading and the displacement there at rest."""
     plant = _start_values(statement.states, p)
-    at_rest = ca.substitute(
-        ca.SX(reading), ca.vertcat(x[: plant.numel()], u), ca.vertcat(plant, ca.SX.zeros(u.numel()))
-    )
-    known = p.replaced({"sensor": at_rest})
-    return ca.vertcat(plant, *(_start_values(e.states, e.sees_parameters(known)) for e in effects))
+    at_rest = ca.vertcat(plant, ca.SX.zeros(u.numel()))
+    symbols = ca.vertcat(x[: plant.numel()], u)
+    numbers = {s.name: k for k, s in enumerate(statement.states)}
+    starts = [plant]
+    for placed in effects:
+        reading = outputs[placed.site if placed.site in outputs else statement.outputs[0].name]
+        known = {"sensor": ca.substitute(ca.SX(reading), symbols, at_rest)}
+        by_role = next((s.name for s in statement.states if s.role == "displacement"), "")
+        displacement = placed.place.states.get("displacement", by_role)
+        if displacement:
+            known["displacement"] = plant[numbers[displacement]]
+        starts.append(_start_values(placed.states, placed.sees_parameters(p.replaced(known))))
+    return ca.vertcat(*starts)
 
 
 def _start_values(states: Sequence[State], p: NamedValues) -> ca.SX:
@@ -248,7 +284,11 @@ def _units_by_word(statement: Statement, balances: Iterable[Balance]) -> dict[st
     words["sensor"] = statement.outputs[0].unit
     if statement.inputs:
         words["input"] = statement.inputs[0].unit
-    return {word: f"({unit or '1'})" for word, unit in words.items()}
+    return _unit_words(words)
+
+
+def _unit_words(units: Mapping[str, str]) -> dict[str, str]:
+    return {word: f"({unit or '1'})" for word, unit in units.items()}
 
 
 def _fill_unit(unit: str, words: Mapping[str, str], effect: EffectEquations, model: str) -> str:

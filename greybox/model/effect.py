@@ -48,8 +48,9 @@ class Effect:
     name
         What results, files and the command line call it.
     site
-        Where it acts: the name of a balance, the role of an input (``drive``, ``valve``), ``input`` (the first input) or ``sensor`` (the
-        main output).
+        Where it acts: ``force`` (the balance of a velocity), the name of a balance, of an input or an output, the role of an input
+        (``drive``, ``valve``), ``input``, ``sensor`` (an output), ``pressure`` or ``store`` (the balance of a pressure, of a pressure or
+        a level). Where a model has several it is the first; see `greybox.model.sites`.
     parameters, states
         Its own. Units may refer to the model: ``"{force}/{displacement}**3"`` is N/m^3 on a rig in newton and metre. A state that may be
         fast is declared ``State(..., relaxing=True)``.
@@ -80,6 +81,8 @@ class Effect:
         The equation in one line, for tables.
     parents
         Names of effects that this one contains as a special case.
+    stands_for
+        Names of effects that together say exactly the same: where all of them are candidates this one is not, as no record could tell.
     parity
         Its symmetry in the variable it depends on: even, odd, linear, slow.
     tells_apart
@@ -132,6 +135,7 @@ class Effect:
     hold: str = ""
     equation: str = ""
     parents: Sequence[str] = ()
+    stands_for: Sequence[str] = ()
     parity: str = ""
     tells_apart: str = ""
     source: str = ""

@@ -13,6 +13,7 @@ import numpy as np
 
 from greybox.errors import ModelError, nearest
 from greybox.model.balance import Balance
+from greybox.model.build_system import plant_sites
 from greybox.model.effect import Effect
 from greybox.model.process_noise import (
     check_process_noise,
@@ -24,6 +25,7 @@ from greybox.model.process_noise import (
 from greybox.model.rules import Rule, check_constants, check_measured, check_outputs_known
 from greybox.model.schedules import schedule_effect
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State
+from greybox.model.sites import Site
 from greybox.model.system import BoundEffect, ParameterSymbol, Statement, System
 from greybox.model.system_cache import SYSTEMS
 from greybox.model.ties import Formula, Tie, apply_ties, as_formula, check_tie, check_tied_value
@@ -122,6 +124,11 @@ class Model(Printable):
             BoundEffect(effect, tuple(map(_renamed, effect.parameters, placed.parameters)), placed)
             for effect, placed in zip(self.effects, self.system.effects, strict=True)
         )
+
+    @cached_property
+    def sites(self) -> tuple[Site, ...]:
+        """Every balance, input and output of the plant as a place where effects may act."""
+        return plant_sites(self.statement)
 
     @property
     def all_states(self) -> tuple[State, ...]:

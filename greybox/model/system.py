@@ -18,6 +18,7 @@ from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effect_hooks import InputDelay, StateUpdate
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State
+from greybox.model.sites import Site
 from greybox.model.ties import Tie
 
 
@@ -133,7 +134,12 @@ class PlacedEffect:
     effect: EffectEquations
     parameters: tuple[ParameterSymbol, ...]
     states: tuple[State, ...]
-    site: str
+    place: Site
+
+    @property
+    def site(self) -> str:
+        """The balance, input or output at which it acts."""
+        return self.place.name
 
     @property
     def model_names(self) -> dict[str, str]:
@@ -143,14 +149,18 @@ class PlacedEffect:
         return {own_item.name: placed.name for own_item, placed in zip(inner, outer, strict=True)}
 
     def sees_states(self, x: NamedValues) -> NamedValues:
-        """The states as the effect's functions see them: its own names come first."""
+        """The states as the effect's functions see them: its own names come first, and roles are those at its site."""
         names = self.model_names
-        return x.replaced({state.name: x[names[state.name]] for state in self.effect.states})
+        return x.seen_from({s.name: x[names[s.name]] for s in self.effect.states}, self.place.states)
+
+    def sees_inputs(self, u: NamedValues) -> NamedValues:
+        """The inputs as the effect's functions see them: ``u.input`` and the like are the one at its site."""
+        return u.seen_from({}, self.place.inputs)
 
     def sees_parameters(self, p: NamedValues) -> NamedValues:
         """The parameters as the effect's functions see them: its own names come first."""
         names = self.model_names
-        return p.replaced({q.name: p[names[q.name]] for q in self.effect.parameters})
+        return p.seen_from({q.name: p[names[q.name]] for q in self.effect.parameters}, {})
 
 
 @dataclass(frozen=True)

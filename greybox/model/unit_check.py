@@ -87,7 +87,8 @@ class _UnitCheck:
         (x, u, p), effect, subject = self.symbols, placed.effect, f"effect {placed.effect.name!r}"
         outputs = {o.name: o.unit for o in self.statement.outputs}
         reading = ca.SX.sym(MEASURED)
-        names = placed.sees_states(x.replaced({"sensor": reading})), u, placed.sees_parameters(p)
+        seen = placed.sees_states(x.replaced({"sensor": reading}))
+        names = seen, placed.sees_inputs(u), placed.sees_parameters(p)
         known = {**self.units, MEASURED: outputs.get(placed.site, self.statement.outputs[0].unit)}
         for given, value in (effect.on_parameter(*names) if effect.on_parameter else {}).items():
             parameter = next((q.name for q in self.parameters if given in (q.name, q.role)), None)

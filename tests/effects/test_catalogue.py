@@ -77,13 +77,13 @@ def test_every_effect_says_what_it_is_and_where_it_comes_from(entry):
     for q in entry.parameters:
         assert q.source, q.name
         assert q.description, q.name
-        # where a calibration curve is anchored is a choice, not a constant to be found
-        assert q.fixed == ((entry.name, q.name) == ("reading_curve", "full"))
+        # where a calibration curve is anchored and where a root is smooth are choices, not constants to be found
+        assert q.fixed == ((entry.name, q.name) in {("reading_curve", "full"), ("root_leak", "laminar")})
     own = {q.name: q for q in entry.parameters}
     assert set(entry.amplitudes) <= set(own)
     assert set(entry.neutral) <= set(entry.amplitudes)
     assert all(own[name].value == entry.neutral.get(name, 0.0) for name in entry.amplitudes)
-    assert all(any(e.name == parent for e in CATALOGUE) for parent in entry.parents)
+    assert all(any(e.name == other for e in CATALOGUE) for other in (*entry.parents, *entry.stands_for))
     assert bool(entry.parents) == (entry.from_parent is not None)
     assert [e.name for e in CATALOGUE].index(entry.name) > max((NAMES.index(n) for n in entry.parents), default=-1)
 

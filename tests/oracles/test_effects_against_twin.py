@@ -86,8 +86,21 @@ PAIRS = {
         ("backlash", "input_offset"),
     ],
 }
-# Effects of the benchmark rigs, which have no twin: tests/test_real_data.py has their formulas.
+# Effects of the benchmark rigs have no twin: tests/test_real_data.py has their formulas. The others are compared with small steps in
+# tests/effects.
 BY_HAND = {
+    "load_dependent_friction",
+    "asymmetric_friction",
+    "end_stop",
+    "end_stop_above",
+    "end_stop_below",
+    "cogging",
+    "gain_by_sign",
+    "input_hysteresis",
+    "valve_hysteresis",
+    "rectified_reading",
+    "root_leak",
+    "pump_back_pressure",
     "displacement_damping",
     "cubic_damping",
     "directional_damping",

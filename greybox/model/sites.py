@@ -1,0 +1,172 @@
+"""Sites: the places in a model where an effect may act, found by role and unit and not by name alone.
+
+A *force* is any balance of a velocity: its state has the role ``velocity``, or its unit is a force, a torque or an acceleration and that
+of its state a speed. So every body of a drive train may have friction, whatever its balance is called. Seen from a site the roles
+``velocity`` and ``displacement`` mean the body there; a displacement is the state whose rate is that velocity.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import casadi as ca
+
+from greybox.errors import ModelError, nearest
+from greybox.model.balance import Balance
+from greybox.model.signals import Input, Output, State
+from greybox.units import parse_unit
+
+MOTION, STORE, PRESSURE, FIRST_INPUT, DRIVE, VALVE, SENSOR = (
+    *("force", "store", "pressure"),
+    *("input", "drive", "valve", "sensor"),
+)
+STORE_ROLES = ("pressure", "level", "upper_head", "lower_head")
+SPEEDS = tuple(map(parse_unit, ("m/s", "rad/s")))
+FORCES = tuple(map(parse_unit, ("N", "N*m", "m/s^2", "rad/s^2")))
+_KIND_OF_BALANCE = re.compile(r"_(torque|force|balance|moment|motion)$")
+
+
+class SiteKind(StrEnum):
+    """What a site is."""
+
+    BALANCE = "balance"
+    INPUT = "input"
+    OUTPUT = "output"
+
+
+@dataclass(frozen=True)
+class Site:
+    """A place where effects may act.
+
+    Parameters
+    ----------
+    name
+        Of the balance, the input or the output.
+    kind
+        Which of these it is.
+    label
+        What the names of effects there end with: ``coulomb_friction_at_load`` of a balance ``load_torque``.
+    states
+        Role -> state, as an effect there sees them; an empty name where the model has no such state at this site.
+    inputs
+        Role -> input, likewise.
+    units
+        Word -> unit, for the units of the effect's parameters.
+    """
+
+    name: str
+    kind: SiteKind
+    label: str
+    states: Mapping[str, str] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def is_motion(self) -> bool:
+        """Whether it is the balance of a velocity."""
+        return bool(self.states.get("velocity"))
+
+
+# What a place must be for each word that effects name it by.
+NEEDED: Mapping[str, str] = {
+    MOTION: "a balance of a velocity, in N, N m or per mass",
+    STORE: "a balance of a pressure or a level (role `pressure`, `level`, `upper_head` or `lower_head`)",
+    PRESSURE: "a balance of a pressure difference (role `pressure`)",
+    FIRST_INPUT: "an input",
+    DRIVE: "an input with the role `drive`, or with none",
+    VALVE: "an input with the role `valve`",
+    SENSOR: "an output",
+}
+
+
+def list_sites(
+    states: Sequence[State], inputs: Sequence[Input], outputs: Sequence[Output], balances: Sequence[Balance]
+) -> tuple[Site, ...]:
+    """Every balance, input and output of a model as a site, in this order."""
+    labels = _short_labels([b.name for b in balances], {i.name for i in inputs} | {o.name for o in outputs})
+    by_name = {s.name: s for s in states}
+    moving = [b for b in balances if _is_motion(b, by_name[b.state])]
+    sites = []
+    for b in balances:
+        state = by_name[b.state]
+        roles, units = {state.role: state.name} if state.role else {}, {MOTION: b.unit}
+        if state.role in STORE_ROLES:
+            roles[STORE] = state.name
+            units[STORE] = state.unit
+        if b in moving:
+            displacement = _find_displacement(state, balances) or _by_role("displacement", states, len(moving) == 1)
+            roles |= {"velocity": state.name, "displacement": displacement}
+            units["velocity"] = state.unit
+            units["displacement"] = by_name[displacement].unit if displacement else ""
+        sites.append(Site(b.name, SiteKind.BALANCE, labels[b.name], roles, {}, units))
+    for i in inputs:
+        words = (FIRST_INPUT, DRIVE, VALVE)
+        sites.append(
+            Site(i.name, SiteKind.INPUT, i.name, {}, dict.fromkeys(words, i.name), dict.fromkeys(words, i.unit))
+        )
+    sites += [Site(o.name, SiteKind.OUTPUT, o.name, {}, {}, {SENSOR: o.unit}) for o in outputs]
+    return tuple(sites)
+
+
+def find_sites(word: str, sites: Sequence[Site], inputs: Sequence[Input]) -> tuple[Site, ...]:
+    """The sites that ``word`` means, the one first that it means where only one is asked for.
+
+    A balance, an input or an output of that name is meant first. An input's role means all inputs that have it.
+    """
+    named = [s for s in sites if s.name == word] or [s for s in sites if s.label == word]
+    if word == MOTION:
+        meant = [s for s in sites if s.kind is SiteKind.BALANCE and s.is_motion]
+    elif word in (STORE, PRESSURE):
+        meant = [s for s in sites if s.kind is SiteKind.BALANCE and s.states.get(word)]
+    elif word == SENSOR:
+        meant = [s for s in sites if s.kind is SiteKind.OUTPUT]
+    else:
+        roles = {i.name: i.role for i in inputs}
+        meant = [s for s in sites if s.kind is SiteKind.INPUT and _takes(word, roles[s.name])]
+    first = named[:1]
+    return (*first, *(s for s in meant if s not in first))
+
+
+def require_site(effect: str, word: str, model: str, sites: Sequence[Site], inputs: Sequence[Input]) -> Site:
+    """The site of an effect. Raises ModelError where the model has none, with what it needs."""
+    meant = find_sites(word, sites, inputs)
+    if meant:
+        return meant[0]
+    remedy = f"it needs {NEEDED[word]}" if word in NEEDED else nearest(word, [s.name for s in sites])
+    raise ModelError(f"effect {effect!r} acts at {word!r}, which model {model!r} does not have; {remedy}")
+
+
+def _takes(word: str, role: str) -> bool:
+    return word == FIRST_INPUT or role == word or (word == DRIVE and not role)
+
+
+def _is_motion(balance: Balance, state: State) -> bool:
+    if state.role:
+        return state.role == "velocity"
+    try:
+        return parse_unit(balance.unit) in FORCES and parse_unit(state.unit) in SPEEDS
+    except ModelError:  # the unit check of the model says which one
+        return False
+
+
+def _find_displacement(velocity: State, balances: Sequence[Balance]) -> str:
+    """The state whose rate is that velocity; empty where there is none."""
+    for b in balances:
+        total = ca.SX(sum(b.terms.values(), ca.SX(0)) / b.storage)
+        if total.is_symbolic() and total.name() == velocity.name and b.state != velocity.name:
+            return b.state
+    return ""
+
+
+def _by_role(role: str, states: Sequence[State], alone: bool) -> str:
+    names = [s.name for s in states if s.role == role]
+    return names[0] if alone and names else ""
+
+
+def _short_labels(names: Sequence[str], taken: set[str]) -> dict[str, str]:
+    short = {name: _KIND_OF_BALANCE.sub("", name) for name in names}
+    used = [*short.values(), *taken]
+    return {name: s if used.count(s) == 1 and (s == name or s not in names) else name for name, s in short.items()}
