@@ -9,7 +9,7 @@ from typing import Any
 from greybox.effects.scales import Scales
 from greybox.errors import ModelError, UnitError
 from greybox.model import Effect, Model
-from greybox.model.sites import FIRST_INPUT, PRESSURE, STORE, SiteKind, find_sites
+from greybox.model.sites import FIRST_INPUT, PRESSURE, STORE, PlaceKind, find_sites
 
 AT = "_at_"
 
@@ -104,16 +104,16 @@ def _placements_of(model: Model, entry: Effect) -> list[Placement]:
     one_place = entry.on_parameter or entry.on_term or entry.on_state or entry.on_storage or entry.hold
     first = entry
     other_input = (
-        entry.site != FIRST_INPUT and places[0].kind is SiteKind.INPUT and places[0].name != model.inputs[0].name
+        entry.site != FIRST_INPUT and places[0].kind is PlaceKind.INPUT and places[0].name != model.inputs[0].name
     )
     if other_input or entry.site in (STORE, PRESSURE):
         first = _measured_at(entry, places[0].name)
-    found = [_try(model, first, places[0].name)]
+    placements = [_try(model, first, places[0].name)]
     for place in () if one_place else places[1:]:
         attempt = _try(model, place_effect(entry, place.label), place.name)
         if attempt.effect is not None:
-            found.append(attempt)
-    return found
+            placements.append(attempt)
+    return placements
 
 
 def _try(model: Model, entry: Effect, site: str) -> Placement:

@@ -11,7 +11,7 @@ import numpy as np
 from greybox.effects.policy import START
 from greybox.errors import DataError
 from greybox.model import Effect, Model
-from greybox.model.sites import Site, SiteKind, find_sites
+from greybox.model.sites import PlaceKind, Site, find_sites
 from greybox.numerics import INTEGRATING_POLE
 
 
@@ -187,9 +187,9 @@ def _measure_site(
     balances: Mapping[str, float],
     storages: Mapping[str, float],
 ) -> SiteScales:
-    if site.kind is SiteKind.INPUT:
+    if site.kind is PlaceKind.INPUT:
         return SiteScales(input=_peak(inputs[site.name]))
-    if site.kind is SiteKind.OUTPUT:
+    if site.kind is PlaceKind.OUTPUT:
         shown = readings[site.name]
         return SiteScales(sensor=_peak(shown - shown[0]), reading=_peak(shown))
     seen = {role: states[name] for role, name in site.states.items() if name}

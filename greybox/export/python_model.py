@@ -41,6 +41,7 @@ TRANSFORMS = ("on_input", "on_output")  # functions of a value besides x, u and 
 DESCRIPTIONS = ("hold", "equation", "parity", "tells_apart", "source")
 # Symbols with names that no signal can have.
 OUTPUT_VALUE, SENSOR, SENSOR_AT_REST = "measured value", "reading of the sensor", "reading at rest"
+DISPLACEMENT_AT_REST = "displacement at rest"
 TRANSFORMED = "value to be changed"
 
 
@@ -276,7 +277,8 @@ def _effect_symbols(bound: BoundEffect, model: Model) -> tuple[NamedValues, Name
     x = NamedValues("state", {s.name: ca.SX.sym(s.name) for s in model.all_states}, roles)
     u = NamedValues("input", {i.name: ca.SX.sym(i.name) for i in model.inputs}, roles)
     p = NamedValues("parameter", {q.name: ca.SX.sym(q.name) for q in model.stated_parameters}, roles)
-    x, p = x.replaced({"sensor": ca.SX.sym(SENSOR)}), p.replaced({"sensor": ca.SX.sym(SENSOR_AT_REST)})
+    x = x.replaced({"sensor": ca.SX.sym(SENSOR)})
+    p = p.replaced({"sensor": ca.SX.sym(SENSOR_AT_REST), "displacement": ca.SX.sym(DISPLACEMENT_AT_REST)})
     return bound.placed.sees_states(x), bound.placed.sees_inputs(u), bound.placed.sees_parameters(p)
 
 
@@ -285,6 +287,7 @@ def _effect_names(bound: BoundEffect, model: Model) -> dict[str, str]:
     effect_names = {outer: inner for inner, outer in bound.model_names.items()}
     groups = (("x", model.all_states), ("u", model.inputs), ("p", model.stated_parameters))
     names = {SENSOR: "x.sensor", SENSOR_AT_REST: "p.sensor", TRANSFORMED: "value"}
+    names[DISPLACEMENT_AT_REST] = "p.displacement"
     for letter, group in groups:
         for s in group:
             name = effect_names.get(s.name, s.name)

@@ -12,7 +12,7 @@ from greybox.model.balance import Balance
 from greybox.model.effect_hooks import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
 from greybox.model.process_noise import build_diffusion
 from greybox.model.signals import NamedValues, Output, State
-from greybox.model.sites import Site, SiteKind, list_sites, require_site
+from greybox.model.sites import PlaceKind, Site, list_sites, require_site
 from greybox.model.system import (
     DryFrictionTerm,
     EffectEquations,
@@ -27,7 +27,7 @@ from greybox.model.ties import apply_ties
 from greybox.numerics import STATE_BOUND_MARGIN
 from greybox.units import format_unit
 
-NOWHERE = Site("", SiteKind.BALANCE, "")
+NOWHERE = Site("", PlaceKind.BALANCE, "")
 
 
 def place_effects(statement: Statement) -> tuple[PlacedEffect, ...]:

@@ -234,13 +234,13 @@ class NamedValues:
         """The same names with some values (and roles) replaced or added."""
         return NamedValues(self._kind, self._values | dict(values), self._roles | dict(roles or {}))
 
-    def seen_from(self, own: Mapping[str, Expression], roles: Mapping[str, str]) -> NamedValues:
-        """The same as an effect sees it: ``roles`` mean the names given here (none where it is empty), and ``own`` names come first.
+    def seen_from(self, effect_values: Mapping[str, Expression], roles: Mapping[str, str]) -> NamedValues:
+        """The same as an effect sees it: ``roles`` mean the names given here (none where it is empty), and ``effect_values`` come first.
 
-        A role goes on meaning what it meant, also where one of the own names is that of the value.
+        A role goes on meaning what it meant, also where one of these values has its name.
         """
         values = {name: value for name, value in self._values.items() if name not in roles or roles[name] == name}
         meant = {role: self._values[name] for role, name in (self._roles | dict(roles)).items() if name in self._values}
-        kept = {role: value for role, value in meant.items() if role in roles or self._roles[role] in own}
+        kept = {role: value for role, value in meant.items() if role in roles or self._roles[role] in effect_values}
         left = {role: name for role, name in self._roles.items() if roles.get(role, name)}
-        return NamedValues(self._kind, {**values, **kept, **own}, left)
+        return NamedValues(self._kind, {**values, **kept, **effect_values}, left)

@@ -29,7 +29,7 @@ FORCES = tuple(map(parse_unit, ("N", "N*m", "m/s^2", "rad/s^2")))
 _KIND_OF_BALANCE = re.compile(r"_(torque|force|balance|moment|motion)$")
 
 
-class SiteKind(StrEnum):
+class PlaceKind(StrEnum):
     """What a site is."""
 
     BALANCE = "balance"
@@ -58,7 +58,7 @@ class Site:
     """
 
     name: str
-    kind: SiteKind
+    kind: PlaceKind
     label: str
     states: Mapping[str, str] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
@@ -101,13 +101,13 @@ def list_sites(
             roles |= {"velocity": state.name, "displacement": displacement}
             units["velocity"] = state.unit
             units["displacement"] = by_name[displacement].unit if displacement else ""
-        sites.append(Site(b.name, SiteKind.BALANCE, labels[b.name], roles, {}, units))
+        sites.append(Site(b.name, PlaceKind.BALANCE, labels[b.name], roles, {}, units))
     for i in inputs:
         words = (FIRST_INPUT, DRIVE, VALVE)
         sites.append(
-            Site(i.name, SiteKind.INPUT, i.name, {}, dict.fromkeys(words, i.name), dict.fromkeys(words, i.unit))
+            Site(i.name, PlaceKind.INPUT, i.name, {}, dict.fromkeys(words, i.name), dict.fromkeys(words, i.unit))
         )
-    sites += [Site(o.name, SiteKind.OUTPUT, o.name, {}, {}, {SENSOR: o.unit}) for o in outputs]
+    sites += [Site(o.name, PlaceKind.OUTPUT, o.name, {}, {}, {SENSOR: o.unit}) for o in outputs]
     return tuple(sites)
 
 
@@ -118,14 +118,14 @@ def find_sites(word: str, sites: Sequence[Site], inputs: Sequence[Input]) -> tup
     """
     named = [s for s in sites if s.name == word] or [s for s in sites if s.label == word]
     if word == MOTION:
-        meant = [s for s in sites if s.kind is SiteKind.BALANCE and s.is_motion]
+        meant = [s for s in sites if s.kind is PlaceKind.BALANCE and s.is_motion]
     elif word in (STORE, PRESSURE):
-        meant = [s for s in sites if s.kind is SiteKind.BALANCE and s.states.get(word)]
+        meant = [s for s in sites if s.kind is PlaceKind.BALANCE and s.states.get(word)]
     elif word == SENSOR:
-        meant = [s for s in sites if s.kind is SiteKind.OUTPUT]
+        meant = [s for s in sites if s.kind is PlaceKind.OUTPUT]
     else:
         roles = {i.name: i.role for i in inputs}
-        meant = [s for s in sites if s.kind is SiteKind.INPUT and _takes(word, roles[s.name])]
+        meant = [s for s in sites if s.kind is PlaceKind.INPUT and _takes(word, roles[s.name])]
     first = named[:1]
     return (*first, *(s for s in meant if s not in first))
 

@@ -162,13 +162,14 @@ def test_an_effect_of_a_fit_goes_by_the_name_of_its_site():
 def test_a_site_that_is_not_there_is_refused():
     with pytest.raises(ModelError, match="acts at 'wheel', which model 'two_bodies' does not have"):
         (TWO_BODIES + effect("coulomb_friction_at_wheel")).system  # noqa: B018
-    with pytest.raises(ModelError, match="acts at 'force'.*it needs a balance of a velocity"):
-        heat = Model(
-            "heat",
-            [State("T", "K")],
-            [Input("P", "W")],
-            [Output("T", "K")],
-            [Parameter("C", "J/K", 1.0)],
-            lambda x, u, p: [Balance("heat", "W", p.C, "T", heater=u.P)],
-        )
-        (heat + Effect("drag", "force", [], terms=lambda x, u, p: -x.velocity)).system  # noqa: B018
+    heat = Model(
+        "heat",
+        [State("T", "K")],
+        [Input("P", "W")],
+        [Output("T", "K")],
+        [Parameter("C", "J/K", 1.0)],
+        lambda x, u, p: [Balance("heat", "W", p.C, "T", heater=u.P)],
+    )
+    drag = Effect("drag", "force", [], terms=lambda x, u, p: -x.velocity)
+    with pytest.raises(ModelError, match=r"acts at 'force'.*it needs a balance of a velocity"):
+        (heat + drag).system  # noqa: B018
