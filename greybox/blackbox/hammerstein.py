@@ -19,7 +19,7 @@ from greybox.blackbox.prediction_error import (
     PredictionErrors,
     check_history,
     compute_prediction_errors,
-    minimise,
+    minimise_prediction_errors,
     refuse_collinear,
     split_records,
     stabilise,
@@ -276,7 +276,7 @@ class _HammersteinProblem:
 
     def minimise(self, theta: np.ndarray, policy: PredictionErrorPolicy, iterations: int) -> PredictionErrorMinimum:
         """The search from ``theta`` (p,)."""
-        return minimise(self.evaluate, self.stabilise, theta, policy=policy, iterations=iterations)
+        return minimise_prediction_errors(self.evaluate, self.stabilise, theta, policy=policy, iterations=iterations)
 
     def starts(self, policy: PredictionErrorPolicy) -> Iterator[tuple[_HammersteinProblem, np.ndarray]]:
         """Linear estimates with every basis function as an input of its own, their numerators then made multiples of one

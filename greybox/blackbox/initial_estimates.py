@@ -15,6 +15,7 @@ from greybox.blackbox.prediction_error import compute_prediction_errors
 from greybox.blackbox.responses import predict_ahead
 from greybox.blackbox.sampled_data import SampledData, SampledRecord, delay_rows
 from greybox.blackbox.structure import PolynomialStructure, to_monic
+from greybox.optim import QuadraticModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +173,7 @@ def _with_best_numerators(
     linear = [*range(1, 1 + n), len(parts) - 1]
     free = np.concatenate([np.full(size, k in linear) for k, size in enumerate(structure.sizes)])
     errors = compute_prediction_errors(structure, start, data, data.records, rest=rest, with_gradient=True)
-    start[free] = -np.linalg.lstsq(errors.gradient[:, free], errors.e, rcond=None)[0]
+    start[free] = QuadraticModel.from_residuals(errors.gradient[:, free], errors.e).bounded_step()
     return start
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from greybox.optim.policy import GaussNewtonPolicy, TerminationPolicy
+
 
 @dataclass(frozen=True)
 class PredictionErrorPolicy:
@@ -16,16 +18,8 @@ class PredictionErrorPolicy:
     """Iterations from each start; after these only the best goes on. Enough to tell basins apart."""
     iterations: int = 100
     """Iterations of the final search. A quadratically converging search needs about ten."""
-    relative_decrease: float = 1e-12
-    """The search ends when a step predicts, or brings, less than this share of the sum of squares."""
     duplicate: float = 1e-3
     """Relative difference of two starts' sums of squares below which they are the same start."""
-    damping: float = 1e-4
-    """Initial damping, in units of the squared norm of a scaled gradient."""
-    damping_growth: float = 2.0
-    """Factor on the damping after a step that failed; it doubles with each further failure (Nielsen 1999)."""
-    largest_damping: float = 1e12
-    """The search ends here: no step this short can help in double precision."""
     long_order: int = 12
     """Least order of the long ARX model whose innovations and impulse response the starts are made of."""
     long_order_factor: int = 3
@@ -40,6 +34,17 @@ class PredictionErrorPolicy:
     """Least number of impulse-response samples that are realised as a state space."""
     impulse_rows_per_pole: int = 12
     """Impulse-response samples for each pole, where this is more."""
+    termination: TerminationPolicy = field(
+        default_factory=lambda: TerminationPolicy(
+            negligible_decrease=1e-12, perfect_noise_ratio=0.0, patience=1, little_gain=1e-12
+        )
+    )
+    """When a search ends: a millionth of a standard deviation gives the coefficients their digits. The errors are in the output's unit, so
+    that none is small by itself."""
+    damped: GaussNewtonPolicy = field(
+        default_factory=lambda: GaussNewtonPolicy(initial_damping=1e-4, max_rejections=10, max_kink_steps=100)
+    )
+    """How its steps are damped. Starts are far off, and there are no kinks."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,12 @@ class StructureScanPolicy:
 
     search: PredictionErrorPolicy = field(
         default_factory=lambda: PredictionErrorPolicy(
-            starts=2, first_iterations=4, iterations=15, relative_decrease=1e-6
+            starts=2,
+            first_iterations=4,
+            iterations=15,
+            termination=TerminationPolicy(
+                negligible_decrease=1e-2, perfect_noise_ratio=0.0, patience=1, little_gain=1e-6
+            ),
         )
     )
     """Search while scanning: enough to rank structures."""

@@ -33,6 +33,14 @@ from greybox.numerics import (
     FADED_RESPONSE,
     NEGLIGIBLE_SINGULAR_VALUE,
 )
+from greybox.optim import (
+    MinimisationMethod,
+    MinimisationPolicy,
+    QuadraticModel,
+    Termination,
+    TerminationStatus,
+    minimise,
+)
 
 HistoryTreatment = Literal["estimated", "zero"]
 Starts = Callable[[PolynomialStructure, SampledData, bool, PredictionErrorPolicy], Sequence[np.ndarray]]
@@ -277,15 +285,16 @@ def minimise_from_starts(
     followed = distinct[: policy.starts]
     first = policy.first_iterations if len(followed) > 1 else policy.iterations
     minima = [
-        minimise(problem.evaluate, problem.stabilise, starts[k], policy=policy, iterations=first) for k in followed
+        minimise_prediction_errors(problem.evaluate, problem.stabilise, starts[k], policy=policy, iterations=first)
+        for k in followed
     ]
     best = min(minima, key=lambda m: m.errors.squares)
     if best.converged or first == policy.iterations:
         return best
-    return minimise(problem.evaluate, problem.stabilise, best.theta, policy=policy)
+    return minimise_prediction_errors(problem.evaluate, problem.stabilise, best.theta, policy=policy)
 
 
-def minimise(
+def minimise_prediction_errors(
     evaluate: Callable[[np.ndarray, bool], PredictionErrors],
     stabilise: Callable[[np.ndarray], np.ndarray],
     start: np.ndarray,
@@ -293,45 +302,45 @@ def minimise(
     policy: PredictionErrorPolicy = DEFAULT_SEARCH,
     iterations: int | None = None,
 ) -> PredictionErrorMinimum:
-    """Levenberg and Marquardt's search from ``start`` (p,), damped after Nielsen (1999) by the actual over the predicted decrease.
+    """Damped Gauss-Newton steps from ``start`` (p,).
 
     ``evaluate`` gives the errors, with their gradient if its second argument says so; ``stabilise`` maps coefficients to allowed
     ones. ``iterations``: None takes those of the ``policy``.
     """
-    limit = policy.iterations if iterations is None else iterations
-    theta = stabilise(start)
-    current = evaluate(theta, True)
-    damping, growth, taken = policy.damping, policy.damping_growth, 0
-    while taken < limit and current.squares > 0:
-        step, predicted_decrease = _damped_step(current, damping)
-        negligible = policy.relative_decrease * current.squares
-        if predicted_decrease <= negligible or damping > policy.largest_damping:
-            return PredictionErrorMinimum(theta, current, taken, True)
-        trial_theta = stabilise(theta + step)
-        trial = evaluate(trial_theta, False)
-        gain_ratio = (current.squares - trial.squares) / predicted_decrease
-        if not gain_ratio > 0:
-            damping, growth = damping * growth, 2 * growth
-            continue
-        damping, growth = damping * max(1 / 3, 1 - (2 * min(gain_ratio, 1.0) - 1) ** 3), policy.damping_growth
-        converged = current.squares - trial.squares <= negligible
-        theta, taken = trial_theta, taken + 1
-        current = evaluate(theta, True)
-        if converged:
-            return PredictionErrorMinimum(theta, current, taken, True)
-    return PredictionErrorMinimum(theta, current, taken, current.squares == 0)
+    begin = stabilise(start)
+    unbounded = np.full(len(begin), np.inf)
+    first = _ErrorModel.at(evaluate(begin, True))
+    result = minimise(
+        lambda theta: _ErrorModel.at(evaluate(theta, True)),
+        begin,
+        -unbounded,
+        unbounded,
+        method=MinimisationMethod.GAUSS_NEWTON,
+        value_at_start=first,
+        iterations=policy.iterations if iterations is None else iterations,
+        termination_test=Termination(policy.termination, count=len(first.errors.e)).test,
+        project=stabilise,
+        cost=lambda theta: evaluate(theta, False).squares,
+        policy=MinimisationPolicy(damped=policy.damped),
+    )
+    # Where no step is short enough to help, the errors are as small as rounding allows.
+    ended = result.status is not TerminationStatus.ITERATION_LIMIT
+    return PredictionErrorMinimum(result.z, (result.value or first).errors, result.iterations, ended)
 
 
-def _damped_step(current: PredictionErrors, damping: float) -> tuple[np.ndarray, float]:
-    """The damped Gauss-Newton step (p,) and its predicted decrease of the sum of squares."""
-    scale = np.linalg.norm(current.gradient, axis=0)
-    scale[scale == 0] = 1.0
-    triangle = np.asarray(np.linalg.qr(np.column_stack([current.gradient / scale, current.e]), mode="r"))
-    left, size, right = np.linalg.svd(triangle[: len(scale), : len(scale)])
-    size = np.where(size > NEGLIGIBLE_SINGULAR_VALUE * size[0], size, 0.0)
-    pull = left.T @ triangle[: len(scale), -1]
-    weight = size / (size**2 + damping)
-    return -right.T @ (pull * weight) / scale, float(np.sum(pull**2 * weight * (2 * size - size**2 * weight)))
+@dataclass(frozen=True, eq=False)
+class _ErrorModel(QuadraticModel):
+    """The sum of squares of ``errors`` as a function of the coefficients, near those that they belong to."""
+
+    errors: PredictionErrors
+
+    @classmethod
+    def at(cls, errors: PredictionErrors) -> _ErrorModel:
+        if not np.isfinite(errors.squares) or not np.isfinite(errors.gradient).all():
+            p = errors.gradient.shape[1]
+            return cls(np.inf, np.zeros(p), np.zeros((p, p)), errors)
+        model = QuadraticModel.from_residuals(errors.gradient, errors.e)
+        return cls(model.cost, model.gradient, model.hessian, errors, factor=model.factor)
 
 
 def stabilise(structure: PolynomialStructure, theta: np.ndarray) -> np.ndarray:

@@ -22,7 +22,8 @@ def run_gauss_newton(
     project: Callable[[np.ndarray], np.ndarray] | None = None,
     while_predicted: bool = False,
 ) -> bool:
-    """Levenberg and Marquardt's steps from the best point, until the termination test of ``search`` ends it; whether it did.
+    """Levenberg and Marquardt's steps from the best point, damped after Nielsen (1999) by the actual over the predicted decrease, until
+    the termination test of ``search`` ends it; whether it did.
 
     An interior-point method that begins close to the optimum may follow its barrier away from it for many iterations, and one that
     begins far away on a nearly singular curvature may find no step at all: both look like steps that are shortened for nothing.
@@ -37,14 +38,15 @@ def run_gauss_newton(
     policy
         How the damping adapts, and when the steps give up.
     steps
-        The most steps; a search that takes them all ends at its iteration limit.
+        The most steps that gain; a search that takes them all ends at its iteration limit.
     project
         Maps a point (n,) to the nearest allowed one, where bounds do not say what is allowed.
     while_predicted
         Give up at the first step that gains little of what is predicted.
     """
-    damping, rejections, kink_steps = policy.initial_damping, 0, 0
-    for _ in range(steps):
+    damping, growth, last = policy.initial_damping, policy.damping_growth, search.steps + steps
+    rejections = kink_steps = 0
+    while search.steps < last:
         model, before = search.best_value, search.best_cost
         assert model is not None  # a search keeps its start
         if not model.is_finite:
@@ -56,23 +58,20 @@ def run_gauss_newton(
             return True
         search.shortenings = 0
         trial = np.clip(search.best + step, low, high)
-        search(trial if project is None else project(trial))
-        search.steps += 1
+        search.compare(trial if project is None else project(trial))
         share = (before - search.best_cost) / predicted
-        if share > policy.good_share:
-            damping *= policy.decrease
-        elif share < policy.poor_share:
-            damping = max(damping, policy.initial_damping) * policy.increase
-        if search.best_cost < before:
-            rejections, kink_steps = 0, 0 if share > policy.kink_share else kink_steps + 1
+        if share > 0:
+            search.steps += 1
+            damping *= max(policy.largest_decrease, 1 - (2 * min(share, 1.0) - 1) ** 3)
+            rejections, growth = 0, policy.damping_growth
+            kink_steps = 0 if share > policy.kink_share else kink_steps + 1
             if search.finish_iteration():
                 return search.status is not None or search.stop
-            if kink_steps == policy.max_kink_steps:
-                return False
         else:
+            damping, growth = damping * growth, 2 * growth
             rejections += 1
-            if rejections == policy.max_rejections:
-                return False
+        if rejections == policy.max_rejections or kink_steps == policy.max_kink_steps:
+            return False
         if while_predicted and share < policy.poor_share:
             return False
     search.status = TerminationStatus.ITERATION_LIMIT

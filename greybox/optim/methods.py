@@ -47,6 +47,7 @@ def minimise(
     termination_test: TerminationTest | None = None,
     thorough: bool = True,
     project: Callable[[np.ndarray], np.ndarray] | None = None,
+    cost: Callable[[np.ndarray], float] | None = None,
     progress: IterationCallback | None = None,
     policy: MinimisationPolicy = DEFAULT_POLICY,
 ) -> MinimisationResult:
@@ -79,6 +80,8 @@ def minimise(
         Whether to search on around a kink.
     project
         Maps a point (n,) to the nearest allowed one, where bounds do not say what is allowed. Only for Gauss-Newton steps alone.
+    cost
+        ``objective(z).cost`` alone, where that is much cheaper: damped Gauss-Newton steps are tried by it.
     progress
         ``(iteration, cost)`` is called after every iteration.
     policy
@@ -96,7 +99,7 @@ def minimise(
         What ``objective`` raises.
     """
     began = time.perf_counter()
-    search = Minimisation(objective, scale, termination_test, progress, policy)
+    search = Minimisation(objective, scale, termination_test, progress, policy, cost)
     if value_at_start is not None:
         search.remember(start, value_at_start)
     if not np.isfinite(search(start).cost):

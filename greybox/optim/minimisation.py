@@ -30,7 +30,9 @@ class Minimisation:
         termination_test: TerminationTest | None,
         progress: IterationCallback | None,
         policy: MinimisationPolicy,
+        cost: Callable[[np.ndarray], float] | None = None,
     ) -> None:
+        self.cost = cost
         self.evaluate, self.scale, self.progress, self.policy = evaluate, scale, progress, policy
         self.termination_test = termination_test
         self.evaluations = self.iteration = self.shortenings = self.steps = 0
@@ -55,6 +57,11 @@ class Minimisation:
             self.evaluations += 1
             self.remember(z, self.evaluate(z))
         return self._last[1]
+
+    def compare(self, z: np.ndarray) -> None:
+        """Make ``z`` the best point if its cost is lower; the derivatives of the others are not computed where the cost is cheaper."""
+        if self.cost is None or self.cost(z) < self.best_cost:
+            self(z)
 
     @property
     def stalled(self) -> bool:

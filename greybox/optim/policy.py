@@ -39,11 +39,11 @@ class GaussNewtonPolicy:
     initial_damping: float = 1e-6
     """Damping of the first step, as a share of the curvature: nearly a full Gauss-Newton step, which is right near a smooth optimum."""
 
-    decrease: float = 0.1
-    """Factor on the damping after a step that gains nearly what its quadratic model predicts."""
+    largest_decrease: float = 1 / 3
+    """Least factor on the damping after a step that gains what its quadratic model predicts (Nielsen 1999)."""
 
-    increase: float = 10.0
-    """Factor on the damping after a step that gains little of what was predicted, or nothing."""
+    damping_growth: float = 2.0
+    """Factor on the damping after a step that gained nothing; it doubles with each further one in a row (Nielsen 1999)."""
 
     good_share: float = 0.75
     """Share of the predicted decrease from which a step counts as well predicted (Fletcher's upper ratio)."""
@@ -55,7 +55,7 @@ class GaussNewtonPolicy:
     """Steps in all; a smooth cost needs ten to twenty from a lost start."""
 
     max_rejections: int = 8
-    """Steps in a row that gain nothing: by then the damping has grown to 100 times the curvature, and no direction is left to try."""
+    """Steps in a row that gain nothing: by then the damping has grown by ten decades, and no direction is left to try."""
 
     kink_share: float = 0.1
     """Along a kink even a short step gains less than this share of what is predicted, because the gradient is that of one side."""

@@ -64,13 +64,15 @@ class QuadraticModel:
         with np.errstate(over="ignore", invalid="ignore"):
             return bool(np.isfinite(self._scaled).all() and np.isfinite(self.gradient).all())
 
-    def bounded_step(self, low: np.ndarray, high: np.ndarray, damping: float = 0.0) -> np.ndarray:
+    def bounded_step(
+        self, low: np.ndarray | None = None, high: np.ndarray | None = None, damping: float = 0.0
+    ) -> np.ndarray:
         """The step to the minimum of the model within bounds, by a primal active set (Nocedal and Wright 2006, section 16.5).
 
         Parameters
         ----------
         low, high
-            Distances to the bounds (n,), ``low <= 0 <= high``; infinite where there are none.
+            Distances to the bounds (n,), ``low <= 0 <= high``; infinite, or None, where there are none.
         damping
             Is added to the diagonal of the scaled matrix (Levenberg and Marquardt).
 
@@ -81,8 +83,10 @@ class QuadraticModel:
         """
         if not self.is_finite:
             return np.zeros(len(self.gradient))
-        low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
         free = self._free_step(damping) / self.scale
+        if low is None or high is None:
+            return free
+        low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
         if np.all((free >= low) & (free <= high)):
             return free
         root, target, cutoff = self._least_squares
@@ -107,8 +111,6 @@ class QuadraticModel:
         """
         if not self.is_finite:
             return np.inf
-        if low is None or high is None:
-            return self.decrease_along(self._free_step(0.0) / self.scale)
         return self.decrease_along(self.bounded_step(low, high))
 
     def decrease_along(self, step: np.ndarray) -> float:
