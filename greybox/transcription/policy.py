@@ -99,7 +99,7 @@ class RelaxationPolicy:
     max_steps: int = 15
     """Steps at most."""
 
-    damped: GaussNewtonPolicy = field(default_factory=lambda: GaussNewtonPolicy(increase=100.0, max_rejections=5))
+    damped: GaussNewtonPolicy = field(default_factory=lambda: GaussNewtonPolicy(damping_growth=100.0, max_rejections=5))
     """How the steps are damped: quickly, as the start need not be good."""
 
     prior_weight: float = 0.25
