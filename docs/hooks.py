@@ -156,6 +156,23 @@ def catalogue() -> str:
     return "\n\n".join(sections)
 
 
+def result_files() -> str:
+    """Each kind of result file with its keys, from the schema that files are checked against."""
+    from greybox.schemas import ResultKind, read_schema
+
+    definitions = read_schema()["$defs"]
+    sections = []
+    for kind in ResultKind:
+        schema = definitions[kind]
+        rows = ["| key | holds |", "|---|---|"]
+        for key, value in schema["properties"].items():
+            inner = definitions[value["$ref"].rpartition("/")[2]] if "$ref" in value else value
+            needed = "" if key in schema.get("required", ()) else " (later files)" if kind == ResultKind.FIT else ""
+            rows.append(f"| `{key}` | {value.get('description') or inner['description']}{needed} |")
+        sections.append("\n".join([f"## {schema['description'].partition(':')[0]}", "", schema["description"], "", *rows]))
+    return "\n\n".join(sections)
+
+
 def modules() -> str:
     """A table a package: each module with the first sentence of its docstring, read without importing it."""
     folder = FOLDER.parent / "greybox"
@@ -181,6 +198,7 @@ GENERATED: dict[str, Callable[[], str]] = {
     "public names": public_names,
     "commands": commands,
     "study fields": study_fields,
+    "result files": result_files,
     "catalogue": catalogue,
     "modules": modules,
 }

@@ -54,6 +54,13 @@ class WorkersLostError(GreyboxError):
         super().__init__(f"workers lost: {fault}; {done} of {len(self.results)} jobs are finished")
 
 
+def shorten(text: str, length: int = 60) -> str:
+    """``text`` on one line, fit for a message whatever a file held: no control characters, and not too long."""
+    plain = "".join(letter if letter.isprintable() else " " for letter in text[: 4 * length])
+    words = " ".join(plain.split())
+    return words if len(words) <= length else f"{words[: length - 3]}..."
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Remedy for an unknown name: the closest known names, or all of them.
 

@@ -29,6 +29,9 @@ from greybox.noise import NoiseModel
 from greybox.transcription.problem import prepare_problem
 from greybox.values import Printable
 
+FORMAT = 1
+"""Version of ``check.json``."""
+
 
 @dataclass(frozen=True)
 class ModelCheck(Printable):
@@ -131,6 +134,7 @@ class ModelCheck(Printable):
         }
         return _to_plain(
             {
+                "format": FORMAT,
                 "model": self.model.title,
                 "linear": self.linear,
                 "discretisation": self.discretisation,

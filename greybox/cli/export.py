@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_format
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -270,15 +269,10 @@ def load_fit_with_model(path: Path, model: str | None = None) -> Fit:
     """
     from greybox.effects import effect
     from greybox.project import find_model, is_model_path
-    from greybox.result import load_fit
+    from greybox.result import restore_fit
+    from greybox.schemas import ResultKind, read_json
 
-    try:
-        data = json_format.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json_format.JSONDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "not JSON"
-        raise DataError(f"{path}: not a readable fit ({why}); give the fit.json that greybox fit has written") from None
-    if not (isinstance(data, dict) and isinstance(data.get("model"), str) and isinstance(data.get("effects"), list)):
-        raise DataError(f"{path}: not a fit of this program; give the fit.json that greybox fit has written")
+    data = read_json(path, ResultKind.FIT)
     if model is None and is_model_path(data["model"]):
         raise DataError(
             f"{path}: its model {data['model']!r} is a file, and a fit names its model without a path; give --model MODEL"
@@ -290,4 +284,4 @@ def load_fit_with_model(path: Path, model: str | None = None) -> Fit:
             plant = plant if name in present else plant + effect(name)
     except ModelError as error:
         raise ModelError(f"{path}: its model cannot be found: {error}; name its file with --model my/rig.py") from None
-    return load_fit(path, plant)
+    return restore_fit(data, plant, str(path))

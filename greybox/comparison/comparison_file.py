@@ -11,6 +11,9 @@ from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonSco
 from greybox.files import write_file
 from greybox.result import to_json_data
 
+FORMAT = 1
+"""Version of ``compare.json``."""
+
 
 def save_comparison(comparison: Comparison, path: str | Path, extra: Mapping[str, Any] | None = None) -> Path:
     """Write a comparison as JSON.
@@ -41,6 +44,7 @@ def save_comparison(comparison: Comparison, path: str | Path, extra: Mapping[str
 def comparison_data(comparison: Comparison) -> dict[str, Any]:
     """The comparison as nested dictionaries: ``models`` -> name -> kind, parameters, validation ..., and the verdict."""
     return {
+        "format": FORMAT,
         "models": {entry.name: _entry_data(entry) for entry in comparison.entries},
         "outputs": dict(comparison.outputs),
         "training": list(comparison.training),

@@ -20,6 +20,7 @@ from greybox.findings import Finding
 from greybox.journal import add_entry, read_journal
 from greybox.model import Model
 from greybox.parallel import JobResult, count_cores, open_local_pool, run_jobs
+from greybox.schemas import ResultKind, find_offence
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class RefitJournal:
     findings: tuple[Finding, ...] = field(init=False, default=())
 
     def __post_init__(self) -> None:
-        content = read_journal(self.path, lambda entry: (str(entry["key"]), _outcome(entry["outcome"])))
+        content = read_journal(self.path, _parse_entry)
         self.known, self.findings = dict(content.entries), content.findings
 
     def add(self, key: str, outcome: RefitOutcome | None) -> None:
@@ -235,6 +236,14 @@ def _refit_elsewhere(problem: RefitProblem, job: RefitJob) -> RefitOutcome | Non
     """One job, in another process."""
     candidate = problem.refit(job)
     return None if candidate is None else problem.to_outcome(candidate)
+
+
+def _parse_entry(entry: Mapping[str, Any]) -> tuple[str, RefitOutcome | None]:
+    """Key and outcome of a line of the journal. Raises ValueError."""
+    offence = find_offence(entry, ResultKind.REFIT)
+    if offence:
+        raise ValueError(offence)
+    return entry["key"], _outcome(entry["outcome"])
 
 
 def _outcome(data: Mapping[str, Any] | None) -> RefitOutcome | None:

@@ -23,6 +23,9 @@ from greybox.findings import Check, Finding
 from greybox.result import Fit, format_json, to_json_data
 from greybox.values import Printable
 
+FORMAT = 1
+"""Version of ``discovery.json``."""
+
 
 @dataclass(frozen=True)
 class RankedCandidate:
@@ -153,6 +156,7 @@ def save_discovery(discovery: Discovery, path: str | Path) -> Path:
 
 def _to_mapping(d: Discovery) -> dict[str, Any]:
     return {
+        "format": FORMAT,
         "verdict": d.verdict,
         "effects": d.effects,
         "form": d.shape_corrections,

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from greybox.errors import DataError
+from greybox.errors import DataError, shorten
 from greybox.experiment.policy import READING_POLICY, ReadingPolicy
-from greybox.experiment.problems import RowLabels, shorten
+from greybox.experiment.problems import RowLabels
 from greybox.experiment.table import check_size, check_width, describe_non_numbers, describe_wrong_count
 
 Arrays = Mapping[str, np.ndarray]

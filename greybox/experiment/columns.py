@@ -10,9 +10,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from greybox.errors import DataError, ModelError, nearest
+from greybox.errors import DataError, ModelError, nearest, shorten
 from greybox.experiment.policy import READING_POLICY
-from greybox.experiment.problems import shorten
 from greybox.experiment.table import DataTable
 from greybox.model import Model
 from greybox.units import convert, unit_converter

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.errors import DataError, GreyboxError
+from greybox.errors import DataError, GreyboxError, shorten
 from greybox.experiment.mat_file import read_mat
 from greybox.experiment.npz_file import read_npz
 from greybox.experiment.parquet_file import read_parquet
 from greybox.experiment.policy import READING_POLICY, ReadingPolicy
-from greybox.experiment.problems import enumerate_first, shorten
+from greybox.experiment.problems import enumerate_first
 from greybox.experiment.table import DataTable, raise_limit
 from greybox.experiment.text_table import read_text
 

@@ -31,13 +31,6 @@ class RowLabels:
         return f"{word} {enumerate_first(named, len(rows))}"
 
 
-def shorten(text: str, length: int = 60) -> str:
-    """``text`` on one line, fit for a message whatever a file held: no control characters, and not too long."""
-    plain = "".join(letter if letter.isprintable() else " " for letter in text[: 4 * length])
-    words = " ".join(plain.split())
-    return words if len(words) <= length else f"{words[: length - 3]}..."
-
-
 def enumerate_first(shown: Sequence[str], total: int) -> str:
     """``a, b, c and 40 more`` of ``total`` things."""
     return ", ".join(shown) + (f" and {total - len(shown)} more" if total > len(shown) else "")

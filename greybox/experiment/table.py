@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from greybox.errors import DataError
+from greybox.errors import DataError, shorten
 from greybox.experiment.policy import ReadingPolicy
-from greybox.experiment.problems import RowLabels, enumerate_first, shorten
+from greybox.experiment.problems import RowLabels, enumerate_first
 
 _DATE = re.compile(r"\d+[-/.]\d+[-/.]\d+|\d+:\d\d")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.errors import DataError, ModelError
+from greybox.errors import DataError, ModelError, shorten
 from greybox.experiment.policy import READING_POLICY, ReadingPolicy
-from greybox.experiment.problems import RowLabels, shorten
+from greybox.experiment.problems import RowLabels
 from greybox.experiment.table import check_size, check_width, describe_non_numbers, describe_wrong_count
 from greybox.units import unit_converter
 

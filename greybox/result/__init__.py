@@ -1,6 +1,6 @@
 """Results as values: a fit, its constants, its misfit; saved and loaded as JSON."""
 
-from greybox.result.fit import Fit, fit_data, load_fit
+from greybox.result.fit import Fit, fit_data, load_fit, restore_fit
 from greybox.result.fit_parts import (
     Estimate,
     FitConstraints,
@@ -40,5 +40,6 @@ __all__ = [
     "fit_data",
     "format_json",
     "load_fit",
+    "restore_fit",
     "to_json_data",
 ]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from greybox.errors import DataError
+from greybox.errors import DataError, GreyboxError, shorten
 from greybox.files import write_file
 from greybox.findings import Finding, Severity
 from greybox.model import Model
@@ -35,6 +34,7 @@ from greybox.result.fit_parts import (
     Validation,
 )
 from greybox.result.json_data import format_json, to_json_data
+from greybox.schemas import ResultKind, read_json
 from greybox.values import Printable, ReadOnly
 
 FORMAT = 1
@@ -210,21 +210,47 @@ def load_fit(path: str | Path, model: Model) -> Fit:
     >>> load_fit("results/fit.json", micro_actuator).parameters["K"].value  # doctest: +SKIP
     5895.47
     """
-    source = Path(path)
-    try:
-        data = json.loads(source.read_text(encoding="utf-8"))
-    except (OSError, json.JSONDecodeError) as error:
-        raise DataError(f"{source}: not a readable fit ({error}); give the fit.json that a fit has written") from error
-    if not isinstance(data, dict) or data.get("format") != FORMAT or "parameters" not in data:
-        raise DataError(
-            f"{source}: not a fit of this program (format {FORMAT}); give the fit.json that a fit has written"
-        )
+    return restore_fit(read_json(path, ResultKind.FIT), model, str(path))
+
+
+def restore_fit(data: Mapping[str, Any], model: Model, source: str) -> Fit:
+    """A fit from the content of its file, which `greybox.schemas.read_json` has checked. Raises DataError that names ``source``."""
     if data["model"] != model.name or data["effects"] != [e.name for e in model.effects]:
         title = " + ".join([data["model"], *data["effects"]])
-        raise DataError(f"{source}: belongs to the model {title}, not to {model.title}; give that model")
+        raise DataError(f"{source}: belongs to the model {shorten(title)}, not to {model.title}; give that model")
+    contradiction = _find_contradiction(data)
+    if contradiction:
+        raise DataError(f"{source}: {contradiction}; give the fit.json that greybox fit has written")
+    try:
+        return _restore_fit(data, model)
+    except GreyboxError as error:
+        raise DataError(f"{source}: {error}") from error
+    except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as error:
+        reason = shorten(f"{type(error).__name__}: {error}", 100)
+        raise DataError(
+            f"{source}: its entries contradict one another ({reason}); give the fit.json that greybox fit has written"
+        ) from error
+
+
+def _find_contradiction(data: Mapping[str, Any]) -> str:
+    """What cannot be together in a fit, though each of it may be; "" where all is well."""
+    free = len(data["free"])
+    if [len(row) for row in data["covariance"]] != [free] * free:
+        return f"covariance is no matrix of {free} rows and columns, one for each name in free"
+    for key in ("traces", "validation_traces"):
+        for k, trace in enumerate(data[key]):
+            for group in ("measured", "simulated", "inputs"):
+                for name, values in trace.get(group, {}).items():
+                    if len(values) != len(trace["time"]):
+                        rows = f"{len(values)} rows, its time {len(trace['time'])}"
+                        return f"{key}[{k}].{group}.{shorten(name)} has {rows}"
+    return ""
+
+
+def _restore_fit(data: Mapping[str, Any], model: Model) -> Fit:
     parameters = _estimates(data["parameters"])
     fixed = [n for n, e in parameters.items() if e.fixed]
-    model = _restore_constraints(source, _restore_process_noise(model, data), data)
+    model = _restore_constraints(_restore_process_noise(model, data), data)
     fitted = model.free(*(n for n, e in parameters.items() if not e.fixed)).fix(*fixed)
     fitted = fitted.start(**{n: e.value for n, e in parameters.items()})
     get = data.get  # the first files of this format lack some of the keys
@@ -260,7 +286,7 @@ def load_fit(path: str | Path, model: Model) -> Fit:
         ),
         uncertainty=FitUncertainty(
             tuple(data["free"]),
-            _array(data["covariance"]).reshape(len(data["free"]), -1),
+            _array(data["covariance"]).reshape(len(data["free"]), len(data["free"])),
             IntervalKind(get("interval_kind", "gauss_newton")),
             _numbers(get("inflation", {})),
         ),
@@ -284,7 +310,9 @@ def load_fit(path: str | Path, model: Model) -> Fit:
             _numbers(get("process_noise", {})), _misfits(get("prediction", {})), get("log_likelihood")
         ),
         starts=tuple(
-            StartResult(**{**e, "noise_ratio": math.inf if e["noise_ratio"] is None else e["noise_ratio"]})
+            StartResult(
+                **_pick(StartResult, {**e, "noise_ratio": math.inf if e["noise_ratio"] is None else e["noise_ratio"]})
+            )
             for e in get("ends", ())
         ),
         findings=_findings(get("findings", ())),
@@ -323,13 +351,13 @@ def _restore_process_noise(model: Model, data: Mapping[str, Any]) -> Model:
     return model.with_process_noise(*estimated, **known) if states else model
 
 
-def _restore_constraints(source: Path, model: Model, data: Mapping[str, Any]) -> Model:
+def _restore_constraints(model: Model, data: Mapping[str, Any]) -> Model:
     """``model`` with the ties and priors of a fit; a model with other ties is refused with DataError."""
     ties = dict(data.get("ties", {}))
     stated = {tie.name: tie.formula for tie in model.ties}
     if stated and stated != ties:
         text = ", ".join(f"{name} = {formula}" for name, formula in ties.items()) or "none"
-        raise DataError(f"{source}: has other ties than the model ({text}); give the model without ties, or with these")
+        raise DataError(f"it has other ties than the model ({text}); give the model without ties, or with these")
     model = model if stated or not ties else model.start(**_known(model, data)).with_ties(ties)
     # Of a constant that each experiment has for itself the label is 'B (day 1)'.
     priors = {label.partition(" (")[0]: (c["mean"], c["std"]) for label, c in data.get("priors", {}).items()}
@@ -342,7 +370,13 @@ def _known(model: Model, data: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _estimates(data: Mapping[str, dict]) -> dict[str, Estimate]:
-    return {n: Estimate(**{**e, "interval": _pair(e["interval"])}) for n, e in data.items()}
+    return {n: Estimate(**_pick(Estimate, {**e, "interval": _pair(e["interval"])})) for n, e in data.items()}
+
+
+def _pick(kind: type, data: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries that ``kind`` knows: a later version may have written more."""
+    names = {field.name for field in fields(kind)}
+    return {name: value for name, value in data.items() if name in names}
 
 
 def _number(value: float | None) -> float:
@@ -366,7 +400,7 @@ def _array(values: list) -> np.ndarray:
 
 def _misfits(data: Mapping[str, dict]) -> dict[str, Misfit]:
     return {
-        o: Misfit(**{**m, **{k: _number(m[k]) for k in ("rmse", "best_fit_percent", "noise_ratio")}})
+        o: Misfit(**_pick(Misfit, {**m, **{k: _number(m[k]) for k in ("rmse", "best_fit_percent", "noise_ratio")}}))
         for o, m in data.items()
     }
 

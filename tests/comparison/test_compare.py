@@ -14,7 +14,9 @@ from greybox.cli.app import app
 from greybox.comparison import ComparisonFinding, ComparisonPolicy, fit_black_boxes, save_comparison
 from greybox.findings import with_code
 from greybox.plots import draw_comparison
+from greybox.schemas import ResultKind
 from greybox.simulation import write_csv
+from tests.support.result_schema import strict_offences
 
 STEP, NOISE, M, D, K = 0.05, 2e-3, 1.0, 0.8, 9.0
 # Scans over a few structures only.
@@ -192,6 +194,7 @@ def test_criteria_over_different_outputs_are_not_compared():
 def test_the_file_has_the_promised_form(compared, tmp_path):
     _, found = compared
     saved = json.loads(save_comparison(found, tmp_path / "compare.json").read_text())
+    assert strict_offences(saved, ResultKind.COMPARISON) == []
     for name, entry in saved["models"].items():
         assert entry["kind"] in ("grey", "black") and isinstance(entry["parameters"], int)
         score = entry["validation"]["y"]

@@ -14,9 +14,11 @@ from greybox.discovery import discover, estimate_residual_spectrum, pipeline
 from greybox.discovery.findings import DiscoveryCode
 from greybox.errors import DataError
 from greybox.project import find_model
+from greybox.schemas import ResultKind
 from greybox.simulation.write import write_csv
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import ACTUATOR, AT_REST, plain_model, simulate_records
+from tests.support.result_schema import strict_offences
 
 NOISE = {"x": 2e-7, "i": 5e-3}
 
@@ -59,6 +61,7 @@ def written(rig, tmp_path_factory):
 def test_the_command_writes_answer_model_figures_and_journal(written):
     answer = json.loads((written / "discovery.json").read_text())
     assert answer["verdict"] == "named"
+    assert strict_offences(answer, ResultKind.DISCOVERY) == []
     assert answer["effects"][0]["name"] == "coulomb_friction"
     assert answer["sites"][0]["name"] == "force" and answer["sites"][0]["set"] == 0
     assert {"start", "end", "share"} <= set(answer["when"][0])

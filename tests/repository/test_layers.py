@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # long as the rooms of that row do not import one another in a circle.
 ROWS = [
     {"errors", "linear_algebra", "numerics", "values"},
-    {"findings", "files"},
+    {"findings", "files", "schemas"},
     {"units"},
     {"expressions"},
     {"model", "experiment"},
