@@ -83,7 +83,7 @@ def read_json(path: str | Path, kind: ResultKind, policy: JsonPolicy = JSON_POLI
     except OSError as error:
         raise DataError(f"{refusal} ({error.strerror}); give the {remedy}") from None
     except ValueError as error:
-        raise DataError(f"{refusal} ({shorten(str(error), 100)}); give the {remedy}") from None
+        raise DataError(f"{refusal} (not JSON: {shorten(str(error), 100)}); give the {remedy}") from None
     newest = read_schema()["$defs"][kind].get("properties", {}).get("format", {}).get("maximum", math.inf)
     version = data.get("format", 1) if isinstance(data, dict) else 1
     if isinstance(version, int) and version > newest:
