@@ -65,10 +65,8 @@ def pass_ratio(case: Case) -> float:
     problem = prepare_problem(
         case.start, case.experiment, case.noise, at_rest=True, method="rk4", substeps=case.substeps
     )
-    shooting, z = problem.shooting(problem.variables), problem.variables.here
-    p = problem.variables.parameters(z)
-    q, dq, dp, x0, dx0 = shooting.at(z, p, 0)
-    arguments = (shooting.records[0], q, dq, p, dp, x0, dx0, shooting.weight)
+    shooting = problem.shooting()
+    arguments = (shooting.records[0], *shooting.at(problem.variables.here, 0), shooting.weight)
     unit = simulation(case)
     problem.kernel.sums(*arguments)
     ratios = []
@@ -83,7 +81,7 @@ def cost(case: Case, values: np.ndarray, method: str) -> float:
     """Sum of squared residuals over noise of a result, by the discretisation it was fitted with."""
     model = case.truth.start(**dict(zip(case.free, map(float, values), strict=True)))
     problem = prepare_problem(model, case.experiment, case.noise, at_rest=True, method=method, substeps=case.substeps)
-    return problem.shooting(problem.variables).evaluate(problem.variables.here).cost
+    return problem.shooting().evaluate(problem.variables.here).cost
 
 
 def fitted(case: Case, solution: Solution) -> np.ndarray:

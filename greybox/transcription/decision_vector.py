@@ -407,7 +407,8 @@ class ExperimentView:
             v.logarithmic[self.constants],
             v.scale[self.constants],
         )
-        self.states, self.state_columns = v.free_states, v.columns(experiment)[n:]
+        self.states = v.free_states
+        self.state_columns = v.split(np.arange(v.size)).initial_states[experiment]
         self.columns = np.concatenate([self.constants, self.state_columns])
         self.square = np.ix_(self.columns, self.columns)
         self.used_directions = np.concatenate([self.constants, n + np.arange(len(self.states))])
@@ -423,6 +424,15 @@ class ExperimentView:
             self.start, self.state_scale = start_values, scale
             self.start_slope = np.zeros((len(start), len(self.columns)))
             self.start_slope[self.states, len(self.constants) + np.arange(len(self.states))] = scale
+
+    def spread(self, slopes: np.ndarray) -> np.ndarray:
+        """Slopes (..., L) along all of `DecisionVector.columns`: those along the own constants of other experiments are zero."""
+        n = len(self.variables.which)
+        if len(self.constants) == n:
+            return slopes
+        result = np.zeros((*slopes.shape[:-1], n + len(self.states)))
+        result[..., self.used_directions] = slopes
+        return result
 
     def at(self, z: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Parameters (np,), their slopes (np, L), first state (nx,), its slopes (nx, L).

@@ -70,10 +70,8 @@ class ProjectedShooting:
                 return
             if starts_record and starts_record[e + 1]:
                 continue
-            point = np.concatenate([z, self.states.ravel()])
-            p = v.parameters(point, e)
-            q, _, _, x0, _ = shooting.at(point, p, e)
-            _, x = shooting.kernel.simulate(shooting.records[e], q, p, x0)
+            point = shooting.at(np.concatenate([z, self.states.ravel()]), e)
+            _, x = shooting.kernel.simulate(shooting.records[e], point.q, point.p, point.x0)
             if np.isfinite(x[-1]).all():
                 carried = (x[-1] - v.initial.guess[e + 1])[v.free_states] / scale
                 first_states = np.where(hidden, carried, self.states[e + 1])
@@ -92,11 +90,12 @@ class ProjectedShooting:
             if model is None:
                 self.states = last_states  # a trial step too far: keep what belongs to the last good point
                 return Evaluation(np.inf, 0 * gradient, 0 * hessian, 0 * squares, 0 * counts, (e, 0))
-            slopes[e] = self._eliminate(model, e)
-            sums, n = model.sums, self.size
+            constants, sums = self.shooting.views[e].constants, model.sums
+            n, slope = len(constants), self._eliminate(model, e)
             # Along the constants the states follow; at their best they have no slope of their own.
-            gradient += 2 * (sums.gradient[:n] + slopes[e].T @ sums.gradient[n:])
-            hessian += 2 * (sums.gauss_newton[:n, :n] + sums.gauss_newton[:n, n:] @ slopes[e])
+            gradient[constants] += 2 * (sums.gradient[:n] + slope.T @ sums.gradient[n:])
+            hessian[np.ix_(constants, constants)] += 2 * (sums.gauss_newton[:n, :n] + sums.gauss_newton[:n, n:] @ slope)
+            slopes[e][:, constants] = slope
             squares += sums.squares
             counts += sums.counts.astype(int)
         self._constants, self._state_slopes = z.copy(), slopes
@@ -121,12 +120,10 @@ class ProjectedShooting:
 
     def _model_states(self, z: np.ndarray, e: int, states: np.ndarray) -> _StateModel:
         """The cost of one record along its initial state."""
-        v, shooting, n = self.variables, self.shooting, self.size
-        point = np.concatenate([z, np.zeros(v.size - n)])
+        v, shooting, n = self.variables, self.shooting, len(self.shooting.views[e].constants)
+        point = np.concatenate([z, np.zeros(v.size - self.size)])
         v.split(point).initial_states[e] = states
-        p = v.parameters(point, e)
-        q, dq, dp, x0, dx0 = shooting.at(point, p, e)
-        sums = shooting.kernel.sums(shooting.records[e], q, dq, p, dp, x0, dx0, shooting.weight, shooting.rows[e])
+        sums = shooting.kernel.sums(shooting.records[e], *shooting.at(point, e), shooting.weight, shooting.rows[e])
         cost = float(sums.squares.sum()) if np.isfinite(sums.cost) else np.inf
         return _StateModel(cost, 2 * sums.gradient[n:], 2 * sums.gauss_newton[n:, n:], sums)
 
@@ -134,7 +131,7 @@ class ProjectedShooting:
         """How the initial state follows the constants (states, n); one pushed against its bound stays there."""
         g, states = model.gradient, self.states[e]
         is_held = (states <= self._low[e]) & (g > 0) | (states >= self._high[e]) & (g < 0)
-        return project_states(model.sums.gauss_newton, self.size, is_held)
+        return project_states(model.sums.gauss_newton, len(self.shooting.views[e].constants), is_held)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,22 @@ class Evaluation(QuadraticModel):
     def count(self) -> int:
         """Number of residuals."""
         return int(self.counts.sum())
+
+
+class KernelPoint(NamedTuple):
+    """One record at one point, with slopes along the entries of ``z`` that concern it (`ExperimentView.columns`)."""
+
+    q: np.ndarray
+    dq: np.ndarray
+    """Coefficients of the step (nh, nq) and their slopes (nh, nq, L)."""
+
+    p: np.ndarray
+    dp: np.ndarray
+    """All parameters (np,) and their slopes (np, L)."""
+
+    x0: np.ndarray
+    dx0: np.ndarray
+    """Initial state (nx,) and its slopes (nx, L)."""
 
 
 class SingleShooting:
@@ -84,10 +101,8 @@ class SingleShooting:
         gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
         squares, counts = np.zeros(ny), np.zeros(ny, int)
         free = v.constants(z)
-        for e, (record, view) in enumerate(zip(self.records, self._views, strict=True)):
-            p, dp, x0, dx0 = view.at(z, free)
-            q, dq = self._compute_coefficients(record, p, dp)
-            sums = self.kernel.sums(record, q, dq, p, dp, x0, dx0, self.weight, self.rows[e])
+        for e, (record, view) in enumerate(zip(self.records, self.views, strict=True)):
+            sums = self.kernel.sums(record, *self.at(z, e, free), self.weight, self.rows[e])
             if not np.isfinite(sums.cost):
                 return Evaluation(np.inf, gradient, hessian, squares, counts, (e, sums.failed_at or 0))
             gradient[view.columns] += 2 * sums.gradient
@@ -124,10 +139,8 @@ class SingleShooting:
         """For each record measured minus model over the noise (N, ny), and its Jacobian (N, ny, L)."""
         result = []
         for e, record in enumerate(self.records):
-            p = self.variables.parameters(z, e)
-            q, dq, dp, x0, dx0 = self.at(z, p, e)
-            r, jacobian = self.kernel.residuals(record, q, dq, p, dp, x0, dx0, self.weight)
-            result.append((record.samples(r), record.samples(jacobian)))
+            r, slopes = self.kernel.residuals(record, *self.at(z, e), self.weight)
+            result.append((record.samples(r), self.views[e].spread(record.samples(slopes))))
         return result
 
     def simulate(self, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -135,23 +148,17 @@ class SingleShooting:
         return [self._simulate(z, e) for e in range(len(self.records))]
 
     def _simulate(self, z: np.ndarray, e: int) -> tuple[np.ndarray, np.ndarray]:
-        p = self.variables.parameters(z, e)
-        q, _, _, x0, _ = self.at(z, p, e)
-        return self.kernel.simulate(self.records[e], q, p, x0)
+        point = self.at(z, e)
+        return self.kernel.simulate(self.records[e], point.q, point.p, point.x0)
 
-    def at(
-        self, z: np.ndarray, p: np.ndarray, e: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """What the kernel needs for experiment ``e``: coefficients and slopes, parameter slopes, initial state and slopes."""
-        v = self.variables
-        x0, dx0 = v.compute_initial_state(z, p, e)
-        dp = np.zeros((len(p), dx0.shape[1]))
-        dp[v.which, np.arange(len(v.which))] = v.slopes(p, e)
-        q, dq = self._compute_coefficients(self.records[e], p, dp)
-        return q, dq, dp, x0, dx0
+    def at(self, z: np.ndarray, e: int, free: np.ndarray | None = None) -> KernelPoint:
+        """What the kernel needs at ``z`` for record ``e``; ``free``: `DecisionVector.constants` there, if known already."""
+        p, dp, x0, dx0 = self.views[e].at(z, self.variables.constants(z) if free is None else free)
+        return KernelPoint(*self._compute_coefficients(self.records[e], p, dp), p, dp, x0, dx0)
 
     @cached_property
-    def _views(self) -> list[ExperimentView]:
+    def views(self) -> list[ExperimentView]:
+        """Which entries of ``z`` concern each record."""
         return [ExperimentView(self.variables, e) for e in range(len(self.records))]
 
     def _compute_coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -119,7 +119,7 @@ class Solution:
         """`simulate`, of the states the first row at least, and `residuals`."""
         if self.joined:
             return self.joined.runs, self.residuals()
-        return self.problem.shooting(self.variables).linearise(np.zeros(self.variables.size))
+        return self.problem.shooting(self.variables).linearise(self.variables.here)
 
     def residuals(self) -> Runs:
         """For each record the weighted residuals (N, ny) of its samples and their Jacobian (N, ny, L) at the optimum."""

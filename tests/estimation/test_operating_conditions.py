@@ -41,7 +41,7 @@ def laid_out(start, data, at_rest=True, conditions=None):
 
 
 def fitted(p):
-    shooting, zero = p.shooting(p.variables), p.variables.here
+    shooting, zero = p.shooting(), p.variables.here
     first = shooting.evaluate(zero)
     outcome = minimise(shooting.evaluate, zero, *p.variables.bounds(), scale=first.cost, tolerance=1e-13)
     return p.variables.recentre(outcome.z), outcome.cost
@@ -62,7 +62,7 @@ def test_records_at_two_supply_pressures_give_one_set_of_constants():
 
 def test_states_at_rest_follow_the_conditions_of_their_experiment():
     p = laid_out(start(), [record(s, 20) for s in SUPPLIES])
-    runs = p.shooting(p.variables).simulate(p.variables.here)
+    runs = p.shooting().simulate(p.variables.here)
     for e, ((_, x), supply) in enumerate(zip(runs, SUPPLIES, strict=True)):
         np.testing.assert_allclose(x[0, 2:], supply / 2)
         assert p.variables.parameters(p.variables.here, e)[TRUTH.system.parameter_names.index("P_S")] == supply
@@ -75,7 +75,7 @@ def test_states_at_rest_follow_the_conditions_of_their_experiment():
 
 def test_the_slopes_hold_under_conditions():
     p = laid_out(start(), [record(s, 60) for s in SUPPLIES], at_rest=False)
-    shooting, n = p.shooting(p.variables), p.variables.size
+    shooting, n = p.shooting(), p.variables.size
     here = shooting.evaluate(np.zeros(n))
     slopes = [(shooting.evaluate(1e-4 * e).cost - shooting.evaluate(-1e-4 * e).cost) / 2e-4 for e in np.eye(n)]
     np.testing.assert_allclose(here.gradient, slopes, rtol=1e-5, atol=1e-7 * np.abs(here.gradient).max())

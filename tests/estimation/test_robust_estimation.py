@@ -91,7 +91,7 @@ def test_the_gradient_is_that_of_the_robust_cost(text, rho):
     assert problem.noise.coloured == bool(rho)
     loss = replace(parse_loss(text), scale=np.array([1.2, 1.0]))
     problem = replace(problem, loss=loss)
-    shooting = problem.shooting(problem.variables)
+    shooting = problem.shooting()
     assert isinstance(shooting, RobustShooting)
     n = problem.variables.size
     z = 0.01 * np.random.default_rng(2).normal(size=n)

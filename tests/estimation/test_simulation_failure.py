@@ -29,7 +29,7 @@ def failure_of(model, rows=200):
     time = np.arange(rows) * 0.1
     data = experiment(model, time, np.full((rows, 1), 0.1), np.ones((rows, 1)))
     problem = prepare_problem(model, data, {"level": 0.1}, at_rest=True, method="rk4", substeps=1)
-    failed = problem.shooting(problem.variables).evaluate(problem.variables.here).failed
+    failed = problem.shooting().evaluate(problem.variables.here).failed
     return locate_simulation_failure(problem, problem.variables, *failed), failed
 
 
@@ -61,7 +61,7 @@ def test_states_that_diverge_are_named():
     model = explosive()
     data = experiment(model, np.arange(100) * 0.1, np.ones((100, 1)), np.ones((100, 1)))
     problem = prepare_problem(model, data, {"x": 0.1}, at_rest=True, method="rk4", substeps=1)
-    failed = problem.shooting(problem.variables).evaluate(problem.variables.here).failed
+    failed = problem.shooting().evaluate(problem.variables.here).failed
     failure = locate_simulation_failure(problem, problem.variables, *failed)
     assert failure.values["experiment"] == 1
     assert failure.code == EstimationCode.STATES_DIVERGE or failure.subject == "square"

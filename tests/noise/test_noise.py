@@ -172,7 +172,7 @@ def test_the_whitened_cost_is_the_dense_generalised_least_squares_cost():
         substeps=0,
         quiet=quiet_record(rng, 0.9),
     )
-    shooting = problem.shooting(problem.variables)
+    shooting = problem.shooting()
     assert isinstance(shooting, WhitenedShooting)
     z = problem.variables.here
     value = shooting.evaluate(z)

@@ -348,7 +348,7 @@ def test_eliminating_initial_states_keeps_cost_gradient_and_optimum(duffing):
     _, start, data, noise, _, substeps = duffing
     arcs = split_into_arcs(data, rows=50)
     p = problem(start, arcs, noise, False, substeps)
-    shooting = p.shooting(p.variables)
+    shooting = p.shooting()
     projected = ProjectedShooting(shooting)
     projected.carry_states()
     z = np.array([-0.2, 0.1, 0.05, 0.1])
