@@ -103,6 +103,7 @@ def run_demo(
     setup: DemoSetup | None = None,
     say: Say | None = None,
     report: Callable[[int], None] | None = None,
+    pictures: bool = False,
 ) -> Demo:
     """Measure a simulated micro-motion actuator whose spring hardens, and let the program find that out.
 
@@ -113,13 +114,15 @@ def run_demo(
     Parameters
     ----------
     directory
-        Folder for the records, results and figures.
+        Folder for the records and results.
     setup
         The rig and how it is measured; the default is the one of the tutorial.
     say
         Called with a line of text before each step.
     report
         Called with the number of refits of the discovery that are done.
+    pictures
+        Also write figures as PNG and SVG.
     """
     began, folder = time.perf_counter(), Path(directory)
     setup = setup or DemoSetup()
@@ -150,7 +153,7 @@ def run_demo(
     )
     tell("3. compare with black boxes, which need no physics")
     comparison = _compare(plain, discovery.best, train, test, setup)
-    tell("4. export the state space, draw")
+    tell("4. export the state space")
     plant = linearise(discovery.best)
     files = {
         plain.save(folder / "plain.json"): "the fit of the plain model",
@@ -159,8 +162,10 @@ def run_demo(
         save_comparison(comparison, folder / "compare.json"): "the comparison with black boxes",
         write_control(plant, folder / "plant_ss.py"): "the state space for python-control",
     }
-    files |= dict.fromkeys(_draw_gap(plain, discovery.best, comparison, folder, setup), "the error before and after")
-    files |= dict.fromkeys(draw_fit(discovery.best, folder), "measured and simulated")
+    if pictures:
+        gap = _draw_gap(plain, discovery.best, comparison, folder, setup)
+        files |= dict.fromkeys(gap, "the error before and after")
+        files |= dict.fromkeys(draw_fit(discovery.best, folder), "measured and simulated")
     seconds = time.perf_counter() - began
     return Demo(truth, start, plain, discovery, comparison, plant, records, files, seconds, setup)
 

@@ -25,7 +25,7 @@ def announced() -> list[str]:
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory, announced: list[str]) -> Demo:
-    return run_demo(tmp_path_factory.mktemp("demo"), say=announced.append)
+    return run_demo(tmp_path_factory.mktemp("demo"), say=announced.append, pictures=True)
 
 
 def test_the_model_alone_misses_the_record_by_far(result: Demo) -> None:

@@ -25,7 +25,17 @@ from greybox.cli.inputs import (
     read_records,
     seed_of,
 )
-from greybox.cli.options import STARTS_FILE, Cluster, Json, NoReport, Silent, Workers, check_writable, takes_study
+from greybox.cli.options import (
+    STARTS_FILE,
+    Cluster,
+    Figures,
+    Json,
+    NoReport,
+    Silent,
+    Workers,
+    check_writable,
+    takes_study,
+)
 from greybox.cli.policy import PROGRESS
 from greybox.cli.progress import ShowProgress, describe_progress, share_done, show_progress
 from greybox.cli.reporting import write_report
@@ -47,13 +57,14 @@ def compare(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", metavar="DIR", help="Folder for compare.json and figures. [default: results/MODEL-compare]"
+            "--output", metavar="DIR", help="Folder for compare.json and the report. [default: results/MODEL-compare]"
         ),
     ] = None,
     workers: Workers = 0,
     cluster: Cluster = "",
     silent: Silent = False,
     json: Json = False,
+    figures: Figures = False,
     no_report: NoReport = False,
 ) -> None:
     """Fit MODEL and black-box models to the same records, and compare their errors on validation records.
@@ -61,7 +72,7 @@ def compare(
     The black boxes are ARX, ARMAX, output error, Box-Jenkins and Hammerstein models, each chosen by a scan over orders, delays
     and offset, and Monte-Carlo smoothing where a record is a single step. Prints the errors of the free run and one sample
     ahead, best fit, number of parameters, BIC, stability, feed-through and time, and the best model with its margin. Writes
-    DIR/compare.json, a figure for each validation record, and DIR/report.html.
+    DIR/compare.json and DIR/report.html, a report for the browser.
 
     greybox compare study.toml runs a study file; --write-study writes one from these options.
 
@@ -114,7 +125,7 @@ def compare(
         )
     journal.unlink(missing_ok=True)
     by_title = None if no_report else {fit.model.title: fit for fit, _ in fits}
-    _write(result, folder, records, validation, by_title, quiet=silent, json=json)
+    _write(result, folder, records, validation, by_title, quiet=silent, json=json, pictures=figures)
 
 
 def _grown(first: Fit, names: Sequence[str], plain: Model, show: ShowProgress) -> tuple[Fit, float] | None:
@@ -205,11 +216,11 @@ def _write(
     *,
     quiet: bool,
     json: bool,
+    pictures: bool,
 ) -> None:
     from greybox.comparison import save_comparison
     from greybox.estimation.fit import read_versions
     from greybox.experiment import collect_record_findings
-    from greybox.plots import draw_comparison
     from greybox.rendering import sentences
     from greybox.rendering.cli import report_line, written
 
@@ -223,7 +234,7 @@ def _write(
     elif not quiet:
         typer.echo(str(result))
     try:
-        figures = draw_comparison(result, folder)
+        figures = _draw_pictures(result, folder) if pictures else []
         report = (
             None
             if fits is None
@@ -235,3 +246,9 @@ def _write(
         typer.echo(f"\n{written([saved, *figures])}")
         if report:
             typer.echo(report_line(report))
+
+
+def _draw_pictures(result: Comparison, folder: Path) -> list[Path]:
+    from greybox.plots import draw_comparison
+
+    return draw_comparison(result, folder)

@@ -9,18 +9,19 @@ import typer
 
 from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
-from greybox.cli.options import Json, NoReport, check_writable
+from greybox.cli.options import Figures, Json, NoReport, check_writable
 from greybox.cli.progress import show_search_progress
 from greybox.cli.reporting import write_report
 from greybox.errors import GreyboxError
 
 
 def demo(
-    output: Annotated[
-        Path, typer.Option("--output", metavar="DIR", help="Folder for records, results and figures.")
-    ] = Path("results/demo"),
+    output: Annotated[Path, typer.Option("--output", metavar="DIR", help="Folder for records and results.")] = Path(
+        "results/demo"
+    ),
     open_: Annotated[bool, typer.Option("--open", help="Open the report in the browser at the end.")] = False,
     json: Json = False,
+    figures: Figures = False,
     no_report: NoReport = False,
 ) -> None:
     """Run every step on a simulated actuator with an effect that its model lacks.
@@ -37,7 +38,7 @@ def demo(
         raise GreyboxError("--open and --no-report contradict each other; leave out one of the two")
     folder = check_writable(output)
     with show_search_progress() as (say, report):
-        result = run_demo(folder, say=say, report=report)
+        result = run_demo(folder, say=say, report=report, pictures=figures)
     if result.plain.status == "interrupted":
         exit_with_error(f"interrupted; the results so far are in {folder}", ExitCode.INTERRUPTED)
     page = None if no_report else write_report(result, folder / "report.html")

@@ -11,7 +11,7 @@ import typer
 from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
 from greybox.cli.inputs import build_model, print_record_notes, read_quiet_records, read_records
-from greybox.cli.options import Cluster, Json, NoReport, Workers, check_writable, takes_study
+from greybox.cli.options import Cluster, Figures, Json, NoReport, Workers, check_writable, takes_study
 from greybox.cli.progress import show_search_progress
 from greybox.cli.reporting import write_report
 from greybox.cli.study import DISCOVER, Study
@@ -30,6 +30,7 @@ def discover(
     workers: Workers = 0,
     cluster: Cluster = "",
     json: Json = False,
+    figures: Figures = False,
     no_report: NoReport = False,
 ) -> None:
     """Find the effect that MODEL lacks, add it, and print the errors on the validation records before and after.
@@ -39,7 +40,7 @@ def discover(
     distinguish effects, "unknown" if no effect of the catalogue explains the error (a fitted curve or a tone then represents
     it). --further searches for smaller effects and selects them on the --validate records: then report the misfit on a third
     record. Writes DIR/discovery.json, the extended model as DIR/model.py (greybox fit DIR/model.py ... continues with it),
-    figures as PNG and SVG, and DIR/report.html. Every finished refit is stored in
+    and DIR/report.html, a report for the browser. Every finished refit is stored in
     DIR/journal.jsonl: after Ctrl-C the same command continues from there.
 
     greybox discover study.toml runs a study file; --write-study writes one from these options.
@@ -90,7 +91,7 @@ def discover(
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command continues from there" if journal.exists() else ""
         exit_with_error(f"interrupted{kept}", ExitCode.INTERRUPTED)
-    _write(result, folder, json=json, page=not no_report)
+    _write(result, folder, json=json, page=not no_report, pictures=figures)
 
 
 def _left_out(study: Study) -> tuple[str, ...]:
@@ -102,9 +103,8 @@ def _left_out(study: Study) -> tuple[str, ...]:
     return (*study.without, *relatives)
 
 
-def _write(result: Discovery, folder: Path, *, json: bool, page: bool) -> None:
+def _write(result: Discovery, folder: Path, *, json: bool, page: bool, pictures: bool) -> None:
     from greybox.export import to_python
-    from greybox.plots import draw_discovery
     from greybox.rendering.cli import report_line, written
 
     saved = result.save(folder / "discovery.json")
@@ -112,7 +112,7 @@ def _write(result: Discovery, folder: Path, *, json: bool, page: bool) -> None:
     files = [saved]
     try:
         files.append(to_python(result.extended, folder / "model.py"))
-        files += draw_discovery(result, folder)
+        files += _draw_pictures(result, folder) if pictures else []
         report = write_report(result, folder / "report.html") if page else None
     except KeyboardInterrupt:
         exit_with_error(f"interrupted while drawing; the answer is in {saved}", ExitCode.INTERRUPTED)
@@ -120,3 +120,9 @@ def _write(result: Discovery, folder: Path, *, json: bool, page: bool) -> None:
         typer.echo(f"\n{written(files)}")
         if report:
             typer.echo(report_line(report))
+
+
+def _draw_pictures(result: Discovery, folder: Path) -> list[Path]:
+    from greybox.plots import draw_discovery
+
+    return draw_discovery(result, folder)

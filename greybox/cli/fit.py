@@ -30,6 +30,7 @@ from greybox.cli.interrupts import hold_interrupts
 from greybox.cli.options import (
     STARTS_FILE,
     Cluster,
+    Figures,
     Json,
     NoReport,
     Silent,
@@ -55,19 +56,22 @@ def fit(
     study: Study,
     output: Annotated[
         Path | None,
-        typer.Option("--output", metavar="DIR", help="Folder for fit.json and figures. [default: results/MODEL-fit]"),
+        typer.Option(
+            "--output", metavar="DIR", help="Folder for fit.json and the report. [default: results/MODEL-fit]"
+        ),
     ] = None,
     workers: Workers = 0,
     cluster: Cluster = "",
     silent: Silent = False,
     json: Json = False,
+    figures: Figures = False,
     no_report: NoReport = False,
 ) -> None:
     """Fit the parameters of MODEL to records, and validate the fit.
 
     Prints the equations, the parameters with 95 % intervals, the misfit on the estimation and the validation records, and
-    notes on their validity. Writes DIR/fit.json, a figure for each record (PNG and SVG), and DIR/report.html, a report for
-    the browser.
+    notes on their validity. Writes DIR/fit.json and DIR/report.html, a report for the browser that draws its own
+    figures.
 
     greybox fit study.toml runs a study file; --write-study writes one from these options.
 
@@ -132,7 +136,7 @@ def fit(
         exit_with_error(
             f"interrupted; the best point so far is in {saved} (no figures, no report{older})", ExitCode.INTERRUPTED
         )
-    _draw(result, tests, saved, study.skip, quiet=silent or json, page=not no_report)
+    _draw(result, tests, saved, study.skip, quiet=silent or json, page=not no_report, pictures=figures)
     if not result.success:
         exit_with_error(f"no success: {result.solver.status_message}", ExitCode.UNSUCCESSFUL)
 
@@ -256,14 +260,14 @@ def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict
     return tables
 
 
-def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool, page: bool) -> None:
-    """The figures and the report, with the lines that say so."""
-    from greybox.plots import draw_fit, draw_residual_tests
+def _draw(
+    result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool, page: bool, pictures: bool
+) -> None:
+    """The figures as pictures and the report, as far as they are wanted, with the lines that say so."""
     from greybox.rendering.cli import report_line, written
 
     try:
-        figures = draw_fit(result, saved.parent, skip=skip)
-        figures += draw_residual_tests(tests, saved.parent, title=result.model.title) if tests else []
+        figures = _draw_pictures(result, tests, saved.parent, skip) if pictures else []
         report = write_report(result, saved.parent / "report.html", tests=tests, skip=skip) if page else None
     except KeyboardInterrupt:
         exit_with_error(f"interrupted while drawing; the fit is in {saved}", ExitCode.INTERRUPTED)
@@ -271,3 +275,10 @@ def _draw(result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, q
         typer.echo(f"\n{written([saved, *figures])}")
         if report:
             typer.echo(report_line(report))
+
+
+def _draw_pictures(result: Fit, tests: ResidualTests | None, folder: Path, skip: int) -> list[Path]:
+    from greybox.plots import draw_fit, draw_residual_tests
+
+    figures = draw_fit(result, folder, skip=skip)
+    return figures + (draw_residual_tests(tests, folder, title=result.model.title) if tests else [])

@@ -49,6 +49,7 @@ Cluster = Annotated[
         show_default=False,
     ),
 ]
+Figures = Annotated[bool, typer.Option("--figures", help="Also write the figures of the report as PNG and SVG.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of text.")]
 Silent = Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")]
 

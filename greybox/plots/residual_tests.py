@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import norm, probplot
+from scipy.special import ndtri
 
 from greybox.findings import Finding, Severity
 from greybox.noise import AutoRegression
@@ -121,7 +121,8 @@ def _correlation_panel(
 def _normal_plot(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
     values = np.concatenate(series.raw)
     values = np.sort(values[np.isfinite(values)])
-    (expected, ordered), (slope, middle, _) = probplot(values)
+    expected, ordered = expect_normal_order(len(values)), values
+    slope, middle = np.polyfit(expected, ordered, 1)
     shown, ends = choose_evenly(len(values), DRAWING.normal_points), expected[[0, -1]]
     drawn = (
         Points(expected[shown], ordered[shown], Role.RESIDUAL, size=4.0),
@@ -185,4 +186,12 @@ def _band(inputs: Sequence[np.ndarray], colour: AutoRegression, count: int) -> f
 
 
 def _quantile() -> float:
-    return float(norm.ppf((1 + DRAWING.confidence) / 2))
+    return float(ndtri((1 + DRAWING.confidence) / 2))
+
+
+def expect_normal_order(count: int) -> np.ndarray:
+    """Medians (N,) of the ordered values of a normal sample (Filliben 1975). `scipy.stats` has them, and takes half a second to load."""
+    medians = (np.arange(1, count + 1) - 0.3175) / (count + 0.365)
+    medians[-1] = 0.5 ** (1 / count)
+    medians[0] = 1 - medians[-1]
+    return ndtri(medians)

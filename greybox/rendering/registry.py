@@ -16,6 +16,8 @@ Writer = Callable[[Any], str]
 
 _templates: dict[str, Template] = {}
 _writers: dict[str, Writer] = {}
+WRITTEN_BY = {"result": ("result", "estimation")}
+"""Modules of this package that serve another package than the one of their name, and which one."""
 
 
 def register(new: Mapping[str, Template]) -> None:
@@ -94,8 +96,10 @@ def text(value: Any) -> str:
 def _load_for(kind: type) -> None:
     """Import the module that serves the package of ``kind``, if there is one: printing one result should not load the whole library."""
     package = kind.__module__.split(".")
-    if package[0] == "greybox" and len(package) > 1 and package[1] in _modules():
-        import_module(f"greybox.rendering.{package[1]}")
+    if package[0] == "greybox" and len(package) > 1:
+        for name in WRITTEN_BY.get(package[1], (package[1],)):
+            if name in _modules():
+                import_module(f"greybox.rendering.{name}")
 
 
 @cache

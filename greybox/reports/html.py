@@ -10,6 +10,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
+import re
 from base64 import b64encode
 from collections.abc import Sequence
 from functools import cache
@@ -41,7 +42,7 @@ MATHML_ATTRIBUTES = (
     " columnlines rowlines displaystyle scriptlevel width height depth minsize maxsize movablelimits lspace rspace"
 )
 """What attributes an equation may have: none that links, loads or runs."""
-CONTROL_CHARACTERS = dict.fromkeys([*range(9), 11, 12, *range(14, 32), *range(127, 160)])
+CONTROL_CHARACTERS = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 """Characters that HTML does not have: left out."""
 MARKUP = {"hovertemplate"}  # templates hold markup of ours, and what they hold of others is escaped already
 
@@ -188,7 +189,7 @@ def _inside(name: str) -> Markup:
 
 def _as_text(text: str) -> str:
     """What a page can hold: without control characters, and with a mark for what is no character (a file name that is not UTF-8)."""
-    return text.translate(CONTROL_CHARACTERS).encode("utf-8", "replace").decode()
+    return CONTROL_CHARACTERS.sub("", text).encode("utf-8", "replace").decode()
 
 
 @cache

@@ -58,7 +58,9 @@ def drawn(*names: str) -> list[str]:
 def test_a_fit_prints_saves_and_draws(run: Run, data: Path, tmp_path: Path) -> None:
     start = ["--start", "K=5000", "--start", "Kv=1"]
     judge = ["--validate", data / "test.csv", "--skip", 50]
-    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, *start, *PRECISE, *judge, "--at-rest")
+    result = run(
+        "fit", "micro_actuator", data / "train.csv", *KNOWN, *start, *PRECISE, *judge, "--at-rest", "--figures"
+    )
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
     for text in ("M dv/dt = Kf i", "converged", "Kf ", "[", "V*s/m", "fixed", "best fit", "validation", "written: "):
@@ -103,7 +105,9 @@ def test_the_command_does_what_the_library_does(run: Run, data: Path, tmp_path: 
 
 
 def test_quiet_means_silent(run: Run, data: Path, tmp_path: Path) -> None:
-    result = run("fit", "micro_actuator", data / "train.csv", *KNOWN, "-q", "--no-report", "--output", "out")
+    result = run(
+        "fit", "micro_actuator", data / "train.csv", *KNOWN, "-q", "--no-report", "--figures", "--output", "out"
+    )
     assert (result.exit_code, result.output) == (0, "")
     figures = drawn("out/fit-train", "out/residual-i", "out/residual-x")
     assert everything(tmp_path) == sorted(["out", "out/fit.json", *figures])
@@ -145,7 +149,7 @@ def test_an_output_that_only_a_validation_record_has_is_drawn(run: Run, data: Pa
     rows = [line.rpartition(",")[0] for line in (data / "train.csv").read_text().splitlines()]
     (tmp_path / "x.csv").write_text("\n".join(rows))
     judge = ["--validate", data / "test.csv"]
-    result = run("fit", "micro_actuator", "x.csv", *KNOWN, "--fix", "Kf", *judge, "--output", "out")
+    result = run("fit", "micro_actuator", "x.csv", *KNOWN, "--fix", "Kf", *judge, "--figures", "--output", "out")
     assert result.exit_code == 0, result.output
     figures = drawn("fit-x", "residual-x", "validation-test")
     assert everything(tmp_path / "out") == sorted(["fit.json", "report.html", *figures])

@@ -60,7 +60,7 @@ def run(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
         files = [str(folder / f"{name}.csv") for name in records.split()]
         words = [str(folder / a) if a.endswith(".csv") else a for a in arguments]
         return CliRunner().invoke(
-            app, ["fit", str(folder / "mass.py"), *files, *words, "--output", "out", "--no-report"]
+            app, ["fit", str(folder / "mass.py"), *files, *words, "--output", "out", "--no-report", "--figures"]
         )
 
     return call

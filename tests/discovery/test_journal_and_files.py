@@ -52,6 +52,7 @@ def written(rig, tmp_path_factory):
         *(f"--fix={n}={ACTUATOR[n]}" for n in ("M", "Ra")),
         "--start=K=4300",
         "--start=B=0.35",
+        "--figures",
     ]
     result = CliRunner().invoke(app, command)
     assert result.exit_code == 0, result.output
