@@ -36,7 +36,18 @@ def main() -> None:
         "compile_seconds": _compile_seconds(),
         "versions": {
             name: _version(name)
-            for name in ("casadi", "numpy", "scipy", "numba", "lmfit", "jax", "jax-sysid", "diffrax", "optimistix")
+            for name in (
+                "casadi",
+                "numpy",
+                "scipy",
+                "numba",
+                "lmfit",
+                "jax",
+                "jax-sysid",
+                "diffrax",
+                "optimistix",
+                "pydiffsol",
+            )
         },
     }
     (ROOT / "bench.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")

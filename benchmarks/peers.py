@@ -205,6 +205,99 @@ def diffrax_optimistix(case: Case) -> Solve:
     return lambda: np.exp(np.asarray(search(nothing).block_until_ready())) * a.start
 
 
+class _DiffSL:
+    """An expression in DiffSL's notation, written by the operators of Python."""
+
+    def __init__(self, text: object) -> None:
+        self.text = text.text if isinstance(text, _DiffSL) else f"({text!r})" if isinstance(text, float) else str(text)
+
+    def __neg__(self):
+        return _DiffSL(f"(-{self.text})")
+
+
+def _join(operator: str, swapped: bool):
+    def apply(a, b):
+        left, right = (_DiffSL(v).text for v in ((b, a) if swapped else (a, b)))
+        return _DiffSL(f"({left} {operator} {right})")
+
+    return apply
+
+
+for _name, _operator in (("add", "+"), ("sub", "-"), ("mul", "*"), ("truediv", "/")):
+    setattr(_DiffSL, f"__{_name}__", _join(_operator, False))
+    setattr(_DiffSL, f"__r{_name}__", _join(_operator, True))
+_DiffSL.__gt__ = lambda a, b: _call_diffsl("heaviside", a - b)  # type: ignore[assignment]
+
+
+def _call_diffsl(function: str, *arguments: object) -> _DiffSL:
+    return _DiffSL(f"{function}({', '.join(_DiffSL(float(a) if isinstance(a, int) else a).text for a in arguments)})")
+
+
+def _write_diffsl(case: Case, a: Arrays, size: np.ndarray) -> str:
+    """The problem, time in samples; free parameters (over their start), held input and first state (over ``size``) are its inputs."""
+    m = Mathematics(
+        lambda v: _call_diffsl("tanh", v),
+        lambda v: _call_diffsl("sqrt", v),
+        lambda v, w: _call_diffsl("max", v, w),
+        lambda condition, yes, no: condition * yes + (1.0 - condition) * no,
+    )
+    p = [float(v) for v in a.p]
+    for j, k in enumerate(a.which):
+        p[k] = _DiffSL(f"f{j}") * float(a.start[j])  # type: ignore[call-overload]
+    x = tuple(_DiffSL(f"x{k}") * float(s) for k, s in enumerate(size))
+    rate = [
+        (_DiffSL(v) * float(a.h * a.substeps / s)).text for v, s in zip(make_rate(case.name, m)(x, _DiffSL("drive"), p), size, strict=True)
+    ]
+    names = [*(f"f{j}" for j in range(len(a.which))), "drive", *(f"s{k}" for k in range(len(size)))]
+    return "\n".join(
+        [
+            "in_i { " + ", ".join(f"{name} = 1.0" for name in names) + " }",
+            "u_i { " + ", ".join(f"x{k} = s{k}" for k in range(len(size))) + " }",
+            "F_i { " + ", ".join(rate) + " }",
+        ]
+    )
+
+
+def diffsol(case: Case) -> Solve:
+    """``pydiffsol`` (Tsitouras 4(5), rtol 1e-6) with forward sensitivities, in ``scipy.optimize.least_squares``.
+
+    The input jumps at every sample, so each sample is a solution of its own from the state before; its sensitivities to parameters and
+    first state are chained.
+    """
+    import pydiffsol
+    from scipy.optimize import least_squares
+
+    a = Arrays(case)
+    n, nx = len(a.which), len(a.x0)
+    size = np.where(a.x0 == 0, 1.0, np.abs(a.x0))
+    ode = pydiffsol.Ode(_write_diffsl(case, a, size), matrix_type=pydiffsol.nalgebra_dense)
+    ode.ode_solver, ode.rtol, ode.atol, ode.h0 = pydiffsol.tsit45, 1e-6, 1e-9, 1.0 / a.substeps
+    ends = np.array([1.0])
+    known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+
+    def run(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residual and Jacobian, for the two functions that ``least_squares`` asks for."""
+        if z.tobytes() not in known:
+            known.clear()
+            x, slopes = a.x0 / size, np.zeros((nx, n))
+            y, jacobian = np.empty(len(a.u)), np.empty((len(a.u), n))
+            inputs = np.concatenate([z, [0.0], x])
+            for k, u in enumerate(a.u):
+                y[k], jacobian[k] = x[0], slopes[0]
+                inputs[n], inputs[n + 1 :] = u, x
+                solution = ode.solve_fwd_sens(inputs, ends)
+                x, along = solution.ys[:, -1], np.asarray(solution.sens)[:, :, -1]
+                slopes = along[n + 1 :].T @ slopes + along[:n].T
+            known[z.tobytes()] = (y * size[0] - a.y) / a.noise, jacobian * size[0] / a.noise
+        return known[z.tobytes()]
+
+    ode.solve_fwd_sens(np.concatenate([np.ones(n), [0.0], a.x0 / size]), ends)
+    return lambda: (
+        least_squares(lambda z: run(z)[0], np.ones(n), lambda z: run(z)[1], bounds=(a.low, a.high), x_scale="jac").x
+        * a.start
+    )
+
+
 def solve_ivp_seconds(case: Case, samples: int = 200) -> float:
     """CPU seconds of one simulation by ``solve_ivp`` (RK45, rtol 1e-6) over the record, from its first ``samples``."""
     from scipy.integrate import solve_ivp
@@ -227,4 +320,5 @@ PEERS: dict[str, Callable[[Case], Solve]] = {
     "lmfit_numba": lmfit_numba,
     "jax_sysid": jax_sysid,
     "diffrax_optimistix": diffrax_optimistix,
+    "diffsol": diffsol,
 }

@@ -14,6 +14,7 @@ NAMES = {
     "lmfit_numba": "lmfit + numba RK4",
     "jax_sysid": "jax-sysid",
     "diffrax_optimistix": "diffrax + optimistix",
+    "diffsol": "pydiffsol + scipy least_squares",
 }
 GOALS = {"casadi_single_shooting": 50, "scipy_numba": 3, "lmfit_numba": 3, "jax_sysid": 30, "diffrax_optimistix": ""}
 
