@@ -8,8 +8,11 @@ round to round; medians of five rounds, of fewer for the slow ones (told in the 
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
+import time
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -20,19 +23,24 @@ from benchmarks.problems import CASES, Case, actuator
 from benchmarks.report import page
 
 ROUNDS = 5
+LONG = "actuator_long"
 SLOW, FEWER = 3.0, 2  # a fit of so many CPU seconds gets fewer rounds
 VERY_SLOW = 20.0  # ... and one of so many a single one
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def main() -> None:
-    """Run everything and write the results."""
-    problems = {name: compare(make()) for name, make in CASES.items()}
-    problems["actuator_long"] = long_record()
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run everything, or a part, and write the results."""
+    chosen = _parse(arguments)
+    began = time.perf_counter()
+    problems = {name: compare(CASES[name](), chosen.peers, chosen.rounds) for name in chosen.problems if name in CASES}
+    if LONG in chosen.problems:
+        problems[LONG] = long_record(chosen.rounds)
     result = {
         "problems": problems,
         "first_result_seconds": ours.first_results(),
         "memory_above_data_mb": ours.memory(),
+        "minutes": (time.perf_counter() - began) / 60,
         "compile_seconds": _compile_seconds(),
         "versions": {
             name: _version(name)
@@ -50,27 +58,28 @@ def main() -> None:
             )
         },
     }
-    (ROOT / "bench.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    (ROOT / "docs").mkdir(exist_ok=True)
-    (ROOT / "docs" / "benchmark.md").write_text(page(result), encoding="utf-8")
+    (chosen.output / "docs").mkdir(parents=True, exist_ok=True)
+    (chosen.output / "bench.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    (chosen.output / "docs" / "benchmark.md").write_text(page(result), encoding="utf-8")
     say(page(result))
 
 
-def compare(case: Case) -> dict:
+def compare(case: Case, chosen_peers: Sequence[str] = tuple(peers.PEERS), most_rounds: int = ROUNDS) -> dict:
     """One problem: greybox and every peer that is installed, in interleaved order."""
     say(f"{case.name}: building")
     unit = ours.simulation(case)
     runs = {"greybox": ours.fitter(case)}
-    for name, make in peers.PEERS.items():
+    runs["greybox"]()  # the others have compiled what they need as well
+    for name in chosen_peers:
         try:
-            runs[name] = make(case)
+            runs[name] = peers.PEERS[name](case)
         except ImportError as missing:
             say(f"{case.name}: {name} left out ({missing}); pip install -e '.[bench]'")
     spent: dict[str, list[float]] = {name: [] for name in runs}
     ends: dict[str, np.ndarray] = {}
-    for k in range(ROUNDS):
+    for k in range(most_rounds):
         for name in _order(list(runs), k):
-            if len(spent[name]) < _rounds(spent[name]):
+            if len(spent[name]) < min(_rounds(spent[name]), most_rounds):
                 before = unit()
                 ends[name] = runs[name] and _result(runs[name], spent[name])
                 spent[name][-1] = 2 * spent[name][-1] / (before + unit())
@@ -86,7 +95,8 @@ def compare(case: Case) -> dict:
         "unit_ms": 1e3 * unit(),
         "pass_ratio": ours.pass_ratio(case),
         "simulation_equivalents": medians["greybox"],
-        "whole_call": _median(ours.whole_call(case), unit),
+        "solver": ours.solver(case),
+        "whole_call": _median(ours.whole_call(case), unit, most_rounds),
         "without_compiler": ours.without_compiler(case, unit()),
         "starts_won": ours.starts_won(case),
         "against": {name: medians[name] / medians["greybox"] for name in medians if name != "greybox"},
@@ -96,7 +106,7 @@ def compare(case: Case) -> dict:
     }
 
 
-def long_record() -> dict:
+def long_record(rounds: int = ROUNDS) -> dict:
     """The actuator with 400,000 samples: greybox alone (the peers take the RK4 route, hundreds of passes)."""
     case = actuator(400_000)
     unit = ours.simulation(case)
@@ -106,10 +116,29 @@ def long_record() -> dict:
         "samples": case.experiment.rows,
         "unit_ms": 1e3 * unit(),
         "pass_ratio": ours.pass_ratio(case),
-        "simulation_equivalents": _median(run, unit),
-        "whole_call": _median(ours.whole_call(case), unit),
+        "simulation_equivalents": _median(run, unit, rounds),
+        "solver": ours.solver(case),
+        "whole_call": _median(ours.whole_call(case), unit, rounds),
         "against": {},
     }
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Time fits here and elsewhere.")
+    names = [*CASES, LONG]
+    parser.add_argument("problems", nargs="*", help=f"of {', '.join(names)}; all if left out")
+    parser.add_argument(
+        "--peers", nargs="*", choices=list(peers.PEERS), default=list(peers.PEERS), help="none: --peers"
+    )
+    parser.add_argument("--rounds", type=int, default=ROUNDS, help="most rounds (%(default)s)")
+    parser.add_argument(
+        "--output", type=Path, default=ROOT, help="folder of bench.json and docs/benchmark.md (this one)"
+    )
+    chosen = parser.parse_args(arguments)
+    if unknown := set(chosen.problems) - set(names):
+        parser.error(f"no such problem: {', '.join(sorted(unknown))}; there are {', '.join(names)}")
+    chosen.problems = chosen.problems or names
+    return chosen
 
 
 def _compile_seconds() -> dict[str, dict[str, float]]:

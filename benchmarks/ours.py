@@ -18,6 +18,7 @@ from greybox.estimation import FitOptions, fit
 from greybox.estimation.multistart import draw_starts
 from greybox.kernel import make_kernel
 from greybox.kernel.record import Record
+from greybox.result import Fit
 from greybox.transcription import to_record
 from greybox.transcription.problem import EstimationProblem, prepare_problem
 from greybox.transcription.solve import Solution, solve
@@ -95,7 +96,12 @@ def fitter(case: Case) -> Callable[[], np.ndarray]:
     return lambda: fitted(case, solve(problem, chosen))
 
 
-def whole_call(case: Case) -> Callable[[], object]:
+def solver(case: Case) -> str:
+    """Which optimisers ran in a fit."""
+    return str(whole_call(case)().solver.statistics["optimiser"])
+
+
+def whole_call(case: Case) -> Callable[[], Fit]:
     """`greybox.fit` from model and record to the result with intervals and notes."""
     return lambda: fit(case.start, case.experiment, noise=case.noise, options=options(case))
 

@@ -246,7 +246,8 @@ def _write_diffsl(case: Case, a: Arrays, size: np.ndarray) -> str:
         p[k] = _DiffSL(f"f{j}") * float(a.start[j])  # type: ignore[call-overload]
     x = tuple(_DiffSL(f"x{k}") * float(s) for k, s in enumerate(size))
     rate = [
-        (_DiffSL(v) * float(a.h * a.substeps / s)).text for v, s in zip(make_rate(case.name, m)(x, _DiffSL("drive"), p), size, strict=True)
+        (_DiffSL(v) * float(a.h * a.substeps / s)).text
+        for v, s in zip(make_rate(case.name, m)(x, _DiffSL("drive"), p), size, strict=True)
     ]
     names = [*(f"f{j}" for j in range(len(a.which))), "drive", *(f"s{k}" for k in range(len(size)))]
     return "\n".join(
