@@ -13,7 +13,7 @@ from enum import StrEnum
 import numpy as np
 
 from greybox.discovery.policy import ProposalPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem, predict_decrease
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.experiment import Experiment
 from greybox.numerics import TINY
 from greybox.signals import chirp, multisine
@@ -110,4 +110,6 @@ def _cost_of_rival(
             std[j] = policy.new_sensor_noise * max(float(np.abs(record.outputs[output.name]).max()), TINY)
     estimation = estimation.with_noise(replace(estimation.noise, std=std))
     e = estimation.shooting(estimation.variables).evaluate(estimation.variables.here)
-    return e.cost - predict_decrease(e, *estimation.variables.bounds()) if np.isfinite(e.cost) else np.inf
+    if not (np.isfinite(e.cost) and e.is_finite):
+        return np.inf
+    return e.cost - e.predicted_decrease(*estimation.variables.bounds())

@@ -291,25 +291,9 @@ def _predict_cost(problem: EstimationProblem, start: StartValues) -> tuple[float
     """Cost that one step predicts from one start, and the variables there; None if the model cannot be simulated."""
     variables = with_start_values(problem.variables, start)
     e = problem.shooting(variables).evaluate(variables.here)
-    if not (np.isfinite(e.cost) and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
+    if not (np.isfinite(e.cost) and e.is_finite and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
         return None
-    low, high = variables.bounds()
-    return e.cost - predict_decrease(e, low, high), variables
-
-
-def predict_decrease(e: Evaluation, low: np.ndarray, high: np.ndarray) -> float:
-    """Decrease of the cost by a Gauss-Newton step that stays within the bounds (variables that would leave are held)."""
-    inside = np.ones(len(low), bool)
-    for _ in range(3):
-        step = np.zeros(len(low))
-        gradient, hessian = e.gradient[inside], e.hessian[np.ix_(inside, inside)]
-        step[inside] = -np.linalg.lstsq(hessian, gradient, rcond=1e-12)[0]
-        leaving = inside & ((step < low) | (step > high))
-        if not leaving.any():
-            break
-        inside &= ~leaving
-        step[leaving] = 0.0
-    return float(-(e.gradient @ step) - 0.5 * step @ e.hessian @ step)
+    return e.cost - e.predicted_decrease(*variables.bounds()), variables
 
 
 def with_start_values(variables: DecisionVector, start: StartValues) -> DecisionVector:
