@@ -1,7 +1,7 @@
 """What MkDocs does with a page before it is built.
 
 Formulas between dollar signs become MathML, which browsers typeset offline. Lines such as ``<!-- public names -->`` become what the
-program itself says: every public name with its docstring, the help of every command, the catalogue of effects. Pages that
+program itself says: every public name with its docstring, the help of every command. Pages that
 studies write into this folder join the navigation by themselves.
 """
 
@@ -143,19 +143,6 @@ def study_fields() -> str:
     return "\n".join(rows)
 
 
-def catalogue() -> str:
-    """The effects of the catalogue: name, place, equation, and what tells each apart from its look-alikes."""
-    from greybox.effects import CATALOGUE
-
-    sections = []
-    for e in CATALOGUE:
-        constants = ", ".join(f"`{q.name}`: {q.description}" for q in e.parameters)
-        lines = [f"## {e.name}", f"At `{e.site}`." + (f" `{e.equation}`" if e.equation else ""), constants]
-        lines += [e.tells_apart, f"*Source: {e.source}*" if e.source else ""]
-        sections.append("\n\n".join(line for line in lines if line))
-    return "\n\n".join(sections)
-
-
 def result_files() -> str:
     """Each kind of result file with its keys, from the schema that files are checked against."""
     from greybox.schemas import ResultKind, read_schema
@@ -199,6 +186,5 @@ GENERATED: dict[str, Callable[[], str]] = {
     "commands": commands,
     "study fields": study_fields,
     "result files": result_files,
-    "catalogue": catalogue,
     "modules": modules,
 }

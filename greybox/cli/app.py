@@ -11,6 +11,7 @@ from greybox.cli.check import check
 from greybox.cli.compare import compare
 from greybox.cli.demo import demo
 from greybox.cli.discover import discover
+from greybox.cli.effects import effects
 from greybox.cli.exits import exit_on_error
 from greybox.cli.export import export
 from greybox.cli.fit import fit
@@ -91,6 +92,11 @@ app.command(
     short_help="List the models, or print one model.",
     epilog=format_examples("greybox models", "greybox models micro_actuator", "greybox models my/rig.py"),
 )(exit_on_error(models))
+app.command(
+    cls=PlainCommand,
+    short_help="List the effects, or where they act in a model.",
+    epilog=format_examples("greybox effects", "greybox effects micro_actuator", "greybox effects my/rig.py --json"),
+)(exit_on_error(effects))
 app.command(
     cls=PlainCommand,
     short_help="Create a project with example files.",

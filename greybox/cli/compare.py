@@ -24,6 +24,7 @@ from greybox.cli.inputs import (
     read_quiet_records,
     read_records,
     seed_of,
+    with_delays_of_records,
 )
 from greybox.cli.options import (
     STARTS_FILE,
@@ -88,6 +89,7 @@ def compare(
     check_substeps(study, models[0])
     folder = check_writable(output or Path("results") / f"{plain.name}-compare")
     records, validation = read_records(study, plain)
+    models = [with_delays_of_records(model, records) for model in models]
     quiet = read_quiet_records(study, plain, hold=study.hold)
     check_skip(study, validation)
     check_workers(workers, cluster, {"--starts N": study.starts > 1})

@@ -25,6 +25,7 @@ from greybox.cli.inputs import (
     read_quiet_records,
     read_records,
     seed_of,
+    with_delays_of_records,
 )
 from greybox.cli.interrupts import hold_interrupts
 from greybox.cli.options import (
@@ -86,6 +87,7 @@ def fit(
     check_substeps(study, model)
     folder = check_writable(output or Path("results") / f"{model.name}-fit")
     records, validation = read_records(study, model)
+    model = with_delays_of_records(model, records)
     quiet = read_quiet_records(study, model)
     check_skip(study, validation)
     check_prediction_steps(study, records, validation)

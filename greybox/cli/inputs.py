@@ -39,6 +39,16 @@ def add_effects(model: Model, names: Iterable[str]) -> Model:
     return model
 
 
+def with_delays_of_records(model: Model, records: Iterable[Experiment]) -> Model:
+    """``model`` whose delays may be as long as these records can show, where the user did not bound them."""
+    import numpy as np
+
+    from greybox.effects import bound_delays
+
+    periods = [float(np.median(record.intervals)) for record in records]
+    return bound_delays(model, max(periods)) if periods else model
+
+
 def set_parameters(model: Model, study: Study) -> Model:
     """``model`` with parameters freed, started and fixed as the study has it. Raises ModelError."""
     known = {name: value for name, value in study.fixed.items() if value is not None}

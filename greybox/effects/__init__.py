@@ -18,8 +18,8 @@ from greybox.effects.friction import FRICTION
 from greybox.effects.intersample import BETWEEN_SAMPLES
 from greybox.effects.level import LEVEL
 from greybox.effects.load import LOAD
-from greybox.effects.placement import AT, Placement, find_placements, place_effect
-from greybox.effects.scales import Scales, measure_scales, tailor_to_record
+from greybox.effects.placement import AT, EffectListing, Placement, find_placements, place_effect
+from greybox.effects.scales import Scales, bound_delays, measure_scales, tailor_to_record
 from greybox.effects.signal_path import SIGNAL_PATH
 from greybox.errors import ModelError, nearest
 from greybox.model import Effect, Model
@@ -50,9 +50,11 @@ __all__ = [
     "LEVEL",
     "LOAD",
     "SIGNAL_PATH",
+    "EffectListing",
     "Placement",
     "Scales",
     "applicable_effects",
+    "bound_delays",
     "effect",
     "find_placements",
     "measure_scales",

@@ -79,6 +79,25 @@ def _pitch_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     return {"pitch": (_travel(s) / (2 * START.cogging_periods[-1]), 2 * _travel(s))}
 
 
+def _stops_from_spring(edges: Mapping[str, list[float]], force: float, s: Scales) -> list[Mapping[str, float]]:
+    """Stops that push back as much at the end of the travel as the fitted spring does, from every edge."""
+    name, positions = next(iter(edges.items()))
+    depth = [(1 - share) * _travel(s) for share in START.stop_edges]
+    return [{name: at, "kc": force / into} for at, into in zip(positions, depth, strict=True)]
+
+
+def _stop_from_cubic(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    return _stops_from_spring(_gap_grid(s), abs(values["K3"]) * s.displacement**3, s)
+
+
+def _upper_from_quadratic(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    return _stops_from_spring(_upper_grid(s), abs(values["K2"]) * s.displacement**2, s)
+
+
+def _lower_from_quadratic(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    return _stops_from_spring(_lower_grid(s), abs(values["K2"]) * s.displacement**2, s)
+
+
 STIFFNESS = amplitude_parameter("kc", "{force}/{displacement}", "stiffness of the stop", low=0.0)
 
 end_stop = Effect(
@@ -90,12 +109,14 @@ end_stop = Effect(
     ],
     terms=_stop_on_both_sides,
     equation="-kc (x - min(max(x, -gap), gap))",
+    parents=("cubic_stiffness",),
     parity="odd",
     tells_apart=STOP_TEXT,
     source=STOP_SOURCE,
     amplitudes=("kc",),
     probe=_stop_probe,
     grid=_gap_grid,
+    from_parent=_stop_from_cubic,
     limits=_gap_limits,
 )
 
@@ -108,12 +129,14 @@ end_stop_above = Effect(
     ],
     terms=_stop_above,
     equation="-kc max(x - edge, 0)",
+    parents=("quadratic_stiffness",),
     parity="even",
     tells_apart=STOP_TEXT,
     source=STOP_SOURCE,
     amplitudes=("kc",),
     probe=_stop_probe,
     grid=_upper_grid,
+    from_parent=_upper_from_quadratic,
     limits=_edge_limits,
 )
 
@@ -126,12 +149,14 @@ end_stop_below = Effect(
     ],
     terms=_stop_below,
     equation="kc max(edge - x, 0)",
+    parents=("quadratic_stiffness",),
     parity="even",
     tells_apart=STOP_TEXT,
     source=STOP_SOURCE,
     amplitudes=("kc",),
     probe=_stop_probe,
     grid=_lower_grid,
+    from_parent=_lower_from_quadratic,
     limits=_edge_limits,
 )
 

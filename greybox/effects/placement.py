@@ -9,7 +9,9 @@ from typing import Any
 from greybox.effects.scales import Scales
 from greybox.errors import ModelError, UnitError
 from greybox.model import Effect, Model
+from greybox.model.signals import Parameter
 from greybox.model.sites import FIRST_INPUT, PRESSURE, STORE, PlaceKind, find_sites
+from greybox.values import Printable
 
 AT = "_at_"
 
@@ -28,12 +30,15 @@ class Placement:
         The effect as it acts there; None where it cannot.
     reason
         Why it cannot.
+    parameters
+        Its parameters with the names and units that they have in the model.
     """
 
     name: str
     site: str
     effect: Effect | None = None
     reason: str = ""
+    parameters: tuple[Parameter, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,25 @@ class _AtSite:
     def __call__(self, *arguments: Any) -> Any:
         *others, scales = arguments
         return self.function(*others, scales.at(self.site) if isinstance(scales, Scales) else scales)
+
+
+@dataclass(frozen=True)
+class EffectListing(Printable):
+    """Effects and their places in a model, or in any model; ``str`` lists them.
+
+    Parameters
+    ----------
+    model
+        Title of the model; empty for the catalogue alone.
+    entries
+        The effects.
+    placements
+        Their places in the model, and why some have none.
+    """
+
+    model: str
+    entries: tuple[Effect, ...]
+    placements: tuple[Placement, ...] = ()
 
 
 def place_effect(entry: Effect, site: str) -> Effect:
@@ -120,12 +144,12 @@ def _try(model: Model, entry: Effect, site: str) -> Placement:
     if entry.name in {e.name for e in model.effects}:
         return Placement(entry.name, site, None, "the model contains it already")
     try:
-        model + entry  # writing the equations out asks for every site, role, term and unit
+        changed = model + entry  # writing the equations out asks for every site, role, term and unit
     except UnitError:
         raise
     except ModelError as error:
         return Placement(entry.name, site, None, str(error))
-    return Placement(entry.name, site, entry)
+    return Placement(entry.name, site, entry, "", changed.bound_effects[-1].parameters)
 
 
 def _measured_at(entry: Effect, site: str) -> Effect:

@@ -27,6 +27,8 @@ class StartingValues:
     """Largest rate of an overflow, per sampling period: faster than the samples follow, an edge is an edge."""
     longest_delay: float = 16.0
     """Longest delay that is considered, in sampling periods: a longer one is seen with the naked eye."""
+    gain_share: float = 0.2
+    """Difference of the gain by sign that a search starts from beside a constant load, as a share."""
     stop_edges: tuple[float, ...] = (0.9, 0.75, 0.6, 0.45)
     """Where an end stop may begin, as shares of the travel in the record, the faintest first."""
     stop_depth: float = 0.3
@@ -73,3 +75,5 @@ class FlowLimits:
 START = StartingValues()
 NEUTRAL = NeutralValues()
 FLOW_LIMITS = FlowLimits()
+UNTAILORED_DELAY = (0.0, 5e-3)
+"""Bounds of a delay (s) before a record says how it is sampled."""

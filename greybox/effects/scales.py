@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 import casadi as ca
 import numpy as np
 
-from greybox.effects.policy import START
+from greybox.effects.policy import START, UNTAILORED_DELAY
 from greybox.errors import DataError
 from greybox.model import Effect, Model
 from greybox.model.sites import PlaceKind, Site, find_sites
@@ -238,6 +238,20 @@ def tailor_to_record(entry: Effect, scales: Scales) -> Effect:
                 low, high = max(low, values[0] / START.bounds_reach), min(high, values[-1] * START.bounds_reach)
         parameters.append(replace(q, bounds=(low, high), value=min(max(value, low), high)))
     return replace(entry, parameters=tuple(parameters))
+
+
+def bound_delays(model: Model, period: float) -> Model:
+    """A model whose delays may be as long as records show that are sampled every ``period`` seconds.
+
+    Only bounds that are still the catalogue's are changed: it cannot know how a record is sampled.
+    """
+    for bound in model.bound_effects:
+        if not bound.effect.delay:
+            continue
+        for inner, outer in zip(bound.effect.parameters, bound.parameters, strict=True):
+            if inner.name in bound.effect.amplitudes and inner.bounds == UNTAILORED_DELAY and not outer.fixed:
+                model = model.bound(**{outer.name: (0.0, START.longest_delay * period)})
+    return model
 
 
 def _peak(values: np.ndarray) -> float:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import casadi as ca
 
 from greybox.effects.parameters import amplitude_parameter, shape_parameter
-from greybox.effects.policy import NEUTRAL, START
+from greybox.effects.policy import NEUTRAL, START, UNTAILORED_DELAY
 from greybox.effects.scales import Scales
 from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, State
@@ -37,6 +37,12 @@ def _subtract_dead_zone(value: Expression, x: NamedValues, u: NamedValues, p: Na
 
 def _scale_by_sign(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return value - p.g * ca.fmin(value, 0)
+
+
+def _gain_from_offset(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    # An input of both signs that does less on one side has a mean: that is what a fitted offset or load shows.
+    share = min(2 * abs(values["u0"]) / s.input, 0.5) if "u0" in values else START.gain_share
+    return [{"g": share}, {"g": -share}]
 
 
 def _play_of_input(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
@@ -165,27 +171,6 @@ valve_dead_zone = replace(
     source="overlap of a spool and its ports; Linear ARX modelling of pneumatic actuator system (chapter 10)",
 )
 
-gain_by_sign = Effect(
-    "gain_by_sign",
-    site="input",
-    parameters=[
-        amplitude_parameter(
-            "g", "1", "share by which a negative input does less, negative where it does more", high=1.0
-        )
-    ],
-    on_input=_scale_by_sign,
-    equation="u for u > 0, (1 - g) u for u < 0",
-    parity="even",
-    tells_apart=(
-        "Repeat a step of either sign at two sizes: the answers differ by the same ratio at both sizes, those of an input offset by"
-        " the same amount; a constant load acts with the input at rest too."
-    ),
-    source="unequal piston areas or valve edges; amplifier with unequal branches",
-    amplitudes=("g",),
-    probe=lambda s: {"g": 0.03},
-    limits=lambda s: {"g": (-9.0, 1.0)},
-)
-
 input_hysteresis = Effect(
     "input_hysteresis",
     site="drive",
@@ -258,7 +243,7 @@ valve_lag = Effect(
 transport_delay = Effect(
     "transport_delay",
     site="input",
-    parameters=[amplitude_parameter("delay", "s", "time by which the input arrives late", low=0.0, high=5e-3)],
+    parameters=[amplitude_parameter("delay", "s", "time by which the input arrives late", *UNTAILORED_DELAY)],
     delay=_delay_seconds,
     equation="u(t - delay)",
     parity="linear",
@@ -286,6 +271,29 @@ input_offset = Effect(
     source="amplifier and converter offset",
     amplitudes=("u0",),
     probe=lambda s: {"u0": 0.01 * s.input},
+)
+
+gain_by_sign = Effect(
+    "gain_by_sign",
+    site="input",
+    parameters=[
+        amplitude_parameter(
+            "g", "1", "share by which a negative input does less, negative where it does more", high=1.0
+        )
+    ],
+    on_input=_scale_by_sign,
+    equation="u for u > 0, (1 - g) u for u < 0",
+    parents=("input_offset", "constant_load"),
+    parity="even",
+    tells_apart=(
+        "Repeat a step of either sign at two sizes: the answers differ by the same ratio at both sizes, those of an input offset by"
+        " the same amount; a constant load acts with the input at rest too."
+    ),
+    source="unequal piston areas or valve edges; amplifier with unequal branches",
+    amplitudes=("g",),
+    probe=lambda s: {"g": 0.03},
+    from_parent=_gain_from_offset,
+    limits=lambda s: {"g": (-9.0, 1.0)},
 )
 
 sensor_drift = Effect(
@@ -353,12 +361,12 @@ SIGNAL_PATH: tuple[Effect, ...] = (
     soft_saturation,
     input_dead_zone,
     valve_dead_zone,
-    gain_by_sign,
     input_hysteresis,
     valve_hysteresis,
     valve_lag,
     transport_delay,
     input_offset,
+    gain_by_sign,
     sensor_drift,
     sensor_lag,
     backlash,

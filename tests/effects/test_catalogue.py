@@ -189,12 +189,12 @@ def test_tanks_have_no_force_and_say_so(name):
 ON_ACTUATOR = """
     coulomb_friction stribeck_friction lugre_friction quadratic_damping cubic_stiffness quadratic_stiffness viscoelastic_creep
     bouc_wen_hysteresis constant_load second_mode force_constant_droop winding_heating eddy_current input_saturation soft_saturation
-    input_dead_zone transport_delay input_offset sensor_drift sensor_lag
+    input_dead_zone transport_delay input_offset gain_by_sign sensor_drift sensor_lag end_stop cogging
 """
 ON_CYLINDER = """
     coulomb_friction stribeck_friction lugre_friction quadratic_damping constant_load return_spring chamber_leakage choked_flow
     supply_droop position_dependent_volume valve_dead_zone input_saturation soft_saturation valve_lag transport_delay input_offset
-    backlash sensor_lag
+    backlash sensor_lag end_stop cogging gain_by_sign valve_hysteresis
 """
 
 
@@ -295,7 +295,8 @@ def test_start_values_for_a_search_are_finite_within_bounds_and_complete(model):
             low, high = own[name].bounds
             assert np.isfinite(value) and low <= value <= high, (entry.name, name, value)
         assert all(value != 0 for value in probe.values())
-        most = 16 if entry.name == "second_mode" else 8  # a resonance is narrow: a coarser grid steps over it
+        # a resonance is narrow, and so is the pitch of a force that repeats: a coarser grid steps over it
+        most = 16 if entry.name in ("second_mode", "cogging") else 8
         assert all(1 <= len(values) <= most and len(set(values)) == len(values) for values in grid.values())
         (model + entry).system  # noqa: B018
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import greybox
+from greybox.rendering.effects import write_catalogue_page
 from tests.support.documented import ROOT, blocks, commands, missing, run_page, same
 
 DOCS = ROOT / "docs"
@@ -94,7 +95,8 @@ def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
     for command in app.registered_commands:
         assert f"## greybox {command.callback.__name__}\n" in text
     assert "--json" in text and "\x1b" not in text
-    assert all(f"## {e.name}\n" in hooks.catalogue() for e in greybox.effects.CATALOGUE)
+    page = write_catalogue_page(greybox.effects.CATALOGUE)
+    assert (DOCS / "catalogue.md").read_text(encoding="utf-8") == page, "run python -m greybox.rendering.effects"
 
 
 def test_every_package_has_its_table_of_modules(hooks) -> None:
