@@ -244,6 +244,18 @@ def bound_delays(model: Model, period: float) -> Model:
     """A model whose delays may be as long as records show that are sampled every ``period`` seconds.
 
     Only bounds that are still the catalogue's are changed: it cannot know how a record is sampled.
+
+    Parameters
+    ----------
+    model
+        A model with a delay or without one.
+    period
+        Time between rows in s.
+
+    Returns
+    -------
+    Model
+        The same model, or one with other bounds of its delays.
     """
     for bound in model.bound_effects:
         if not bound.effect.delay:

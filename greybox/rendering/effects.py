@@ -36,7 +36,7 @@ def write_effects(listing: EffectListing) -> str:
     taken = [p for p in listing.placements if p.effect is not None]
     units = {p.name: _write_units(p.parameters) for p in taken}
     rows = [[p.name, p.site, units[p.name], p.effect.equation if p.effect else ""] for p in taken]
-    lines = [f"{listing.model} takes {len(taken)} effects:"]
+    lines = [f"{listing.model} takes {len(taken)} effect{'s' if len(taken) != 1 else ''}:"]
     lines += format_table(["effect", "at", "parameters", "equation"], rows)
     refused = [p for p in listing.placements if p.effect is None]
     if refused:

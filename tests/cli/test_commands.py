@@ -339,6 +339,49 @@ def test_models_are_listed_and_printed(run: Run) -> None:
     assert run("models", "nonsense").exit_code == 2
 
 
+def test_effects_are_listed_with_their_places(run: Run) -> None:
+    catalogue = run("effects")
+    assert "coulomb_friction" in catalogue.stdout and "Fc [{force}]" in catalogue.stdout
+    of_model = json.loads(run("effects", "micro_actuator", "--effect", "input_offset", "--json").stdout)
+    by_name = {p["name"]: p for p in of_model}
+    assert by_name["coulomb_friction"]["site"] == "force" and by_name["coulomb_friction"]["parameters"] == {"Fc": "N"}
+    assert by_name["sensor_lag_at_i"]["parameters"] == {"tau_s": "s"}
+    assert by_name["input_offset"]["reason"] and by_name["valve_lag"]["reason"]
+
+
+def test_a_delay_may_be_as_long_as_the_record_shows(run: Run, tmp_path: Path) -> None:
+    plant = tmp_path / "slow.py"
+    plant.write_text(
+        "from greybox import Balance, Input, Model, Output, Parameter, State\n"
+        "slow = Model('slow', [State('T', 'K')], [Input('P', 'W')], [Output('T', 'K')],\n"
+        "    [Parameter('C', 'J/K', 10.0, (1, 100)), Parameter('h', 'W/K', 2.0, (0.1, 20))],\n"
+        "    lambda x, u, p: [Balance('heat', 'W', p.C, 'T', heater=u.P, loss=-p.h * x.T)])\n"
+    )
+    generator = np.random.default_rng(1)
+    heater = np.repeat(generator.uniform(0, 50, 40), 10)
+    late = np.concatenate([np.zeros(3), heater[:-3]])
+    decay = np.exp(-0.1)
+    T = np.zeros(400)
+    for k in range(399):
+        T[k + 1] = decay * T[k] + (1 - decay) / 2.0 * late[k]
+    rows = "\n".join(
+        f"{0.5 * k},{u},{y}" for k, (u, y) in enumerate(zip(heater, T + 0.01 * generator.normal(size=400), strict=True))
+    )
+    (tmp_path / "r.csv").write_text("time [s],P [W],T [K]\n" + rows + "\n")
+    done = run(
+        "fit",
+        str(plant),
+        str(tmp_path / "r.csv"),
+        "--effect",
+        "transport_delay",
+        "--noise",
+        "T=0.01",
+        "--json",
+        "--no-report",
+    )
+    assert json.loads(done.stdout)["parameters"]["delay"]["value"] == pytest.approx(1.5, rel=0.02)
+
+
 def test_simulate_writes_what_fit_reads(run: Run, tmp_path: Path) -> None:
     signals = ["--multisine", 2, "--band", "5:800", "--duration", 0.25, "--sampling-time", 2.5e-4, "--seed", 3]
     noise = ["--noise", "x=2e-7", "--noise", "i=5e-3"]

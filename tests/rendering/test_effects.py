@@ -1,0 +1,65 @@
+"""Golden texts of the catalogue's listing and of its page."""
+
+from greybox.effects import CATALOGUE, EffectListing, Placement, effect, place_effect
+from greybox.model.signals import Parameter
+from greybox.rendering.effects import write_catalogue_page
+
+FRICTION = effect("coulomb_friction")
+
+
+def test_the_catalogue_as_a_table():
+    assert str(EffectListing("", (FRICTION,))) == (
+        "  effect            acts at  parameters    equation\n  coulomb_friction  force    Fc [{force}]  -Fc sign(v)"
+    )
+
+
+def test_places_and_why_there_is_none():
+    at_load = place_effect(FRICTION, "load")
+    placements = (
+        Placement(at_load.name, "load_torque", at_load, "", (Parameter("Fc", "N*m", 0.0),)),
+        Placement(
+            "valve_lag",
+            "",
+            None,
+            "effect 'valve_lag' acts at 'valve', which model 'm' does not have; it needs an input with the role `valve`",
+        ),
+        Placement(
+            "eddy_current",
+            "",
+            None,
+            "effect 'eddy_current' acts at 'voltage', which model 'm' does not have; known: force",
+        ),
+        Placement("input_offset", "u", None, "the model contains it already"),
+    )
+    assert str(EffectListing("m", CATALOGUE, placements)) == (
+        "m takes 1 effect:\n"
+        "  effect                    at           parameters  equation\n"
+        "  coulomb_friction_at_load  load_torque  Fc [N*m]    -Fc sign(v)\n"
+        "\n"
+        "no place for:\n"
+        "  effect        why not\n"
+        "  valve_lag     it needs an input with the role `valve`\n"
+        "  eddy_current  it needs a balance 'voltage'\n"
+        "  input_offset  the model contains it already"
+    )
+
+
+def test_a_section_of_the_page():
+    page = write_catalogue_page((effect("load_dependent_friction"),))
+    assert page.endswith(
+        "## load_dependent_friction\n"
+        "\n"
+        "`-(Fc + mu (sizes of the forces that do not depend on v)) sign(v)`\n"
+        "\n"
+        "Needs a balance of a velocity, in N, N m or per mass.\n"
+        "\n"
+        "- `Fc` [{force}]: friction without load\n"
+        "- `mu` [1]: friction over the force transmitted\n"
+        "\n"
+        "Contains [coulomb_friction](#coulomb_friction).\n"
+        "\n"
+        "Tell it apart: Move at one speed under several loads: this friction grows with the load, Coulomb and viscous friction do not.\n"
+        "\n"
+        "Source: gears and harmonic drives: Hamon, Gautier, Garrec 2010, Dynamic identification of robots with a dry friction model"
+        " depending on load and velocity.\n"
+    )
