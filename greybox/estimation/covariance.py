@@ -10,7 +10,7 @@ from scipy.special import ndtri, stdtrit
 from greybox.estimation.objective import ResidualRows
 from greybox.estimation.objective_search import LikelihoodMaximum
 from greybox.estimation.policy import DEFAULT_POLICY, IntervalPolicy
-from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, estimate_score_covariance
+from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, sum_scores
 from greybox.linear_algebra import SymmetricDecomposition, decompose_symmetric, eliminate
 from greybox.numerics import TINY
 from greybox.result import IntervalKind
@@ -104,7 +104,8 @@ def estimate_covariance(
     prior = variables.penalty(variables.here)[2] / 2
     known = np.diag(np.pad(prior, (0, variables.size - n)))
     rows = residuals.rows
-    data, held = residuals.compute_information(variables), np.diag(prior[inside])
+    sums, held = sum_scores(variables, rows, colour), np.diag(prior[inside])
+    data = sums.information
     projector = eliminate(data + known, inside, np.arange(n, variables.size))
     information = _symmetrise(projector @ data[:, inside])
     decomposition = decompose_symmetric(information + held)
@@ -112,11 +113,11 @@ def estimate_covariance(
     degrees = float(max(evaluation.count - colour.unknowns + int(variables.has_prior.sum()), 1))
     if problem.noise.known and (problem.variance_floor is not None or evaluation.squares.sum() <= degrees):
         degrees = np.inf
-    scores = projector @ estimate_score_covariance(variables, rows, colour.white) @ projector.T
+    scores = projector @ sums.white @ projector.T
     spread, kind, inflation = inverse @ (scores + held) @ inverse, IntervalKind.GAUSS_NEWTON, np.ones(len(inside))
     if colour.coloured:
         white = np.diag(spread)
-        scores = projector @ estimate_score_covariance(variables, rows, colour) @ projector.T
+        scores = projector @ sums.coloured @ projector.T
         other = estimate_kernel_score_covariance(variables, rows, colour, projector, policy)
         spread = raise_to_larger(*(inverse @ (middle + held) @ inverse for middle in (scores, other)))
         with np.errstate(divide="ignore", invalid="ignore"):

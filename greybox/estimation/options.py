@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
+from functools import lru_cache
 from typing import Any
 
 from greybox.errors import ModelError
@@ -97,7 +98,8 @@ class FitOptions(SolverOptions):
 
     def to_data(self) -> dict[str, Any]:
         """The options as plain values, for a result to store."""
-        return dict(to_json_data(self))
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "policy"}
+        return {**to_json_data(own), "policy": _to_policy_data(self.policy)}
 
     @property
     def robust(self) -> bool:
@@ -107,6 +109,12 @@ class FitOptions(SolverOptions):
     def to_loss(self) -> RobustLoss | None:
         """The robust loss; None for least squares. Raises ModelError for text that names none."""
         return parse_loss(self.loss, self.policy.transcription.robust_loss)
+
+
+@lru_cache(maxsize=8)
+def _to_policy_data(policy: EstimationPolicy) -> dict[str, Any]:
+    """A policy as plain values; nearly every fit has the same."""
+    return dict(to_json_data(policy))
 
 
 def resolve_options(options: Any) -> FitOptions:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from greybox.estimation.policy import ConstancyPolicy, EstimationPolicy
-from greybox.estimation.sandwich import ResidualColour, estimate_score_covariance
+from greybox.estimation.sandwich import ResidualColour, sum_scores
 from greybox.linear_algebra import decompose_symmetric
 from greybox.noise import AutoRegression, NoiseModel, NoiseSource
 from greybox.transcription import DecisionVector
@@ -203,17 +203,11 @@ def _step_to_optimum(
     }
     if sum(int(np.isfinite(r).sum()) for r, _ in data.values()) < policy.residuals_per_unknown * layout.size:
         return None
-    information, score = np.zeros((layout.size, layout.size)), np.zeros(layout.size)
-    for e, (r, jacobian) in data.items():
-        measured, columns = np.isfinite(r), layout.columns(e)
-        slopes = jacobian[measured]
-        information[np.ix_(columns, columns)] += slopes.T @ slopes
-        score[columns] += slopes.T @ r[measured]
-    decomposition = decompose_symmetric(information).without_doubtful()
+    sums = sum_scores(layout, list(data.values()), colour, list(data))
+    decomposition = decompose_symmetric(sums.information).without_doubtful()
     inverse = decomposition.pseudo_inverse
-    score_covariance = estimate_score_covariance(layout, list(data.values()), colour, list(data))
-    variance = np.diag(inverse @ score_covariance @ inverse)
-    return (-inverse @ score)[:shared], np.where(decomposition.is_open[:shared], np.inf, variance[:shared])
+    variance = np.diag(inverse @ sums.coloured @ inverse)
+    return (-inverse @ sums.score)[:shared], np.where(decomposition.is_open[:shared], np.inf, variance[:shared])
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ on strongly correlated noise, however its bandwidth is chosen.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
@@ -36,11 +36,6 @@ class ResidualColour:
     def coloured(self) -> bool:
         """Whether any output's residual is not white."""
         return any(m.order for m in self.models)
-
-    @property
-    def white(self) -> ResidualColour:
-        """The same variances without the colour."""
-        return replace(self, models=tuple(AutoRegression() for _ in self.models))
 
     @cached_property
     def times(self) -> list[tuple[float, float]]:
@@ -99,25 +94,45 @@ class ColumnLayout(Protocol):
         """Which unknowns one experiment concerns."""
 
 
-def estimate_score_covariance(
+@dataclass(frozen=True, eq=False)
+class ScoreSums:
+    """Sums over residuals ``r`` with their slopes ``J``.
+
+    ``score`` (size,) ``J'r``; ``information`` (size, size) ``J'J``; ``white`` (size, size) the covariance of the score if the residual is
+    white, and ``coloured`` if it is the stationary process that its colour says.
+    """
+
+    score: np.ndarray
+    information: np.ndarray
+    white: np.ndarray
+    coloured: np.ndarray
+
+
+def sum_scores(
     variables: ColumnLayout,
     rows: Sequence[tuple[np.ndarray, np.ndarray]],
     colour: ResidualColour,
     experiments: Sequence[int] = (),
-) -> np.ndarray:
-    """Covariance (size, size) of the scores if the residual is the stationary process that ``colour`` says.
+) -> ScoreSums:
+    """Score, information and covariance of the score of weighted residuals with this ``colour``.
 
     ``experiments``: which one each of ``rows`` is, in their order if left out.
     """
-    total = np.zeros((variables.size, variables.size))
+    score, (information, white, coloured) = np.zeros(variables.size), np.zeros((3, variables.size, variables.size))
     for e, (r, jacobian) in zip(experiments or range(len(rows)), rows, strict=True):
         measured = np.isfinite(r)
         slopes = jacobian if measured.all() else np.where(measured[:, :, None], jacobian, 0.0)
         block = np.ix_(variables.columns(e), variables.columns(e))
         for j, process in enumerate(colour.models):
-            lags = len(r) if process.order else 1
-            total[block] += colour.variance[j] * compute_toeplitz_form(slopes[:, j], process.autocorrelation(lags))
-    return total
+            columns = np.ascontiguousarray(slopes[:, j])
+            score[block[1][0]] += np.where(measured[:, j], r[:, j], 0.0) @ columns
+            squares = columns.T @ columns
+            information[block] += squares
+            white[block] += colour.variance[j] * squares
+            if process.order:
+                squares = compute_toeplitz_form(columns, process.autocorrelation(len(r)))
+            coloured[block] += colour.variance[j] * squares
+    return ScoreSums(score, information, white, coloured)
 
 
 def estimate_kernel_score_covariance(
