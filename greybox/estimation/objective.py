@@ -88,7 +88,7 @@ class Objective(Protocol):
         """The residuals with their slopes; None where the run is not finite."""
 
     def halve_step(self) -> Self:
-        """The same with half the integration step."""
+        """The same with half the integration step, where that is not exact."""
 
 
 @dataclass(frozen=True)

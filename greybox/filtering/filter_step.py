@@ -156,10 +156,15 @@ def _advance_with_slope(step: Step, x: ca.SX, ua: ca.SX, ub: ca.SX, q: ca.SX, h:
     return ca.Function("moved", symbols, [whole, ca.jacobian(whole, symbols[0])])(x, ua, ub, q, h)
 
 
-def compute_substep_noise(step: Step, system: System, u: ca.SX, q: ca.SX, h: ca.SX) -> ca.SX:
-    """What process noise adds to the covariance (nx, nx) in one substep from ``system.x`` under the input ``u``."""
-    _, slope = _advance_with_slope(step, system.x, u, u, q, h)
-    return _integrate_substep_noise(slope, ca.diag(system.diffusion**2), h)
+def compute_interval_noise(step: Step, system: System, u: ca.SX, q: ca.SX, h: ca.SX) -> ca.SX:
+    """What process noise adds to the covariance (nx, nx) in an interval ``h``, linearised at ``system.x`` and the input ``u``."""
+    part = h / step.substeps
+    _, slope = _advance_with_slope(step, system.x, u, u, q, part)
+    added = _integrate_substep_noise(slope, ca.diag(system.diffusion**2), part)
+    covariance = added
+    for _ in range(step.substeps - 1):
+        covariance = _symmetrise(slope @ covariance @ slope.T + added)
+    return covariance
 
 
 def _integrate_substep_noise(slope: ca.SX, intensity: ca.SX, h: ca.SX) -> ca.SX:

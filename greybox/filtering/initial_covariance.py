@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from greybox.filtering.filter_step import compute_substep_noise
+from greybox.filtering.filter_step import compute_interval_noise
 from greybox.filtering.symmetric_matrices import to_lower_triangle
 from greybox.integrators import Step
 from greybox.kernel import Record
@@ -39,7 +39,7 @@ class InitialCovariance:
             return cls(step, nx, None)
         u, q = ca.SX.sym("u", step.advance.size1_in(1)), ca.SX.sym("q", step.advance.size1_in(3))
         h = ca.SX.sym("h")
-        lower = to_lower_triangle(compute_substep_noise(step, system, u, q, h))
+        lower = ca.cse(to_lower_triangle(compute_interval_noise(step, system, u, q, h)))
         along = ca.jacobian(lower, ca.vertcat(system.x, q, system.p))
         return cls(step, nx, ca.Function("begin", [system.x, u, q, system.p, h], [lower, ca.densify(along)]))
 
@@ -74,5 +74,4 @@ class InitialCovariance:
 
     def _arguments(self, function: ca.Function, rows: Record, q: np.ndarray, pn: np.ndarray, x0: np.ndarray) -> tuple:
         columns, nq = function.size1_in(1), function.size1_in(2)
-        h = float(rows.lengths.min()) / self.step.substeps
-        return x0, rows.u[0, :columns], q[0, :nq], pn[: function.size1_in(3)], h
+        return x0, rows.u[0, :columns], q[0, :nq], pn[: function.size1_in(3)], float(rows.lengths.min())

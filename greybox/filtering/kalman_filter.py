@@ -100,7 +100,7 @@ class KalmanFilter:
     def with_substeps(self, substeps: int) -> KalmanFilter:
         """The same with another number of substeps in an interval; nothing is compiled."""
         filter_step, step = (replace(s, substeps=substeps) for s in (self.filter_step, self.step))
-        initial_covariance = None if self.initial_covariance is None else replace(self.initial_covariance, step=step)
+        initial_covariance = None if self.initial_covariance is None else InitialCovariance.of(self.system, step)
         return replace(
             self,
             step=step,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.linear_algebra import pseudo_inverse
 from greybox.result import Fit
 from greybox.transcription import DecisionVector
+from greybox.uncertainty.interval_file import read_intervals, restore_interval, restore_policy, save_intervals
 from greybox.uncertainty.policy import DEFAULT_BOOTSTRAP_POLICY, BootstrapPolicy
 
 
@@ -28,6 +30,46 @@ class Bootstrap:
     interval: dict[str, tuple[float, float]]
     block: int
     policy: BootstrapPolicy = DEFAULT_BOOTSTRAP_POLICY
+
+    def save(self, path: str | Path) -> Path:
+        """Write the bootstrap as JSON; `load_bootstrap` reads it back without loss.
+
+        Parameters
+        ----------
+        path
+            Where to; folders are made.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+        """
+        return save_intervals(self, path)
+
+
+def load_bootstrap(path: str | Path) -> Bootstrap:
+    """Read a bootstrap that `Bootstrap.save` wrote.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    Bootstrap
+        The bootstrap as it was saved.
+
+    Raises
+    ------
+    DataError
+        If the file is not a bootstrap.
+    """
+    data = read_intervals(path, "bootstrap")
+    data["names"], data["samples"] = tuple(data["names"]), np.array(data["samples"])
+    data["interval"] = {name: restore_interval(ends) for name, ends in data["interval"].items()}
+    data["policy"] = restore_policy(BootstrapPolicy, data["policy"])
+    return Bootstrap(**data)
 
 
 def bootstrap(

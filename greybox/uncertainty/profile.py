@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from greybox.linear_algebra import pseudo_inverse
 from greybox.result import Fit
 from greybox.transcription import DecisionVector, Evaluation
 from greybox.transcription.decision_vector import SHARED
+from greybox.uncertainty.interval_file import read_intervals, restore_interval, restore_policy, save_intervals
 from greybox.uncertainty.policy import DEFAULT_PROFILE_POLICY, ProfilePolicy
 from greybox.values import Printable
 
@@ -46,6 +48,49 @@ class Profile(Printable):
     def open_sides(self) -> tuple[bool, bool]:
         """Whether the rise stays below the threshold downwards and upwards as far as it was followed."""
         return bool(self.increase[0] < self.threshold), bool(self.increase[-1] < self.threshold)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the profile as JSON; `load_profile` reads it back without loss.
+
+        Parameters
+        ----------
+        path
+            Where to; folders are made.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+        """
+        return save_intervals(self, path)
+
+
+def load_profile(path: str | Path) -> Profile:
+    """Read a profile that `Profile.save` wrote.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    Profile
+        The profile as it was saved.
+
+    Raises
+    ------
+    DataError
+        If the file is not a profile.
+    """
+    data = read_intervals(path, "profile")
+    data["values"], data["increase"] = (
+        np.array(data["values"]),
+        np.array([np.inf if rise is None else rise for rise in data["increase"]]),
+    )
+    data["interval"] = restore_interval(data["interval"])
+    data["policy"] = restore_policy(ProfilePolicy, data["policy"])
+    return Profile(**data)
 
 
 def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLICY) -> Profile:

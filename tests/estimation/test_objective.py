@@ -1,0 +1,89 @@
+"""Simulation error and prediction error are two objectives over one decision vector: their derivatives, rows and steps."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from greybox import FitOptions, fit
+from greybox.estimation.objective import PredictionErrorObjective, SimulationErrorObjective
+from greybox.estimation.objective_search import hold_parameters, refine_minimum, search_minimum
+from greybox.estimation.options import prepare_estimation
+from greybox.estimation.restore import restore_objective
+from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, record
+
+KINDS = {"simulation": SimulationErrorObjective, "prediction": PredictionErrorObjective}
+
+
+@cache
+def optimum(kind):
+    """The objective of a fit with gaps, a prior and estimated first states, at its optimum."""
+    data = record(3, intensity=INTENSITY if kind == "prediction" else 0.0, x0=[1.0, -0.5])
+    x = data.outputs["x"].copy()
+    x[20:30] = np.nan
+    model = MASS.with_process_noise("v") if kind == "prediction" else MASS
+    noise = None if kind == "prediction" else LEVEL
+    return restore_objective(fit(model.prior(B=(0.5, 0.1)), data.with_outputs({**data.outputs, "x": x}), noise=noise))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_gradient_is_that_of_the_cost(kind):
+    objective = optimum(kind)
+    assert isinstance(objective, KINDS[kind])
+    size = objective.variables.size
+    z = 0.05 * np.cos(np.arange(size))
+    gradient, e = objective.evaluate(z).gradient, 1e-5
+    for k, axis in enumerate(np.eye(size)):
+        rise = objective.evaluate(z + e * axis).cost - objective.evaluate(z - e * axis).cost
+        assert gradient[k] == pytest.approx(rise / (2 * e), rel=1e-5, abs=1e-4 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_rows_add_up_to_the_quadratic_model(kind):
+    objective = optimum(kind)
+    v, residuals = objective.variables, objective.linearise()
+    evaluation = objective.evaluate(v.here)
+    _, slope, curvature = v.penalty(v.here)
+    rest = v.size - len(v.which)
+    score = sum(s.sum(axis=0) for s in residuals.scores)
+    np.testing.assert_allclose(2 * score + np.pad(slope, (0, rest)), evaluation.gradient, atol=1e-6)
+    information = residuals.compute_information(v) + np.diag(np.pad(curvature / 2, (0, rest)))
+    np.testing.assert_allclose(information, evaluation.hessian / 2, rtol=1e-9, atol=1e-9 * np.abs(information).max())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_noise_levels_are_one_more_slice(kind):
+    variables = optimum(kind).variables
+    estimated = 2 if kind == "prediction" else 0
+    assert len(variables.split(variables.here).noise_levels) == estimated
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_half_the_step_is_nearer_to_the_exact_one(kind):
+    data = record(3, intensity=INTENSITY, x0=[1.0, -0.5])
+    model = MASS.with_process_noise(v=INTENSITY) if kind == "prediction" else MASS
+    costs = {}
+    for method, substeps in (("exact", 0), ("rk4", 1)):
+        options = FitOptions(method=method, substeps=substeps)
+        problem = prepare_estimation(model, data, LEVEL, options)
+        simulation = kind == "simulation"
+        objective = (
+            SimulationErrorObjective(problem)
+            if simulation
+            else PredictionErrorObjective.of(problem, options.policy.likelihood_search)
+        )
+        here = objective.variables.here
+        costs[method] = objective.evaluate(here).cost
+        costs["halves"] = objective.halve_step().evaluate(here).cost
+    assert abs(costs["halves"] - costs["exact"]) < 0.2 * abs(costs["rk4"] - costs["exact"])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_few_steps_nearby_find_what_a_search_finds(kind):
+    objective, options = optimum(kind), FitOptions()
+    held = hold_parameters(objective, {"K": 1.02 * objective.variables.model.values["K"]})
+    assert held.variables.size == objective.variables.size - 1
+    near, far = refine_minimum(held, options), search_minimum(held, options)
+    assert near.status.success and far.status.success
+    assert near.evaluation.cost == pytest.approx(far.evaluation.cost, abs=1e-4)
+    assert near.evaluation.cost > objective.evaluate(objective.variables.here).cost
