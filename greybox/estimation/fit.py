@@ -185,7 +185,7 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
             optimum.status.success,
             float(optimum.evaluation.cost),
             {
-                "optimiser": "IPOPT",
+                "optimiser": search.solver,
                 "ipopt_status": search.solver_status,
                 "iterations": search.iterations,
                 "passes": search.evaluations,

@@ -16,7 +16,6 @@ from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.options import ColourTreatment, FitOptions
 from greybox.estimation.policy import NoiseLoopPolicy
 from greybox.estimation.sandwich import estimate_residual_colour
-from greybox.noise import AutoRegression
 from greybox.noise.differences import estimate_spread
 from greybox.noise.noise_sources import NoiseSource
 from greybox.optim import MinimisationMethod, Termination, minimise
@@ -40,19 +39,13 @@ def estimate_by_simulation_error(
     steps.
     """
     if colour == ColourTreatment.WHITE:
-        problem = problem.with_noise(replace(problem.noise, colour=tuple(AutoRegression() for _ in problem.noise.std)))
+        problem = problem.with_white_noise()
     solution = solve(problem, options, report)
     for _ in range(options.policy.noise_loop.rounds):
         wanted = update_noise(solution, options, colour) if solution.status.success else None
         if wanted is None:
             break
-        before, solution = solution, solve(wanted, replace(options, progressive=False), report)
-        solution = replace(
-            solution,
-            iterations=solution.iterations + before.iterations,
-            evaluations=solution.evaluations + before.evaluations,
-            seconds=solution.seconds + before.seconds,
-        )
+        solution = solve(wanted, replace(options, progressive=False), report).with_work_of(solution)
     return polish_by_gauss_newton(solution, options)
 
 
@@ -138,7 +131,7 @@ def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
     problem, policy = solution.problem, options.policy.noise_loop
     if solution.joined or not solution.status.success:
         return solution
-    objective = SimulationErrorObjective(replace(problem, variables=solution.variables))
+    objective = SimulationErrorObjective(solution.at_optimum)
     low, high = solution.variables.bounds()
     outcome = minimise(
         objective.evaluate,

@@ -176,7 +176,7 @@ class SimulationOptimum(Optimum):
     @cached_property
     def objective(self) -> SimulationErrorObjective:
         """The squares of the simulation error."""
-        return SimulationErrorObjective(replace(self.problem, variables=self.solution.variables))
+        return SimulationErrorObjective(self.solution.at_optimum)
 
     @property
     def runs(self) -> Runs:

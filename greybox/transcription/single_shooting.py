@@ -48,7 +48,7 @@ class _Search:
     def solve(self, problem: EstimationProblem) -> Solution:
         """The optimum over whole records, the first time by way of growing parts of them."""
         self.problem, self.variables, self.known = problem, problem.variables, None
-        self.status, self.word = TerminationStatus.CONVERGED, ""
+        self.status, self.word, self.solver = TerminationStatus.CONVERGED, "", ""
         self.iterations = self.passes = 0
         self.seconds, self.shares = 0.0, []
         if self.progressive:
@@ -67,6 +67,7 @@ class _Search:
             tuple(self.shares),
             np.zeros(len(problem.noise.std)),
             make_strategy(Transcription.SINGLE, shares=list(self.shares)),
+            solver=self.solver,
         )
 
     def refine(self, solution: Solution) -> Refinement:
@@ -149,6 +150,7 @@ class _Search:
             policy=self.options.policy.minimisation,
         )
         self.variables, self.status, self.word = variables.recentre(outcome.z), outcome.status, outcome.solver_status
+        self.solver = outcome.solver or self.solver
         self.iterations += outcome.iterations
         self.passes += outcome.evaluations
         self.seconds += outcome.seconds

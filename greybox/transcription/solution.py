@@ -76,6 +76,8 @@ class Solution:
     transcription: str = "single"
     joined: SegmentedRun | None = None
     discretisation: str = ""
+    solver: str = "IPOPT"
+    """Which solvers ran, in their order."""
 
     @property
     def at_optimum(self) -> EstimationProblem:
