@@ -98,8 +98,8 @@ class FitOptions(SolverOptions):
 
     def to_data(self) -> dict[str, Any]:
         """The options as plain values, for a result to store."""
-        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "policy"}
-        return {**to_json_data(own), "policy": _to_policy_data(self.policy)}
+        choices = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "policy"}
+        return {**to_json_data(choices), "policy": _to_policy_data(self.policy)}
 
     @property
     def robust(self) -> bool:
