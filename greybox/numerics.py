@@ -45,8 +45,9 @@ LARGEST_SCALING_EXPONENT = 200
 SAME_SAMPLING_TIME = 2e-3
 """Relative difference below which two sampling times are one: recorded time stamps are rounded."""
 
-STEP_ROUNDING = 1e-9
-"""Share of a sampling interval by which a row or a delay may miss a whole number of intervals."""
+TIME_ROUNDING = 1e-9
+"""Time stamps are written with rounding: interval lengths that differ by less than this share of themselves are one length, a row or a
+delay may miss a whole number of intervals by this share of one, and a band may pass half the sampling frequency by it."""
 
 COLLINEAR_COLUMNS = 1e-13
 """Smallest singular value of columns of unit length, over the square root of their number of rows, below which they are dependent."""
@@ -127,9 +128,6 @@ CANCELLED_RESPONSE = 1e-9
 OPEN_DIRECTION_ENTRY = 1e-3
 """A constant whose entry in a direction without information, of length one, is larger has no finite standard deviation."""
 
-FREQUENCY_ROUNDING = 1e-9
-"""A band may end at half the sampling frequency, whatever the last digits of the time stamps: share of that frequency."""
-
 MAD_TO_STD = 1.482602218505602
 """Standard deviation of normal values over the median of their sizes."""
 
@@ -159,9 +157,6 @@ PHI_SERIES_TERMS = 14
 """Below this argument the exponential's remainders ``phi_k`` cancel in their closed form; so many terms of their series then reach
 full precision (``0.5^14 / 14!`` is below 1e-15)."""
 
-DECREASE_CUTOFF = 1e-13
-"""Directions with less than this share of the largest curvature promise no decrease of a cost."""
-
 AT_BOUND = 1e-6
 """A value this close to its bound, as a share of its range or scale, lies on it."""
 
@@ -175,9 +170,6 @@ NORMAL_QUADRATURE_POINTS = 4001
 NORMAL_QUADRATURE_WIDTH = 9.0
 """Points and half width, in standard deviations, of a sum that stands for an expectation over the normal distribution."""
 
-SAME_INTERVAL = 1e-9
-"""Interval lengths that differ by less than this share of themselves are one length: time stamps are written with rounding."""
-
 FREE_STATE_CURVATURE = 1e-10
 """A step of a segment's state along directions that no sample shows is held back by this share of the mean curvature."""
 
@@ -186,9 +178,6 @@ ROUNDED_BOUND = 1e-9
 
 CONSTANT_STATE = 1e-12
 """A state whose range is below this share of its size never moves."""
-
-FLATTEST_CURVATURE = 1e-14
-"""Eigenvalues of a scaled matrix are raised to this share of the largest one before their roots are divided by."""
 
 REFERENCE_TOLERANCE = 1e-9
 """Relative and absolute tolerance of the independent simulation, absolute for states divided by their size: far below any noise."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.errors import DataError
-from greybox.numerics import FREQUENCY_ROUNDING
+from greybox.numerics import TIME_ROUNDING
 
 
 def multisine(time: np.ndarray, low: float, high: float, rms: float, generator: np.random.Generator) -> np.ndarray:
@@ -48,7 +48,7 @@ def multisine(time: np.ndarray, low: float, high: float, rms: float, generator: 
     2.0
     """
     n, step = len(time), float(time[1] - time[0])
-    _check_highest_frequency("multisine", high, step, high * step > 0.5 * (1 + FREQUENCY_ROUNDING))
+    _check_highest_frequency("multisine", high, step, high * step > 0.5 * (1 + TIME_ROUNDING))
     frequency = np.fft.rfftfreq(n, step)
     lines = (frequency >= low) & (frequency <= high) & (frequency > 0) & (frequency < 0.5 / step)
     if not lines.any():

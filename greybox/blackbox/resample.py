@@ -11,7 +11,7 @@ from greybox.errors import DataError
 from greybox.experiment import Experiment
 from greybox.experiment.findings import RecordCode
 from greybox.findings import Finding
-from greybox.numerics import STEP_ROUNDING
+from greybox.numerics import TIME_ROUNDING
 
 
 def resample(experiment: Experiment, sampling_time: float) -> Experiment:
@@ -44,14 +44,14 @@ def resample(experiment: Experiment, sampling_time: float) -> Experiment:
     """
     if not (math.isfinite(sampling_time) and sampling_time > 0):
         raise DataError(f"resample {experiment.name!r}: a step of {sampling_time} s; give a positive number of seconds")
-    rows = int(np.floor(experiment.duration / sampling_time + STEP_ROUNDING)) + 1
+    rows = int(np.floor(experiment.duration / sampling_time + TIME_ROUNDING)) + 1
     if rows < 2:
         raise DataError(
             f"resample {experiment.name!r}: steps of {sampling_time:g} s leave {rows} row of a record of"
             f" {experiment.duration:g} s; give a shorter step"
         )
     old, new = experiment.time, experiment.time[0] + sampling_time * np.arange(rows)
-    before = np.clip(np.searchsorted(old, new + STEP_ROUNDING * sampling_time, side="right") - 1, 0, len(old) - 1)
+    before = np.clip(np.searchsorted(old, new + TIME_ROUNDING * sampling_time, side="right") - 1, 0, len(old) - 1)
 
     def interpolate(values: np.ndarray) -> np.ndarray:
         return np.interp(new, old, values)

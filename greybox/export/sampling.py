@@ -14,7 +14,7 @@ from greybox.export.linearisation import Linearisation
 from greybox.export.policy import DEFAULT_SAMPLING, SamplingPolicy
 from greybox.export.state_scaling import balance_matrix
 from greybox.findings import Finding, Severity
-from greybox.numerics import STEP_ROUNDING
+from greybox.numerics import TIME_ROUNDING
 
 METHODS = ("zoh", "tustin")
 
@@ -118,9 +118,9 @@ def sample(
 
 def _split_delay(delay: float, dt: float) -> tuple[int, float]:
     """A delay as whole intervals and the share (0 to below 1) of one more."""
-    whole = math.floor(delay / dt + STEP_ROUNDING)
+    whole = math.floor(delay / dt + TIME_ROUNDING)
     share = delay / dt - whole
-    return whole, share if share > STEP_ROUNDING else 0.0
+    return whole, share if share > TIME_ROUNDING else 0.0
 
 
 Parts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]

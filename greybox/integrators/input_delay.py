@@ -17,6 +17,7 @@ from greybox.errors import DataError, ModelError
 from greybox.integrators.policy import DEFAULT_POLICY, DiscretisationPolicy
 from greybox.integrators.step import AdvanceFunction, InputHistory
 from greybox.model.system import System
+from greybox.numerics import TIME_ROUNDING
 
 FLAG_COLUMNS = ("parity", "linear", "length")
 """Columns after the earlier rows: 0 and 1 in turn, whether the input is linear between rows, and the interval's length in seconds."""
@@ -36,7 +37,7 @@ def require_history(
     if len(columns) > 1:
         raise ModelError(f"delays of two different inputs at once ({names}) are not supported; delay one input")
     longest, shortest = sum(d.longest for d in system.delays), float(np.min(lengths, initial=np.inf))
-    rows = max(1, math.ceil(longest / shortest - 1e-9)) if np.isfinite(shortest) else 1
+    rows = max(1, math.ceil(longest / shortest - TIME_ROUNDING)) if np.isfinite(shortest) else 1
     most = policy.max_delay_rows
     if rows > most:
         raise ModelError(

@@ -105,8 +105,8 @@ def check_sums(
     samples: int,
 ) -> GaussNewtonSums:
     """The sums, or an infinite cost where anything was not finite."""
-    with np.errstate(over="ignore", invalid="ignore"):  # that is what is looked for
-        cost, size = float(squares.sum()), float(gauss_newton.trace())
+    # Numbers of Python overflow without a warning, and so few are summed up sooner than an array is.
+    cost, size = float(sum(squares.tolist())), float(sum(gauss_newton.diagonal().tolist()))
     # |J'r|^2 is at most J'J r'r, and an entry of J'J at most the product of two on its diagonal.
     if failed_at is None and not math.isfinite(2 * (cost + size)):  # both are doubled later
         failed_at = samples

@@ -12,7 +12,7 @@ from greybox.experiment import Experiment
 from greybox.experiment.time_gaps import refuse_unknown_input
 from greybox.kernel.record import Record
 from greybox.model import Model
-from greybox.numerics import SAME_INTERVAL
+from greybox.numerics import TIME_ROUNDING
 from greybox.transcription.policy import DEFAULT_POLICY, BandLimitedPolicy
 
 
@@ -113,11 +113,11 @@ def interpolate_band_limited(
 def _group_intervals(intervals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The distinct interval lengths, and which of them each interval has."""
     # The usual case, without five copies of a long record.
-    if len(intervals) and np.ptp(intervals) <= SAME_INTERVAL * intervals[0]:
+    if len(intervals) and np.ptp(intervals) <= TIME_ROUNDING * intervals[0]:
         return intervals[:1].copy(), np.zeros(len(intervals), np.int32)
     order = np.argsort(intervals, kind="stable")
     ordered = intervals[order]
-    is_new = np.concatenate([[False], np.diff(ordered) > SAME_INTERVAL * ordered[1:]])
+    is_new = np.concatenate([[False], np.diff(ordered) > TIME_ROUNDING * ordered[1:]])
     row = np.empty(len(intervals), int)
     row[order] = np.cumsum(is_new)
     starts = np.concatenate([[0], np.flatnonzero(is_new)])

@@ -16,7 +16,7 @@ import numpy as np
 from greybox.errors import DataError
 from greybox.experiment import Experiment
 from greybox.kernel import Record
-from greybox.numerics import CONSTANT_STATE, SAME_INTERVAL
+from greybox.numerics import CONSTANT_STATE, TIME_ROUNDING
 from greybox.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.transcription.policy import DEFAULT_POLICY, SegmentPolicy
 from greybox.transcription.problem import EstimationProblem
@@ -135,7 +135,7 @@ def place_cuts(
     if not (np.isfinite(length) and length > 0):
         raise DataError(f"arcs of {name!r}: {seconds} s is not a length; give a positive number of seconds")
     # The tolerance keeps a row that is due exactly at a cut out of the arc before.
-    arc_number = np.floor(since[::rows_per_sample] / length + SAME_INTERVAL)
+    arc_number = np.floor(since[::rows_per_sample] / length + TIME_ROUNDING)
     starts = rows_per_sample * np.concatenate([[0], np.flatnonzero(np.diff(arc_number)) + 1])
     cuts = _close_cuts(starts, count)
     shortest = int(np.diff(cuts).min()) // rows_per_sample
