@@ -91,7 +91,7 @@ def _tanks_input(rng: np.random.Generator, rows: int) -> np.ndarray:
 
 _ON_INPUT = ("input_saturation", "input_dead_zone", "input_offset", "transport_delay")
 _MOVING = ("coulomb_friction", "stribeck_friction", "quadratic_damping")
-_STRANGE = ("gain_by_sign", "coarse_drive", "sensor_on_change")
+_STRANGE = ("coarse_drive", "sensor_on_change")
 SETUPS: Mapping[str, Setup] = {
     "rotary_drive": Setup(
         2e-3,
@@ -100,9 +100,9 @@ SETUPS: Mapping[str, Setup] = {
         {"w": 0.3, "i": 0.01},
         ("u",),
         _drive_input,
-        (*_MOVING, *_ON_INPUT, "constant_load", "winding_heating", "sensor_lag"),
+        (*_MOVING, *_ON_INPUT, "constant_load", "winding_heating", "sensor_lag", "gain_by_sign", "input_play"),
         (("coulomb_friction", "input_offset"), ("quadratic_damping", "coulomb_friction")),
-        (*_STRANGE, "power_damping", "input_play"),
+        (*_STRANGE, "power_damping"),
         ("cubic_damping", "soft_saturation", "creeping_friction"),
     ),
     "two_mass": Setup(
@@ -137,7 +137,7 @@ SETUPS: Mapping[str, Setup] = {
             *("cubic_stiffness", "quadratic_stiffness", "viscoelastic_creep", "bouc_wen_hysteresis", "sensor_drift"),
         ),
         (("cubic_stiffness", "coulomb_friction"), ("quadratic_damping", "input_offset")),
-        (*_STRANGE, "magnet", "power_damping", "input_play"),
+        (*_STRANGE, "magnet", "power_damping"),
         ("quintic_stiffness", "cubic_damping", "soft_saturation", "creeping_friction"),
     ),
     "cylinder": Setup(
@@ -158,10 +158,10 @@ SETUPS: Mapping[str, Setup] = {
         (
             *_MOVING,
             *("input_saturation", "valve_dead_zone", "input_offset", "transport_delay", "valve_lag"),
-            "constant_load",
+            *("constant_load", "root_leak", "input_play", "end_stop", "gain_by_sign"),
         ),
         (("coulomb_friction", "valve_dead_zone"), ("valve_lag", "constant_load")),
-        (*_STRANGE, "root_leak", "input_play", "end_stop"),
+        (*_STRANGE, "magnet", "power_damping"),
         ("cubic_damping", "soft_saturation"),
     ),
     "thermal": Setup(
@@ -171,9 +171,12 @@ SETUPS: Mapping[str, Setup] = {
         {"S": 0.02},
         ("P", "Ta"),
         _thermal_input,
-        ("input_saturation", "transport_delay", "input_offset", "sensor_drift"),
+        (
+            *("input_saturation", "transport_delay", "input_offset", "sensor_drift"),
+            *("radiation", "convection", "second_body"),
+        ),
         (("input_saturation", "transport_delay"),),
-        ("radiation", "convection", "second_body", "coarse_drive", "sensor_on_change"),
+        _STRANGE,
         ("soft_saturation",),
     ),
     "tanks": Setup(
@@ -190,9 +193,12 @@ SETUPS: Mapping[str, Setup] = {
         {"h1": 5e-4, "h2": 5e-4},
         ("u",),
         _tanks_input,
-        ("input_dead_zone", "input_saturation", "input_offset", "transport_delay", "sensor_drift"),
+        (
+            *("input_dead_zone", "input_saturation", "input_offset", "transport_delay", "sensor_drift"),
+            *("pump_back_pressure", "linear_leak", "overflow"),
+        ),
         (("input_dead_zone", "input_saturation"),),
-        ("pump_back_pressure", "linear_leak", "overflow", "coarse_drive", "sensor_on_change"),
+        _STRANGE,
         ("soft_saturation",),
     ),
 }
@@ -201,6 +207,10 @@ FAMILY: Mapping[str, tuple[str, ...]] = {
     "quintic_stiffness": ("cubic_stiffness",),
     "cubic_damping": ("quadratic_damping", "cubic_damping"),
     "soft_saturation": ("soft_saturation", "input_saturation"),
+    "input_play": ("input_hysteresis", "valve_hysteresis"),
+    "radiation": ("radiation_loss",),
+    "convection": ("natural_convection",),
+    "second_body": ("heat_storage",),
 }
 
 

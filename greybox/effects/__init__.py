@@ -19,8 +19,10 @@ from greybox.effects.intersample import BETWEEN_SAMPLES
 from greybox.effects.level import LEVEL
 from greybox.effects.load import LOAD
 from greybox.effects.placement import AT, EffectListing, Placement, find_placements, place_effect
+from greybox.effects.rotation import ROTATION
 from greybox.effects.scales import Scales, bound_delays, measure_scales, tailor_to_record
 from greybox.effects.signal_path import SIGNAL_PATH
+from greybox.effects.thermal import THERMAL
 from greybox.errors import ModelError, nearest
 from greybox.model import Effect, Model
 
@@ -33,6 +35,8 @@ CATALOGUE: tuple[Effect, ...] = (
     *FLOW,
     *LEVEL,
     *LOAD,
+    *ROTATION,
+    *THERMAL,
     *SIGNAL_PATH,
     *BETWEEN_SAMPLES,
 )
@@ -49,7 +53,9 @@ __all__ = [
     "FRICTION",
     "LEVEL",
     "LOAD",
+    "ROTATION",
     "SIGNAL_PATH",
+    "THERMAL",
     "EffectListing",
     "Placement",
     "Scales",

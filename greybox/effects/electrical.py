@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+
+import casadi as ca
 
 from greybox.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
+from greybox.effects.policy import START
 from greybox.effects.scales import Scales
 from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, State
@@ -36,6 +40,14 @@ def _current_with_eddies(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapp
 def _force_with_eddies(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Mapping[str, Expression]]:
     # Only the current in the inductance makes force; the other terms take the current from the amplifier.
     return {"force": {"coil": p.force_constant * x.current}}
+
+
+def _saturated_inductance(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+    return {"inductance": p.inductance / (1 + p.a * x.current**2)}
+
+
+def _contact_drop(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return -p.Ub * ca.tanh(x.current / p.ib)
 
 
 def _heating_probe(s: Scales) -> Mapping[str, float]:
@@ -113,4 +125,51 @@ eddy_current = Effect(
     grid=lambda s: {"Re": [factor * s.input / s.current for factor in (30.0, 5.0, 1.0, 0.3)]},
 )
 
-ELECTRICAL: tuple[Effect, ...] = (force_constant_droop, winding_heating, eddy_current)
+saturating_inductance = Effect(
+    "saturating_inductance",
+    site="voltage",
+    parameters=[amplitude_parameter("a", "1/{current}**2", "loss of inductance per squared current", low=0.0)],
+    on_parameter=_saturated_inductance,
+    equation="La / (1 + a i^2)",
+    parity="odd",
+    tells_apart=(
+        "Step the voltage at standstill with and without a bias current: with the bias the current rises faster at first; a warm winding"
+        " changes where it ends, not how it begins."
+    ),
+    source="differential inductance of a coil on iron: R. Erickson, D. Maksimovic, Fundamentals of Power Electronics",
+    amplitudes=("a",),
+    probe=lambda s: {"a": 0.1 / s.current**2},
+)
+
+brush_drop = Effect(
+    "brush_drop",
+    site="voltage",
+    parameters=[
+        amplitude_parameter(
+            "Ub", "{voltage}", "drop of brushes, a diode or another contact, nearly the same at every current", low=0.0
+        ),
+        replace(
+            shape_parameter("ib", "{current}", 1e-3, (1e-12, 1e6), "current within which the drop builds up"),
+            fixed=True,
+        ),
+    ],
+    terms=_contact_drop,
+    equation="-Ub sign(i), smooth within ib",
+    parity="odd",
+    tells_apart=(
+        "Hold the shaft and raise the voltage slowly with the current measured: nothing flows below the drop; a dead zone of the amplifier"
+        " shows the same, but only in its own voltage. Dry friction lets current flow before anything moves."
+    ),
+    source="voltage drop of carbon brushes, 0.5 to 2 V a pair: A. Hughes, B. Drury, Electric Motors and Drives",
+    amplitudes=("Ub",),
+    probe=lambda s: {"Ub": s.visible_force},
+    grid=lambda s: {"ib": [START.brush_current * s.current]},
+)
+
+ELECTRICAL: tuple[Effect, ...] = (
+    force_constant_droop,
+    winding_heating,
+    eddy_current,
+    saturating_inductance,
+    brush_drop,
+)

@@ -29,6 +29,18 @@ def _lower_overflow(x: NamedValues, u: NamedValues, p: NamedValues) -> Expressio
     return -_overflow(x.lower_head, p.edge, p.ko)
 
 
+def _own_overflow(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return -_overflow(x.store, p.edge, p.ko)
+
+
+def _own_leak(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return -p.kl * x.store
+
+
+def _own_overflow_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
+    return {"ko": (0.0, START.fastest_overflow * s.storage / s.period)}
+
+
 def _upper_grid(s: Scales) -> Mapping[str, list[float]]:
     return {"edge": [share * s.peaks["upper_head"] for share in START.overflow_edges], "share": [0.2, 0.6]}
 
@@ -98,6 +110,43 @@ lower_overflow = Effect(
     limits=_overflow_limits,
 )
 
+overflow = Effect(
+    "overflow",
+    site="store",
+    parameters=[
+        amplitude_parameter("ko", "{force}/{store}", "what runs over for each unit above the edge", low=0.0),
+        shape_parameter("edge", "{store}", 1.0, (1e-9, 1e9), "level of the edge, or pressure at which a valve opens"),
+    ],
+    terms=_own_overflow,
+    equation="-ko max(h - edge, 0)",
+    parity="even",
+    tells_apart=(
+        "Fill slowly with the reading watched: an edge stops the rise at one level whatever the inflow, and falls at once when the inflow"
+        " stops; a sensor at its end shows the same value until the level has come down to it."
+    ),
+    source="weir, or relief valve, as straight above its edge: H. Merritt, Hydraulic Control Systems, Wiley 1967",
+    amplitudes=("ko",),
+    probe=lambda s: {"ko": START.overflow_rate * s.storage / s.period},
+    grid=lambda s: {"edge": [share * s.store for share in START.overflow_edges]},
+    limits=_own_overflow_limits,
+)
+
+linear_leak = Effect(
+    "linear_leak",
+    site="store",
+    parameters=[amplitude_parameter("kl", "{force}/{store}", "leak over the level or pressure", low=0.0)],
+    terms=_own_leak,
+    equation="-kl h",
+    parity="linear",
+    tells_apart=(
+        "Stop inflow and outlets and let the level fall: through a laminar leak it falls by equal ratios in equal times, through a hole as"
+        " a straight root of the level."
+    ),
+    source="laminar gap: flow proportional to the pressure",
+    amplitudes=("kl",),
+    probe=lambda s: {"kl": s.visible_force / s.store},
+)
+
 reading_curve = Effect(
     "reading_curve",
     site="sensor",
@@ -149,4 +198,4 @@ sensor_saturation = Effect(
     grid=lambda s: {"y_max": [share * s.reading for share in (1.0, 0.95, 0.85)]},
 )
 
-LEVEL: tuple[Effect, ...] = (upper_overflow, lower_overflow, reading_curve, sensor_saturation)
+LEVEL: tuple[Effect, ...] = (upper_overflow, lower_overflow, overflow, linear_leak, reading_curve, sensor_saturation)

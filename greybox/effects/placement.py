@@ -10,7 +10,7 @@ from greybox.effects.scales import Scales
 from greybox.errors import ModelError, UnitError
 from greybox.model import Effect, Model
 from greybox.model.signals import Parameter
-from greybox.model.sites import FIRST_INPUT, PRESSURE, STORE, PlaceKind, find_sites
+from greybox.model.sites import FIRST_INPUT, ROLE_OF_WORD, PlaceKind, find_sites
 from greybox.values import Printable
 
 AT = "_at_"
@@ -130,7 +130,7 @@ def _placements_of(model: Model, entry: Effect) -> list[Placement]:
     other_input = (
         entry.site != FIRST_INPUT and places[0].kind is PlaceKind.INPUT and places[0].name != model.inputs[0].name
     )
-    if other_input or entry.site in (STORE, PRESSURE):
+    if other_input or entry.site in ROLE_OF_WORD:
         first = _measured_at(entry, places[0].name)
     placements = [_try(model, first, places[0].name)]
     for place in () if one_place else places[1:]:

@@ -39,6 +39,16 @@ class StartingValues:
     """Periods of a periodic force over the travel of the record that a search starts from."""
     laminar_share: float = 1e-3
     """Share of the largest pressure below which a leak is laminar: the root has no slope at zero."""
+    zero_celsius: float = 273.15
+    """Zero of the Celsius scale (K)."""
+    warmest_celsius: float = 200.0
+    """A temperature whose peak is below this is in degrees Celsius: nothing that is modelled here runs that cold in kelvin."""
+    least_excess: float = 1e-3
+    """Share of the largest temperature below which convection counts as proportional: its power has no slope at zero excess."""
+    ripples: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+    """Periods of a torque a revolution that a search starts from: an unbalance, pairs of poles, slots."""
+    brush_current: float = 0.02
+    """Share of the largest current within which the drop of a contact builds up."""
     bounds_reach: float = 1000.0
     """How far the bounds of a shape parameter reach beyond its start values, as a factor either way."""
     rows: int = 5000

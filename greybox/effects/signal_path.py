@@ -66,6 +66,14 @@ def _spool_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balan
     return [Balance("spool", "{valve}", p.tau_v, "w", voltage=u.valve, spool=-x.w)]
 
 
+def _delivered(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return x.w
+
+
+def _drive_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+    return [Balance("drive", "{drive}", p.tau_u, "w", command=u.drive, drive=-x.w)]
+
+
 def _delay_seconds(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return p.delay
 
@@ -240,6 +248,30 @@ valve_lag = Effect(
     limits=lambda s: {"tau_v": (min(NEUTRAL.lag, 1e-4 * s.period), s.duration)},
 )
 
+drive_lag = replace(
+    valve_lag,
+    name="drive_lag",
+    site="drive",
+    parameters=(
+        shape_parameter(
+            "tau_u", "s", NEUTRAL.lag, (NEUTRAL.lag, 1e6), "lag of the drive", "small: absent until fitted"
+        ),
+    ),
+    states=(State("w", "{drive}", relaxing=True, description="what the drive delivers"),),
+    on_input=_delivered,
+    balances=_drive_balance,
+    equation="tau_u w' = u - w, w in the place of u",
+    tells_apart=(
+        "Measure what the drive delivers (current, heat, flow). From the command to the output its lag and that of a sensor are the same;"
+        " tones at 1/tau_u tell a lag, which weakens them, from a delay."
+    ),
+    source="first order of an amplifier, a heater or a pump",
+    amplitudes=("tau_u",),
+    neutral={"tau_u": NEUTRAL.lag},
+    grid=lambda s: {"tau_u": [0.5 * s.period, 3 * s.period, 15 * s.period]},
+    limits=lambda s: {"tau_u": (min(NEUTRAL.lag, 1e-4 * s.period), s.duration)},
+)
+
 transport_delay = Effect(
     "transport_delay",
     site="input",
@@ -364,6 +396,7 @@ SIGNAL_PATH: tuple[Effect, ...] = (
     input_hysteresis,
     valve_hysteresis,
     valve_lag,
+    drive_lag,
     transport_delay,
     input_offset,
     gain_by_sign,

@@ -262,6 +262,8 @@ def _start(
         displacement = placed.place.states.get("displacement", by_role)
         if displacement:
             known["displacement"] = plant[numbers[displacement]]
+        if placed.place.states.get("temperature"):
+            known["temperature"] = plant[numbers[placed.place.states["temperature"]]]
         starts.append(_start_values(placed.states, placed.sees_parameters(p.replaced(known))))
     return ca.vertcat(*starts)
 

@@ -19,10 +19,12 @@ from greybox.model.balance import Balance
 from greybox.model.signals import Input, Output, State
 from greybox.units import parse_unit
 
-MOTION, STORE, PRESSURE, FIRST_INPUT, DRIVE, VALVE, SENSOR = (
-    *("force", "store", "pressure"),
+MOTION, STORE, PRESSURE, HEAT, VOLTAGE, ANGLE, SHAFT, FIRST_INPUT, DRIVE, VALVE, SENSOR = (
+    *("force", "store", "pressure", "heat", "voltage", "angle", "shaft"),
     *("input", "drive", "valve", "sensor"),
 )
+# Words for balances of a state with a role, beside those of motion.
+ROLE_OF_WORD = {STORE: "store", PRESSURE: "pressure", HEAT: "temperature", VOLTAGE: "current"}
 STORE_ROLES = ("pressure", "level", "upper_head", "lower_head")
 SPEEDS = tuple(map(parse_unit, ("m/s", "rad/s")))
 FORCES = tuple(map(parse_unit, ("N", "N*m", "m/s^2", "rad/s^2")))
@@ -69,12 +71,21 @@ class Site:
         """Whether it is the balance of a velocity."""
         return bool(self.states.get("velocity"))
 
+    @property
+    def turns(self) -> bool:
+        """Whether that velocity is one of rotation."""
+        return self.is_motion and parse_unit(self.units["velocity"]) == SPEEDS[1]
+
 
 # What a place must be for each word that effects name it by.
 NEEDED: Mapping[str, str] = {
     MOTION: "a balance of a velocity, in N, N m or per mass",
     STORE: "a balance of a pressure or a level (role `pressure`, `level`, `upper_head` or `lower_head`)",
     PRESSURE: "a balance of a pressure difference (role `pressure`)",
+    HEAT: "a balance of a temperature (role `temperature`)",
+    VOLTAGE: "a balance of a current (role `current`)",
+    ANGLE: "a balance of a velocity whose angle in rad is a state, too",
+    SHAFT: "a balance of a velocity in rad/s whose angle is not a state",
     FIRST_INPUT: "an input",
     DRIVE: "an input with the role `drive`, or with none",
     VALVE: "an input with the role `valve`",
@@ -93,6 +104,10 @@ def list_sites(
     for b in balances:
         state = by_name[b.state]
         roles, units = {state.role: state.name} if state.role else {}, {MOTION: b.unit}
+        if state.role == ROLE_OF_WORD[VOLTAGE]:
+            units[VOLTAGE] = b.unit
+        if state.role == ROLE_OF_WORD[HEAT]:
+            units[state.role] = state.unit
         if state.role in STORE_ROLES:
             roles[STORE] = state.name
             units[STORE] = state.unit
@@ -119,8 +134,10 @@ def find_sites(word: str, sites: Sequence[Site], inputs: Sequence[Input]) -> tup
     named = [s for s in sites if s.name == word] or [s for s in sites if s.label == word]
     if word == MOTION:
         meant = [s for s in sites if s.kind is PlaceKind.BALANCE and s.is_motion]
-    elif word in (STORE, PRESSURE):
-        meant = [s for s in sites if s.kind is PlaceKind.BALANCE and s.states.get(word)]
+    elif word in (ANGLE, SHAFT):
+        meant = [s for s in sites if s.is_motion and s.turns and bool(s.states.get("displacement")) == (word == ANGLE)]
+    elif word in ROLE_OF_WORD:
+        meant = [s for s in sites if s.kind is PlaceKind.BALANCE and s.states.get(ROLE_OF_WORD[word])]
     elif word == SENSOR:
         meant = [s for s in sites if s.kind is PlaceKind.OUTPUT]
     else:

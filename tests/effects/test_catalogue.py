@@ -78,7 +78,13 @@ def test_every_effect_says_what_it_is_and_where_it_comes_from(entry):
         assert q.source, q.name
         assert q.description, q.name
         # where a calibration curve is anchored and where a root is smooth are choices, not constants to be found
-        assert q.fixed == ((entry.name, q.name) in {("reading_curve", "full"), ("root_leak", "laminar")})
+        assert q.fixed == (
+            (entry.name, q.name)
+            in {
+                *(("reading_curve", "full"), ("root_leak", "laminar"), ("radiation_loss", "T0")),
+                *(("natural_convection", "least"), ("brush_drop", "ib")),
+            }
+        )
     own = {q.name: q for q in entry.parameters}
     assert set(entry.amplitudes) <= set(own)
     assert set(entry.neutral) <= set(entry.amplitudes)
