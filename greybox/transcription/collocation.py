@@ -86,18 +86,15 @@ class _CollocationSearch:
         start, states = initialise_without_continuity(problem, cut_by_growth(problem))
         # Where no piece of a record can be simulated, its first states stay.
         states = [np.where(np.isfinite(x), x, guess[e]) for e, x in enumerate(states)]
-        self.start, self.at = (start, states), None
+        self.at = self._solve(start, states, self.elements)
+        self.work = [self.at.outcome]
 
     def solve(self, problem: EstimationProblem) -> Solution:
         """The optimum with half the elements' length, and what the halving changed."""
-        work = []
-        if self.at is None:
-            self.at = self._solve(*self.start, self.elements)
-            work.append(self.at.outcome)
         self.is_over = not self.at.outcome.status.success
         if not self.is_over:
             finer = self._solve(self.at.problem, self.at.states, 2 * self.elements)
-            work.append(finer.outcome)
+            self.work.append(finer.outcome)
             self.is_over = not finer.outcome.status.success or bool(self.options.substeps)
             if finer.outcome.status.success:
                 before, after = self.at.problem.variables, finer.problem.variables
@@ -106,6 +103,7 @@ class _CollocationSearch:
             if not self.is_over:
                 self.at, self.elements = finer, 2 * self.elements
                 self.error, self.shift = self.error / 2.0**_ORDER, self.shift / 2.0**_ORDER
+        work, self.work = self.work, []
         outcome, problem = self.at.outcome, self.at.problem
         return Solution(
             problem,
@@ -118,6 +116,7 @@ class _CollocationSearch:
             sum(w.seconds for w in work),
             (1.0,),
             self.error,
+            solver=outcome.solver,
         )
 
     def refine(self, solution: Solution) -> Refinement:

@@ -103,6 +103,7 @@ class _SegmentSearch:
             result.seconds,
             (1.0,),
             np.zeros(len(problem.noise.std)),
+            solver=result.solver,
         )
 
     def refine(self, solution: Solution) -> Refinement:
@@ -140,6 +141,7 @@ class MultipleShootingResult:
     status: TerminationStatus
     """How the search ended."""
 
+    solver: str
     solver_status: str
     iterations: int
     evaluations: int
@@ -278,8 +280,8 @@ class MultipleShooting:
                     status is TerminationStatus.CONVERGED
                 ):  # the last step is known already: it gives the constants their digits
                     last = self._linearise(linearised.z + self._compute_step(linearised))
-                    is_better = last is not None and self._is_converged(last, termination)
-                    linearised = last if is_better and last.cost <= linearised.cost else linearised
+                    if last and last.cost <= linearised.cost and self._is_converged(last, termination):
+                        linearised = last
         return self._make_joined(linearised, status, iteration, time.perf_counter() - began)
 
     def _initialise(self) -> SegmentedProblem:
@@ -382,11 +384,15 @@ class MultipleShooting:
     def _make_joined(
         self, linearised: _LinearisedPoint | None, status: TerminationStatus, iterations: int, seconds: float
     ) -> MultipleShootingResult:
-        size, ny, work = self.segmented.whole.variables.size, self.ny, (iterations, self.evaluations, seconds)
+        size, ny, work = (
+            self.segmented.whole.variables.size,
+            self.ny,
+            ("lifted Gauss-Newton", "", iterations, self.evaluations, seconds),
+        )
         gradient, hessian = np.zeros(size), np.zeros((size, size))
         if linearised is None:
             failed = Evaluation(np.inf, gradient, hessian, np.zeros(ny), np.zeros(ny, int), (0, 0))
-            return MultipleShootingResult(self.segmented, failed, (), np.inf, status, "", *work)
+            return MultipleShootingResult(self.segmented, failed, (), np.inf, status, *work)
         model, n = linearised.model, self.n
         gradient[:n], hessian[:n, :n] = model.gradient, model.hessian
         evaluation = Evaluation(linearised.cost, gradient, hessian, linearised.squares, linearised.counts)
@@ -401,9 +407,7 @@ class MultipleShooting:
             r, j = r[:count, :ny], j[:count, :ny]
             rows.append((r, j[:, :, :n] + j[:, :, n:] @ slope))
         segmented = self.segmented.at(self.variables.recentre(linearised.z))
-        return MultipleShootingResult(
-            segmented, evaluation, _join_rows(segmented, rows), linearised.gap, status, "", *work
-        )
+        return MultipleShootingResult(segmented, evaluation, _join_rows(segmented, rows), linearised.gap, status, *work)
 
 
 @dataclass(frozen=True)
@@ -448,7 +452,7 @@ def _make_apart(
     segmented: SegmentedProblem, evaluation: Evaluation, outcome: Solution | MinimisationResult
 ) -> MultipleShootingResult:
     """The result of a search without continuity, its states eliminated to first order."""
-    work = outcome.solver_status, outcome.iterations, outcome.evaluations, outcome.seconds
+    work = outcome.solver, outcome.solver_status, outcome.iterations, outcome.evaluations, outcome.seconds
     v = segmented.whole.variables
     if not np.isfinite(evaluation.cost):
         empty = np.zeros(v.size), np.zeros((v.size, v.size))

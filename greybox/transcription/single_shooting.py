@@ -44,6 +44,8 @@ class _Search:
         self.horizon, self.convergence = options.policy.progressive_horizon, options.policy.convergence
         self.first_substeps = problem.step.substeps
         self.progressive = options.progressive and problem.variables.size > 0
+        self.known: Evaluation | None = None
+        self.shares: list[float] = []
 
     def solve(self, problem: EstimationProblem) -> Solution:
         """The optimum over whole records, the first time by way of growing parts of them."""

@@ -59,7 +59,7 @@ class Solution:
 
     ``shares`` of the record that were fitted one after the other; ``integration_error`` of each output over its noise (ny,);
     ``transcription`` what was used, ``strategy`` what was chosen, and why. ``joined`` is None where the model ran freely from each
-    initial state. ``discretisation`` is empty where it is the step of the problem.
+    initial state. ``discretisation`` is empty where it is the step of the problem. ``solver``: which solvers ran over whole records.
     """
 
     problem: EstimationProblem
@@ -76,8 +76,7 @@ class Solution:
     transcription: str = "single"
     joined: SegmentedRun | None = None
     discretisation: str = ""
-    solver: str = "IPOPT"
-    """Which solvers ran, in their order."""
+    solver: str = ""
 
     @property
     def at_optimum(self) -> EstimationProblem:

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import ode, solve_ivp
 
 from greybox.effects import effect
-from greybox.errors import DataError, ModelError
+from greybox.errors import ModelError
 from greybox.estimation import FitOptions
 from greybox.integrators import DiscretisationPolicy
 from greybox.model import Balance, Model
@@ -322,26 +322,6 @@ def test_collocation_refuses_unknown_options_and_equations_that_stick(duffing):
     q = problem(dry, linear_record(emps, np.sin(np.arange(50)), 1e-3), {"q": 1e-5}, True)
     with pytest.raises(ModelError, match="coulomb_friction sticks or switches"):
         Collocation(q, start)
-
-
-def test_arcs_cover_every_row_once_and_refuse_lengths_that_are_none():
-    data = linear_record(micro_actuator, multisine(np.random.default_rng(1), 100, 2.5e-4, 5, 800, 3.0), 2.5e-4)
-    by_rows = split_into_arcs(data, rows=30)
-    assert [a.rows for a in by_rows] == [30, 30, 40]  # ten rows are less than half an arc
-    assert [a.rows for a in split_into_arcs(data, seconds=30 * 2.5e-4)] == [30, 30, 40]
-    assert [a.rows for a in split_into_arcs(data, rows=40)] == [40, 40, 20]
-    np.testing.assert_array_equal(np.concatenate([a.outputs["x"] for a in by_rows]), data.outputs["x"])
-    np.testing.assert_array_equal(np.concatenate([a.time for a in by_rows]), data.time)
-    assert split_into_arcs([data, data], rows=500) == (data, data)
-    for wrong in ({}, {"rows": 30, "seconds": 1.0}):
-        with pytest.raises(DataError, match="either in seconds or in rows"):
-            split_into_arcs(data, **wrong)
-    with pytest.raises(DataError, match="2 rows; an arc needs at least 3"):
-        split_into_arcs(data, rows=2)
-    with pytest.raises(DataError, match="-1 s is not a length"):
-        split_into_arcs(data, seconds=-1)
-    with pytest.raises(DataError, match=r"one of 0\.0005 s has 2 rows.*give at least 0\.00075 s"):
-        split_into_arcs(data, seconds=5e-4)
 
 
 def test_eliminating_initial_states_keeps_cost_gradient_and_optimum(duffing):
