@@ -95,6 +95,7 @@ class Solution:
             iterations=self.iterations + earlier.iterations,
             evaluations=self.evaluations + earlier.evaluations,
             seconds=self.seconds + earlier.seconds,
+            solver=self.solver or earlier.solver,
         )
 
     def with_strategy(self, **values: object) -> Solution:
