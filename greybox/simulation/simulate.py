@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.errors import DataError, ModelError, nearest
 from greybox.experiment import Experiment
-from greybox.integrators import Step, choose_substeps, discretise
+from greybox.integrators import DiscretisationPolicy, Step, choose_substeps, discretise
 from greybox.kernel import Record, make_kernel
 from greybox.model import Model
 from greybox.transcription import to_record
+from greybox.transcription.policy import BandLimitedPolicy
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,10 @@ class SimulationPolicy:
     """The step is halved until that changes no output by more than this share of its movement (rms)."""
     max_halvings: int = 6
     """Most halvings; a run that still changes is returned as it is."""
+    discretisation: DiscretisationPolicy = field(default_factory=DiscretisationPolicy)
+    """How the first step is chosen; that of `EstimationPolicy` simulates as a fit does."""
+    band_limited: BandLimitedPolicy = field(default_factory=BandLimitedPolicy)
+    """How a band-limited input is filled in between samples."""
 
 
 SIMULATION_POLICY = SimulationPolicy()
@@ -125,16 +130,16 @@ def simulate(
     >>> run.outputs["x"][-1]  # doctest: +SKIP
     """
     experiment = inputs.with_outputs({}) if isinstance(inputs, Experiment) else _experiment(model, inputs)
-    record = to_record(model, experiment)
+    record, rules = to_record(model, experiment, policy.band_limited), policy.discretisation
     p, x0 = np.array(list(model.values.values())), declared_initial_state(model, initial)
-    step = discretise(model.system, p, x0[None, :], record.lengths, method=method, substeps=substeps)
+    step = discretise(model.system, p, x0[None, :], record.lengths, method=method, substeps=substeps, policy=rules)
     y, x = _run(step, record, p, x0)
     for _ in range(0 if substeps or step.per_interval else policy.max_halvings):
         visited = x[np.isfinite(x).all(axis=1)][:: max(1, len(x) // 10)]
-        needed = choose_substeps(model.system, p, visited, float(record.lengths.max(initial=0.0)))
-        finer = discretise(
-            model.system, p, visited, record.lengths, method=method, substeps=max(2 * step.substeps, needed)
-        )
+        longest = float(record.lengths.max(initial=0.0))
+        needed = choose_substeps(model.system, p, visited, longest, policy=rules)
+        more = max(2 * step.substeps, needed)
+        finer = discretise(model.system, p, visited, record.lengths, method=method, substeps=more, policy=rules)
         before = y
         step, (y, x) = finer, _run(finer, record, p, x0)
         if _has_settled(before, y, policy.max_change):

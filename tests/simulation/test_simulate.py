@@ -10,8 +10,10 @@ from scipy.integrate import solve_ivp
 
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State, effect, read_csv
 from greybox.errors import DataError, ModelError
+from greybox.integrators import DiscretisationPolicy
 from greybox.signals import multisine
 from greybox.simulation import read_inputs, simulate, write_csv
+from greybox.simulation.simulate import SimulationPolicy
 from greybox.twin import simulate_twin
 from models.cascaded_tanks import cascaded_tanks
 from models.micro_actuator import micro_actuator
@@ -152,3 +154,13 @@ def test_inputs_are_read_without_outputs(tmp_path: Path) -> None:
         read_inputs(file, micro_actuator)
     with pytest.raises(DataError, match="file not found"):
         read_inputs(tmp_path / "none.csv", micro_actuator)
+
+
+def test_the_policy_chooses_the_step():
+    inputs = {"time": 2e-3 * np.arange(100), "u": np.full(100, 2.0)}
+    steps = {}
+    for name, share in (("usual", 0.5), ("finer", 0.05)):
+        rules = DiscretisationPolicy(eigenvalue_step=share)
+        policy = SimulationPolicy(max_halvings=0, discretisation=rules)
+        steps[name] = simulate(pneumatic_cylinder, inputs, method="rk4", policy=policy).discretisation
+    assert steps["usual"] != steps["finer"]
