@@ -89,7 +89,7 @@ class RelaxationPolicy:
     """How the constants are first fitted to segments that need not meet; the result is only a start."""
 
     max_log_change: float = 4.6
-    """A positive constant stays within a factor ``e^4.6``, a hundred, of its start."""
+    """A positive constant stays within a factor ``e^4.6``, a hundred, of its start; no step of a joined search is longer."""
 
     termination: TerminationPolicy = field(
         default_factory=lambda: TerminationPolicy(negligible_decrease=1e-6, patience=1, little_gain=1e-2)

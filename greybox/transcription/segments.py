@@ -35,7 +35,7 @@ def split_into_arcs(
     No row is left out or used twice; a remainder shorter than half an arc joins the arc before it. An experiment that is
     shorter than an arc stays whole. The arcs are ordinary experiments ``name[first:last]``: fit them with estimated initial
     states (they begin anywhere, not at rest). A delayed or band-limited input is only known inside an arc; where that matters
-    cut the records (`cut_into_arcs`), which keep what came before.
+    cut the records instead, by ``FitOptions(arc_length=...)``: they keep what came before.
 
     Parameters
     ----------
