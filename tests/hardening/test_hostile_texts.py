@@ -1,0 +1,59 @@
+"""Hostile texts in every field of every page, in a browser, and in every language that is written."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from tests.export import test_hostile_texts as languages
+from tests.export.test_hostile_texts import plain  # noqa: F401
+from tests.reports.test_hostile_pages import KINDS, browser, browsing, opened, pages, poison, write_page  # noqa: F401
+from tests.support.hostile import CODE, MARKUP
+from tests.support.reliability import note_row
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
+
+
+@browsing
+def test_each_text_in_every_field_of_every_page(browser, pages, tmp_path):  # noqa: F811
+    fields = opened_pages = 0
+    faults = []
+    for kind, text in itertools.product(KINDS, [*MARKUP, *CODE]):
+        count = itertools.count()
+        page = poison(pages[kind], (f"{text}{next(count)}" for _ in itertools.count()))
+        file = write_page(page, tmp_path / "page.html")
+        with opened(browser, file) as shown:
+            if shown.evaluate("window.hurt") is not None or shown.locator("img, iframe, [onerror], [onload]").count():
+                faults.append((kind, text))
+        fields, opened_pages = fields + next(count), opened_pages + 1
+    note_row(
+        "hostile texts in every field of every kind of page, opened in Chromium",
+        opened_pages,
+        len(faults),
+        f"{fields} fields with {len(MARKUP) + len(CODE)} texts; none executed, none became markup, no error in the console",
+    )
+    assert not faults
+
+
+def test_each_text_in_every_language(plain, tmp_path):  # noqa: F811
+    tried = 0
+    for number, text in enumerate([*CODE, *MARKUP]):
+        for check in (
+            languages.test_c_defines_what_it_defines_without_the_text,
+            languages.test_modelica_has_the_same_lines,
+            languages.test_modelica_is_read_by_another_program,
+            languages.test_python_files_import_and_run_nothing_of_the_text,
+        ):
+            folder = tmp_path / f"{number}-{check.__name__[:20]}"
+            folder.mkdir()
+            check(plain, folder, text)
+            tried += 1
+        languages.test_the_description_of_an_fmu_is_xml_with_the_same_elements(plain, text)
+        tried += 1
+    note_row(
+        "hostile texts in every text of a fit, in C (compiled as C99 and C11), Modelica, Python and XML",
+        tried,
+        0,
+        f"{len(CODE) + len(MARKUP)} texts; the files compile or parse and define what they define without them",
+    )

@@ -1,0 +1,124 @@
+"""Commands that are killed at a random moment: nothing finished is lost, no process is left, the same command goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.cli.test_workers import COMMAND, ENVIRONMENT, record  # noqa: F401
+from tests.support.reliability import note_row, size_of
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(3600),
+    pytest.mark.skipif(sys.platform != "linux", reason="processes are counted in /proc"),
+]
+EFFECTS = "coulomb_friction,cubic_stiffness,constant_load"
+COMMANDS = {
+    "multi-start": "fit micro_actuator {record} --fix M --fix Ra --starts 6 --workers 1 --no-report -q",
+    "multi-start, 2 workers": "fit micro_actuator {record} --fix M --fix Ra --starts 6 --workers 2 --no-report -q",
+    "search": "discover micro_actuator {record} --validate {record} --fix M --effects "
+    + EFFECTS
+    + " --workers 1 --no-report",
+    "search, 2 workers": "discover micro_actuator {record} --validate {record} --fix M --effects "
+    + EFFECTS
+    + " --workers 2",
+}
+USUAL_TRIALS = 12
+END_SECONDS = 5.0
+MARK = "GREYBOX_TRIAL"
+
+
+def start(command: str, data: Path, folder: Path, trial: str) -> subprocess.Popen:
+    words = [*COMMANDS[command].format(record=data).split(), "--output", str(folder)]
+    environment = ENVIRONMENT | {MARK: trial}
+    return subprocess.Popen([*COMMAND, *words], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+
+def living(trial: str) -> list[int]:
+    """Processes of a trial that are alive."""
+    mark, pids = f"{MARK}={trial}".encode(), []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            inside = mark in (folder / "environ").read_bytes().split(b"\0")
+            state = (folder / "stat").read_text().rpartition(")")[2].split()[0]
+        except OSError:  # it has ended meanwhile
+            continue
+        if inside and state != "Z":
+            pids.append(int(folder.name))
+    return pids
+
+
+def read_answer(folder: Path) -> dict[str, Any]:
+    """What a command found, without what a run may differ in."""
+    if (folder / "discovery.json").exists():
+        data = json.loads((folder / "discovery.json").read_text())
+        return {"verdict": data["verdict"], "effects": [e["name"] for e in data["effects"]]}
+    data = json.loads((folder / "fit.json").read_text())
+    return {name: e["value"] for name, e in data["parameters"].items()}
+
+
+def read_keys(folder: Path) -> set[str]:
+    """The finished refits of a journal; a last line that was cut short is none."""
+    keys = set()
+    for name in ("journal.jsonl", "starts.jsonl"):
+        for line in (folder / name).read_text().split("\n")[:-1] if (folder / name).exists() else []:
+            keys.add(json.loads(line)["key"])
+    return keys
+
+
+def test_killed_commands_go_on(record, tmp_path):  # noqa: F811
+    generator = np.random.default_rng(0)
+    faults: list[str] = []
+    kept = trials = at_work = 0
+    for command in COMMANDS:
+        whole = tmp_path / f"whole {command}"
+        began = time.monotonic()
+        first = start(command, record, whole, "whole")
+        first.communicate()
+        assert first.returncode in (0, 1)
+        seconds, answer = time.monotonic() - began, read_answer(whole)
+        for number in range(size_of(USUAL_TRIALS) // len(COMMANDS)):
+            folder, trial = tmp_path / f"{command} {number}", uuid.uuid4().hex
+            process = start(command, record, folder, trial)
+            time.sleep(generator.uniform(0.3, 1.0) * seconds)
+            at_work += process.poll() is None
+            process.send_signal(signal.SIGKILL)
+            process.communicate()
+            killed = time.monotonic()
+            while living(trial) and time.monotonic() - killed < END_SECONDS:
+                time.sleep(0.1)
+            for pid in living(trial):
+                faults.append(f"{command}: process {pid} is left")
+                os.kill(pid, signal.SIGKILL)
+            before = read_keys(folder)
+            for file in folder.glob("*.json"):
+                json.loads(file.read_text())  # whole, or not there
+            again = start(command, record, folder, trial)
+            _, err = again.communicate()
+            if again.returncode not in (0, 1) or b"Traceback" in err:
+                faults.append(f"{command}: {err.decode()[-500:]}")
+                continue
+            if command.startswith("search") and not before <= read_keys(folder):
+                faults.append(f"{command}: finished refits are lost")
+            found = read_answer(folder)
+            if found != pytest.approx(answer, rel=1e-6) if "effects" not in answer else found != answer:
+                faults.append(f"{command}: {found} instead of {answer}")
+            kept, trials = kept + len(before), trials + 1
+    note_row(
+        "kill -9 at random points of search and multi-start, with and without workers, then the same command",
+        trials,
+        len(faults),
+        f"{at_work} killed at work; {kept} refits were finished by then and none was lost; same answers; no process left after 5 s",
+    )
+    assert not faults
