@@ -236,17 +236,15 @@ def _made(name: str, annotation: Any, default: Any) -> inspect.Parameter:
 
 def check_writable(path: Path) -> Path:
     """``path``, if results can be written there; checked before the computation, and not changed. Raises GreyboxError."""
-    if path.exists() and not path.is_dir():
-        raise GreyboxError(f"--output {path}: it is a file; give a folder")
-    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
-        path.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path):
+        present = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+        if not present.is_dir():
+            what = "it is a file" if present == path else f"{present} is a file"
+            raise GreyboxError(f"--output {path}: {what}; give a folder")
+        # Another process may be about to make the folder, or to write into it: nothing is made that must be removed.
+        with tempfile.TemporaryFile(dir=present):
             pass
-    except OSError as error:
-        raise GreyboxError(f"--output {path}: cannot be written to ({error.strerror}); give another folder") from error
-    finally:
-        for folder in missing:
-            if folder.is_dir():
-                folder.rmdir()
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise GreyboxError(f"--output {path}: cannot be written to ({reason}); give another folder") from error
     return path

@@ -181,11 +181,13 @@ def _usual_cache() -> Path | None:
         return Path(given)
     if sys.platform == "win32" and os.environ.get("LOCALAPPDATA"):
         return Path(os.environ["LOCALAPPDATA"]) / "greybox"
-    if sys.platform not in ("win32", "darwin") and os.environ.get("XDG_CACHE_HOME"):
+    if sys.platform not in ("win32", "darwin") and Path(os.environ.get("XDG_CACHE_HOME", "")).is_absolute():
         return Path(os.environ["XDG_CACHE_HOME"]) / "greybox"
     try:
         home = Path.home()
     except RuntimeError:  # no HOME, and a user whom the machine does not know, as in a container
+        return None
+    if not home.is_absolute():
         return None
     return home / {"win32": "AppData/Local", "darwin": "Library/Caches"}.get(sys.platform, ".cache") / "greybox"
 

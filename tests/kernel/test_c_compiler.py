@@ -326,6 +326,16 @@ def test_a_user_without_home_gets_a_temporary_cache(monkeypatch):
     assert (kernel.name, run(kernel)[1]) == ("compiled", 0.375)
 
 
+@pytest.mark.parametrize("name", ["HOME", "XDG_CACHE_HOME"])
+def test_a_relative_home_is_none(monkeypatch, name):
+    for variable in ("GREYBOX_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setenv("HOME", "/home/somebody")
+    monkeypatch.setenv(name, "relative")
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert str(compiling._usual_cache()) == {"HOME": "None"}.get(name, "/home/somebody/.cache/greybox")
+
+
 def test_a_cache_that_others_may_write_to_is_not_used(monkeypatch, tmp_path):
     folder = tmp_path / "shared"
     folder.mkdir()
