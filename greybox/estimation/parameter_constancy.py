@@ -137,18 +137,18 @@ def _split_by_motion(tested: ConstancyInput, policy: ConstancyPolicy) -> list[Da
     """The rows with small and with large motion, if the motion changes enough; motion is smoothed over some correlation times."""
     outputs, colour = tested.outputs, tested.colour
     everything = np.concatenate(outputs)
-    spread = np.nanstd(everything, axis=0)
+    mean, spread = everything.mean(axis=0), everything.std(axis=0)
     if not np.isfinite(spread).all() or not spread.any():
         return []
     moving = spread > 0
     time = max((t for t, _ in colour.times), default=1.0)
     size = {}
     for e, y in enumerate(outputs):
-        squares = np.square((y - everything.mean(axis=0))[:, moving] / spread[moving]).mean(axis=1)
+        squares = np.square((y - mean)[:, moving] / spread[moving]).mean(axis=1)
         width = int(min(max(len(y) / policy.motion_windows, policy.correlation_times * time), len(y)))
         size[e] = np.sqrt(compute_running_mean(squares, max(width, 1)))
-    every = np.concatenate(list(size.values()))
-    small, middle, large = np.quantile(every, [0.25, 0.5, 0.75])
+    ordered = np.sort(np.concatenate(list(size.values())))
+    small, middle, large = ordered[[int(share * (len(ordered) - 1)) for share in (0.25, 0.5, 0.75)]]
     if large < policy.motion_ratio * small:
         return []
     parts = {e: values <= middle for e, values in size.items()}
@@ -197,10 +197,7 @@ def _step_to_optimum(
             for e in part.rows
         },
     )
-    data = {
-        e: (np.where(mask[:, None], rows[e][0], np.nan), rows[e][1][:, :, layout.lanes(e, inside)])
-        for e, mask in part.rows.items()
-    }
+    data = {e: _select_part(*rows[e], mask, layout.lanes(e, inside), colour.coloured) for e, mask in part.rows.items()}
     if sum(int(np.isfinite(r).sum()) for r, _ in data.values()) < policy.residuals_per_unknown * layout.size:
         return None
     sums = sum_scores(layout, list(data.values()), colour, list(data))
@@ -208,6 +205,15 @@ def _step_to_optimum(
     inverse = decomposition.pseudo_inverse
     variance = np.diag(inverse @ sums.coloured @ inverse)
     return (-inverse @ sums.score)[:shared], np.where(decomposition.is_open[:shared], np.inf, variance[:shared])
+
+
+def _select_part(
+    r: np.ndarray, jacobian: np.ndarray, mask: np.ndarray, lanes: np.ndarray, is_coloured: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals and slopes of the rows in ``mask`` (N,), along ``lanes``; of a coloured residual they keep their places in time."""
+    r, jacobian = (np.where(mask[:, None], r, np.nan), jacobian) if is_coloured else (r[mask], jacobian[mask])
+    is_all = np.array_equal(lanes, np.arange(jacobian.shape[2]))
+    return r, jacobian if is_all else jacobian[:, :, lanes]
 
 
 @dataclass(frozen=True)
