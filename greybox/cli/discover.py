@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +9,7 @@ import typer
 
 from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
-from greybox.cli.inputs import build_model, print_record_notes, read_quiet_records, read_records
+from greybox.cli.inputs import build_model, check_skip, print_record_notes, read_quiet_records, read_records
 from greybox.cli.options import Cluster, Figures, Json, NoReport, Workers, check_writable, takes_study
 from greybox.cli.progress import show_search_progress
 from greybox.cli.reporting import write_report
@@ -36,19 +35,19 @@ def discover(
     """Find the effect that MODEL lacks, add it, and print the errors on the validation records before and after.
 
     Refits the model with each effect of the catalogue, selects the effects that the ESTIMATION records require, and tests them
-    on the --validate records. The verdict is "named", or "complete" if no effect is missing, "ambiguous" if the records cannot
-    distinguish effects, "unknown" if no effect of the catalogue explains the error (a fitted curve or a tone then represents
-    it). --further searches for smaller effects and selects them on the --validate records: then report the misfit on a third
-    record. Writes DIR/discovery.json, the extended model as DIR/model.py (greybox fit DIR/model.py ... continues with it),
-    and DIR/report.html, a report for the browser. Every finished refit is stored in
-    DIR/journal.jsonl: after Ctrl-C the same command continues from there.
+    on the --validate records. The verdict is "complete" if no effect is missing, "named" if the effects are established and
+    only noise is left, "partly" if some effects are established and more is left, "ambiguous" if the records cannot distinguish
+    effects, "unknown" if no effect of the catalogue is established (a fitted curve or a tone may then represent it). Where more
+    than noise is left, smaller effects are searched for and selected on the --validate records: then report the error on a
+    third record. Writes DIR/discovery.json, the extended model as DIR/model.py (greybox fit DIR/model.py ... continues with
+    it), and DIR/report.html, a report for the browser. Every finished refit is stored in DIR/journal.jsonl: after Ctrl-C the
+    same command continues from there.
 
     greybox discover study.toml runs a study file; --write-study writes one from these options.
 
     Exit code 0: there is a verdict. 2: bad input, nothing was written. 130: interrupted.
     """
     from greybox.discovery import discover as discover_effects
-    from greybox.discovery import refine
     from greybox.effects import effect
     from greybox.estimation import FitOptions
     from greybox.parallel import open_workers
@@ -58,6 +57,7 @@ def discover(
     records, validation = read_records(study, model)
     quiet = read_quiet_records(study, model, hold=study.hold)
     print_record_notes(records, validation, quiet)
+    check_skip(study, validation)
     candidates = [effect(name) for name in study.candidates] or None
     journal = folder / "journal.jsonl"
     try:
@@ -66,10 +66,13 @@ def discover(
                 model,
                 records,
                 validation=validation,
+                skip=study.skip,
+                beginning=study.beginning,
                 noise=dict(study.noise),
                 quiet=quiet,
                 effects=candidates,
                 without=_left_out(study),
+                further=study.further,
                 options=FitOptions(at_rest=study.at_rest),
                 on_message=say,
                 journal=journal,
@@ -77,17 +80,6 @@ def discover(
                 executor=executor,
                 workers=workers,
             )
-            if study.further:
-                refinement = refine(
-                    result.best,
-                    validation,
-                    plain=model,
-                    effects=candidates,
-                    on_message=say,
-                    journal=journal,
-                    on_refit=report,
-                )
-                result = replace(result, refinement=refinement)
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command continues from there" if journal.exists() else ""
         exit_with_error(f"interrupted{kept}", ExitCode.INTERRUPTED)

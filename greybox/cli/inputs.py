@@ -237,6 +237,8 @@ def print_record_notes(*groups: Iterable[Experiment]) -> None:
 def check_skip(study: Study, validation: Sequence[Experiment], policy: CommandPolicy = COMMANDS) -> None:
     """Refuse to leave out rows where there are none, or so many that a validation record has too few left."""
     skip, label = study.skip, study.label("skip")
+    if study.beginning > skip:
+        skip, label = study.beginning, study.label("beginning")
     if skip and not validation:
         raise GreyboxError(
             f"{label} {skip} has no effect: it leaves out rows of validation records; give --validate FILE too"

@@ -163,8 +163,7 @@ class Study:
         "--further",
         "further",
         (DISCOVER,),
-        "Continue after the verdict: accept effects that explain any part of the remaining error. For measured records, whose"
-        " residual rarely reaches the noise.",
+        "Search for smaller effects even where the residual is noise. Where more is left, they are always searched for.",
     )
     outputs: tuple[str, ...] = _study_field(
         Names(split=True),
@@ -285,8 +284,18 @@ class Study:
         Count(0),
         "--skip",
         "records.skip",
-        _FITS,
+        (*_FITS, DISCOVER),
         "Number of rows to ignore at the start of each validation record.",
+        metavar="N",
+        show_default=True,
+    )
+    beginning: int = _study_field(
+        Count(0),
+        "--beginning",
+        "records.beginning",
+        (DISCOVER,),
+        "Number of rows at the start of each validation record from which its initial state is estimated; they are ignored as"
+        " --skip ignores rows. 0: those of --skip, or the first 50, which then count.",
         metavar="N",
         show_default=True,
     )

@@ -1,18 +1,22 @@
 """Where model and data disagree, which effect is missing, and whether one may say so."""
 
 from greybox.discovery.candidates import family_of
+from greybox.discovery.certainty import Grade
 from greybox.discovery.curve_shape import CurveShape, Parity, ShapeKind
 from greybox.discovery.decision import Verdict
 from greybox.discovery.dependence import Dependence
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.effect_test import EffectTest, drop_effect, try_effect
+from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.failures import SearchFailure, SearchStage
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.localisation import RankedSite, ResidualLocalisation, ResidualSignal, localise_residual
 from greybox.discovery.misfit_windows import MisfitWindow
 from greybox.discovery.pipeline import discover
 from greybox.discovery.policy import (
+    CertaintyPolicy,
     DiscoveryPolicy,
+    EvidencePolicy,
     LocalisationPolicy,
     ProposalPolicy,
     RefinementPolicy,
@@ -24,6 +28,7 @@ from greybox.discovery.policy import (
 )
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.refinement import Refinement, RefinementStep, refine
+from greybox.discovery.remaining_error import RemainingError
 from greybox.discovery.residual_spectrum import ResidualSpectrum, estimate_residual_spectrum
 from greybox.discovery.result import Discovery, RankedCandidate
 from greybox.discovery.selection import SelectionStep, StepKind
@@ -31,13 +36,17 @@ from greybox.discovery.surrogate import Surrogate, SurrogateTone
 
 __all__ = [
     "CandidateFit",
+    "CertaintyPolicy",
     "CurveShape",
     "Dependence",
     "Discovery",
     "DiscoveryPolicy",
     "DiscoveryProblem",
+    "EffectEvidence",
     "EffectSignal",
     "EffectTest",
+    "EvidencePolicy",
+    "Grade",
     "HoldoutError",
     "LocalisationPolicy",
     "MisfitWindow",
@@ -48,6 +57,7 @@ __all__ = [
     "Refinement",
     "RefinementPolicy",
     "RefinementStep",
+    "RemainingError",
     "ResidualLocalisation",
     "ResidualNoisePolicy",
     "ResidualSignal",

@@ -9,6 +9,7 @@ from functools import partial
 from greybox.discovery.failures import FailureLog, SearchStage, reason_of
 from greybox.discovery.findings import DiscoveryCode
 from greybox.effects import CATALOGUE, Scales, applicable_effects, tailor_to_record
+from greybox.effects.placement import AT
 from greybox.errors import ModelError, nearest
 from greybox.findings import Finding
 from greybox.model import Effect, Model
@@ -40,7 +41,7 @@ def list_candidates(
     effects
         The only candidates, instead of the catalogue.
     without
-        Names of effects to leave out.
+        Names of effects to leave out, at all their sites.
 
     Raises
     ------
@@ -49,7 +50,8 @@ def list_candidates(
     """
     entries = tuple(effects) if effects else tuple(applicable_effects(model))
     _check_names(without, [e.name for e in (*entries, *CATALOGUE)])
-    not_tried = {e.name: Finding(DiscoveryCode.EFFECT_LEFT_OUT, subject=e.name) for e in entries if e.name in without}
+    left_out = [e.name for e in entries if {e.name, e.name.partition(AT)[0]} & set(without)]
+    not_tried = {name: Finding(DiscoveryCode.EFFECT_LEFT_OUT, subject=name) for name in left_out}
     candidates: list[Effect] = []
     for entry in entries:
         if entry.name in not_tried:
@@ -64,7 +66,7 @@ def list_candidates(
             candidates.append(tailored)
     if not effects:
         for entry in CATALOGUE:
-            if entry.name not in {e.name for e in entries}:
+            if not {entry.name} & {e.name.partition(AT)[0] for e in entries}:
                 obstacle = _find_obstacle(model, entry)
                 not_tried[entry.name] = obstacle or Finding(DiscoveryCode.NOT_A_CANDIDATE, subject=entry.name)
     return CandidateList(tuple(candidates), not_tried)

@@ -25,11 +25,13 @@ class Verdict(StrEnum):
     COMPLETE = "complete"
     """Nothing is missing beyond the noise."""
     NAMED = "named"
-    """The missing effects have names."""
+    """The missing effects have names, and nothing visible is left."""
+    PARTLY = "partly"
+    """Some effects are established, and more than noise is left."""
     AMBIGUOUS = "ambiguous"
     """Several sets of effects explain the records equally well."""
     UNKNOWN = "unknown"
-    """Something is missing that no effect of the catalogue explains."""
+    """Something is missing, and no effect of the catalogue is established."""
 
 
 @dataclass(frozen=True)

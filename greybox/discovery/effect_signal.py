@@ -8,6 +8,7 @@ right the two agree, whatever way the effect enters.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from greybox.discovery.disturbance_sites import (
     list_disturbance_sites,
     unwhitened_shooting,
 )
+from greybox.discovery.failures import SearchStage
 from greybox.discovery.localisation import find_worst_stretch, signal_units
 from greybox.discovery.policy import LocalisationPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem, with_start_values
@@ -68,7 +70,15 @@ def estimate_effect_signals(
     problem: DiscoveryProblem, candidate: CandidateFit, policy: LocalisationPolicy
 ) -> tuple[EffectSignal, ...]:
     """One for each effect of an extended model, where its signal can be estimated."""
-    signals = (_estimate(problem, candidate, b.effect.name, b.site, policy) for b in candidate.model.bound_effects)
+    signals = [
+        problem.failures.attempt(
+            SearchStage.EVIDENCE,
+            (b.effect.name,),
+            partial(_estimate, problem, candidate, b.effect.name, b.site, policy),
+            None,
+        )
+        for b in candidate.model.bound_effects
+    ]
     return tuple(signal for signal in signals if signal is not None)
 
 

@@ -71,8 +71,12 @@ class FailureLog:
             return fallback
 
     def of_single_effects(self) -> Mapping[str, str]:
-        """The reason by effect for every effect that failed alone."""
-        return {failure.effects[0]: failure.reason for failure in self.entries.values() if len(failure.effects) == 1}
+        """The reason by effect for every effect that could not be prepared or fitted alone."""
+        return {
+            failure.effects[0]: failure.reason
+            for failure in self.entries.values()
+            if len(failure.effects) == 1 and failure.stage in (SearchStage.PREPARATION, SearchStage.REFIT)
+        }
 
 
 def reason_of(error: Exception) -> str:

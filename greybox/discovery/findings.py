@@ -27,6 +27,8 @@ class DiscoveryRule(StrEnum):
     HOLDOUT_NOISE = "holdout_noise"
     ESTIMATION_DECREASE = "estimation_decrease"
     VALIDATION_DECREASE = "validation_decrease"
+    REFINED_ERROR = "refined_error"
+    ESTABLISHED = "established"
 
 
 class DiscoveryCode(StrEnum):
@@ -36,6 +38,9 @@ class DiscoveryCode(StrEnum):
     NOTHING_MISSING = "nothing_missing"
     EFFECT_NAMED = "effect_named"
     EFFECTS_TIED = "effects_tied"
+    EFFECTS_ESTABLISHED = "effects_established"
+    ERROR_REDUCED = "error_reduced"
+    ERROR_LEFT = "error_left"
     UNKNOWN_EFFECT = "unknown_effect"
     NO_LOOK_ALIKE = "no_look_alike"
     NEAREST_LOOK_ALIKE = "nearest_look_alike"
@@ -56,6 +61,9 @@ class DiscoveryCode(StrEnum):
     CANDIDATE_FAILED = "candidate_failed"
     CANDIDATE_NOT_SIMULATED = "candidate_not_simulated"
     # What to do next.
+    SEPARATE_FROM_RIVAL = "separate_from_rival"
+    QUOTE_THIRD_RECORD = "quote_third_record"
+    CONFIRM_ON_ANOTHER_RECORD = "confirm_on_another_record"
     CONTINUE_WITH_LOOK_ALIKE = "continue_with_look_alike"
     STATE_NOISE = "state_noise"
     CHECK_NOISE = "check_noise"

@@ -1,9 +1,12 @@
-"""Models on records that no parameter has seen: the holdout error, and the rejection of a model that explains nothing there."""
+"""Models on records that no parameter has seen: each is run there once; the errors, and the rejection of a model that explains nothing."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -11,12 +14,56 @@ from greybox.discovery.failures import SearchStage
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.estimation import FitOptions, validate
 from greybox.estimation import fit as estimate
-from greybox.estimation import validate
 from greybox.experiment import Experiment
 from greybox.findings import Check
-from greybox.result import Fit, Misfit
+from greybox.model import Model
+from greybox.noise import BoundDirection, NoiseModel
+from greybox.result import Fit, Validation
+from greybox.result.fit_parts import FitNoise
 from greybox.values import Printable
+
+
+@dataclass(frozen=True)
+class ValidationSet:
+    """The validation records and how they are counted.
+
+    Parameters
+    ----------
+    records
+        The records.
+    skip
+        Rows at the start of each that the errors leave out.
+    beginning
+        Rows from which the initial state of each is estimated, not counted either; 0 takes ``skip``, or as many as the library would.
+    """
+
+    records: tuple[Experiment, ...]
+    skip: int = 0
+    beginning: int = 0
+
+    def __bool__(self) -> bool:
+        return bool(self.records)
+
+    @classmethod
+    def of(cls, records: Experiment | Sequence[Experiment] | ValidationSet) -> ValidationSet:
+        """One record, or several, as a set; a set as it is."""
+        if isinstance(records, ValidationSet):
+            return records
+        return cls((records,) if isinstance(records, Experiment) else tuple(records))
+
+    @property
+    def uncounted(self) -> int:
+        """Rows at the start of each record that do not count."""
+        return max(self.skip, self.beginning)
+
+    def run(self, model: Model, noise: Mapping[str, float], options: FitOptions) -> Validation:
+        """A free run of ``model`` over the records, its parameters kept."""
+        quick = replace(options, progressive=False, thorough=False)
+        return validate(
+            model, self.records, noise=noise, skip=self.uncounted, initial_rows=self.beginning, options=quick
+        )
 
 
 @dataclass(frozen=True)
@@ -31,12 +78,21 @@ class HoldoutError(Printable):
         Standard deviation of the noise: the error of a perfect model.
     unit
         Unit of the output.
+    is_floor_known
+        Whether the noise is known from elsewhere than from the records that were fitted. If not, ``floor`` is an estimate that only the
+        selection uses.
     """
 
     before: float
     after: float
     floor: float
     unit: str
+    is_floor_known: bool = True
+
+    @property
+    def share(self) -> float:
+        """Share of the error that the extended model takes away, 0 to 1; negative where it is worse."""
+        return 1 - self.after / self.before if self.before > 0 else 0.0
 
     @property
     def explained_fraction(self) -> float:
@@ -47,11 +103,21 @@ class HoldoutError(Printable):
 def compare_holdout_errors(base: Fit, best: Fit) -> dict[str, HoldoutError]:
     """By output, from two fits that were validated on the same records."""
     after = best.validation.misfit
-    return {name: _compare(before, after[name]) for name, before in base.validation.misfit.items()}
+    return {
+        name: HoldoutError(m.rmse, after[name].rmse, m.rmse / m.noise_ratio, m.unit, is_floor_known(base, name))
+        for name, m in base.validation.misfit.items()
+    }
 
 
-def _compare(before: Misfit, after: Misfit) -> HoldoutError:
-    return HoldoutError(before.rmse, after.rmse, before.rmse / before.noise_ratio, before.unit)
+def is_floor_known(fit: Fit, output: str) -> bool:
+    """Whether the level of an output's noise is known, and not bounded only."""
+    return is_level_measured(fit.noise, output)
+
+
+def is_level_measured(noise: FitNoise | NoiseModel, output: str) -> bool:
+    """Whether the level of an output's noise is known, and not bounded only."""
+    bound = noise.bound(output)
+    return bound is not None and bound.direction is BoundDirection.ABOUT
 
 
 def worst_output(holdout: Mapping[str, HoldoutError]) -> str:
@@ -60,19 +126,16 @@ def worst_output(holdout: Mapping[str, HoldoutError]) -> str:
 
 
 def validate_candidate(
-    problem: DiscoveryProblem, candidate: CandidateFit, validation: Sequence[Experiment], skip: int = 0
+    problem: DiscoveryProblem, candidate: CandidateFit, validation: ValidationSet | Sequence[Experiment]
 ) -> Fit:
-    """The candidate as a fit with intervals, from its own parameters and initial states, validated on other records.
-
-    ``skip`` rows at the start of each validation record do not count.
-    """
+    """The candidate as a fit with intervals, from its own parameters and initial states, validated on other records."""
     quick = replace(problem.options, progressive=False, thorough=False)
     initial = estimated_initial_states(candidate)
     fit = estimate(candidate.model, problem.experiments, noise=candidate.problem.noise, initial=initial, options=quick)
+    validation = ValidationSet.of(validation)
     if not validation:
         return fit
-    validated = validate(fit.model, validation, noise=fit.noise.std, skip=skip, options=quick)
-    return replace(fit, validation=validated)
+    return replace(fit, validation=validation.run(fit.model, fit.noise.std, problem.options))
 
 
 def estimated_initial_states(candidate: CandidateFit) -> list[dict[str, float]]:
@@ -81,27 +144,54 @@ def estimated_initial_states(candidate: CandidateFit) -> list[dict[str, float]]:
     return [dict(zip(names[initial.free].tolist(), row[initial.free].tolist(), strict=True)) for row in initial.guess]
 
 
-def score_holdout(
-    problem: DiscoveryProblem, candidate: CandidateFit, validation: Sequence[Experiment], skip: int = 0
-) -> float:
-    """Rms simulation error over noise on the validation records, all outputs together; infinite where the model fails there."""
+@dataclass
+class HoldoutScores:
+    """Candidates on the validation records; each is run there once."""
 
-    def score() -> float:
-        quick = replace(problem.options, progressive=False, thorough=False)
-        validated = validate(candidate.model, validation, noise=problem.noise_std, skip=skip, options=quick)
-        return float(np.sqrt(np.mean([m.noise_ratio**2 for m in validated.misfit.values()])))
+    problem: DiscoveryProblem
+    validation: ValidationSet
+    _runs: dict[tuple[Any, ...], Validation | None] = field(init=False, default_factory=dict)
 
-    return problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, score, np.inf)
+    def run(self, candidate: CandidateFit) -> Validation | None:
+        """The candidate's free run over the records; None where it fails there."""
+        key = (candidate.effects, *candidate.model.values.values())
+        if key not in self._runs:
+            run = partial(self.validation.run, candidate.model, self.problem.noise_std, self.problem.options)
+            self._runs[key] = self.problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, run, None)
+        return self._runs[key]
+
+    def score(self, candidate: CandidateFit) -> float:
+        """Rms simulation error over noise, all outputs together; infinite where the model fails."""
+        run = self.run(candidate)
+        if run is None:
+            return np.inf
+        score = float(np.sqrt(np.mean([m.noise_ratio**2 for m in run.misfit.values()])))
+        return score if np.isfinite(score) else np.inf
+
+    def square_errors(self, candidate: CandidateFit, blocks: int) -> dict[str, np.ndarray]:
+        """By output the mean square error (B,) in about ``blocks`` blocks of equal length; empty where the model fails."""
+        run = self.run(candidate)
+        if run is None:
+            return {}
+        rows = sum(len(trace.time) - self.validation.uncounted for trace in run.traces)
+        length = max(math.ceil(rows / blocks), 1)
+        errors: dict[str, list[float]] = {name: [] for name in run.misfit}
+        for trace in run.traces:
+            for name in trace.measured:
+                residual = trace.residual(name)[self.validation.uncounted :]
+                parts = np.array_split(residual, max(round(len(residual) / length), 1))
+                errors[name] += [
+                    float(np.mean(part[np.isfinite(part)] ** 2)) for part in parts if np.isfinite(part).any()
+                ]
+        return {name: np.array(values) for name, values in errors.items() if values}
 
 
 def reject_on_validation(
-    problem: DiscoveryProblem,
+    scores: HoldoutScores,
     baseline: CandidateFit,
     selected: CandidateFit,
     candidates: Sequence[CandidateFit],
-    validation: Sequence[Experiment],
     policy: SelectionPolicy,
-    skip: int = 0,
 ) -> tuple[CandidateFit, tuple[Check, ...]]:
     """``selected``, or another candidate where ``selected`` explains less than half of the gap on the validation records.
 
@@ -113,10 +203,10 @@ def reject_on_validation(
     tuple
         The candidate to go on with, and the checks that this rests on.
     """
-    before = score_holdout(problem, baseline, validation, skip)
+    before, problem = scores.score(baseline), scores.problem
 
     def explained_share(candidate: CandidateFit) -> float:
-        after = score_holdout(problem, candidate, validation, skip)
+        after = scores.score(candidate)
         return (before - after) / (before - 1) if np.isfinite(after) else -np.inf
 
     checks: list[Check] = []

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from greybox.discovery.candidates import failed_candidates, list_candidates
+from greybox.discovery.certainty import Grade
+from greybox.discovery.conclusion import weigh_evidence
 from greybox.discovery.decision import (
     Conclusion,
     Verdict,
@@ -21,12 +23,15 @@ from greybox.discovery.decision import (
     judge_validation_only,
     visible_rms_limit,
 )
-from greybox.discovery.effect_signal import estimate_effect_signals
+from greybox.discovery.effect_signal import EffectSignal, estimate_effect_signals
+from greybox.discovery.evidence import EffectEvidence, EvidenceInputs, gather_evidence, measure_structure
 from greybox.discovery.execution import RefitExecutor, RefitJournal
 from greybox.discovery.failures import SearchStage
-from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     HoldoutError,
+    HoldoutScores,
+    ValidationSet,
     compare_holdout_errors,
     reject_on_validation,
     validate_candidate,
@@ -41,6 +46,8 @@ from greybox.discovery.proposals import (
     propose_next_steps,
     propose_noise_check,
 )
+from greybox.discovery.refinement import Refinement, refine_candidate, with_residual_noise
+from greybox.discovery.remaining_error import RemainingError, measure_remaining_error
 from greybox.discovery.residual_noise import (
     estimate_residual_noise,
     excess_autocorrelation,
@@ -50,6 +57,7 @@ from greybox.discovery.residual_noise import (
 )
 from greybox.discovery.result import Discovery, RankedCandidate
 from greybox.discovery.selection import MessageCallback, StepwiseSelection, checks_of
+from greybox.discovery.shape_correction import is_shape_correction
 from greybox.discovery.starting_points import estimate_scales
 from greybox.discovery.surrogate import Surrogate, fit_surrogate
 from greybox.effects import Scales
@@ -64,7 +72,7 @@ Records = Experiment | Sequence[Experiment]
 
 
 @dataclass(frozen=True)
-class SelectionEvidence:
+class JudgedSelection:
     """A finished selection and its error on the validation records.
 
     Parameters
@@ -79,8 +87,8 @@ class SelectionEvidence:
         The plain and the extended model as fits that were validated.
     holdout
         Error of both on the validation records, by output.
-    validation, skip
-        These records, and the rows at their start that do not count.
+    scores
+        These records, with every candidate that was run there.
     plain
         The model as the user gave it.
     checks
@@ -93,8 +101,7 @@ class SelectionEvidence:
     base: Fit
     best: Fit
     holdout: Mapping[str, HoldoutError]
-    validation: tuple[Experiment, ...]
-    skip: int
+    scores: HoldoutScores
     plain: Model
     checks: tuple[Check, ...]
 
@@ -129,6 +136,8 @@ def discover(
     estimation: Records,
     *,
     validation: Records,
+    skip: int = 0,
+    beginning: int = 0,
     noise: Mapping[str, float] | None = None,
     quiet: Records = (),
     effects: Sequence[Effect] | None = None,
@@ -140,6 +149,7 @@ def discover(
     workers: int = 0,
     journal: str | Path | None = None,
     on_refit: Callable[[int], None] | None = None,
+    further: bool = False,
 ) -> Discovery:
     """Find which effect, if any, ``model`` lacks.
 
@@ -155,6 +165,10 @@ def discover(
         Records to fit to.
     validation
         Records to judge by.
+    skip
+        Rows at the start of each validation record that the errors leave out.
+    beginning
+        Rows from which the initial state of each validation record is estimated, not counted either; 0 for as many as `validate` takes.
     noise
         Standard deviation of outputs whose noise is known, in their units. Others are estimated.
     quiet
@@ -177,6 +191,8 @@ def discover(
         A file in which every finished refit is kept, so that the same call resumes after an interruption.
     on_refit
         Called after each refit with the number of finished ones.
+    further
+        Whether smaller effects are looked for even where the residual is noise already.
 
     Returns
     -------
@@ -198,8 +214,8 @@ def discover(
     """
     began = time.perf_counter()
     options, policy, on_message = options or FitOptions(), policy or DiscoveryPolicy(), on_message or _ignore
-    validation_records = _as_tuple(validation)
-    if not validation_records:
+    validation_set = ValidationSet(_as_tuple(validation), skip, beginning)
+    if not validation_set:
         raise DataError(
             "no validation record: a discovery needs a record that was not fitted; give at least one, another run or the"
             " end of this one (shell: --validate FILE)"
@@ -214,31 +230,34 @@ def discover(
         )
         scales = estimate_scales(problem.baseline)
         listed = list_candidates(problem.model, scales, problem.failures, effects, without)
-        candidates = listed.effects
         findings: tuple[Finding, ...] = ()
-        evidence = _gather_evidence(problem, candidates, scales, validation_records, policy, on_message)
-        if problem.options.at_rest and _shows_on_validation_only(evidence):
+        judged = _select_and_judge(problem, listed.effects, scales, validation_set, policy, on_message)
+        if problem.options.at_rest and _shows_on_validation_only(judged):
             on_message(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
-            half = min(record.rows for record in validation_records) // 2
-            first_halves = tuple(record.window(0, half) for record in validation_records)
+            half = min(record.rows for record in validation_set.records) // 2
+            first_halves = tuple(record.window(0, half) for record in validation_set.records)
             wider = replace(problem, experiments=(*problem.experiments, *first_halves))
-            evidence = _gather_evidence(wider, candidates, scales, validation_records, policy, on_message, half)
+            second_halves = ValidationSet(validation_set.records, half)
+            judged = _select_and_judge(wider, listed.effects, scales, second_halves, policy, on_message)
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
-        result = _conclude(evidence, findings)
-        not_tried = listed.not_tried | failed_candidates(candidates, problem.failures, result.fitted_alone)
-        failures = tuple(problem.failures.entries.values())
-        return replace(result, not_tried=not_tried, failures=failures, seconds=time.perf_counter() - began)
+        result = _conclude(judged, listed.effects, findings, further)
+        fitted = {name for key in judged.selection.fits if len(key) == 1 for name in key}
+        return replace(
+            result,
+            not_tried=listed.not_tried | failed_candidates(listed.effects, problem.failures, fitted),
+            failures=tuple(problem.failures.entries.values()),
+            seconds=time.perf_counter() - began,
+        )
 
 
-def _gather_evidence(
+def _select_and_judge(
     problem: DiscoveryProblem,
     candidates: Sequence[Effect],
     scales: Scales,
-    validation: tuple[Experiment, ...],
+    validation: ValidationSet,
     policy: DiscoveryPolicy,
     on_message: MessageCallback,
-    skip: int = 0,
-) -> SelectionEvidence:
+) -> JudgedSelection:
     """Noise, screening, selection and holdout."""
     misfit = problem.baseline.per_sample**0.5
     on_message(str(Finding(DiscoveryCode.BASELINE_FITTED, values={"misfit": misfit})))
@@ -248,19 +267,21 @@ def _gather_evidence(
     else:
         selection, selected = _select_with_unknown_noise(selection)
     checks = list(checks_of(selection.steps))
+    scores = HoldoutScores(selection.problem, validation)
     if selected.effects:
         fits = list(selection.fits.values())
-        selected, of_holdout = reject_on_validation(
-            selection.problem, selection.baseline, selected, fits, validation, policy.selection, skip
-        )
+        selected, of_holdout = reject_on_validation(scores, selection.baseline, selected, fits, policy.selection)
         checks += of_holdout
     rivals = selection.find_rivals(selected) if selected.effects else []
+    base = validate_candidate(selection.problem, selection.baseline, validation)
     final = selection.shape_corrections.get(frozenset(selected.effects), selected)
-    base, best = (validate_candidate(selection.problem, c, validation, skip) for c in (selection.baseline, final))
+    attempt = problem.failures.attempt
+    finish = partial(validate_candidate, selection.problem, final, validation)
+    best = attempt(SearchStage.HOLDOUT, final.effects, finish, None) if selected.effects else base
+    if best is None:  # it fails on other records than those that it was fitted to
+        selected, rivals, best = selection.baseline, [], base
     holdout = compare_holdout_errors(base, best)
-    return SelectionEvidence(
-        selection, selected, rivals, base, best, holdout, validation, skip, problem.model, tuple(checks)
-    )
+    return JudgedSelection(selection, selected, rivals, base, best, holdout, scores, problem.model, tuple(checks))
 
 
 def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSelection, CandidateFit]:
@@ -296,135 +317,268 @@ def _leading_candidates(selection: StepwiseSelection) -> list[Effect]:
     return [e for e in selection.candidates if e.name in family]
 
 
-def _shows_on_validation_only(evidence: SelectionEvidence) -> bool:
+def _shows_on_validation_only(judged: JudgedSelection) -> bool:
     """Whether the plain model explains the estimation records and fails on the validation records."""
-    if evidence.selected.effects:
+    if judged.selected.effects:
         return False
-    policy = evidence.selection.policy.selection
-    return judge_validation_only(evidence.baseline, evidence.holdout, evidence.noise_limits, policy).passed
+    policy = judged.selection.policy.selection
+    return judge_validation_only(judged.baseline, judged.holdout, judged.noise_limits, policy).passed
 
 
-def _decide(evidence: SelectionEvidence) -> Conclusion:
-    policy, corrected = evidence.selection.policy.selection, evidence.corrected
+def _decide(judged: JudgedSelection) -> Conclusion:
+    policy, corrected = judged.selection.policy.selection, judged.corrected
     autocorrelation = excess_autocorrelation(corrected, policy.autocorrelation_lags) if corrected.effects else 0.0
     decided = decide_verdict(
-        evidence.baseline,
+        judged.baseline,
         corrected,
-        evidence.rivals,
-        evidence.holdout,
-        evidence.noise_limits,
+        judged.rivals,
+        judged.holdout,
+        judged.noise_limits,
         autocorrelation,
         policy,
     )
-    ties = evidence.selection.tie_checks(evidence.selected, evidence.rivals)
+    ties = judged.selection.tie_checks(judged.selected, judged.rivals)
     return replace(decided, checks=(*decided.checks, *ties))
 
 
-def _conclude(evidence: SelectionEvidence, findings: tuple[Finding, ...]) -> Discovery:
-    """Decision, localisation, surrogate and proposals."""
-    selection, selected = evidence.selection, evidence.selected
-    policy, problem = selection.policy, evidence.selection.problem
-    decided = _decide(evidence)
-    verdict = decided.verdict
-    fits = sorted(selection.fits.values(), key=lambda fit: fit.criterion)
-    ranking = [RankedCandidate(f.effects, f.per_sample**0.5, f.criterion - fits[0].criterion) for f in fits]
-    attempt, effects = problem.failures.attempt, selected.effects
-    locate = partial(localise_residual, evidence.baseline, policy=policy.localisation, selection=policy.selection)
-    location = attempt(SearchStage.LOCALISATION, (), locate, None) or ResidualLocalisation.without_sites(
-        evidence.baseline, policy.localisation, policy.selection
-    )
-    propose = partial(propose_experiments, problem, selected, evidence.rivals, policy)
-    experiments = attempt(SearchStage.PROPOSAL, effects, propose, ())
-    limits = list_detection_limits(selection.single_effects, policy.proposals) if verdict is Verdict.COMPLETE else ()
-    surrogate = None
-    next_steps: tuple[Finding, ...] = ()
-    if verdict is Verdict.UNKNOWN:
+def _conclude(
+    judged: JudgedSelection, candidates: Sequence[Effect], findings: tuple[Finding, ...], further: bool
+) -> Discovery:
+    """Decision, further effects, evidence for each effect, what is left, localisation, surrogate and proposals."""
+    selection, selected = judged.selection, judged.selected
+    policy, problem = selection.policy, judged.selection.problem
+    attempt = problem.failures.attempt
+    decided = _decide(judged)
+    final = FinalModel(judged.scores, selected, judged.best)
+    refinement: Refinement | None = None
+    if further or decided.verdict is Verdict.UNKNOWN:
+        final, refinement = _refine(judged, candidates)
+    signals = _estimate_signals(final, policy)
+    evidence: tuple[EffectEvidence, ...] = ()
+    if final.candidate.effects:
+        inputs = EvidenceInputs(
+            final.scores.problem,
+            selection.scales,
+            candidates,
+            final.candidate,
+            selection.baseline,
+            selection.fits if refinement is None or not refinement.steps else {},
+            final.scores,
+            signals,
+            policy,
+        )
+        evidence = attempt(SearchStage.EVIDENCE, final.candidate.effects, partial(gather_evidence, inputs), ())
+    decided = weigh_evidence(decided, evidence, policy.certainty)
+    verdict, holdout = decided.verdict, compare_holdout_errors(judged.base, final.fit)
+    judged = replace(judged, best=final.fit, holdout=holdout)
+    location = _locate(judged.baseline, selection)
+    surrogate, next_steps = None, ()
+    if verdict in (Verdict.UNKNOWN, Verdict.PARTLY):
         represent = partial(
             fit_surrogate,
-            replace(problem, model=evidence.plain),
-            evidence.baseline,
+            replace(problem, model=judged.plain),
+            judged.baseline,
             selected,
-            evidence.holdout,
-            evidence.validation,
-            evidence.base,
+            holdout,
+            judged.scores.validation,
+            judged.base,
             policy,
-            evidence.skip,
         )
-        surrogate = attempt(SearchStage.SURROGATE, effects, represent, None)
-        next_steps = _propose_for_unknown(evidence, location, surrogate)
+        if verdict is Verdict.UNKNOWN:
+            surrogate = attempt(SearchStage.SURROGATE, selected.effects, represent, None)
+    left_location = _locate(_under_less_noise(final), selection) if final.candidate.effects else location
+    left = measure_remaining_error(
+        final.fit, holdout, left_location, judged.scores.validation.uncounted, policy.evidence
+    )
+    if verdict is Verdict.UNKNOWN:
+        next_steps = _propose_for_unknown(judged, location, surrogate)
+    elif verdict is Verdict.PARTLY:
+        next_steps = _propose_for_part(judged, left_location, evidence, bool(refinement and refinement.steps))
     elif verdict is Verdict.COMPLETE:
-        next_steps = propose_noise_check(evidence.base)
-    estimate_signals = partial(estimate_effect_signals, problem, selected, policy.localisation)
-    signals = attempt(SearchStage.EVIDENCE, effects, estimate_signals, ()) if effects else ()
-    if evidence.corrected is not selected and verdict is not Verdict.UNKNOWN:
-        added = [name for name in evidence.corrected.effects if name not in selected.effects]
+        next_steps = propose_noise_check(judged.base)
+    if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) or not next_steps:
+        next_steps = (*next_steps, Finding(DiscoveryCode.CONFIRM_ON_ANOTHER_RECORD))
+    propose = partial(propose_experiments, problem, selected, judged.rivals, policy)
+    experiments = attempt(SearchStage.PROPOSAL, selected.effects, propose, ())
+    limits = list_detection_limits(selection.single_effects, policy.proposals) if verdict is Verdict.COMPLETE else ()
+    if judged.corrected is not selected and verdict is not Verdict.UNKNOWN and final.candidate is selected:
+        added = [name for name in judged.corrected.effects if name not in selected.effects]
         values = {"correction": added}
         findings = (*findings, Finding(DiscoveryCode.SHAPE_CORRECTED, subject=_name(selected), values=values))
+    fits = sorted(selection.fits.values(), key=lambda fit: fit.criterion)
+    ranking = [RankedCandidate(f.effects, f.per_sample**0.5, f.criterion - fits[0].criterion) for f in fits]
     return Discovery(
         verdict,
-        evidence.base,
-        evidence.best,
-        [rival.effects for rival in evidence.rivals],
-        evidence.holdout,
+        judged.base,
+        final.fit,
+        [rival.effects for rival in judged.rivals],
+        holdout,
         ranking,
         location,
-        conclusion=_summarise(evidence, verdict, location, surrogate),
-        checks=(*evidence.checks, *decided.checks),
+        conclusion=_summarise(judged, decided, evidence, left, location, surrogate),
+        checks=(*judged.checks, *decided.checks),
         path=tuple(selection.steps),
         findings=(*findings, *experiments, *limits),
         next_steps=next_steps,
         effect_signals=signals,
         surrogate=surrogate,
+        refinement=refinement,
+        evidence=evidence,
+        left=left,
         policy=policy,
         options=problem.options,
-        fitted_alone=frozenset(fit.effects[0] for fit in selection.fits.values() if len(fit.effects) == 1),
     )
 
 
+@dataclass(frozen=True)
+class FinalModel:
+    """The model of the answer: as a candidate, as a validated fit, and the validation records under the noise it was fitted with."""
+
+    scores: HoldoutScores
+    candidate: CandidateFit
+    fit: Fit
+
+
+def _refine(judged: JudgedSelection, candidates: Sequence[Effect]) -> tuple[FinalModel, Refinement | None]:
+    """Further effects where more than noise is left; None, and the selected model, where they cannot be looked for."""
+    selection, scores = judged.selection, judged.scores
+    problem, policy = selection.problem, selection.policy
+    unrefined = FinalModel(scores, judged.selected, judged.best)
+    start = judged.selected if scores.score(judged.selected) < scores.score(judged.baseline) else judged.baseline
+
+    def search() -> tuple[FinalModel, Refinement | None]:
+        of_rest = HoldoutScores(with_residual_noise(problem, start), scores.validation)
+        refined = refine_candidate(of_rest, start, candidates, policy, selection.on_message)
+        allowed = (1 - policy.refinement.validation_share) * of_rest.score(judged.corrected)
+        check = Check.at_most(
+            DiscoveryRule.REFINED_ERROR, of_rest.score(refined.candidate), allowed, _name(refined.candidate)
+        )
+        # A curve or a second branch that corrects the shape of an effect may do better than all further effects.
+        if not refined.steps or not check:
+            return unrefined, Refinement(judged.best, (), (*refined.checks, check))
+        fit = validate_candidate(of_rest.problem, refined.candidate, scores.validation)
+        return FinalModel(of_rest, refined.candidate, fit), Refinement(fit, refined.steps, refined.checks)
+
+    return problem.failures.attempt(SearchStage.REFINEMENT, start.effects, search, (unrefined, None))
+
+
+def _estimate_signals(final: FinalModel, policy: DiscoveryPolicy) -> tuple[EffectSignal, ...]:
+    problem, candidate = final.scores.problem, final.candidate
+    estimate_signals = partial(estimate_effect_signals, problem, candidate, policy.localisation)
+    return problem.failures.attempt(SearchStage.EVIDENCE, candidate.effects, estimate_signals, ())
+
+
+def _locate(candidate: CandidateFit, selection: StepwiseSelection) -> ResidualLocalisation:
+    """What a candidate leaves unexplained; the misfit alone where its site cannot be estimated."""
+    policy = selection.policy
+    locate = partial(localise_residual, candidate, policy=policy.localisation, selection=policy.selection)
+    located = selection.problem.failures.attempt(SearchStage.LOCALISATION, candidate.effects, locate, None)
+    return located or ResidualLocalisation.without_sites(candidate, policy.localisation, policy.selection)
+
+
+def _under_less_noise(final: FinalModel) -> CandidateFit:
+    """The final model with only that part of its residual for noise that nothing before it tells; as it is where the noise is known."""
+    candidate = final.candidate
+    problem = candidate.problem
+    if problem.noise.is_level_known:
+        return candidate
+    structure = measure_structure(final.scores, candidate, 1.0, most_correlation=0.0)
+    factor = max(1 - structure**2, final.scores.problem.budget.least_noise_share) ** 0.5
+    noise = replace(problem.noise, std=factor * problem.noise.std)
+    return replace(candidate, problem=problem.with_noise(noise), cost=candidate.cost / factor**2)
+
+
+def _propose_for_part(
+    judged: JudgedSelection, location: ResidualLocalisation, evidence: Sequence[EffectEvidence], refined: bool
+) -> tuple[Finding, ...]:
+    """What to do about the rest beside established effects."""
+    policy = judged.selection.policy
+    doubtful = [e for e in evidence if e.grade is not Grade.ESTABLISHED and (e.alike or e.rival)]
+    largest = sorted(doubtful, key=lambda e: -e.share)[: policy.proposals.most_separations]
+    steps = [
+        Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=e.effect, values={"rival": (*e.alike, e.rival)[0]})
+        for e in largest
+    ]
+    if refined:
+        steps.append(Finding(DiscoveryCode.QUOTE_THIRD_RECORD))
+    if not location.is_missing:
+        return tuple(steps)
+    records = judged.scores.validation.records
+    return (*steps, *propose_next_steps(judged.base, location, None, records, policy))
+
+
 def _propose_for_unknown(
-    evidence: SelectionEvidence, location: ResidualLocalisation, surrogate: Surrogate | None
+    judged: JudgedSelection, location: ResidualLocalisation, surrogate: Surrogate | None
 ) -> tuple[Finding, ...]:
     """What to do next about something unknown; continue with a look-alike where no surrogate does better."""
-    policy = evidence.selection.policy
+    policy = judged.selection.policy
     limit = policy.selection.holdout_share
     surrogate_fails = surrogate is None or surrogate.explained_fraction < limit
-    is_near = evidence.explained_fraction >= limit and surrogate_fails
-    look_alike = _name(evidence.selected) if is_near else ""
-    return propose_next_steps(evidence.base, location, surrogate, evidence.validation, policy, look_alike)
+    is_near = judged.explained_fraction >= limit and surrogate_fails
+    look_alike = _name(judged.selected) if is_near else ""
+    return propose_next_steps(judged.base, location, surrogate, judged.scores.validation.records, policy, look_alike)
 
 
 def _summarise(
-    evidence: SelectionEvidence, verdict: Verdict, location: ResidualLocalisation, surrogate: Surrogate | None
+    judged: JudgedSelection,
+    decided: Conclusion,
+    evidence: Sequence[EffectEvidence],
+    left: Mapping[str, RemainingError],
+    location: ResidualLocalisation,
+    surrogate: Surrogate | None,
 ) -> tuple[Finding, ...]:
-    """The conclusion as findings: the missing effect, its certainty, and the share of the error that it explains."""
-    if verdict is Verdict.COMPLETE:
+    """The conclusion as findings: the effects and how certain they are, the error they take, and what is left."""
+    if decided.verdict is Verdict.COMPLETE:
         return (Finding(DiscoveryCode.NOTHING_MISSING),)
-    name, output = _name(evidence.selected), worst_output(evidence.holdout)
-    explained = {"share": evidence.explained_fraction, "output": output}
-    if verdict is Verdict.NAMED:
-        return (Finding(DiscoveryCode.EFFECT_NAMED, subject=name, values=explained),)
-    if verdict is Verdict.AMBIGUOUS:
-        rivals = [_name(rival) for rival in evidence.rivals]
-        return (Finding(DiscoveryCode.EFFECTS_TIED, subject=name, values={**explained, "rivals": rivals}),)
+    effects = [e.name for e in judged.best.model.effects if not is_shape_correction(e.name)]
+    name, output = " + ".join(effects), worst_output(judged.holdout)
+    error = judged.holdout[output]
+    grades = {e.effect: e.grade for e in evidence}
+    established = [e for e in effects if grades.get(e) is Grade.ESTABLISHED]
+    reduced = _error_reduced(effects, judged.holdout)
+    explained = {"share": error.share, "output": output}
+    remaining = [
+        Finding(DiscoveryCode.ERROR_LEFT, subject=o, values={**each.to_values(), "before": judged.holdout[o].before})
+        for o, each in left.items()
+        if o == output or judged.holdout[o].share < judged.selection.policy.selection.partial_share
+    ]
+    if decided.verdict is Verdict.NAMED:
+        return (Finding(DiscoveryCode.EFFECT_NAMED, subject=name), *reduced)
+    if decided.verdict is Verdict.AMBIGUOUS:
+        rivals = [_name(rival) for rival in judged.rivals]
+        return (Finding(DiscoveryCode.EFFECTS_TIED, subject=name, values={**explained, "rivals": rivals}), *reduced)
+    if decided.verdict is Verdict.PARTLY:
+        others = {e: grades[e] for e in effects if e in grades and e not in established}
+        values = {"established": established, "others": others}
+        return (Finding(DiscoveryCode.EFFECTS_ESTABLISHED, subject=name, values=values), *reduced, *remaining)
     findings = [Finding(DiscoveryCode.UNKNOWN_EFFECT)]
-    if name and evidence.explained_fraction <= 0:
+    if name and error.share <= 0:
         findings.append(Finding(DiscoveryCode.NO_LOOK_ALIKE, subject=name))
     elif name:
-        partly = bool(evidence.explained_fraction < evidence.selection.policy.selection.partial_share)
-        values = {**explained, "partly": partly}
-        findings.append(Finding(DiscoveryCode.NEAREST_LOOK_ALIKE, subject=name, values=values))
+        findings += [Finding(DiscoveryCode.NEAREST_LOOK_ALIKE, subject=name), *reduced, *remaining]
     if not location.is_missing:
         findings.append(Finding(DiscoveryCode.HARDLY_VISIBLE, values={"misfit": location.misfit}))
     elif location.likeliest:
-        findings.append(_missing_signal(evidence, location, surrogate))
+        findings.append(_missing_signal(judged, location, surrogate))
     if surrogate is not None:
         findings.append(Finding(DiscoveryCode.SURROGATE_FITTED, subject=surrogate.site, values=surrogate.to_values()))
     return tuple(findings)
 
 
-def _missing_signal(
-    evidence: SelectionEvidence, location: ResidualLocalisation, surrogate: Surrogate | None
-) -> Finding:
+def _error_reduced(effects: Sequence[str], holdout: Mapping[str, HoldoutError]) -> list[Finding]:
+    """From where to where the error of each output falls, the one that the plain model misses most first."""
+    first = worst_output(holdout)
+    return [
+        Finding(
+            DiscoveryCode.ERROR_REDUCED,
+            subject=output,
+            values={"before": e.before, "after": e.after, "unit": e.unit, "share": e.share, "effects": list(effects)},
+        )
+        for output, e in sorted(holdout.items(), key=lambda item: item[0] != first)
+    ]
+
+
+def _missing_signal(judged: JudgedSelection, location: ResidualLocalisation, surrogate: Surrogate | None) -> Finding:
     """How large the missing signal is, where, and of what it is a function; a curve that explains it says more than the localisation."""
     site = location.sites[0]
     values: dict[str, Any] = {
@@ -434,7 +588,7 @@ def _missing_signal(
         "variable": "",
         "dependence": None,
     }
-    limit = evidence.selection.policy.selection.holdout_share
+    limit = judged.selection.policy.selection.holdout_share
     explains = surrogate is not None and surrogate.tone is None and surrogate.explained_fraction >= limit
     if surrogate is not None and explains and not surrogate.beside:
         values["variable"] = surrogate.variable

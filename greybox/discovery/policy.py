@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 
@@ -111,6 +112,8 @@ class SearchBudget:
     """Iterations of the refit with such a correction."""
     effect_test_starts: int = 3
     """Starting points from which an effect that is tried by hand is refitted."""
+    least_noise_share: float = 0.01
+    """Share of a residual's variance that counts as noise at least where what is left is localised."""
     parallel_seconds: float = 20.0
     """Expected seconds of refits from which starting processes pays."""
 
@@ -255,6 +258,86 @@ class ProposalPolicy:
     """Noise of a sensor that is not installed yet, as a share of the largest value that it would show."""
     seed: int = 1
     """Seed of the multisine's phases."""
+    most_separations: int = 2
+    """Effects that are not established for which an experiment is asked, those that take the largest share of the error first."""
+
+
+@dataclass(frozen=True)
+class EvidencePolicy:
+    """How the evidence for each effect is gathered."""
+
+    blocks: int = 24
+    """Blocks in which the validation records are divided: errors of neighbouring samples are not independent."""
+    resamples: int = 400
+    """Resampled sets of blocks behind an interval."""
+    confidence: float = 0.95
+    """Coverage of that interval."""
+    seed: int = 1
+    """Seed of the resampling: the same records give the same interval."""
+    rivals: int = 4
+    """Effects of other families that are fitted in the place of each effect."""
+    same_error: float = 0.01
+    """Relative difference of mean square errors, over what the effect takes, below which a rival does the same."""
+    iterations: int = 30
+    """Iterations of these refits; they start near where they end."""
+    least_rows: int = 100
+    """Rows of a record below which it is not halved."""
+    most_correlation: float = 0.95
+    """Correlation from sample to sample up to which a residual may be the noise of a sensor, where nobody knows the noise."""
+    displacement: float = 0.5
+    """Factor on an effect's amplitudes (and its inverse on its shape) for the refit from another start."""
+    same_cost: float = 0.01
+    """Relative difference in cost below which two refits ended in the same place."""
+    least_blocks: int = 6
+    """Blocks from which it is looked at whether the error grows with the amplitude..."""
+    amplitude_range: float = 1.5
+    """...if the largest amplitude of a block is so many times the smallest..."""
+    amplitude_correlation: float = 0.6
+    """...and it does so from this rank correlation of error and amplitude on."""
+
+
+@dataclass(frozen=True)
+class CertaintyPolicy:
+    """How probable it is that an effect is right, and from which probability it may be called so."""
+
+    intercept: float = -1.0
+    """Constant of the logistic function."""
+    weights: Mapping[str, float] = field(
+        default_factory=lambda: {
+            "share": 0.5,
+            "loss_t": 1.0,
+            "rival_size": 1.0,
+            "rival_ratio": 1.5,
+            "rival_t": 2.5,
+            "curve_size": -3.0,
+            "curve_ratio": -1.0,
+            "curve_t": -2.0,
+            "curve_untested": -0.3,
+            "remainder": -1.0,
+            "structure": -2.5,
+            "left": -1.0,
+            "change": -0.7,
+            "start": 0.5,
+            "several": -0.3,
+        }
+    )
+    """Weight of each feature of the evidence."""
+    most_score: float = 30.0
+    """Largest argument of the exponential: beyond it nothing changes and nothing overflows."""
+    most_deviations: float = 10.0
+    """Standard errors of a difference between models at which it counts in full."""
+    established: float = 0.9
+    """Probability from which an effect is established."""
+    probable: float = 0.5
+    """Probability from which an effect is probable; below it is a stand-in."""
+    least_rival: float = 0.3
+    """The best rival must be behind by this share of `most_deviations`: three standard errors."""
+    most_form: float = 0.5
+    """What a flexible curve beside the effect takes more, over what the effect takes, in rms."""
+    most_remainder: float = 0.6
+    """What the effect leaves over its own variable, over its signal, in rms."""
+    least_share: float = 0.02
+    """Share of the error that an effect must take."""
 
 
 @dataclass(frozen=True)
@@ -281,5 +364,9 @@ class DiscoveryPolicy:
     """A curve or a tone in the place of an unknown effect."""
     proposals: ProposalPolicy = field(default_factory=ProposalPolicy)
     """What is proposed next."""
+    evidence: EvidencePolicy = field(default_factory=EvidencePolicy)
+    """How the evidence for each effect is gathered."""
+    certainty: CertaintyPolicy = field(default_factory=CertaintyPolicy)
+    """How probable it is that an effect is right."""
     refinement: RefinementPolicy = field(default_factory=RefinementPolicy)
     """When a further, small effect is accepted on measured records (`refine`)."""

@@ -160,7 +160,7 @@ class DiscoveryProblem:
     def noise_std(self) -> dict[str, float]:
         """Noise standard deviation of each measured output."""
         measured = {name for e in self.experiments for name in e.outputs}
-        pairs = zip(self.model.outputs, self._baseline_noise.std, strict=True)
+        pairs = zip(self.model.outputs, self.noise_model.std, strict=True)
         return {o.name: float(std) for o, std in pairs if o.name in measured}
 
     def refit_best(

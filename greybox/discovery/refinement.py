@@ -10,24 +10,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from greybox.discovery.candidates import list_candidates
 from greybox.discovery.decision import criterion_gain, make_check
 from greybox.discovery.execution import RefitExecutor, RefitJournal
+from greybox.discovery.failures import SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
-from greybox.discovery.holdout import score_holdout, validate_candidate
+from greybox.discovery.holdout import HoldoutScores, ValidationSet, validate_candidate
+from greybox.discovery.localisation import normalised_residuals
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem, StartValues
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.screening import list_extension_starts, rank_extensions
 from greybox.discovery.selection import MessageCallback
 from greybox.discovery.shape_correction import is_shape_correction
-from greybox.discovery.starting_points import estimate_scales, generate_starting_points
-from greybox.effects import Scales, applicable_effects, tailor_to_record
+from greybox.discovery.starting_points import estimate_scales
+from greybox.effects import Scales
 from greybox.experiment import Experiment
 from greybox.findings import Check, Finding
 from greybox.model import Effect, Model
 from greybox.noise import AutoRegression
+from greybox.numerics import TINY
 from greybox.result import Fit
 from greybox.values import Printable, ReadOnly
 
@@ -114,18 +120,52 @@ def refine(
         As `greybox.fit`; DataError for a file that is no journal.
     """
     policy = policy or DiscoveryPolicy()
-    records = (validation,) if isinstance(validation, Experiment) else tuple(validation)
     executor = RefitExecutor(journal=RefitJournal(Path(journal)) if journal else None, report=on_refit)
-    problem = replace(_with_white_noise(DiscoveryProblem.from_fit(fit, policy.budget), fit), executor=executor)
+    plain_problem = replace(DiscoveryProblem.from_fit(fit, policy.budget), executor=executor)
+    problem = with_residual_noise(plain_problem, plain_problem.to_candidate(fit))
     start = problem.to_candidate(fit)
-    model = _without_shape_corrections(fit.model)
-    values = {n: v for n, v in fit.model.values.items() if n in model.values}
+    listed = list_candidates(plain or fit.model, estimate_scales(start), problem.failures, effects)
+    scores = HoldoutScores(problem, ValidationSet.of(validation))
+    refined = refine_candidate(scores, start, listed.effects, policy, on_message)
+    validated = validate_candidate(problem, refined.candidate, scores.validation)
+    return Refinement(validated, refined.steps, refined.checks)
+
+
+@dataclass(frozen=True)
+class RefinedCandidate:
+    """A candidate with further effects, the steps that led there, and the checks of every candidate that was refitted."""
+
+    candidate: CandidateFit
+    steps: tuple[RefinementStep, ...]
+    checks: tuple[Check, ...]
+
+
+def refine_candidate(
+    scores: HoldoutScores,
+    start: CandidateFit,
+    candidates: Sequence[Effect],
+    policy: DiscoveryPolicy,
+    on_message: MessageCallback | None = None,
+) -> RefinedCandidate:
+    """Further effects for ``start``, one at a time, as long as they remove a share of what is left on the validation records.
+
+    Parameters
+    ----------
+    scores
+        The problem, whose noise is the residual of ``start``, and the validation records.
+    start
+        The model to begin with. Curves and second branches that correct the shape of its effects are removed first.
+    candidates
+        Effects that are tried.
+    policy, on_message
+        As in `refine`.
+    """
+    problem = scores.problem
+    model = _without_shape_corrections(start.model)
+    values = {n: v for n, v in start.model.values.items() if n in model.values}
     selected = problem.refit_best(model, [values], keep=1, like=start) or start
     scales = estimate_scales(selected)
-    candidates = (
-        [tailor_to_record(e, scales) for e in effects] if effects else applicable_effects(plain or fit.model, scales)
-    )
-    misfit = score_holdout(problem, selected, records)
+    misfit = scores.score(selected)
     if on_message:
         on_message(
             str(Finding(DiscoveryCode.REFINEMENT_STARTED, subject=selected.model.title, values={"misfit": misfit}))
@@ -136,7 +176,7 @@ def refine(
         extensions = [
             extension
             for candidate in _extend_each(problem, selected, candidates, scales, policy)
-            if (extension := _judge_extension(problem, selected, candidate, records, misfit, policy, checks))
+            if (extension := _judge_extension(scores, selected, candidate, misfit, policy, checks))
         ]
         if not extensions:
             break
@@ -154,14 +194,13 @@ def refine(
         if on_message:
             on_message(str(steps[-1]))
         selected, misfit = best.candidate, best.validation_misfit
-    return Refinement(validate_candidate(problem, selected, records), tuple(steps), tuple(checks))
+    return RefinedCandidate(selected, tuple(steps), tuple(checks))
 
 
 def _judge_extension(
-    problem: DiscoveryProblem,
+    scores: HoldoutScores,
     smaller: CandidateFit,
     larger: CandidateFit,
-    validation: Sequence[Experiment],
     misfit: float,
     policy: DiscoveryPolicy,
     checks: list[Check],
@@ -175,7 +214,7 @@ def _judge_extension(
     checks += [gains, fits]
     if not (gains and fits):
         return None
-    after = score_holdout(problem, larger, validation)
+    after = scores.score(larger)
     predicts = Check.at_most(
         DiscoveryRule.VALIDATION_DECREASE, after, (1 - policy.refinement.validation_share) * misfit, name
     )
@@ -194,13 +233,21 @@ def _extend_each(
     names = set(selected.effects)
     parents = {parent for b in selected.model.bound_effects for parent in b.effect.parents}
     further = [e for e in candidates if e.name not in names | parents and not names & set(e.parents)]
-    starts = {e.name: _starting_points(selected, e, scales, policy) for e in further}
-    predicted = {e.name: problem.predict_cost(selected.model + e, starts[e.name], selected) for e in further}
-    promising = sorted(further, key=lambda e: predicted[e.name])[: policy.refinement.promising_candidates]
-    extended = [
-        problem.refit_best(selected.model + e, starts[e.name], policy.refinement.refit_starts, like=selected)
+    promising = rank_extensions(
+        problem, selected, further, scales, policy.budget, policy.refinement.promising_candidates
+    )
+    jobs = {
+        e.name: partial(
+            problem.refit_best,
+            selected.model + e,
+            list_extension_starts(selected, e, scales, policy.budget),
+            policy.refinement.refit_starts,
+            like=selected,
+        )
         for e in promising
-    ]
+    }
+    attempt = problem.failures.attempt
+    extended = [attempt(SearchStage.REFINEMENT, (*selected.effects, n), job, None) for n, job in jobs.items()]
     return [candidate for candidate in extended if candidate is not None]
 
 
@@ -210,18 +257,16 @@ def _without_shape_corrections(model: Model) -> Model:
     return model
 
 
-def _starting_points(
-    selected: CandidateFit, effect: Effect, scales: Scales, policy: DiscoveryPolicy
-) -> list[StartValues]:
-    """Where the refit with a further effect starts: with nothing of it, and at the usual amplitudes and shapes."""
-    model = selected.model + effect
-    amplitudes = policy.budget.amplitude_grid
-    return [model.values, *generate_starting_points(model, effect, selected, selected.model, scales, amplitudes)]
+def with_residual_noise(problem: DiscoveryProblem, candidate: CandidateFit) -> DiscoveryProblem:
+    """The same problem with white noise of the level of the candidate's residual: what is left is structure, to be followed."""
+    noise, ratios = candidate.problem.noise, _residual_over_noise(candidate)
+    colour = tuple(AutoRegression() for _ in noise.std)
+    return replace(problem, noise=replace(noise, std=noise.std * ratios, colour=colour), model=candidate.model)
 
 
-def _with_white_noise(problem: DiscoveryProblem, fit: Fit) -> DiscoveryProblem:
-    """The same problem with white noise of the level of the residual."""
-    noise = problem.prepare(fit.model).noise
-    outputs = [o.name for o in fit.model.outputs]
-    std = np.array([fit.misfit[o].rmse if o in fit.misfit else s for o, s in zip(outputs, noise.std, strict=True)])
-    return replace(problem, noise=replace(noise, std=std, colour=tuple(AutoRegression() for _ in outputs)))
+def _residual_over_noise(candidate: CandidateFit) -> np.ndarray:
+    """Rms residual over noise of each output (ny,); one for an output that was not measured."""
+    residuals = np.concatenate(normalised_residuals(candidate))
+    counts = np.isfinite(residuals).sum(axis=0)
+    squares = np.nansum(residuals**2, axis=0) / np.maximum(counts, 1)
+    return np.where(counts > 0, np.sqrt(np.maximum(squares, TINY)), 1.0)

@@ -7,13 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from greybox.discovery.certainty import Grade
 from greybox.discovery.decision import Verdict
 from greybox.discovery.effect_signal import EffectSignal
+from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.failures import SearchFailure
-from greybox.discovery.holdout import HoldoutError
+from greybox.discovery.holdout import HoldoutError, worst_output
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.refinement import Refinement
+from greybox.discovery.remaining_error import RemainingError
 from greybox.discovery.selection import SelectionStep
 from greybox.discovery.shape_correction import is_shape_correction
 from greybox.discovery.surrogate import Surrogate
@@ -70,13 +73,15 @@ class Discovery(Printable):
     surrogate
         A curve or a tone in the place of an unknown effect.
     refinement
-        What `refine` found beyond, where it was asked.
+        The further effects that were looked for where more than noise was left; the best model has them.
+    evidence
+        For each effect of the best model what speaks for it, its probability and grade.
+    left
+        By output, what the best model leaves on the validation records.
     not_tried
         For each effect that was not tried, or could not be fitted, the reason.
     failures
         Everything that failed in the search, with the stage and the reason.
-    fitted_alone
-        Effects that were fitted alone.
     policy
         The decision numbers.
     options
@@ -105,7 +110,8 @@ class Discovery(Printable):
     options: FitOptions = field(default_factory=FitOptions)
     not_tried: Mapping[str, Finding] = field(default_factory=dict)
     failures: tuple[SearchFailure, ...] = ()
-    fitted_alone: frozenset[str] = frozenset()
+    evidence: tuple[EffectEvidence, ...] = ()
+    left: Mapping[str, RemainingError] = field(default_factory=dict)
 
     @property
     def sites(self) -> tuple[str, ...]:
@@ -114,10 +120,13 @@ class Discovery(Printable):
 
     @property
     def extended(self) -> Fit:
-        """The fit to go on with: with the named effects and their refinement, or with the surrogate where it is unknown."""
-        if self.refinement is not None and self.refinement.steps:
-            return self.refinement.fit
-        return self.surrogate.fit if self.verdict is Verdict.UNKNOWN and self.surrogate is not None else self.best
+        """The fit to go on with: the best model; with a surrogate instead where no effect is certain and that does better."""
+        surrogate = self.surrogate
+        if self.verdict is not Verdict.UNKNOWN or surrogate is None:
+            return self.best
+        output = worst_output(self.holdout)
+        is_better = surrogate.holdout[output].after < self.holdout[output].after
+        return surrogate.fit if is_better else self.best
 
     @property
     def shape_corrections(self) -> tuple[str, ...]:
@@ -126,7 +135,8 @@ class Discovery(Printable):
 
     @property
     def effects(self) -> list[dict[str, Any]]:
-        """Name, site and parameters of each effect in the best model; none if the plain model is complete."""
+        """Name, site, parameters, grade, probability and share of each effect in the best model; none if the plain model is complete."""
+        evidence = {e.effect: e for e in self.evidence}
         effects = []
         for bound in self.best.model.bound_effects:
             if is_shape_correction(bound.effect.name):
@@ -141,7 +151,17 @@ class Discovery(Printable):
                         "unit": estimate.unit,
                         "interval": estimate.interval,
                     }
-            effects.append({"name": bound.effect.name, "site": bound.site, "parameters": parameters})
+            each = evidence.get(bound.effect.name)
+            effects.append(
+                {
+                    "name": bound.effect.name,
+                    "site": bound.site,
+                    "parameters": parameters,
+                    "grade": Grade.STAND_IN if each is None else each.grade,
+                    "probability": None if each is None else each.probability,
+                    "share": None if each is None else each.share,
+                }
+            )
         return effects
 
     def save(self, path: str | Path) -> Path:
@@ -167,7 +187,9 @@ def _to_mapping(d: Discovery) -> dict[str, Any]:
         "stand_in": _surrogate(d.surrogate),
         "further": _refinement(d.refinement),
         "parameters": d.best.parameters,
-        "gap": d.holdout,
+        "gap": {output: _gap(error) for output, error in d.holdout.items()},
+        "evidence": d.evidence,
+        "left": {output: _left(error) for output, error in d.left.items()},
         "ranking": d.ranking,
         "story": " ".join(map(str, d.conclusion)),
         "next_steps": list(map(str, d.next_steps)),
@@ -188,6 +210,23 @@ def _to_mapping(d: Discovery) -> dict[str, Any]:
     }
 
 
+def _gap(error: HoldoutError) -> dict[str, Any]:
+    floor = error.floor if error.is_floor_known else None
+    return {"before": error.before, "after": error.after, "floor": floor, "unit": error.unit, "share": error.share}
+
+
+def _left(error: RemainingError) -> dict[str, Any]:
+    dependence = None if error.dependence is None else str(error.dependence)
+    return {
+        "rmse": error.rmse,
+        "unit": error.unit,
+        "where": " or ".join(error.sites) or None,
+        "as": "amplitude" if dependence is None and error.grows_with_amplitude else dependence,
+        "noise_ratio": error.noise_ratio,
+        "grows_with_amplitude": error.grows_with_amplitude,
+    }
+
+
 def _sites(location: ResidualLocalisation) -> list[dict[str, Any]]:
     """Ranked sites, each with the number of the set that the sensors cannot separate it from (0: the likeliest)."""
     sets = {label: k for k, group in enumerate(location.sets) for label in group}
@@ -204,7 +243,11 @@ def _dependences(location: ResidualLocalisation) -> list[dict[str, Any]]:
 def _surrogate(surrogate: Surrogate | None) -> dict[str, Any] | None:
     if surrogate is None:
         return None
-    arrays = {"gap": surrogate.holdout, "values": surrogate.values, "curve": surrogate.curve}
+    arrays = {
+        "gap": {output: _gap(error) for output, error in surrogate.holdout.items()},
+        "values": surrogate.values,
+        "curve": surrogate.curve,
+    }
     return {**surrogate.to_values(), **arrays}
 
 

@@ -33,12 +33,21 @@ def fit_shape_correction(
     problem: DiscoveryProblem, candidate: CandidateFit, scales: Scales, policy: DiscoveryPolicy
 ) -> CandidateFit | None:
     """The best correction of one effect by Schwarz's criterion; None where there is none to try."""
-    jobs = [*_second_branches(candidate, scales, policy), *_curves(problem, candidate, policy)]
-    corrected = [fit for fit in problem.refit_all(jobs) if fit is not None]
+    jobs = list_shape_corrections(problem, candidate, scales, policy)
+    corrected = [fit for fit in problem.refit_all([job for _, job in jobs]) if fit is not None]
     return min(corrected, key=lambda fit: fit.criterion, default=None)
 
 
-def _second_branches(candidate: CandidateFit, scales: Scales, policy: DiscoveryPolicy) -> Iterator[RefitJob]:
+def list_shape_corrections(
+    problem: DiscoveryProblem, candidate: CandidateFit, scales: Scales, policy: DiscoveryPolicy
+) -> list[tuple[str, RefitJob]]:
+    """Every correction of the shape of one effect: the effect's name, and the refit."""
+    return [*_second_branches(candidate, scales, policy), *_curves(problem, candidate, policy)]
+
+
+def _second_branches(
+    candidate: CandidateFit, scales: Scales, policy: DiscoveryPolicy
+) -> Iterator[tuple[str, RefitJob]]:
     """A second branch of every effect that has memory and a shape: a spectrum of times in the place of one."""
     for effect in candidate.model.effects:
         if effect.states and effect.balances and effect.terms and effect.grid:
@@ -48,10 +57,12 @@ def _second_branches(candidate: CandidateFit, scales: Scales, policy: DiscoveryP
             starts = generate_starting_points(
                 model, branch, candidate, candidate.model, scales, policy.budget.amplitude_grid
             )
-            yield RefitJob(model, tuple(starts), 1, policy.budget.correction_iterations)
+            yield effect.name, RefitJob(model, tuple(starts), 1, policy.budget.correction_iterations)
 
 
-def _curves(problem: DiscoveryProblem, candidate: CandidateFit, policy: DiscoveryPolicy) -> Iterator[RefitJob]:
+def _curves(
+    problem: DiscoveryProblem, candidate: CandidateFit, policy: DiscoveryPolicy
+) -> Iterator[tuple[str, RefitJob]]:
     """A curve at the site of every effect, over the variable that its signal depends on most."""
     sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
     for signal in estimate_effect_signals(problem, candidate, policy.localisation):
@@ -74,4 +85,4 @@ def _curves(problem: DiscoveryProblem, candidate: CandidateFit, policy: Discover
             {**candidate.model.values, **{names[n]: v for n, v in heights.items()}},
             candidate.model.values,
         )
-        yield RefitJob(model, starts, 1, policy.budget.correction_iterations)
+        yield corrected.name, RefitJob(model, starts, 1, policy.budget.correction_iterations)

@@ -14,6 +14,7 @@ from greybox.discovery.dependence import TIME, Dependence
 from greybox.discovery.disturbance_sites import DisturbanceSite, list_disturbance_sites
 from greybox.discovery.holdout import (
     HoldoutError,
+    ValidationSet,
     compare_holdout_errors,
     estimated_initial_states,
     validate_candidate,
@@ -124,6 +125,11 @@ class Surrogate(Printable, ReadOnly):
         return self.holdout[worst_output(self.holdout)].explained_fraction
 
     @property
+    def share(self) -> float:
+        """Share of the error that it takes away on the validation records, in the output that the plain model misses most."""
+        return self.holdout[worst_output(self.holdout)].share
+
+    @property
     def beside(self) -> tuple[str, ...]:
         """Effects of the catalogue that the model has beside it."""
         return tuple(e.name for e in self.fit.model.effects if e.name not in (CURVE, TONE))
@@ -140,7 +146,7 @@ class Surrogate(Printable, ReadOnly):
             "variable": self.variable,
             "variable_unit": self.variable_unit,
             "unit": self.unit,
-            "closed": self.explained_fraction,
+            "closed": self.share,
             "shape": self.shape.kind,
             "parity": self.shape.parity,
             "downwards": self.shape.downwards,
@@ -157,10 +163,9 @@ def fit_surrogate(
     baseline: CandidateFit,
     look_alike: CandidateFit,
     holdout: Mapping[str, HoldoutError],
-    validation: Sequence[Experiment],
+    validation: ValidationSet | Sequence[Experiment],
     base: Fit,
     policy: DiscoveryPolicy,
-    skip: int = 0,
 ) -> Surrogate | None:
     """A tone or a smooth curve for all that the plain model lacks.
 
@@ -175,8 +180,8 @@ def fit_surrogate(
         The fits of the plain model and of the selected one.
     holdout, base
         Error of both on the validation records, and the plain model as a fit that was validated there.
-    validation, skip
-        These records, and the rows at their start that do not count.
+    validation
+        These records.
     policy
         The decision numbers.
     """
@@ -187,7 +192,7 @@ def fit_surrogate(
         if best is not None and best.explained_fraction >= policy.selection.holdout_share:
             break
         location = localise_residual(candidate, policy=policy.localisation, selection=policy.selection)
-        given = (problem, candidate, location, validation, base, policy, skip)
+        given = (problem, candidate, location, validation, base, policy)
         surrogate = fit_tone_surrogate(*given) or fit_curve_surrogate(*given)
         if surrogate is None or (helps and surrogate.explained_fraction < explained):
             continue
@@ -203,10 +208,9 @@ def fit_curve_surrogate(
     problem: DiscoveryProblem,
     candidate: CandidateFit,
     location: ResidualLocalisation,
-    validation: Sequence[Experiment],
+    validation: ValidationSet | Sequence[Experiment],
     base: Fit,
     policy: DiscoveryPolicy,
-    skip: int = 0,
 ) -> Surrogate | None:
     """The curve for what ``candidate`` leaves unexplained.
 
@@ -215,6 +219,7 @@ def fit_curve_surrogate(
     simulated, or where the curve explains nothing worth mentioning on the validation records. ``base`` is the plain model validated on
     them.
     """
+    validation = ValidationSet.of(validation)
     variables = [d for d in location.dependences if d.variable != TIME and d.is_relevant][: policy.surrogate.variables]
     if not variables or location.signal is None:
         return None
@@ -229,7 +234,7 @@ def fit_curve_surrogate(
     if not stable:
         return None
     dependence, best = min(stable, key=lambda one: one[1].criterion)
-    surrogate = _to_curve_surrogate(problem, best, site, dependence, location.signal, validation, base, policy, skip)
+    surrogate = _to_curve_surrogate(problem, best, site, dependence, location.signal, validation, base, policy)
     return surrogate if surrogate.explained_fraction >= policy.surrogate.useful_share else None
 
 
@@ -275,15 +280,14 @@ def _to_curve_surrogate(
     site: DisturbanceSite,
     dependence: Dependence,
     signal: ResidualSignal,
-    validation: Sequence[Experiment],
+    validation: ValidationSet | Sequence[Experiment],
     base: Fit,
     policy: DiscoveryPolicy,
-    skip: int,
 ) -> Surrogate:
     """The surrogate of a refitted ``candidate``, validated, with its curve over the range of the ``signal``."""
     # The refit is over: a curve of many heights would go on for long with what does not show.
     brief = replace(problem.options, transcription="single", iterations=policy.surrogate.interval_iterations)
-    fit = validate_candidate(replace(problem, options=brief), candidate, validation, skip)
+    fit = validate_candidate(replace(problem, options=brief), candidate, validation)
     holdout = compare_holdout_errors(base, fit)
     names = next(b.model_names for b in candidate.model.bound_effects if b.effect.name == CURVE)
     values = {n: candidate.model.values[in_model] for n, in_model in names.items()}
@@ -319,10 +323,9 @@ def fit_tone_surrogate(
     problem: DiscoveryProblem,
     candidate: CandidateFit,
     location: ResidualLocalisation,
-    validation: Sequence[Experiment],
+    validation: ValidationSet | Sequence[Experiment],
     base: Fit,
     policy: DiscoveryPolicy,
-    skip: int = 0,
 ) -> Surrogate | None:
     """The tone for what ``candidate`` leaves unexplained; None where that is no tone, or the model with it does no better.
 
@@ -332,6 +335,7 @@ def fit_tone_surrogate(
     """
     if not location.dependences or location.dependences[0].tone is None:
         return None
+    validation = ValidationSet.of(validation)
     signals = estimate_site_signals(candidate, policy.localisation)
     measured = {name for e in candidate.problem.experiments for name in e.outputs}
     sites = [s for s in list_disturbance_sites(candidate.model, sorted(measured)) if s.label in signals]
@@ -345,10 +349,11 @@ def fit_tone_surrogate(
     site, fit = alike[0]
     frequency = fit.parameters[_tone_names(fit)[0]].value
     rows, seconds = _first_periods(
-        validation, frequency, policy.surrogate.tone_periods, skip, problem.options.policy.initial_state
+        validation, frequency, policy.surrogate.tone_periods, problem.options.policy.initial_state
     )
+    skip = validation.uncounted
     validated = validate(
-        fit.model, validation, noise=fit.noise.std, skip=skip, initial_rows=rows, options=problem.options
+        fit.model, validation.records, noise=fit.noise.std, skip=skip, initial_rows=rows, options=problem.options
     )
     fit = replace(fit, validation=validated)
     others = tuple(s.label for s, _ in alike[1:])
@@ -388,12 +393,16 @@ def _tone_names(fit: Fit) -> tuple[str, str, str]:
 
 
 def _first_periods(
-    validation: Sequence[Experiment], frequency: float, periods: int, skip: int, initial_state: InitialStatePolicy
+    validation: ValidationSet, frequency: float, periods: int, initial_state: InitialStatePolicy
 ) -> tuple[int, float]:
     """Rows of a validation record from which the tone's amplitude and phase are estimated, and their seconds."""
-    step = max(float(np.median(np.diff(e.time))) for e in validation)
-    half = min(e.rows for e in validation) // 2
-    rows = skip or min(max(math.ceil(periods / (frequency * step)), initial_state.first_rows), half)
+    step = max(float(np.median(np.diff(e.time))) for e in validation.records)
+    half = min(e.rows for e in validation.records) // 2
+    rows = (
+        validation.beginning
+        or validation.skip
+        or min(max(math.ceil(periods / (frequency * step)), initial_state.first_rows), half)
+    )
     return rows, rows * step
 
 

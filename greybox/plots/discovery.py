@@ -50,11 +50,12 @@ def plot_holdout_error(discovery: Discovery) -> Figure:
             steps.append((f"with {extended}", error.after, Role.EXTENDED))
         if surrogate is not None and output in surrogate.holdout:
             steps.append((f"with {surrogate_title(surrogate)}", surrogate.holdout[output].after, Role.SURROGATE))
-        steps.append(("noise", error.floor, Role.MEASURED))
+        if error.is_floor_known:
+            steps.append(("noise", error.floor, Role.MEASURED))
         names, sizes, roles = zip(*steps, strict=True)
         factor, unit = scale_to_prefix(error.unit, np.array(sizes))
         lengths = factor * np.array(sizes)
-        texts = [typeset_exponents(f"{size / error.floor:.3g} × noise") for size in sizes]
+        texts = [_error_text(size, error) for size in sizes]
         bars = Bars(names, lengths, roles, horizontal=True, texts=texts)
         x = bar_axis(f"rms error of {output}", unit, lengths)
         y = Axis(scale=Scale.CATEGORY, reversed=True)
@@ -64,9 +65,10 @@ def plot_holdout_error(discovery: Discovery) -> Figure:
             phrase(
                 FigureText.ERROR_BEFORE_AFTER,
                 output,
-                before=error.before / error.floor,
-                after=judged.after / error.floor,
-                explained=min(judged.explained_fraction, 1.0),
+                before=error.before,
+                after=judged.after,
+                unit=error.unit,
+                explained=judged.share,
             )
         )
     return Figure("gap", tuple(panels), phrase(FigureText.ERRORS_BEFORE_AFTER), tuple(description))
@@ -81,8 +83,16 @@ def errors_to_judge(discovery: Discovery) -> Mapping[str, HoldoutError]:
 
 
 def explained_share(error: HoldoutError) -> float | None:
-    """Share of the error above the noise that the effects explain; None where the plain model leaves only noise."""
-    return error.explained_fraction if error.before > DRAWING.nothing_missing * error.floor else None
+    """Share of the error that the effects take away; None where the plain model leaves only noise."""
+    only_noise = error.is_floor_known and not error.before > DRAWING.nothing_missing * error.floor
+    return None if only_noise else error.share
+
+
+def _error_text(size: float, error: HoldoutError) -> str:
+    """An error beside its bar: over the noise where that is known, else its share of the plain model's error."""
+    if error.is_floor_known:
+        return typeset_exponents(f"{size / error.floor:.3g} × noise")
+    return f"{100 * size / error.before:.3g} %"
 
 
 def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:

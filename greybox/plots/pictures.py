@@ -224,7 +224,7 @@ def discovery_sheets(discovery: Discovery) -> list[Sheet]:
         heading = phrase(
             FigureText.SURROGATE_HEADING,
             surrogate_title(discovery.surrogate).removeprefix("a "),
-            explained=discovery.surrogate.explained_fraction,
+            explained=discovery.surrogate.share,
         )
         sheets.append(Sheet("missing-unknown", (Cell(figure.panels[0], 0),), heading, (7.0, 4.2)))
     sheets.append(_before_after_sheet(discovery))

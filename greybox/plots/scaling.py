@@ -8,11 +8,9 @@ import re
 import numpy as np
 
 from greybox.plots.policy import DRAWING
+from greybox.rendering.quantities import choose_prefix
 from greybox.units import format_unit
 
-# Units that take a prefix as they are; others (m/s**2, rad, bar) are left alone.
-PREFIXED = {"m", "m/s", "s", "V", "V/s", "A", "N", "Pa", "W", "Hz", "H", "F", "T", "N*m", "J"}
-PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 EXPONENT = re.compile(r"(\d+(?:\.\d+)?)e([+-])0*(\d+)")
 
@@ -20,11 +18,8 @@ EXPONENT = re.compile(r"(\d+(?:\.\d+)?)e([+-])0*(\d+)")
 def scale_to_prefix(unit: str, *signals: np.ndarray) -> tuple[float, str]:
     """Factor and unit in which the largest value of ``signals`` has one to three digits: ``(1e6, "µm")``."""
     largest = max((float(np.nanmax(np.abs(s))) for s in signals if np.isfinite(s).any()), default=0.0)
-    if unit not in PREFIXED or not (largest > 0 and math.isfinite(largest)):
-        return 1.0, typeset_unit(unit)
-    exponent = 3 * math.floor(math.log10(largest) / 3)
-    exponent = min(max(exponent, min(PREFIXES)), max(PREFIXES))
-    return 10.0**-exponent, PREFIXES[exponent] + typeset_unit(unit)
+    factor, prefix = choose_prefix(unit, largest)
+    return factor, prefix + typeset_unit(unit)
 
 
 def typeset_unit(unit: str) -> str:

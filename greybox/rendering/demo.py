@@ -22,7 +22,7 @@ def demo_text(demo: Demo) -> str:
     """Parameters and true values, the missing effect, the errors before and after, the best model, the state space."""
     gaps = [
         f"  {output}: rms error on the validation record {gap.before:.3g} -> {gap.after:.3g} {format_unit(gap.unit)}"
-        f" (noise {gap.floor:.3g})"
+        + (f" (noise {gap.floor:.3g})" if gap.is_floor_known else "")
         for output, gap in demo.discovery.holdout.items()
     ]
     best = map(str, demo.comparison.verdict[:1])

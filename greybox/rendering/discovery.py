@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from greybox.discovery.certainty import Grade
 from greybox.discovery.curve_shape import Parity, ShapeKind
-from greybox.discovery.decision import Verdict
 from greybox.discovery.discriminating_experiments import InputKind
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.findings import Check, Finding
+from greybox.rendering.quantities import change_text, quantity_text
 from greybox.rendering.registry import register, renders, sentence, sentences
 
 if TYPE_CHECKING:
     from greybox.discovery import (
         Dependence,
         Discovery,
+        EffectEvidence,
         EffectTest,
         HoldoutError,
         Refinement,
         RefinementStep,
+        RemainingError,
         ResidualLocalisation,
         Surrogate,
     )
@@ -142,12 +146,8 @@ def _surrogate_title(values: Mapping[str, Any]) -> str:
 
 
 def explained_share_text(share: float) -> str:
-    """``explains 98.8 % of the excess error``; a model with a larger error than the plain one explains nothing."""
-    return (
-        f"explains {_percent(min(share, 1.0))} of the excess error"
-        if share > 0
-        else "explains none of the excess error"
-    )
+    """``takes away 98.8 % of the error``; a model with a larger error than the plain one takes nothing."""
+    return f"takes away {_percent(share)} of the error" if share > 0 else "takes away none of the error"
 
 
 @renders("Surrogate")
@@ -179,7 +179,8 @@ def surrogate_text(values: Mapping[str, Any]) -> str:
 
 @renders("HoldoutError")
 def _holdout_error(error: HoldoutError) -> str:
-    return f"{error.before:.4g} -> {error.after:.4g} {error.unit}".rstrip() + f" (noise {error.floor:.4g})"
+    noise = f" (noise {error.floor:.4g})" if error.is_floor_known else ""
+    return f"{error.before:.4g} -> {error.after:.4g} {error.unit}".rstrip() + noise
 
 
 @renders("EffectTest")
@@ -225,6 +226,92 @@ def _refinement(refinement: Refinement) -> str:
     return "\n".join([*map(str, refinement.steps), str(refinement.fit)])
 
 
+# Evidence for each effect, and what is left
+
+EFFECT_TITLES = {"band_limited_input": "band-limited input", "bouc_wen_hysteresis": "Bouc-Wen hysteresis"}
+
+
+def effect_title(name: str) -> str:
+    """The name of an effect as words: ``cubic stiffness``."""
+    return EFFECT_TITLES.get(name, name.replace("_", " "))
+
+
+def list_text(names: Sequence[str]) -> str:
+    """``a, b and c``."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+GRADES = {Grade.ESTABLISHED: "established", Grade.PROBABLE: "probable", Grade.STAND_IN: "a stand-in"}
+
+
+@renders("EffectEvidence")
+def _evidence(e: EffectEvidence) -> str:
+    probability = min(max(100 * e.probability, 1.0), 99.0)
+    text = f"{GRADES[e.grade]} ({probability:.0f} %)"
+    if e.share > 0:
+        low, high = e.share_interval
+        interval = f" ({100 * low:.0f} to {100 * high:.0f} %)" if math.isfinite(low) and math.isfinite(high) else ""
+        text += f", takes {100 * e.share:.0f} %{interval} of the error in {e.output} that the model has without it"
+    else:
+        text += f", takes nothing of the error in {e.output}"
+    if e.alike:
+        text += f"; {list_text([effect_title(name) for name in e.alike])} in its place would do the same"
+    if e.rival and math.isfinite(e.rival_error):
+        text += (
+            f"; {effect_title(e.rival)} in its place leaves {quantity_text(e.rival_error, e.unit, beside=e.without)} instead of"
+            f" {quantity_text(e.error, e.unit, beside=e.without)}"
+        )
+    doubts = [
+        *([] if e.survives_start else ["another start ends elsewhere"]),
+        *([] if e.survives_records else ["it does not help on every validation record"]),
+        *([f"its value changes by {100 * e.change:.0f} % between the halves of the records"] if e.change > 0.5 else []),
+    ]
+    return f"{text}; {'; '.join(doubts)}" if doubts else text
+
+
+@renders("RemainingError")
+def _remaining_error(error: RemainingError) -> str:
+    return _remaining_text(error.output, error.to_values())
+
+
+def _remaining_text(output: str, values: Mapping[str, Any]) -> str:
+    text = f"{quantity_text(values['rmse'], values['unit'], beside=values.get('before', 0.0))} is left in {output}"
+    if values["noise_ratio"] is not None:
+        text += f", {values['noise_ratio']:.2g} times the sensor noise"
+    parts = ["it grows with the amplitude"] if values["grows_with_amplitude"] else []
+    if values["dependence"] is not None:
+        place = f" at {sites_text(values['sites'])}" if values["sites"] else ""
+        parts.append(
+            f"on the estimation records it looks like a missing signal{place} that is {dependence_text(values['dependence'])}"
+        )
+    elif values["sites"]:
+        parts.append(f"on the estimation records it looks like a missing signal at {sites_text(values['sites'])}")
+    return f"{text}: {'; '.join(parts)}" if parts else text
+
+
+def _error_reduced(finding: Finding) -> str:
+    v = finding.values
+    effects = list_text([effect_title(name) for name in v["effects"]])
+    if not v["share"] > 0:
+        return f"The error in {finding.subject} on the validation records does not fall with {effects}."
+    return (
+        f"The error in {finding.subject} on the validation records falls from {change_text(v['before'], v['after'], v['unit'])}"
+        f" ({_percent(v['share'], 2)} less) with {effects}."
+    )
+
+
+def _effects_established(finding: Finding) -> str:
+    v = finding.values
+    names = [effect_title(name) for name in v["established"]]
+    text = f"{list_text(names)} {'are' if len(names) > 1 else 'is'} established"
+    text = text[0].upper() + text[1:]
+    for grade, words in ((Grade.PROBABLE, "probable"), (Grade.STAND_IN, "only a stand-in for something else")):
+        others = [effect_title(name) for name, given in v["others"].items() if given == grade]
+        if others:
+            text += f"; {list_text(others)} {'are' if len(others) > 1 else 'is'} {words}"
+    return f"{text}. More than that is missing, or not certain."
+
+
 # The whole discovery
 
 # An effect of the catalogue with no place in the model is no news in the text; one that should have worked is.
@@ -239,19 +326,18 @@ def conclusion_text(discovery: Discovery) -> str:
 @renders("Discovery")
 def _discovery(d: Discovery) -> str:
     lines = [conclusion_text(d)]
-    if d.refinement is not None:
+    if d.refinement is not None and d.refinement.steps:
         lines.append(refinement_text(d.refinement))
     lines.append("")
     if d.localisation.is_missing:
         lines += [f"  the plain model: {line}" for line in str(d.localisation).splitlines()]
+    evidence = {e.effect: e for e in d.evidence}
     for effect in d.effects:
         values = ", ".join(_parameter(name, parameter) for name, parameter in effect["parameters"].items())
-        look_alike = "the look-alike " if d.verdict is Verdict.UNKNOWN else ""
-        lines.append(f"  {look_alike}{effect['name']} -> {effect['site']}: {values}")
+        lines.append(f"  {effect['name']} -> {effect['site']}: {values}")
+        if effect["name"] in evidence:
+            lines.append(f"    {evidence[effect['name']]}")
     lines += [f"  {output}: rms error on the validation records {error}" for output, error in d.holdout.items()]
-    if d.refinement is not None and d.refinement.steps:
-        after = d.refinement.fit.validation.misfit.items()
-        lines += [f"  {o}: {_quantity(m.rmse, m.unit, 4)} with the further effects" for o, m in after]
     if d.surrogate is not None:
         lines.append(f"  surrogate: {d.surrogate}")
     lines += _ranking(d)
@@ -278,27 +364,9 @@ def _parameter(name: str, values: Mapping[str, Any]) -> str:
 # Findings
 
 
-def _explained(finding: Finding) -> str:
-    values = finding.values
-    share = f"{100 * min(values['share'], 1.0):.1f} %"
-    return f"it explains {share} of the excess error in {values['output']} on the validation records"
-
-
 def _effects_tied(finding: Finding) -> str:
     rivals = "; ".join(finding.values["rivals"])
-    return (
-        f"The records are consistent with {finding.subject} ({_explained(finding)}), and equally with: {rivals}. They cannot"
-        " distinguish these effects."
-    )
-
-
-def _nearest_look_alike(finding: Finding) -> str:
-    values = finding.values
-    only = "only " if values["partly"] else ""
-    return (
-        f"The nearest look-alike, {finding.subject}, explains {only}{_percent(values['share'])} of the excess error in"
-        f" {values['output']} on the validation records."
-    )
+    return f"The records are consistent with {finding.subject}, and equally with: {rivals}. They cannot distinguish these effects."
 
 
 def _missing_signal(finding: Finding) -> str:
@@ -371,12 +439,15 @@ register(
     {
         # The answer.
         DiscoveryCode.NOTHING_MISSING: "No effect is missing: the plain model explains the records down to the noise.",
-        DiscoveryCode.EFFECT_NAMED: lambda f: f"The records are consistent with {f.subject}: {_explained(f)}.",
+        DiscoveryCode.EFFECT_NAMED: "The records are consistent with {subject}, and nothing visible is left.",
+        DiscoveryCode.EFFECTS_ESTABLISHED: _effects_established,
+        DiscoveryCode.ERROR_REDUCED: _error_reduced,
+        DiscoveryCode.ERROR_LEFT: lambda f: f"{_remaining_text(f.subject, f.values)}.",
         DiscoveryCode.EFFECTS_TIED: _effects_tied,
-        DiscoveryCode.UNKNOWN_EFFECT: "The model lacks an effect, and no effect of the catalogue explains it.",
+        DiscoveryCode.UNKNOWN_EFFECT: "The model lacks an effect, and no effect of the catalogue is established.",
         DiscoveryCode.NO_LOOK_ALIKE: "No effect improves on the plain model on the validation records; the best one on the estimation"
         " records is {subject}.",
-        DiscoveryCode.NEAREST_LOOK_ALIKE: _nearest_look_alike,
+        DiscoveryCode.NEAREST_LOOK_ALIKE: "The nearest look-alike is {subject}.",
         DiscoveryCode.HARDLY_VISIBLE: "The estimation records hardly show it: the misfit of the plain model there is {misfit:.3g}"
         " times the noise.",
         DiscoveryCode.MISSING_SIGNAL: _missing_signal,
@@ -399,8 +470,15 @@ register(
         DiscoveryCode.CANDIDATE_FAILED: "it could not be fitted: {reason}",
         DiscoveryCode.CANDIDATE_NOT_SIMULATED: "the model with it cannot be simulated from any starting point",
         # What to do next.
-        DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE: "continue with {subject} and search for further effects (greybox discover --further;"
-        " gb.discovery.refine in Python)",
+        DiscoveryCode.SEPARATE_FROM_RIVAL: lambda f: (
+            f"record an experiment in which {effect_title(f.subject)} and {effect_title(f.values['rival'])} differ (another amplitude,"
+            " speed or direction): these records do not separate them"
+        ),
+        DiscoveryCode.QUOTE_THIRD_RECORD: "quote the error on a third record: the validation records chose some of these effects",
+        DiscoveryCode.CONFIRM_ON_ANOTHER_RECORD: "continue with the extended model, and confirm it on a record with another amplitude or"
+        " waveform",
+        DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE: "continue with {subject}, which follows the records better, but do not read its parameters"
+        " as physics",
         DiscoveryCode.STATE_NOISE: "give the noise of {subject} (a number or a quiet record): it was estimated from these records and"
         " may contain part of the missing effect",
         DiscoveryCode.CHECK_NOISE: _check_noise,
@@ -474,5 +552,7 @@ register(
         DiscoveryRule.HOLDOUT_NOISE: _check("validation error of the extended model over noise", "<="),
         DiscoveryRule.ESTIMATION_DECREASE: _check("share of the rms misfit removed", ">="),
         DiscoveryRule.VALIDATION_DECREASE: _check("validation misfit", "<="),
+        DiscoveryRule.REFINED_ERROR: _check("validation misfit, against the model with corrected shapes,", "<="),
+        DiscoveryRule.ESTABLISHED: _check("established, with probability", ">="),
     }
 )

@@ -8,6 +8,7 @@ from enum import StrEnum
 
 from greybox.findings import Finding
 from greybox.rendering.english import phrase
+from greybox.rendering.quantities import change_text
 from greybox.rendering.registry import Template, register
 
 __all__ = ["TEMPLATES", "FigureText", "phrase"]
@@ -140,7 +141,7 @@ def _explained(f: Finding) -> str:
     v = f.values
     if v["explained"] is None:
         return f"{f.subject}: the residual of the plain model is noise"
-    return f"{f.subject}: {100 * v['explained']:.1f} % of the excess error explained"
+    return f"{f.subject}: {100 * v['explained']:.0f} % of the error taken away"
 
 
 TEMPLATES: Mapping[str, Template] = {
@@ -212,7 +213,7 @@ TEMPLATES: Mapping[str, Template] = {
         f"{f.subject} explains {100 * f.values['explained']:.1f} % of the missing signal in {f.values['record']}"
     ),
     FigureText.SURROGATE_HEADING: lambda f: (
-        f"Unknown effect: a {f.subject} explains {100 * min(f.values['explained'], 1.0):.0f} % of the excess error"
+        f"Unknown effect: a {f.subject} takes {100 * min(f.values['explained'], 1.0):.0f} % of the error"
     ),
     FigureText.CANDIDATES_HEADING: lambda f: (
         f"Candidates ({f.values['verdict']}).{_colours(f)} Numbers: difference of the criterion from the best"
@@ -250,8 +251,8 @@ TEMPLATES: Mapping[str, Template] = {
     ),
     FigureText.NO_CORRELATION: "No correlation exceeds {limit}",
     FigureText.ERROR_BEFORE_AFTER: lambda f: (
-        f"{f.subject}: {f.values['before']:.3g} times the noise before, {f.values['after']:.3g} times after;"
-        f" {100 * f.values['explained']:.1f} % of the excess error is explained"
+        f"{f.subject}: the error falls from {change_text(f.values['before'], f.values['after'], f.values['unit'])}"
+        f" ({100 * f.values['explained']:.0f} % less)"
     ),
     FigureText.EFFECT_SIGNAL_SIZE: lambda f: (
         f"The plain model lacks a signal of {_quantity(f.values['rms'], f.values['unit'])} rms at the {f.values['site']}. {f.subject}"

@@ -47,6 +47,7 @@ ANSWERS = {
     "complete": (PageText.DISCOVERY_COMPLETE, Tone.GOOD),
     "named": (PageText.DISCOVERY_NAMED, Tone.GOOD),
     "ambiguous": (PageText.DISCOVERY_AMBIGUOUS, Tone.CAUTION),
+    "partly": (PageText.DISCOVERY_PARTLY, Tone.CAUTION),
     "unknown": (PageText.DISCOVERY_UNKNOWN, Tone.CAUTION),
 }
 
@@ -80,6 +81,7 @@ def discovery_verdict(discovery: Discovery) -> Paragraphs:
                 PageText.DISCOVERY_EFFECT, effect["name"], site=effect["site"], parameters=values, look_alike=look_alike
             )
         )
+        items += statements(str(e) for e in discovery.evidence if e.effect == effect["name"])
     items += [phrase(PageText.DISCOVERY_NEXT, text=str(step)) for step in discovery.next_steps]
     return Paragraphs([*items, *statements(discovery.findings)], tone)
 
@@ -115,12 +117,13 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
     rows = [
         [
             output,
-            *(typeset_number(f"{v:.4g} {typeset_unit(e.unit)}".rstrip()) for v in (e.before, e.after, e.floor)),
+            *(typeset_number(f"{v:.4g} {typeset_unit(e.unit)}".rstrip()) for v in (e.before, e.after)),
+            typeset_number(f"{e.floor:.4g} {typeset_unit(e.unit)}".rstrip()) if e.is_floor_known else "not known",
             _explained(e),
         ]
         for output, e in errors.items()
     ]
-    head = ["output", "plain model", name, "noise", "excess explained"]
+    head = ["output", "plain model", name, "noise", "error taken away"]
     yield PageTable(phrase(PageText.DISCOVERY_ERRORS), head, rows)
     path = selection_path(discovery)
     if len(path) > 2:
@@ -145,8 +148,8 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
 def _explained(error: HoldoutError) -> str:
     share = explained_share(error)
     if share is None:
-        return "no excess"
-    return f"{100 * share:.1f} %" if share >= 0 else "error grew"
+        return "only noise"
+    return f"{100 * share:.0f} %" if share >= 0 else "error grew"
 
 
 def selection_path(discovery: Discovery) -> list[tuple[str, float]]:

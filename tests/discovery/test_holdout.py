@@ -1,13 +1,15 @@
 """Candidates on the validation records, with errors that are given: nothing is simulated."""
 
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from greybox.discovery import holdout
-from greybox.discovery.holdout import HoldoutError, reject_on_validation, worst_output
+from greybox.discovery.failures import FailureLog, SearchStage
+from greybox.discovery.holdout import HoldoutError, HoldoutScores, ValidationSet, reject_on_validation, worst_output
 from greybox.discovery.policy import SearchBudget, SelectionPolicy
+from greybox.result import Misfit, Trace, Validation
 from tests.support.fake_candidates import candidate
 
 
@@ -24,6 +26,24 @@ def test_the_worst_output_is_so_in_units_of_its_noise():
     assert worst_output(errors) == "i"
 
 
+@dataclass
+class FakeScores:
+    """The error of each set of effects; ``asked`` are those that were scored, in order."""
+
+    errors: dict
+    other: float
+    budget: SearchBudget = field(default_factory=SearchBudget)
+    asked: list = field(default_factory=list)
+
+    @property
+    def problem(self):
+        return SimpleNamespace(budget=self.budget, refit_best=lambda *_, **__: None)
+
+    def score(self, fit):
+        self.asked.append(fit.effects)
+        return self.errors.get(fit.effects, self.other)
+
+
 SELECTED, GOOD, BETTER, POOR = (candidate(cost, name) for cost, name in ((10, "s"), (30, "g"), (20, "b"), (15, "p")))
 
 
@@ -38,14 +58,10 @@ SELECTED, GOOD, BETTER, POOR = (candidate(cost, name) for cost, name in ((10, "s
         ({"s": 9.0}, "s"),  # none is better: it stays, and will be unknown
     ],
 )
-def test_a_model_that_explains_less_than_half_gives_way(monkeypatch, errors, kept):
-    def score(problem, fit, validation, skip=0):
-        return 10.0 if not fit.effects else errors.get(fit.effects[0], 8.0)
-
-    monkeypatch.setattr(holdout, "score_holdout", score)
-    problem = SimpleNamespace(budget=SearchBudget(), refit_best=lambda *_, **__: None)
+def test_a_model_that_explains_less_than_half_gives_way(errors, kept):
+    scores = FakeScores({(): 10.0, **{(name,): error for name, error in errors.items()}}, 8.0)
     best, checks = reject_on_validation(
-        problem, candidate(100.0), SELECTED, [SELECTED, GOOD, BETTER, POOR], ["a record"], SelectionPolicy()
+        scores, candidate(100.0), SELECTED, [SELECTED, GOOD, BETTER, POOR], SelectionPolicy()
     )
     assert best.effects == (kept,)
     assert checks[0].subject == "s"
@@ -54,22 +70,56 @@ def test_a_model_that_explains_less_than_half_gives_way(monkeypatch, errors, kep
     )
 
 
-def test_without_a_gap_nothing_is_rejected(monkeypatch):
-    monkeypatch.setattr(holdout, "score_holdout", lambda *_: 1.04)
-    kept, checks = reject_on_validation(None, candidate(100.0), SELECTED, [GOOD], ["a record"], SelectionPolicy())
+def test_without_a_gap_nothing_is_rejected():
+    kept, checks = reject_on_validation(FakeScores({}, 1.04), candidate(100.0), SELECTED, [GOOD], SelectionPolicy())
     assert kept is SELECTED
     assert checks == ()
 
 
-def test_only_the_leading_candidates_are_scored(monkeypatch):
-    scored = []
-
-    def score(problem, fit, validation, skip=0):
-        scored.append(fit.effects)
-        return 10.0
-
-    monkeypatch.setattr(holdout, "score_holdout", score)
-    problem = SimpleNamespace(budget=SearchBudget(holdout_candidates=2), refit_best=lambda *_, **__: None)
+def test_only_the_leading_candidates_are_scored():
+    scores = FakeScores({}, 10.0, SearchBudget(holdout_candidates=2))
     many = [candidate(20.0 + k, f"other_{k}") for k in range(5)]
-    reject_on_validation(problem, candidate(100.0), SELECTED, many, ["a record"], SelectionPolicy())
-    assert scored == [(), ("s",), ("other_0",), ("other_1",)]
+    reject_on_validation(scores, candidate(100.0), SELECTED, many, SelectionPolicy())
+    assert scores.asked == [(), ("s",), ("other_0",), ("other_1",)]
+
+
+class FakeRuns(HoldoutScores):
+    """Residuals by effects; None for a model that fails."""
+
+    def run(self, fit):
+        residual = self.problem[fit.effects]
+        if residual is None:
+            return None
+        trace = Trace("a", "", np.arange(len(residual)), {"x": residual}, {"x": np.zeros(len(residual))}, {})
+        return Validation({"x": Misfit(1.0, "m", 0.0, 2.0, len(residual))}, (trace,))
+
+
+def test_square_errors_are_those_of_blocks_without_the_first_rows():
+    residual = np.concatenate([[9.0, 9.0], np.ones(10), 2 * np.ones(10)])
+    scores = FakeRuns({("s",): residual, ("g",): None}, ValidationSet((), skip=2))
+    assert scores.square_errors(SELECTED, 2)["x"] == pytest.approx([1.0, 4.0])
+    assert scores.square_errors(GOOD, 2) == {}
+    assert scores.score(SELECTED) == 2.0
+    assert scores.score(GOOD) == np.inf
+
+
+def test_a_model_that_fails_on_the_validation_records_is_out_with_its_reason():
+    failures = FailureLog()
+    problem = SimpleNamespace(failures=failures, noise_std={}, options=None)
+    scores = HoldoutScores(problem, ValidationSet(("no record",)))
+    assert scores.score(SELECTED) == np.inf
+    assert scores.score(SELECTED) == np.inf
+    (failure,) = failures.entries.values()
+    assert failure.stage is SearchStage.HOLDOUT
+
+
+def test_the_beginning_of_a_record_does_not_count():
+    assert ValidationSet((), skip=20, beginning=50).uncounted == 50
+    assert ValidationSet((), skip=80, beginning=50).uncounted == 80
+    assert not ValidationSet(())
+
+
+def test_a_share_is_of_the_error_and_needs_no_noise():
+    error = HoldoutError(8.84e-3, 0.31e-3, 1e-3, "V", is_floor_known=False)
+    assert error.share == pytest.approx(1 - 0.31 / 8.84)
+    assert HoldoutError(0.0, 0.0, 1.0, "V").share == 0.0

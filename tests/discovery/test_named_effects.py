@@ -187,7 +187,13 @@ def test_the_answer_is_saved_as_the_schema_says(tmp_path):
     data = json.loads(d.save(tmp_path / "discovery.json").read_text())
     assert data["effects"][0]["name"] == "quadratic_damping"
     assert set(data["effects"][0]["parameters"]["B2"]) >= {"value", "std", "unit"}
-    assert set(data["gap"]["x"]) == {"before", "after", "floor", "unit"}
+    assert set(data["gap"]["x"]) == {"before", "after", "floor", "unit", "share"}
+    gap, named = data["gap"]["x"], data["effects"][0]
+    assert gap["share"] == pytest.approx(1 - gap["after"] / gap["before"])
+    assert named["grade"] == "established" and named["probability"] > 0.9
+    assert named["share"] == pytest.approx(gap["share"], rel=1e-3)  # everything that the only effect takes
+    assert set(data["left"]["x"]) >= {"rmse", "unit", "where", "as"}
+    assert data["left"]["x"]["rmse"] == gap["after"]
     assert {"verdict", "effects", "alternatives", "sites", "parameters", "gap", "story", "notes", "next_steps"} <= set(
         data
     )

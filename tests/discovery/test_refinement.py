@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +11,9 @@ from typer.testing import CliRunner
 
 from greybox import Experiment, FitOptions, fit, simulate
 from greybox.cli.app import app
-from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, SelectionPolicy, discover, refine, refinement
+from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, SelectionPolicy, refine, refinement
 from greybox.discovery.findings import DiscoveryRule
-from greybox.discovery.holdout import reject_on_validation, score_holdout
+from greybox.discovery.holdout import HoldoutScores, ValidationSet, reject_on_validation
 from greybox.effects import effect
 from greybox.project import find_model
 from greybox.simulation.write import write_csv
@@ -51,26 +52,24 @@ def test_refining_finds_the_small_effect_and_stops(hardening):
     assert (DiscoveryRule.VALIDATION_DECREASE, "quadratic_stiffness") in passed
 
 
-def test_the_command_refines_after_its_answer(tmp_path, monkeypatch):
+def test_what_is_left_is_searched_for_further_effects_without_being_asked(tmp_path, monkeypatch):
     truth = (silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")).start(K3=7e5, K2=-4e3)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("greybox.plots.draw_discovery", lambda *_: [])  # they are drawn in another test
 
-    def stop_after_the_first(*given, effects, **more):
-        return discover(*given, effects=effects[:1], **more)
-
-    monkeypatch.setattr("greybox.discovery.discover", stop_after_the_first)
-    monkeypatch.setattr("greybox.discovery.pipeline.fit_surrogate", lambda *_: None)
+    # As if the search had ended with the large effect.
+    monkeypatch.setattr("greybox.discovery.selection.StepwiseSelection._has_structure_left", lambda *_: False)
     for seed, name in ((1, "train"), (2, "test")):
         write_csv(simulate_circuit(truth, seed), silverbox, Path(f"{name}.csv"))
-    command = "discover silverbox train.csv --validate test.csv --hold first --noise y=2e-5 --further --output out"
+    command = "discover silverbox train.csv --validate test.csv --hold first --noise y=2e-5 --output out"
     result = CliRunner().invoke(app, [*command.split(), "--effects", "cubic_stiffness,quadratic_stiffness"])
     assert result.exit_code == 0, result.output
     answer = json.loads(Path("out/discovery.json").read_text())
-    assert [e["name"] for e in answer["effects"]] == ["cubic_stiffness"]
+    assert [e["name"] for e in answer["effects"]] == ["cubic_stiffness", "quadratic_stiffness"]
     (step,) = answer["further"]["steps"]
     assert step["name"] == "quadratic_stiffness"
     assert step["fitted"] > 0.9
+    assert answer["gap"]["y"]["after"] == answer["further"]["validation"]["y"]["rmse"]
     assert set(step) == {"name", "fitted", "held_out", "alike"}
     assert answer["further"]["validation"]["y"]["rmse"] < 1.2 * NOISE
     # The extended model that was written has both.
@@ -85,10 +84,11 @@ def test_a_model_that_fails_on_the_validation_records_is_replaced(hardening):
     useless = plain + effect("constant_load")
     # As if it had explained the estimation record better than any other.
     wrong = replace(problem.refit_best(useless, [useless.values]), cost=0.5 * right.cost)
-    assert score_holdout(problem, right, [test]) < 0.2 * score_holdout(problem, wrong, [test])
+    scores = HoldoutScores(problem, ValidationSet.of(test))
+    assert scores.score(right) < 0.2 * scores.score(wrong)
 
     def kept(selected, candidates):
-        return reject_on_validation(problem, problem.baseline, selected, candidates, [test], policy)[0]
+        return reject_on_validation(scores, problem.baseline, selected, candidates, policy)[0]
 
     assert kept(wrong, [wrong, right]).effects == ("cubic_stiffness",)
     assert kept(right, [wrong, right]) is right
@@ -105,11 +105,10 @@ def test_a_model_that_fails_on_the_validation_records_is_replaced(hardening):
         (9000.0, 4000.0, 0.94, True, [True, True, True]),
     ],
 )
-def test_a_further_effect_must_remove_a_share_on_both_records(monkeypatch, smaller, larger, after, accepted, rules):
-    monkeypatch.setattr(refinement, "score_holdout", lambda *_: after)
-    checks = []
+def test_a_further_effect_must_remove_a_share_on_both_records(smaller, larger, after, accepted, rules):
+    scores, checks = SimpleNamespace(score=lambda _: after), []
     extension = refinement._judge_extension(
-        None, candidate(smaller), candidate(larger, "a"), (), 1.0, DiscoveryPolicy(), checks
+        scores, candidate(smaller), candidate(larger, "a"), 1.0, DiscoveryPolicy(), checks
     )
     assert (extension is not None) is accepted
     assert [check.passed for check in checks] == rules

@@ -48,16 +48,15 @@ FINDINGS = [
     (Code.NOTHING_MISSING, *("", {}), "No effect is missing: the plain model explains the records down to the noise."),
     (
         Code.EFFECT_NAMED,
-        *("coulomb_friction", {"share": 0.998, "output": "x"}),
-        "The records are consistent with coulomb_friction: it explains 99.8 % of the excess error in x on the validation records.",
+        *("coulomb_friction", {}),
+        "The records are consistent with coulomb_friction, and nothing visible is left.",
     ),
     (
         Code.EFFECTS_TIED,
         *("input_offset", {"share": 0.998, "output": "x", "rivals": ["constant_load"]}),
-        "The records are consistent with input_offset (it explains 99.8 % of the excess error in x on the validation records),"
-        " and equally with: constant_load. They cannot distinguish these effects.",
+        "The records are consistent with input_offset, and equally with: constant_load. They cannot distinguish these effects.",
     ),
-    (Code.UNKNOWN_EFFECT, *("", {}), "The model lacks an effect, and no effect of the catalogue explains it."),
+    (Code.UNKNOWN_EFFECT, *("", {}), "The model lacks an effect, and no effect of the catalogue is established."),
     (
         Code.NO_LOOK_ALIKE,
         *("cubic_stiffness", {}),
@@ -65,8 +64,8 @@ FINDINGS = [
     ),
     (
         Code.NEAREST_LOOK_ALIKE,
-        *("cubic_stiffness", {"share": 0.31, "output": "x", "partly": True}),
-        "The nearest look-alike, cubic_stiffness, explains only 31 % of the excess error in x on the validation records.",
+        *("cubic_stiffness", {}),
+        "The nearest look-alike is cubic_stiffness.",
     ),
     (
         Code.HARDLY_VISIBLE,
@@ -85,8 +84,8 @@ FINDINGS = [
     (
         Code.SURROGATE_FITTED,
         *("balance force", CURVE),
-        "As a surrogate, a smooth curve over x (odd, with a flat middle up to about 4e-05 m) at the force balance explains 98.8 %"
-        " of the excess error on the validation records.",
+        "As a surrogate, a smooth curve over x (odd, with a flat middle up to about 4e-05 m) at the force balance takes away"
+        " 98.8 % of the error on the validation records.",
     ),
     (
         Code.LEARNT_FROM_VALIDATION,
@@ -117,8 +116,7 @@ FINDINGS = [
     (
         Code.CONTINUE_WITH_LOOK_ALIKE,
         *("coulomb_friction", {}),
-        "continue with coulomb_friction and search for further effects (greybox discover --further; gb.discovery.refine in"
-        " Python)",
+        "continue with coulomb_friction, which follows the records better, but do not read its parameters as physics",
     ),
     (
         Code.STATE_NOISE,
@@ -223,6 +221,62 @@ FINDINGS = [
         "silverbox: misfit on the validation records 1.21 times that of the fit",
     ),
     (
+        Code.EFFECTS_ESTABLISHED,
+        *(
+            "cubic_stiffness + input_offset + backlash",
+            {"established": ["cubic_stiffness"], "others": {"input_offset": "probable", "backlash": "stand_in"}},
+        ),
+        "Cubic stiffness is established; input offset is probable; backlash is only a stand-in for something else. More than that is"
+        " missing, or not certain.",
+    ),
+    (
+        Code.ERROR_REDUCED,
+        *(
+            "y",
+            {
+                "before": 8.84e-3,
+                "after": 0.31e-3,
+                "unit": "V",
+                "share": 0.965,
+                "effects": ["band_limited_input", "cubic_stiffness", "input_offset"],
+            },
+        ),
+        "The error in y on the validation records falls from 8.84 to 0.31 mV (96 % less) with band-limited input, cubic stiffness and"
+        " input offset.",
+    ),
+    (
+        Code.ERROR_LEFT,
+        *(
+            "y",
+            {
+                "rmse": 0.31e-3,
+                "before": 8.84e-3,
+                "unit": "V",
+                "noise_ratio": 4.0,
+                "sites": [],
+                "dependence": None,
+                "grows_with_amplitude": True,
+            },
+        ),
+        "0.31 mV is left in y, 4 times the sensor noise: it grows with the amplitude.",
+    ),
+    (
+        Code.SEPARATE_FROM_RIVAL,
+        *("input_offset", {"rival": "constant_load"}),
+        "record an experiment in which input offset and constant load differ (another amplitude, speed or direction): these records do not"
+        " separate them",
+    ),
+    (
+        Code.QUOTE_THIRD_RECORD,
+        *("", {}),
+        "quote the error on a third record: the validation records chose some of these effects",
+    ),
+    (
+        Code.CONFIRM_ON_ANOTHER_RECORD,
+        *("", {}),
+        "continue with the extended model, and confirm it on a record with another amplitude or waveform",
+    ),
+    (
         Code.NO_PLACE,
         *("backlash", {"reason": "effect 'backlash' acts at 'force', which model 'm' does not have"}),
         "the model has no place for it: effect 'backlash' acts at 'force', which model 'm' does not have",
@@ -261,6 +315,8 @@ CHECKS = {
     Rule.HOLDOUT_NOISE: "backlash: validation error of the extended model over noise 18.2 <= 20: no",
     Rule.ESTIMATION_DECREASE: "backlash: share of the rms misfit removed 18.2 >= 20: no",
     Rule.VALIDATION_DECREASE: "backlash: validation misfit 18.2 <= 20: no",
+    Rule.REFINED_ERROR: "backlash: validation misfit, against the model with corrected shapes, 18.2 <= 20: no",
+    Rule.ESTABLISHED: "backlash: established, with probability 18.2 >= 20: no",
 }
 
 
@@ -336,14 +392,15 @@ def test_a_tone_names_its_sites_and_amplitude():
     values = CURVE | {"tone": tone, "variable": "time", "shape": "tone"}
     assert surrogate_text(values) == (
         "a tone of 50.00 Hz at the force balance (or the sensor of x: these records cannot distinguish them), with an amplitude of 0.05 N,"
-        " explains 98.8 % of the excess error on the validation records (amplitude and phase there are estimated from the first 0.083 s)"
+        " takes away 98.8 % of the error on the validation records (amplitude and phase there are estimated from the first 0.083 s)"
     )
 
 
 def test_errors_and_steps_fit_on_a_line():
     assert str(HoldoutError(6.43e-7, 1.02e-7, 1e-7, "m")) == "6.43e-07 -> 1.02e-07 m (noise 1e-07)"
-    assert explained_share_text(1.02) == "explains 100 % of the excess error"
-    assert explained_share_text(-0.1) == "explains none of the excess error"
+    assert str(HoldoutError(2.0, 1.0, 0.3, "V", is_floor_known=False)) == "2 -> 1 V"
+    assert explained_share_text(0.988) == "takes away 98.8 % of the error"
+    assert explained_share_text(-0.1) == "takes away none of the error"
     step = RefinementStep("backlash", 0.21, 0.18, {"constant_load": 0.17})
     assert str(step) == (
         "backlash removes 21 % of the misfit, and 18 % on the validation records (nearly as good: constant_load 17 %)"

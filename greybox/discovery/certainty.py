@@ -1,0 +1,78 @@
+"""How probable it is that an effect has the right name, from what its evidence shows, and what may be said because of that."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from enum import StrEnum
+
+from greybox.discovery.policy import CertaintyPolicy
+from greybox.numerics import TINY
+
+
+class Grade(StrEnum):
+    """What may be said of an effect in a model."""
+
+    ESTABLISHED = "established"
+    """It is there: nothing else in its place comes near, and its form was tested."""
+    PROBABLE = "probable"
+    """It explains a part of the error, and another effect might do so as well."""
+    STAND_IN = "stand_in"
+    """It represents something that has another form."""
+
+
+def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[str, float]:
+    """The measures of an effect's evidence as bounded numbers: what the probability is computed from."""
+    size = math.sqrt(max(measures["loss"], TINY))
+    deviations = policy.most_deviations
+    curve, curve_t = measures["curve_loss"], measures["curve_t"]
+    is_tested = math.isfinite(curve)
+    change = measures["change"]
+    return {
+        "share": _clip(measures["share"], 0, 1),
+        "loss_t": _clip(measures["loss_t"] / deviations, -1, 1),
+        "rival_size": _clip(_signed_root(measures["rival_loss"]) / size, -1, 1),
+        "rival_ratio": _clip(0.5 * math.log(max(1 + measures["rival_loss"], TINY)), -1, 1),
+        "rival_t": _clip(measures["rival_t"] / deviations, -1, 1),
+        "curve_size": _clip(math.sqrt(max(-curve, 0.0)) / size, 0, 1) if is_tested else 0.0,
+        "curve_ratio": _clip(-0.5 * math.log(max(1 + curve, TINY)), 0, 1) if is_tested else 0.0,
+        "curve_t": _clip(-curve_t / deviations, 0, 1) if is_tested else 0.0,
+        "curve_untested": float(not is_tested),
+        "remainder": measures["remainder"],
+        "structure": measures["structure"],
+        "left": _clip(measures["structure"] / size, 0, 1),
+        "change": _clip(change, 0, 1) if math.isfinite(change) else 1.0,
+        "start": measures["start"],
+        "several": float(measures["effects"] > 1),
+    }
+
+
+def probability_of(features: Mapping[str, float], policy: CertaintyPolicy) -> float:
+    """The probability that an effect with these features is right: a logistic function."""
+    score = policy.intercept + sum(policy.weights.get(name, 0.0) * value for name, value in features.items())
+    return 1 / (1 + math.exp(-_clip(score, -policy.most_score, policy.most_score)))
+
+
+def grade_effect(probability: float, features: Mapping[str, float], has_equal: bool, policy: CertaintyPolicy) -> Grade:
+    """The grade of an effect: established only where, beside the probability, no single test speaks against it.
+
+    An effect that another one equals (``has_equal``) is probable at most.
+    """
+    contradicted = (
+        has_equal
+        or features["rival_t"] < policy.least_rival
+        or features["curve_size"] > policy.most_form
+        or features["remainder"] > policy.most_remainder
+        or features["share"] < policy.least_share
+    )
+    if probability >= policy.established and not contradicted:
+        return Grade.ESTABLISHED
+    return Grade.PROBABLE if probability >= policy.probable else Grade.STAND_IN
+
+
+def _clip(value: float, low: float, high: float) -> float:
+    return min(max(value, low), high)
+
+
+def _signed_root(value: float) -> float:
+    return math.copysign(math.sqrt(abs(value)), value)

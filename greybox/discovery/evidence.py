@@ -1,0 +1,429 @@
+"""What speaks for each effect of a model, on records that were not fitted, and what speaks against it.
+
+A model that fits better shows that something was missing, not that it has the right name. So each effect is tested by its form: against
+the best effect of another family in its place, against itself with a flexible curve (or a second branch) beside it, and by what it
+leaves over its own variable. The model is fitted again from other starting points and to each half of the records, to see whether the
+constants stay put.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from greybox.discovery.candidates import family_of
+from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
+from greybox.discovery.dependence import rank_dependences
+from greybox.discovery.disturbance_sites import unwhitened_shooting
+from greybox.discovery.effect_signal import EffectSignal
+from greybox.discovery.execution import RefitJob
+from greybox.discovery.failures import SearchStage
+from greybox.discovery.holdout import HoldoutScores, is_level_measured
+from greybox.discovery.policy import DiscoveryPolicy, EvidencePolicy
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.screening import list_extension_starts, rank_extensions
+from greybox.discovery.shape_correction import is_shape_correction, list_shape_corrections
+from greybox.effects import Scales
+from greybox.model import Effect
+from greybox.noise import fit_autoregression, join_series
+from greybox.numerics import TINY
+from greybox.values import Printable, ReadOnly
+
+# Mean square errors (B,) of a model by output, in blocks of the validation records.
+BlockErrors = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class EffectEvidence(Printable, ReadOnly):
+    """What speaks for one effect of a model.
+
+    Parameters
+    ----------
+    effect
+        Its name.
+    probability, grade
+        How probable it is that the effect is there and has the right name, and what may be said because of that.
+    output, unit
+        The output in which it takes the largest share of the error.
+    without, error
+        Rms error on the validation records without the effect, everything else refitted, and with it, in ``unit``.
+    share, share_interval
+        Share of the error that it takes away, 0 to 1, and the 95 % interval over blocks of the records.
+    rival, rival_error
+        The best effect of another family in its place, and the rms error with that; "" and NaN where none could be fitted.
+    alike
+        Effects of other families that do the same in its place: no record of this kind separates them. The probability is that of one of
+        these being right.
+    change
+        Relative change of its constants from one half of the estimation records to the other; NaN where a half could not be fitted.
+    survives_start
+        Whether a refit from other constants ends in the same place.
+    survives_records
+        Whether it takes a part of the error of every validation record.
+    measures
+        What the probability was computed from. Losses are relative differences of mean square errors from that of the model, all outputs
+        together, on the validation records: without the effect, with its rival, with a flexible curve beside it; ``_t`` are the
+        same in standard errors of the blocks.
+    """
+
+    effect: str
+    probability: float
+    grade: Grade
+    output: str
+    unit: str
+    without: float
+    error: float
+    share: float
+    share_interval: tuple[float, float]
+    rival: str
+    rival_error: float
+    alike: tuple[str, ...]
+    change: float
+    survives_start: bool
+    survives_records: bool
+    measures: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class EvidenceInputs:
+    """What the evidence is gathered from.
+
+    Parameters
+    ----------
+    problem, scales, candidates
+        The records, their peaks and times, and all effects that are candidates.
+    selected, baseline
+        The model in question and the plain one.
+    known
+        Fits of other sets of effects.
+    scores
+        The validation records.
+    signals
+        The signal of each effect, from the data and from the model.
+    policy
+        The decision numbers.
+    """
+
+    problem: DiscoveryProblem
+    scales: Scales
+    candidates: Sequence[Effect]
+    selected: CandidateFit
+    baseline: CandidateFit
+    known: Mapping[frozenset[str], CandidateFit]
+    scores: HoldoutScores
+    signals: Sequence[EffectSignal]
+    policy: DiscoveryPolicy
+
+    @property
+    def limits(self) -> EvidencePolicy:
+        """How the evidence is gathered."""
+        return self.policy.evidence
+
+    def attempt(self, run: partial[CandidateFit | None]) -> CandidateFit | None:
+        """A refit; None where it fails, with the reason kept."""
+        return self.problem.failures.attempt(SearchStage.EVIDENCE, self.selected.effects, run, None)
+
+
+def gather_evidence(inputs: EvidenceInputs) -> tuple[EffectEvidence, ...]:
+    """The evidence for each effect of the selected model; empty where that cannot be run on the validation records."""
+    errors = inputs.scores.square_errors(inputs.selected, inputs.limits.blocks)
+    if not errors:
+        return ()
+    corrected = _refit_with_corrections(inputs)
+    halves = _refit_halves(inputs)
+    survives_start = _ends_in_the_same_place(inputs)
+    structure = measure_structure(
+        inputs.scores, inputs.selected, inputs.policy.selection.visible_rms, inputs.limits.most_correlation
+    )
+    return tuple(
+        _weigh_effect(inputs, effect, errors, corrected.get(effect.name), halves, survives_start, structure)
+        for effect in inputs.selected.model.effects
+        if not is_shape_correction(effect.name)
+    )
+
+
+def _weigh_effect(
+    inputs: EvidenceInputs,
+    effect: Effect,
+    errors: BlockErrors,
+    corrected: CandidateFit | None,
+    halves: Sequence[CandidateFit],
+    survives_start: bool,
+    structure: float,
+) -> EffectEvidence:
+    name, limits = effect.name, inputs.limits
+    rest = _refit_without(inputs, name)
+    without = inputs.scores.square_errors(rest, limits.blocks) if rest is not None else {}
+    rivals = _refit_rivals(inputs, name, rest)
+    rival_errors = [inputs.scores.square_errors(rival, limits.blocks) for rival in rivals]
+    behind = [_compare(errors, each) for each in rival_errors]
+    loss, loss_t = _compare(errors, without)
+    alike = [k for k in range(len(rivals)) if abs(behind[k][0]) < limits.same_error * min(loss, 1.0)]
+    others = [k for k in range(len(rivals)) if k not in alike]
+    nearest = min(others, key=lambda k: behind[k][0], default=None)
+    rival_loss, rival_t = (loss, loss_t) if nearest is None else behind[nearest]
+    curve_loss, curve_t = (
+        (np.nan, np.nan)
+        if corrected is None
+        else _compare(errors, inputs.scores.square_errors(corrected, limits.blocks))
+    )
+    change = _measure_change(inputs.selected, effect, halves)
+    output = max(errors, key=lambda o: _mean(without.get(o)) / max(_mean(errors[o]), TINY))
+    share, interval = _share_of_error(errors[output], without.get(output), limits)
+    measures = {
+        "share": share,
+        "loss": loss,
+        "loss_t": loss_t,
+        "rival_loss": rival_loss,
+        "rival_t": rival_t,
+        "curve_loss": curve_loss,
+        "curve_t": curve_t,
+        "remainder": _remainder_over_variable(inputs, name),
+        "structure": structure,
+        "change": change,
+        "start": float(survives_start),
+        "effects": float(len(inputs.selected.effects)),
+    }
+    features = to_features(measures, inputs.policy.certainty)
+    probability = probability_of(features, inputs.policy.certainty)
+    unit = next(o.unit for o in inputs.selected.model.outputs if o.name == output)
+    return EffectEvidence(
+        name,
+        probability,
+        grade_effect(probability, features, bool(alike), inputs.policy.certainty),
+        output,
+        unit,
+        float(np.sqrt(_mean(without.get(output)))),
+        float(np.sqrt(_mean(errors[output]))),
+        share,
+        interval,
+        "" if nearest is None else _other(rivals[nearest], inputs.selected),
+        np.nan if nearest is None else float(np.sqrt(_mean(rival_errors[nearest].get(output)))),
+        tuple(_other(rivals[k], inputs.selected) for k in alike),
+        change,
+        survives_start,
+        _helps_on_every_record(inputs, rest, output),
+        measures,
+    )
+
+
+# Refits
+
+
+def _refit_without(inputs: EvidenceInputs, name: str) -> CandidateFit | None:
+    """The selected model without one effect, everything else refitted."""
+    selected = inputs.selected
+    if len(selected.effects) == 1:
+        return inputs.baseline
+    known = inputs.known.get(frozenset(selected.effects) - {name})
+    model = selected.model.without(name)
+    values = {n: value for n, value in selected.model.values.items() if n in model.values}
+    again = inputs.attempt(partial(inputs.problem.refit_best, model, [values], 1, inputs.limits.iterations, selected))
+    return min((fit for fit in (known, again) if fit is not None), key=lambda fit: fit.cost, default=None)
+
+
+def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) -> list[CandidateFit]:
+    """The best effects of other families in the place of one; one more where effects that do the same are among them."""
+    selected, limits = inputs.selected, inputs.limits
+    if rest is None:
+        return []
+    kept, family = frozenset(selected.effects) - {name}, set(family_of(name, inputs.candidates))
+    sets = {
+        key: fit for key, fit in inputs.known.items() if len(key) == len(kept) + 1 and kept < key and name not in key
+    }
+    near = sorted((fit for key, fit in sets.items() if not key - kept & family), key=lambda fit: fit.cost)
+    if len(near) >= limits.rivals:
+        return [_converge(inputs, fit) for fit in near[: limits.rivals]]
+    others = [e for e in inputs.candidates if e.name not in family | set(selected.effects)]
+    ranked = rank_extensions(inputs.problem, rest, others, inputs.scales, inputs.policy.budget, limits.rivals)
+    jobs = [
+        partial(
+            inputs.problem.refit_best,
+            rest.model + e,
+            list_extension_starts(rest, e, inputs.scales, inputs.policy.budget),
+            1,
+            limits.iterations,
+            rest,
+        )
+        for e in ranked
+    ]
+    fits = [inputs.attempt(job) for job in jobs]
+    return [*near, *(fit for fit in fits if fit is not None)]
+
+
+def _converge(inputs: EvidenceInputs, fit: CandidateFit) -> CandidateFit:
+    again = inputs.attempt(
+        partial(inputs.problem.refit_best, fit.model, [fit.model.values], 1, inputs.limits.iterations, fit)
+    )
+    return again if again is not None and again.cost < fit.cost else fit
+
+
+def _refit_with_corrections(inputs: EvidenceInputs) -> dict[str, CandidateFit]:
+    """By effect, the selected model with the best correction of its shape: a curve over its variable, or a second branch."""
+    problem, selected = inputs.problem, inputs.selected
+    listing = partial(list_shape_corrections, problem, selected, inputs.scales, inputs.policy)
+    jobs = problem.failures.attempt(SearchStage.SHAPE_CORRECTION, selected.effects, listing, [])
+    best: dict[str, CandidateFit] = {}
+    for (name, _), fit in zip(jobs, problem.refit_all([job for _, job in jobs]), strict=True):
+        if fit is not None and (name not in best or fit.criterion < best[name].criterion):
+            best[name] = fit
+    return best
+
+
+def _refit_halves(inputs: EvidenceInputs) -> list[CandidateFit]:
+    """The selected model fitted to the first half of each record, and to the second; empty where one cannot be fitted."""
+    problem, selected, limits = inputs.problem, inputs.selected, inputs.limits
+    if min(e.rows for e in problem.experiments) < limits.least_rows:
+        return []
+
+    def refit(second: bool) -> CandidateFit | None:
+        cuts = [e.rows // 2 for e in problem.experiments]
+        parts = [
+            e.window(cut, e.rows) if second else e.window(0, cut)
+            for e, cut in zip(problem.experiments, cuts, strict=True)
+        ]
+        # A second half does not begin at rest: its first states are estimated, from where the run of the whole record passes.
+        options = replace(problem.options, at_rest=False) if second else problem.options
+        half = replace(problem, experiments=tuple(parts), noise=problem.noise_model, quiet=(), options=options)
+        starts = _states_at(selected, cuts) if second else {}
+        job = RefitJob(selected.model, (selected.model.values,), 1, limits.iterations, starts)
+        return half.refit_all([job])[0]
+
+    fits = [inputs.attempt(partial(refit, second)) for second in (False, True)]
+    return [fit for fit in fits if fit is not None] if None not in fits else []
+
+
+def _states_at(candidate: CandidateFit, rows: Sequence[int]) -> dict[str, tuple[float, ...]]:
+    """The simulated states at one row of each record, by name."""
+    runs = unwhitened_shooting(candidate).simulate(np.zeros(candidate.variables.size))
+    states = [record.samples(x)[row] for (_, x), record, row in zip(runs, candidate.problem.records, rows, strict=True)]
+    return dict(zip(candidate.model.system.state_names, map(tuple, np.array(states).T.tolist()), strict=True))
+
+
+def _ends_in_the_same_place(inputs: EvidenceInputs) -> bool:
+    """Whether a refit from other constants of the effects finds the same cost, and no lower one."""
+    selected, factor = inputs.selected, inputs.limits.displacement
+    values = dict(selected.model.values)
+    for bound in selected.model.bound_effects:
+        for name in (q.name for q in bound.effect.parameters):
+            in_model = bound.model_names[name]
+            parameter = selected.model.parameter(in_model)
+            if not parameter.fixed:
+                low, high = parameter.bounds
+                moved = values[in_model] * (factor if name in bound.effect.amplitudes else 1 / factor)
+                values[in_model] = float(np.clip(moved, low, high))
+    again = inputs.attempt(
+        partial(inputs.problem.refit_best, selected.model, [values], 1, inputs.policy.budget.refit_iterations, selected)
+    )
+    if again is None:
+        return False
+    allowed = max(inputs.policy.selection.tie_cost, inputs.limits.same_cost * selected.cost)
+    return bool(abs(again.cost - selected.cost) <= allowed)
+
+
+# Comparisons
+
+
+def _compare(errors: BlockErrors, others: BlockErrors) -> tuple[float, float]:
+    """How much larger the mean square errors of another model are, and how many standard errors of the blocks that is.
+
+    Each output counts relative to the error that the first model leaves in it. The standard errors are those of the logarithm, so that
+    blocks of large motion do not hide the others. Infinitely larger for a model that cannot be run.
+    """
+    shared = [o for o in errors if o in others and len(others[o]) == len(errors[o])]
+    if not shared or not all(np.isfinite(others[o]).all() for o in shared):
+        return 1 / TINY, np.inf
+    blocks = min(len(errors[o]) for o in shared)
+    loss = float(np.mean([_mean(others[o]) / max(_mean(errors[o]), TINY) for o in shared])) - 1
+    relative = [[each[o][:blocks] / max(_mean(errors[o]), TINY) for o in shared] for each in (errors, others)]
+    first, second = (np.maximum(np.mean(each, axis=0), TINY) for each in relative)
+    ratios = np.log(second / first)
+    spread = float(ratios.std(ddof=1)) / math.sqrt(blocks) if blocks > 1 else math.inf
+    return loss, float(ratios.mean()) / max(spread, TINY)
+
+
+def _share_of_error(
+    errors: np.ndarray, without: np.ndarray | None, limits: EvidencePolicy
+) -> tuple[float, tuple[float, float]]:
+    """Share of the rms error that an effect takes away, and its interval over resampled blocks."""
+    if without is None or len(without) != len(errors) or not np.isfinite(without).all():
+        return 1.0, (np.nan, np.nan)
+    draws = np.random.default_rng(limits.seed).integers(0, len(errors), (limits.resamples, len(errors)))
+    shares = 1 - np.sqrt(errors[draws].mean(axis=1) / np.maximum(without[draws].mean(axis=1), TINY))
+    tail = (1 - limits.confidence) / 2
+    low, high = np.quantile(shares, (tail, 1 - tail))
+    return 1 - float(np.sqrt(_mean(errors) / max(_mean(without), TINY))), (float(low), float(high))
+
+
+def _helps_on_every_record(inputs: EvidenceInputs, rest: CandidateFit | None, output: str) -> bool:
+    """Whether the effect takes a part of the error of each validation record."""
+    runs = [inputs.scores.run(fit) for fit in (inputs.selected, rest) if fit is not None]
+    if len(runs) < 2 or runs[0] is None or runs[1] is None:
+        return rest is not None
+    first = inputs.scores.validation.uncounted
+    pairs = [(a, b) for a, b in zip(runs[0].traces, runs[1].traces, strict=True) if output in a.measured]
+    return all(
+        float(np.nanmean(a.residual(output)[first:] ** 2)) < float(np.nanmean(b.residual(output)[first:] ** 2))
+        for a, b in pairs
+    )
+
+
+def measure_structure(scores: HoldoutScores, candidate: CandidateFit, visible: float, most_correlation: float) -> float:
+    """Share of the rms error on the validation records that is no noise, 0 to 1, all outputs together.
+
+    Where the noise is known, what exceeds it ``visible`` times. Else what the samples before tell of each sample, beyond the correlation
+    of first order that a sensor may have: up to ``most_correlation`` from sample to sample.
+    """
+    run = scores.run(candidate)
+    if run is None:
+        return 1.0
+    noise, shares = candidate.problem.noise, []
+    for name, misfit in run.misfit.items():
+        if is_level_measured(noise, name):
+            shares.append(max(1 - (visible / misfit.noise_ratio) ** 2, 0.0))
+            continue
+        series = join_series(t.residual(name)[scores.validation.uncounted :] for t in run.traces if name in t.measured)
+        deviation = series / max(float(np.sqrt(np.nanmean(series**2))), TINY)
+        colour, first = fit_autoregression(deviation), fit_autoregression(deviation, max_order=1)
+        # A sensor, or the filter behind it, has one time constant; a correlation that lasts longer is none of theirs.
+        is_sensor = abs(first.autocorrelation(2)[1]) < most_correlation
+        shares.append(1 - colour.innovation_variance / (first.innovation_variance if is_sensor else 1.0))
+    return float(np.sqrt(np.mean(shares))) if shares else 1.0
+
+
+def _remainder_over_variable(inputs: EvidenceInputs, name: str) -> float:
+    """Size of what the effect leaves as a function of its own variable, its direction included, over the size of the effect's signal."""
+    signal = next((s for s in inputs.signals if s.effect == name), None)
+    if signal is None:
+        return 0.0
+    rest, power = signal.value - signal.modelled, float(np.mean(signal.value**2))
+    variables = {signal.variable_name: (signal.variable, signal.variable_unit)}
+    ranked = rank_dependences(signal.time, rest, variables, inputs.policy.localisation)
+    share = max((d.share + max(d.loop, 0.0) for d in ranked), default=0.0)
+    return float(np.clip(np.sqrt(share * float(np.var(rest)) / max(power, TINY)), 0, 1))
+
+
+def _measure_change(selected: CandidateFit, effect: Effect, halves: Sequence[CandidateFit]) -> float:
+    """Relative difference of the effect's amplitudes between the halves of the records; the median of several."""
+    if len(halves) < 2:
+        return np.nan
+    names = next(b.model_names for b in selected.model.bound_effects if b.effect.name == effect.name)
+    wanted = [names[n] for n in (effect.amplitudes or [q.name for q in effect.parameters])]
+    free = [n for n in wanted if not selected.model.parameter(n).fixed]
+    changes = []
+    for name in free:
+        one, other = (half.model.values[name] for half in halves)
+        changes.append(abs(one - other) / max((abs(one) + abs(other)) / 2, TINY))
+    return float(np.median(changes)) if changes else 0.0
+
+
+def _other(rival: CandidateFit, selected: CandidateFit) -> str:
+    return next((name for name in rival.effects if name not in selected.effects), "")
+
+
+def _mean(values: np.ndarray | None) -> float:
+    return np.nan if values is None else float(np.mean(values))

@@ -1,0 +1,81 @@
+"""Which effects are tried, which are left out and why."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.discovery.candidates import failed_candidates, family_of, list_candidates
+from greybox.discovery.failures import NOT_SIMULATED, FailureLog, SearchStage
+from greybox.discovery.findings import DiscoveryCode as Code
+from greybox.errors import ModelError
+from models.micro_actuator import micro_actuator
+from models.silverbox import silverbox
+from tests.support.fake_candidates import toy_effect
+
+
+@pytest.fixture(scope="module")
+def scales():
+    record = {"time": [k * 1e-3 for k in range(50)], "u": [0.1] * 50}
+    run = gb.simulate(silverbox, record)
+    states = [[run.states[s.name][k] for s in silverbox.all_states] for k in range(50)]
+    return gb.effects.measure_scales(silverbox, np.array(states), np.full((50, 1), 0.1), 1e-3)
+
+
+def test_each_effect_that_is_not_tried_has_its_reason(scales):
+    listed = list_candidates(silverbox + gb.effect("cubic_stiffness"), scales, FailureLog(), without=["input_offset"])
+    names = {e.name for e in listed.effects}
+    assert "quadratic_stiffness" in names
+    assert not names & set(listed.not_tried)
+    codes = {name: finding.code for name, finding in listed.not_tried.items()}
+    assert codes["input_offset"] == Code.EFFECT_LEFT_OUT
+    assert codes["cubic_stiffness"] == Code.EFFECT_PRESENT
+    assert codes["winding_heating"] == Code.NO_PLACE
+    assert "voltage" in listed.not_tried["winding_heating"].values["reason"]
+    bases = {name.partition("_at_")[0] for name in names}
+    assert {e.name for e in gb.effects.CATALOGUE} <= bases | set(codes)
+
+
+def test_a_model_may_name_its_candidates(scales):
+    few = replace(silverbox, candidates=("cubic_stiffness",))
+    listed = list_candidates(few, scales, FailureLog())
+    assert [e.name for e in listed.effects] == ["cubic_stiffness"]
+    assert listed.not_tried["quadratic_stiffness"].code == Code.NOT_A_CANDIDATE
+
+
+def test_an_effect_that_cannot_be_made_ready_is_out(scales):
+    def probe(scales):
+        raise ZeroDivisionError("no motion")
+
+    broken = replace(toy_effect("broken"), grid=probe)
+    failures = FailureLog()
+    listed = list_candidates(micro_actuator, scales, failures, [broken, toy_effect("whole")])
+    assert [e.name for e in listed.effects] == ["whole"]
+    finding = failed_candidates([broken], failures, ())["broken"]
+    assert finding.code == Code.CANDIDATE_FAILED
+    assert "no motion" in finding.values["reason"]
+
+
+def test_an_unknown_name_to_leave_out_is_refused(scales):
+    with pytest.raises(ModelError, match="coulomb_friction"):
+        list_candidates(micro_actuator, scales, FailureLog(), without=["coulomb_frction"])
+
+
+def test_a_family_is_all_that_contain_one_another():
+    effects = [toy_effect("a"), toy_effect("b", "a"), toy_effect("c", "b"), toy_effect("other")]
+    assert family_of("b", effects) == ("a", "b", "c")
+    assert family_of("other", effects) == ("other",)
+    assert {"stribeck_friction", "lugre_friction"} <= set(family_of("coulomb_friction"))
+
+
+def test_the_reason_of_a_failure_tells_an_overflow_from_an_error():
+    failures = FailureLog()
+    failures.add(SearchStage.REFIT, ("a",), NOT_SIMULATED)
+    failures.add(SearchStage.REFIT, ("b",), "the delay needs equal intervals")
+    failures.add(SearchStage.REFIT, ("c", "d"), "beside another effect")
+    failures.add(SearchStage.HOLDOUT, ("e",), "not on other records")
+    effects = [toy_effect(name) for name in "abcde"]
+    codes = {name: finding.code for name, finding in failed_candidates(effects, failures, ()).items()}
+    assert codes == {"a": Code.CANDIDATE_NOT_SIMULATED, "b": Code.CANDIDATE_FAILED}
+    assert failed_candidates(effects, failures, {"b"}).keys() == {"a"}
