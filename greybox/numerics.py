@@ -104,6 +104,9 @@ DIRECTION_CUTOFF = 1e-9
 """Directions that are results of a decomposition themselves, of length one: entries below this are zero, and singular values below this
 show that some of them depend on one another. Also the share of a slope that may stick out of a subspace."""
 
+PUSH_OFF_BOUNDS = 1e-8
+"""Distance from a bound, over its size or one, at which an interior-point search begins that is started on the bound."""
+
 WRONG_MULTIPLIER = 1e-12
 """A slope against a bound below this share of the largest is rounding: the bound is not released."""
 

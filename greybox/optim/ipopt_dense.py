@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.numerics import PUSH_OFF_BOUNDS
 from greybox.optim.minimisation import Minimisation
 from greybox.optim.status import IPOPT_STATUS, TerminationStatus
 
@@ -116,8 +117,8 @@ class _Solver:
                 "mu_strategy": "adaptive",
                 # A constant at its bound ends exactly there, and a start beside a bound stays beside it.
                 "bound_relax_factor": 0.0,
-                "bound_push": 1e-8,
-                "bound_frac": 1e-8,
+                "bound_push": PUSH_OFF_BOUNDS,
+                "bound_frac": PUSH_OFF_BOUNDS,
                 # The decision vector is scaled already.
                 "nlp_scaling_method": "none",
             },
@@ -145,6 +146,7 @@ def run_ipopt(
         solver = _Solver(*key)
     solver.search, solver.bounds = search, (low, high) if may_hand_over else None
     search.forget_prediction()
+    search.starts_at_best = True
     solver.function(x0=search.best, lbx=low, ubx=high)
     stats = solver.function.stats()
     solver.search = None

@@ -10,9 +10,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from greybox.numerics import PUSH_OFF_BOUNDS
 from greybox.optim.policy import MinimisationPolicy
 from greybox.optim.quadratic_model import QuadraticModel
 from greybox.optim.status import IterationCallback, SolverName, TerminationStatus, TerminationTest
+from greybox.optim.termination import measure_room
 
 
 class Minimisation:
@@ -21,6 +23,7 @@ class Minimisation:
     ``best``, ``best_value`` and ``best_cost`` are those of the best point so far; ``status`` is how the search ended, None while it
     runs; ``shortenings`` counts the evaluations since the last gain; ``error`` is what ``evaluate`` raised. ``steps`` and ``solvers``
     are the iterations so far and what made them; ``ipopt_word`` is IPOPT's return status in its own words.
+    ``starts_at_best``: a solver that pushes its start a hair off the bounds is told the value of the best point there.
     """
 
     def __init__(
@@ -39,7 +42,7 @@ class Minimisation:
         self.solvers: list[SolverName] = []
         self.ipopt_word = ""
         self.forget_prediction()
-        self.stop = False
+        self.stop = self.starts_at_best = False
         self.error: BaseException | None = None
         self.status: TerminationStatus | None = None
         self.best = np.empty(0)
@@ -49,14 +52,20 @@ class Minimisation:
 
     def __call__(self, z: np.ndarray) -> QuadraticModel:
         """The function at ``z``; what it gave last, or at the best point, if that is asked again."""
-        if self.best_value is not None and np.array_equal(z, self.best):
-            return self.best_value
+        if self.best_value is not None and self._is_best(z):
+            self._last = z.tobytes(), self.best_value
         if self._last[0] != z.tobytes() or self._last[1] is None:
             if self.stalled:  # IPOPT cannot be told to stop between two iterations
                 return QuadraticModel(np.inf, np.zeros_like(z), np.eye(len(z)))
             self.evaluations += 1
             self.remember(z, self.evaluate(z))
         return self._last[1]
+
+    def _is_best(self, z: np.ndarray) -> bool:
+        """Whether ``z`` is the best point, or that pushed a hair off its bounds where a solver starts from it."""
+        if self.starts_at_best:
+            return bool(np.all(np.abs(z - self.best) <= 2 * PUSH_OFF_BOUNDS * np.maximum(np.abs(self.best), 1.0)))
+        return np.array_equal(z, self.best)
 
     def compare(self, z: np.ndarray) -> None:
         """Make ``z`` the best point if its cost is lower; the derivatives of the others are not computed where the cost is cheaper."""
@@ -89,7 +98,7 @@ class Minimisation:
     def predict_decrease(self, low: np.ndarray, high: np.ndarray) -> float:
         """By how much the quadratic model at the best point falls within the bounds."""
         assert self.best_value is not None  # a search keeps its start
-        return self.best_value.predicted_decrease(low - self.best, high - self.best)
+        return self.best_value.predicted_decrease(*measure_room(self.best, low, high))
 
     def is_near(self, low: np.ndarray, high: np.ndarray) -> bool:
         """Whether the quadratic model sees the minimum close by."""
@@ -108,6 +117,7 @@ class Minimisation:
 
     def finish_iteration(self) -> bool:
         """Report the progress after an iteration; whether to stop."""
+        self.starts_at_best = False
         if self.progress:
             self.progress(self.iteration, self.best_cost)
         self.iteration += 1

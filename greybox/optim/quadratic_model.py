@@ -61,8 +61,7 @@ class QuadraticModel:
     @cached_property
     def is_finite(self) -> bool:
         """Whether there is a step: sensitivities that overflow show no direction."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            return bool(np.isfinite(self._scaled).all() and np.isfinite(self.gradient).all())
+        return bool(np.isfinite(self._scaled).all() and np.isfinite(self.gradient).all())
 
     def bounded_step(
         self, low: np.ndarray | None = None, high: np.ndarray | None = None, damping: float = 0.0
@@ -93,7 +92,8 @@ class QuadraticModel:
         if damping:
             n = len(low)
             root, target = np.vstack([root, np.sqrt(damping) * np.eye(n)]), np.append(target, np.zeros(n))
-        step = _solve_bounded_least_squares(root, target, low * self.scale, high * self.scale, cutoff) / self.scale
+        bounds = low * self.scale, high * self.scale
+        step = _solve_bounded_least_squares(root, target, *bounds, cutoff, free * self.scale) / self.scale
         return np.clip(step, low, high)
 
     def predicted_decrease(self, low: np.ndarray | None = None, high: np.ndarray | None = None) -> float:
@@ -111,7 +111,10 @@ class QuadraticModel:
         """
         if not self.is_finite:
             return np.inf
-        return self.decrease_along(self.bounded_step(low, high))
+        bounds = b"" if low is None or high is None else low.tobytes() + high.tobytes()
+        if bounds not in self._decreases:
+            self._decreases[bounds] = self.decrease_along(self.bounded_step(low, high))
+        return self._decreases[bounds]
 
     def decrease_along(self, step: np.ndarray) -> float:
         """By how much the model falls along ``step`` (n,)."""
@@ -131,6 +134,11 @@ class QuadraticModel:
         """The matrix (n, n) with ones on its diagonal."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.asarray(self.hessian / self.scale / self.scale[:, None])
+
+    @cached_property
+    def _decreases(self) -> dict[bytes, float]:
+        """Predicted decreases by their bounds: the rule that ends a search and the one that changes the method both ask."""
+        return {}
 
     @cached_property
     def _spectrum(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -163,12 +171,13 @@ class QuadraticModel:
 
 
 def _solve_bounded_least_squares(
-    root: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray, cutoff: float
+    root: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray, cutoff: float, free_step: np.ndarray
 ) -> np.ndarray:
     """The step (n,) with the least ``|root @ step + target|`` within bounds ``low <= 0 <= high``, from zero on.
 
     Steps go to the minimum over the free unknowns, or to the first bound, which is held then. At a minimum the bound that pushes
-    hardest against the slope is released. Of all minima over the free unknowns the step goes to the nearest.
+    hardest against the slope is released. Of all minima over the free unknowns the step goes to the nearest. ``free_step`` is that
+    without bounds.
     """
     n = len(low)
     step, slope = np.zeros(n), root.T @ target
@@ -178,22 +187,24 @@ def _solve_bounded_least_squares(
     for _ in range(
         n * n + 2
     ):  # each minimum is lower than the last one, so it ends long before this unless rounding errors circle
-        move = np.zeros(n)
-        if is_free.any():
+        end = step.copy()
+        if is_free.all() and not step.any():
+            end = free_step
+        elif is_free.any():
             left, size, right = np.linalg.svd(root[:, is_free], full_matrices=False)
-            usable = size > cutoff * size.max(initial=0.0)
-            remainder = left[:, usable].T @ (target + root @ step)
-            move[is_free] = -right[usable].T @ (remainder / size[usable])
-        room = np.where(move < 0, low - step, high - step)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(move != 0, room / move, np.inf)
-        first = int(np.argmin(reach))
-        if reach[first] < 1:
-            step = step + max(reach[first], 0.0) * move
-            step[first] = low[first] if move[first] < 0 else high[first]
-            is_free[first] = False
+            kept = int(np.count_nonzero(size > cutoff * size[0]))
+            remainder = left[:, :kept].T @ (target + root @ step)
+            end[is_free] -= right[:kept].T @ (remainder / size[:kept])
+        beyond = np.flatnonzero((end < low) | (end > high))
+        if len(beyond):
+            bound = np.where(end[beyond] < low[beyond], low[beyond], high[beyond])
+            reach = (bound - step[beyond]) / (end[beyond] - step[beyond])
+            first = int(np.argmin(reach))
+            step = step + max(reach[first], 0.0) * (end - step)
+            step[beyond[first]] = bound[first]
+            is_free[beyond[first]] = False
             continue
-        step = step + move
+        step = end
         slope = root.T @ (target + root @ step)
         pull = np.where(is_free | is_fixed, 0.0, np.where(step <= low, -slope, slope))
         worst = int(np.argmax(pull))

@@ -37,10 +37,7 @@ class Termination:
 
     def test(self, z: np.ndarray, value: QuadraticModel) -> TerminationStatus | None:
         """How the search ends at ``z`` (n,), where the minimised function is ``value``; None where it goes on."""
-        # An interior-point search stays a little off a bound that it is pressed against.
-        low, high = self.low - z, self.high - z
-        low, high = np.where(low >= -AT_BOUND, 0.0, low), np.where(high <= AT_BOUND, 0.0, high)
-        if self.is_negligible(value.predicted_decrease(low, high), value.cost):
+        if self.is_negligible(value.predicted_decrease(*measure_room(z, self.low, self.high)), value.cost):
             return TerminationStatus.CONVERGED
         return TerminationStatus.ACCEPTABLE if self.is_flat(value.cost) else None
 
@@ -53,3 +50,12 @@ class Termination:
         self.costs.append(cost)
         patience, whole = self.policy.patience, 1.0 if self.count is None else cost
         return len(self.costs) > patience and self.costs[-1 - patience] - cost <= self.policy.little_gain * whole
+
+
+def measure_room(z: np.ndarray, low: np.ndarray | float, high: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of ``z`` to its bounds (n,); none to one that it nearly lies on.
+
+    An interior-point search stays a little off a bound that it is pressed against.
+    """
+    below, above = low - z, high - z
+    return np.where(below >= -AT_BOUND, 0.0, below), np.where(above <= AT_BOUND, 0.0, above)
