@@ -33,7 +33,7 @@ CANDIDATES = (
     *("force_constant_droop", "winding_heating", "eddy_current", "constant_load"),
     *("input_saturation", "soft_saturation", "input_dead_zone", "transport_delay", "input_offset"),
     *("sensor_drift", "sensor_lag"),
-    *("end_stop", "cogging", "gain_by_sign"),
+    *("end_stop", "end_stops", "cogging", "gain_by_sign"),
 )
 FITTED = "derived: eq. 16.1 with gain and poles of section 4.2, the assumed M, Ra, La, and Kf = Kv"
 FITTED_NO_INDUCTANCE = "derived: eq. 16.2 with gain and poles of section 4.2, the assumed M and Ra, and Kf = Kv"

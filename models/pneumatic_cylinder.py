@@ -42,6 +42,6 @@ pneumatic_cylinder = pneumatic_chain(
         *("chamber_leakage", "choked_flow", "supply_droop", "position_dependent_volume"),
         *("valve_dead_zone", "input_saturation", "soft_saturation", "valve_lag", "transport_delay", "input_offset"),
         *("backlash", "sensor_lag"),
-        *("end_stop", "cogging", "gain_by_sign", "valve_hysteresis"),
+        *("end_stop", "end_stops", "cogging", "gain_by_sign", "valve_hysteresis"),
     ),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import casadi as ca
 
@@ -24,12 +25,8 @@ def _stop_on_both_sides(x: NamedValues, u: NamedValues, p: NamedValues) -> Expre
     return -p.kc * (x.displacement - ca.fmin(ca.fmax(x.displacement, -p.gap), p.gap))
 
 
-def _stop_above(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.kc * ca.fmax(x.displacement - p.edge, 0)
-
-
-def _stop_below(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return p.kc * ca.fmax(p.edge - x.displacement, 0)
+def _stop_on_one_side(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return -p.kc * p.side * ca.fmax(p.side * (x.displacement - p.gap), 0)
 
 
 def _stop_probe(s: Scales) -> Mapping[str, float]:
@@ -41,29 +38,40 @@ def _stiffest(s: Scales) -> tuple[float, float]:
     return 0.0, s.storage * (math.pi / s.period) ** 2
 
 
-def _gap_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"gap": [share * s.displacement for share in START.stop_edges]}
-
-
-def _gap_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
-    return {"kc": _stiffest(s), "gap": (START.nearest_stop * s.displacement, s.displacement)}
-
-
 def _travel(s: Scales) -> float:
     return (s.highest - s.lowest) or s.displacement
 
 
-def _upper_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"edge": [s.highest - (1 - share) * _travel(s) for share in START.stop_edges]}
+def _both_grid(s: Scales) -> Mapping[str, list[float]]:
+    return {"gap": [share * s.displacement for share in START.stop_edges]}
 
 
-def _lower_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"edge": [s.lowest + (1 - share) * _travel(s) for share in START.stop_edges]}
+def _both_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
+    return {"kc": _stiffest(s), "gap": (START.nearest_stop * s.displacement, s.displacement)}
 
 
-def _edge_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
+def _one_grid(s: Scales) -> Mapping[str, list[float]]:
+    into = [(1 - share) * _travel(s) / 2 for share in START.stop_edges]
+    return {"gap": [*(s.highest - depth for depth in into), *(s.lowest + depth for depth in into)], "side": [1.0, -1.0]}
+
+
+def _one_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     reach = START.nearest_stop * _travel(s)
-    return {"kc": _stiffest(s), "edge": (s.lowest - reach, s.highest + reach)}
+    return {"kc": _stiffest(s), "gap": (s.lowest - reach, s.highest + reach)}
+
+
+def _one_from_spring(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    """Stops that push back as much at the end of the travel as the fitted spring does, on either side."""
+    force = abs(values["K2"]) * s.displacement**2 if "K2" in values else abs(values["K3"]) * s.displacement**3
+    into = [(1 - share) * _travel(s) / 2 for share in START.stop_edges]
+    above = [{"gap": s.highest - depth, "kc": force / depth, "side": 1.0} for depth in into]
+    below = [{"gap": s.lowest + depth, "kc": force / depth, "side": -1.0} for depth in into]
+    return [*above, *below]
+
+
+def _both_from_cubic(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    force = abs(values["K3"]) * s.displacement**3
+    return [{"gap": share * s.displacement, "kc": force / ((1 - share) * s.displacement)} for share in START.stop_edges]
 
 
 def _cogging_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
@@ -76,32 +84,36 @@ def _pitch_grid(s: Scales) -> Mapping[str, list[float]]:
 
 
 def _pitch_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
-    return {"pitch": (_travel(s) / (2 * START.cogging_periods[-1]), 2 * _travel(s))}
-
-
-def _stops_from_spring(edges: Mapping[str, list[float]], force: float, s: Scales) -> list[Mapping[str, float]]:
-    """Stops that push back as much at the end of the travel as the fitted spring does, from every edge."""
-    name, positions = next(iter(edges.items()))
-    depth = [(1 - share) * _travel(s) for share in START.stop_edges]
-    return [{name: at, "kc": force / into} for at, into in zip(positions, depth, strict=True)]
-
-
-def _stop_from_cubic(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
-    return _stops_from_spring(_gap_grid(s), abs(values["K3"]) * s.displacement**3, s)
-
-
-def _upper_from_quadratic(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
-    return _stops_from_spring(_upper_grid(s), abs(values["K2"]) * s.displacement**2, s)
-
-
-def _lower_from_quadratic(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
-    return _stops_from_spring(_lower_grid(s), abs(values["K2"]) * s.displacement**2, s)
+    # With fewer periods over the travel it is any curve.
+    return {"pitch": (_travel(s) / (2 * START.cogging_periods[-1]), _travel(s) / START.fewest_cogging_periods)}
 
 
 STIFFNESS = amplitude_parameter("kc", "{force}/{displacement}", "stiffness of the stop", low=0.0)
 
 end_stop = Effect(
     "end_stop",
+    site="force",
+    parameters=[
+        STIFFNESS,
+        shape_parameter("gap", "{displacement}", 0.0, (-1e9, 1e9), "position at which the stop begins"),
+        # Which end it is at: no constant to be found, both are tried.
+        replace(shape_parameter("side", "1", 1.0, (-1.0, 1.0), "1 for a stop above, -1 for one below"), fixed=True),
+    ],
+    terms=_stop_on_one_side,
+    equation="-kc max(x - gap, 0), or kc max(gap - x, 0) for a stop below",
+    parents=("quadratic_stiffness", "cubic_stiffness"),
+    parity="even",
+    tells_apart=STOP_TEXT,
+    source=STOP_SOURCE,
+    amplitudes=("kc",),
+    probe=_stop_probe,
+    grid=_one_grid,
+    limits=_one_limits,
+    from_parent=_one_from_spring,
+)
+
+end_stops = Effect(
+    "end_stops",
     site="force",
     parameters=[
         STIFFNESS,
@@ -115,49 +127,9 @@ end_stop = Effect(
     source=STOP_SOURCE,
     amplitudes=("kc",),
     probe=_stop_probe,
-    grid=_gap_grid,
-    from_parent=_stop_from_cubic,
-    limits=_gap_limits,
-)
-
-end_stop_above = Effect(
-    "end_stop_above",
-    site="force",
-    parameters=[
-        STIFFNESS,
-        shape_parameter("edge", "{displacement}", 0.0, (-1e9, 1e9), "position at which the upper stop begins"),
-    ],
-    terms=_stop_above,
-    equation="-kc max(x - edge, 0)",
-    parents=("quadratic_stiffness",),
-    parity="even",
-    tells_apart=STOP_TEXT,
-    source=STOP_SOURCE,
-    amplitudes=("kc",),
-    probe=_stop_probe,
-    grid=_upper_grid,
-    from_parent=_upper_from_quadratic,
-    limits=_edge_limits,
-)
-
-end_stop_below = Effect(
-    "end_stop_below",
-    site="force",
-    parameters=[
-        STIFFNESS,
-        shape_parameter("edge", "{displacement}", 0.0, (-1e9, 1e9), "position at which the lower stop begins"),
-    ],
-    terms=_stop_below,
-    equation="kc max(edge - x, 0)",
-    parents=("quadratic_stiffness",),
-    parity="even",
-    tells_apart=STOP_TEXT,
-    source=STOP_SOURCE,
-    amplitudes=("kc",),
-    probe=_stop_probe,
-    grid=_lower_grid,
-    from_parent=_lower_from_quadratic,
-    limits=_edge_limits,
+    grid=_both_grid,
+    limits=_both_limits,
+    from_parent=_both_from_cubic,
 )
 
 cogging = Effect(
@@ -182,4 +154,4 @@ cogging = Effect(
     limits=_pitch_limits,
 )
 
-CONTACT: tuple[Effect, ...] = (end_stop, end_stop_above, end_stop_below, cogging)
+CONTACT: tuple[Effect, ...] = (end_stop, end_stops, cogging)

@@ -29,14 +29,16 @@ class StartingValues:
     """Longest delay that is considered, in sampling periods: a longer one is seen with the naked eye."""
     gain_share: float = 0.2
     """Difference of the gain by sign that a search starts from beside a constant load, as a share."""
-    stop_edges: tuple[float, ...] = (0.9, 0.75, 0.6, 0.45)
-    """Where an end stop may begin, as shares of the travel in the record, the faintest first."""
+    stop_edges: tuple[float, ...] = (0.85, 0.6, 0.3)
+    """Where an end stop may begin, as shares of the way from the middle of the travel to its end, the faintest first."""
     stop_depth: float = 0.3
     """Share of the travel that a body goes into a stop of visible size."""
     nearest_stop: float = 0.05
     """Share of the travel within which no stop is looked for about zero, and beyond its ends."""
-    cogging_periods: tuple[float, ...] = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0)
+    cogging_periods: tuple[float, ...] = (2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 16.0)
     """Periods of a periodic force over the travel of the record that a search starts from."""
+    fewest_cogging_periods: float = 1.5
+    """Fewest periods over the travel: with fewer a sinusoid imitates any curve of the position."""
     laminar_share: float = 1e-3
     """Share of the largest pressure below which a leak is laminar: the root has no slope at zero."""
     zero_celsius: float = 273.15

@@ -82,7 +82,7 @@ def test_every_effect_says_what_it_is_and_where_it_comes_from(entry):
             (entry.name, q.name)
             in {
                 *(("reading_curve", "full"), ("root_leak", "laminar"), ("radiation_loss", "T0")),
-                *(("natural_convection", "least"), ("brush_drop", "ib")),
+                *(("natural_convection", "least"), ("brush_drop", "ib"), ("end_stop", "side")),
             }
         )
     own = {q.name: q for q in entry.parameters}
@@ -195,12 +195,12 @@ def test_tanks_have_no_force_and_say_so(name):
 ON_ACTUATOR = """
     coulomb_friction stribeck_friction lugre_friction quadratic_damping cubic_stiffness quadratic_stiffness viscoelastic_creep
     bouc_wen_hysteresis constant_load second_mode force_constant_droop winding_heating eddy_current input_saturation soft_saturation
-    input_dead_zone transport_delay input_offset gain_by_sign sensor_drift sensor_lag end_stop cogging
+    input_dead_zone transport_delay input_offset gain_by_sign sensor_drift sensor_lag end_stop end_stops cogging
 """
 ON_CYLINDER = """
     coulomb_friction stribeck_friction lugre_friction quadratic_damping constant_load return_spring chamber_leakage choked_flow
     supply_droop position_dependent_volume valve_dead_zone input_saturation soft_saturation valve_lag transport_delay input_offset
-    backlash sensor_lag end_stop cogging gain_by_sign valve_hysteresis
+    backlash sensor_lag end_stop end_stops cogging gain_by_sign valve_hysteresis
 """
 
 

@@ -103,17 +103,13 @@ def simulate(model, u, substeps=40):
 
 
 CASES = {
-    "end_stop": (
+    "end_stops": (
         {"kc": 900.0, "gap": 0.015},
         {"force": lambda x, v: -900.0 * max(abs(x) - 0.015, 0.0) * copysign(1.0, x)},
     ),
-    "end_stop_above": (
-        {"kc": 900.0, "edge": 0.01},
+    "end_stop": (
+        {"kc": 900.0, "gap": 0.01},
         {"force": lambda x, v: -900.0 * (x - 0.01) if x > 0.01 else 0.0},
-    ),
-    "end_stop_below": (
-        {"kc": 900.0, "edge": -0.01},
-        {"force": lambda x, v: 900.0 * (-0.01 - x) if x < -0.01 else 0.0},
     ),
     "cogging": (
         {"F": 1.0, "Fq": -0.6, "pitch": 0.02},
@@ -141,6 +137,13 @@ def test_an_effect_moves_a_body_as_small_steps_do(name):
     reach = np.abs(plain).max()
     assert np.abs(run.outputs["x"] - expected).max() < TOLERANCE.get(name, 1e-4) * reach
     assert np.abs(expected - plain).max() > 0.03 * reach
+
+
+def test_an_end_stop_below_pushes_up():
+    u = held()
+    expected = run_body(u, force=lambda x, v: 900.0 * (-0.01 - x) if x < -0.01 else 0.0)
+    run = simulate((BODY + effect("end_stop")).start(kc=900.0, gap=-0.01, side=-1.0), u)
+    assert np.abs(run.outputs["x"] - expected).max() < 1e-4 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize(
