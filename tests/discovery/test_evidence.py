@@ -1,0 +1,87 @@
+"""The comparisons behind the evidence of an effect, with errors that are given: nothing is simulated."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from greybox.discovery import evidence
+from greybox.discovery.evidence import _compare, _measure_change, _share_of_error, measure_structure
+from greybox.discovery.policy import EvidencePolicy
+from greybox.noise import BoundDirection, NoiseBound, NoiseSource
+from tests.support.fake_candidates import candidate, toy_effect
+
+RNG = np.random.default_rng(1)
+ERRORS = {"x": 1.0 + 0.1 * RNG.standard_normal(24) ** 2}
+
+
+def test_a_loss_is_relative_to_what_the_model_leaves():
+    loss, deviations = _compare(ERRORS, {"x": 4 * ERRORS["x"]})
+    assert loss == pytest.approx(3.0)
+    assert deviations > 1e6  # the same in every block
+
+
+def test_chance_differences_are_no_loss():
+    others = {"x": ERRORS["x"] * np.exp(0.05 * RNG.standard_normal(24))}
+    loss, deviations = _compare(ERRORS, others)
+    assert abs(loss) < 0.05 and abs(deviations) < 3
+
+
+def test_a_model_that_cannot_be_run_loses_without_limit():
+    assert _compare(ERRORS, {}) == (pytest.approx(1e300), np.inf)
+    assert _compare(ERRORS, {"x": np.full(24, np.inf)}) == (pytest.approx(1e300), np.inf)
+
+
+def test_the_share_of_the_error_has_an_interval_that_holds_it():
+    without = 16 * ERRORS["x"] * np.exp(0.1 * RNG.standard_normal(24))
+    share, (low, high) = _share_of_error(ERRORS["x"], without, EvidencePolicy())
+    assert share == pytest.approx(0.75, abs=0.02)
+    assert low < share < high
+    assert (low, high) == _share_of_error(ERRORS["x"], without, EvidencePolicy())[1]  # the same each time
+    assert _share_of_error(ERRORS["x"], None, EvidencePolicy())[0] == 1.0
+
+
+def test_a_change_is_that_of_the_amplitude_between_the_halves():
+    effect = toy_effect("a")
+    model = SimpleNamespace(
+        bound_effects=[SimpleNamespace(effect=effect, model_names={"a_size": "a_size"})],
+        parameter=lambda name: SimpleNamespace(fixed=False),
+    )
+    halves = [SimpleNamespace(model=SimpleNamespace(values={"a_size": value})) for value in (1.0, 3.0)]
+    assert _measure_change(SimpleNamespace(model=model), effect, halves) == pytest.approx(1.0)
+    assert np.isnan(_measure_change(SimpleNamespace(model=model), effect, []))
+
+
+def structure_of(residual, bound, ratio=1.0):
+    run = SimpleNamespace(
+        misfit={"x": SimpleNamespace(noise_ratio=ratio)},
+        traces=[SimpleNamespace(measured={"x": residual}, residual=lambda name: residual)],
+    )
+    scores = SimpleNamespace(run=lambda fit: run, validation=SimpleNamespace(uncounted=0))
+    noise = SimpleNamespace(bound=lambda name: bound)
+    fit = SimpleNamespace(problem=SimpleNamespace(noise=noise))
+    return measure_structure(scores, fit, 1.05, 0.95)
+
+
+KNOWN = NoiseBound(1.0, BoundDirection.ABOUT, NoiseSource.GIVEN)
+WHITE = RNG.standard_normal(2000)
+COLOURED = np.convolve(RNG.standard_normal(2100), 0.8 ** np.arange(60), "full")[60:2060]
+SLOW = np.sin(np.arange(2000) / 30) + 0.02 * RNG.standard_normal(2000)
+
+
+def test_what_exceeds_known_noise_is_structure():
+    assert structure_of(WHITE, KNOWN, 1.04) == 0.0
+    assert structure_of(WHITE, KNOWN, 10.0) == pytest.approx(1.0, abs=0.01)
+
+
+def test_noise_of_one_time_constant_is_no_structure_where_nobody_knows_the_noise():
+    assert structure_of(WHITE, None) < 0.1
+    assert structure_of(COLOURED, None) < 0.2
+    assert structure_of(SLOW, None) > 0.9
+
+
+def test_without_a_run_on_the_validation_records_there_is_no_evidence():
+    scores = SimpleNamespace(square_errors=lambda fit, blocks: {}, run=lambda fit: None)
+    inputs = SimpleNamespace(scores=scores, selected=candidate(1.0, "a"), limits=EvidencePolicy())
+    assert evidence.gather_evidence(inputs) == ()
+    assert measure_structure(scores, None, 1.05, 0.95) == 1.0
