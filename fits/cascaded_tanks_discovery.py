@@ -58,7 +58,10 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     train, test = (gb.read_csv(folder / name, cascaded_tanks) for name in FILES)
     learn, judge = train.window(0, LEARN), train.window(LEARN, train.rows)
     discovery = gb.discover(cascaded_tanks, learn, validation=judge, on_message=say)
-    refinement = gb.discovery.refine(discovery.best, judge, plain=cascaded_tanks, on_message=say)
+    # `discover` has looked for smaller effects already, wherever more than noise was left.
+    refinement = discovery.refinement or gb.discovery.refine(
+        discovery.best, judge, plain=cascaded_tanks, on_message=say
+    )
     refitted, base = (_refit(model, train, test) for model in (refinement.fit.model, cascaded_tanks))
     beside, without = {}, {}
     for name in SET:

@@ -63,7 +63,8 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     arcs, tested = _arcs(train), _arcs(test)
     learn, judge = arcs[: 2 * QUARTERS], arcs[2 * QUARTERS : 3 * QUARTERS]
     discovery = gb.discover(emps, learn, validation=judge, on_message=say)
-    refinement = gb.discovery.refine(discovery.best, judge, plain=emps, on_message=say)
+    # `discover` has looked for smaller effects already, wherever more than noise was left.
+    refinement = discovery.refinement or gb.discovery.refine(discovery.best, judge, plain=emps, on_message=say)
     noise = DiscoveryProblem.from_fit(discovery.best).noise
     assert isinstance(noise, NoiseModel)
     held_out = {}

@@ -62,7 +62,10 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
         return tuple(gb.validate(model, t.with_hold(hold), skip=SKIP).misfit["y"].rmse for t in tests)  # type: ignore[arg-type]
 
     discovery = gb.discover(silverbox, train.window(*LEARN), validation=train.window(*JUDGE), on_message=say)
-    refinement = gb.discovery.refine(discovery.best, train.window(*JUDGE), plain=silverbox, on_message=say)
+    # `discover` has looked for smaller effects already, wherever more than noise was left.
+    refinement = discovery.refinement or gb.discovery.refine(
+        discovery.best, train.window(*JUDGE), plain=silverbox, on_message=say
+    )
     springs = _with(silverbox, SPRINGS)
     holds = {}
     for hold in HOLDS:

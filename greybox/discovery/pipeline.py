@@ -535,7 +535,7 @@ def _summarise(
     error = judged.holdout[output]
     grades = {e.effect: e.grade for e in evidence}
     established = [e for e in effects if grades.get(e) is Grade.ESTABLISHED]
-    reduced = _error_reduced(effects, judged.holdout)
+    reduced = _error_reduced(effects, judged.holdout, judged.selection.policy.refinement.validation_share)
     explained = {"share": error.share, "output": output}
     remaining = [
         Finding(DiscoveryCode.ERROR_LEFT, subject=o, values={**each.to_values(), "before": judged.holdout[o].before})
@@ -565,8 +565,8 @@ def _summarise(
     return tuple(findings)
 
 
-def _error_reduced(effects: Sequence[str], holdout: Mapping[str, HoldoutError]) -> list[Finding]:
-    """From where to where the error of each output falls, the one that the plain model misses most first."""
+def _error_reduced(effects: Sequence[str], holdout: Mapping[str, HoldoutError], least_share: float) -> list[Finding]:
+    """From where to where the error falls: of the output that the plain model misses most, and of others where that is worth a word."""
     first = worst_output(holdout)
     return [
         Finding(
@@ -575,6 +575,7 @@ def _error_reduced(effects: Sequence[str], holdout: Mapping[str, HoldoutError]) 
             values={"before": e.before, "after": e.after, "unit": e.unit, "share": e.share, "effects": list(effects)},
         )
         for output, e in sorted(holdout.items(), key=lambda item: item[0] != first)
+        if output == first or e.share >= least_share
     ]
 
 
