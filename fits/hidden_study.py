@@ -1,6 +1,6 @@
 """How often is the hidden effect named? Cases that the program was not tuned to, each answered by `greybox.discover` and two baselines.
 
-    python -m fits.hidden_study FOLDER [--cases 200] [--first 1000] [--rows 1200] [--page]
+    python -m fits.hidden_study FOLDER [--cases 200] [--first 1000] [--rows 1200] [--workers 1] [--cluster ADDRESS] [--page]
 
 Six of ten cases hide one effect, one each two effects, none, one that the catalogue does not have, and a relative of one whose form
 differs (`fits.hidden_cases`, simulated without greybox). Every case leaves FOLDER/NNNN.json, so the study goes on where it was
@@ -23,6 +23,8 @@ from fits.hidden_page import VISIBLE, write
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.starting_points import estimate_scales
 from greybox.effects import Scales, tailor_to_record
+from greybox.files import write_file
+from greybox.parallel import JobResult, open_workers, run_jobs
 from greybox.project import find_model
 
 # Kinds of ten cases in a row.
@@ -30,25 +32,34 @@ KINDS = ("single", "single", "pair", "single", "complete", "single", "relative",
 CASES, FIRST, ROWS = 200, 1000, 1200
 
 
-def study(folder: Path, cases: int, first: int, rows: int) -> None:
-    """Every case that FOLDER does not have yet, one after the other."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for seed in range(first, first + cases):
-        file = folder / f"{seed:04d}.json"
-        if file.exists():
-            continue
-        try:
-            case = make(seed, KINDS[seed % len(KINDS)], rows)
-        except OverflowError:  # drawn so strong that the rig flies apart: no case
-            continue
-        try:
-            answer = answered(case)
-        except gb.GreyboxError as error:  # a defect, which the page has to show
-            answer = failed(case, error)
-        text = json.dumps(answer, indent=1) + "\n"
-        part = file.with_suffix(".part")
-        part.write_text(text, encoding="utf-8")
-        part.rename(file)
+def study(folder: Path, cases: int, first: int, rows: int, workers: int = 1, cluster: str = "") -> None:
+    """Every case that FOLDER does not have yet: here one after the other, in worker processes or on a cluster."""
+    open_cases = [(seed, rows) for seed in range(first, first + cases) if not (folder / f"{seed:04d}.json").exists()]
+
+    def receive(number: int, result: JobResult) -> None:
+        seed, _ = open_cases[number]
+        answer = failed(_make_case(seed, rows), result.error) if result.error else result.value
+        if answer is not None:
+            write_file(folder / f"{seed:04d}.json", json.dumps(answer, indent=1) + "\n")
+
+    with open_workers(workers, cluster) as executor:
+        run_jobs(_answer, None, open_cases, executor=executor, workers=workers, receive=receive)
+
+
+def _answer(_: None, item: tuple[int, int]) -> dict[str, Any] | None:
+    """The row of one case; None where the rig flies apart."""
+    try:
+        case = _make_case(*item)
+    except OverflowError:  # drawn so strong: no case
+        return None
+    try:
+        return answered(case)
+    except gb.GreyboxError as error:  # a defect, which the page has to show
+        return failed(case, error)
+
+
+def _make_case(seed: int, rows: int) -> Case:
+    return make(seed, KINDS[seed % len(KINDS)], rows)
 
 
 def answered(case: Case) -> dict[str, Any]:
@@ -90,7 +101,7 @@ def hidden(case: Case) -> dict[str, Any]:
     }
 
 
-def failed(case: Case, error: gb.GreyboxError) -> dict[str, Any]:
+def failed(case: Case, error: gb.GreyboxError | str) -> dict[str, Any]:
     """The row of a case that ended with an error."""
     nothing: dict[str, Any] = {"said": [], "alternatives": [], "sites": [], "constants": [], "each": []}
     return (
@@ -154,9 +165,11 @@ def main() -> None:
     arguments.add_argument("--first", type=int, default=FIRST)
     arguments.add_argument("--rows", type=int, default=ROWS)
     arguments.add_argument("--page", action="store_true", help="write the page from what the folder holds")
+    arguments.add_argument("--workers", type=int, default=1, help="processes; 0: one for each core")
+    arguments.add_argument("--cluster", default="", help="address of a Dask scheduler, or local")
     chosen = arguments.parse_args()
     if not chosen.page:
-        study(chosen.folder, chosen.cases, chosen.first, chosen.rows)
+        study(chosen.folder, chosen.cases, chosen.first, chosen.rows, chosen.workers, chosen.cluster)
     rows = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(chosen.folder.glob("*.json"))]
     write(rows, Path(__file__).resolve().parents[1] / "docs", chosen.rows)
 

@@ -90,10 +90,10 @@ def _offered(ctx: typer.Context, incomplete: str, offers: Callable[[ModelOutline
 
         try:
             for entry in map(effect, added):
-                for kind, group in ((entry.parameters, model.parameters), (entry.states, model.states)):
-                    for s in kind:
-                        value = f"{s.value:g}" if kind is entry.parameters else ""
-                        group.setdefault(s.name, SignalOutline(s.name, s.unit, value, s.description))
+                for q in entry.parameters:
+                    model.parameters.setdefault(q.name, SignalOutline(q.name, q.unit, f"{q.value:g}", q.description))
+                for s in entry.states:
+                    model.states.setdefault(s.name, SignalOutline(s.name, s.unit, "", s.description))
         except GreyboxError:  # no effect of that name: nothing to offer
             return []
     return _beginning(offers(model), incomplete)

@@ -50,7 +50,7 @@ MARKUP = {"hovertemplate"}  # templates hold markup of ours, and what they hold 
 def render_page(page: Page) -> str:
     """The page as HTML. Raises DataError where it would be larger than 6 MB."""
     script, drawn = _inside("page.js"), _drawn(page)
-    scripts = [script, *([_plotly_script()] if drawn else [])]
+    scripts: list[str | bytes] = [script, *([_plotly_script()] if drawn else [])]
     html = (
         _environment()
         .get_template("page.html")
