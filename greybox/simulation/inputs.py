@@ -9,6 +9,7 @@ from greybox.experiment import Experiment
 from greybox.experiment.columns import ColumnMapping
 from greybox.experiment.experiment import Hold
 from greybox.experiment.policy import READING_POLICY, ReadingPolicy
+from greybox.experiment.problems import find_array_problems, raise_problems
 from greybox.experiment.read import read_arrays
 from greybox.model import Model
 
@@ -46,5 +47,9 @@ def read_inputs(
         For a file that is missing, cannot be read, or lacks an input.
     """
     record = read_arrays(path, model, columns=columns, sampling_time=sampling_time, inputs_only=True, reading=reading)
-    file = record.file.path
+    file, labels = record.file.path, record.file.table.row_labels
+    if len(record.time) > 1:
+        raise_problems(file.name, find_array_problems(record.time, record.inputs, {}, labels))
+    else:
+        raise_problems(file.name, [f"{len(record.time)} rows; a record needs at least 2"])
     return Experiment(file.stem, record.time, record.inputs, {}, hold, source=file.name)

@@ -9,11 +9,13 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.io import savemat
+from scipy.io import loadmat, savemat
+from scipy.sparse import csc_array
 
 from greybox.errors import DataError
 from greybox.experiment import read_csv
 from greybox.experiment.findings import RecordCode
+from greybox.experiment.mat_file import read_mat
 from greybox.project import find_model
 from greybox.simulation import read_inputs
 from tests.experiment.test_read import ANSWER, DRIVE, RIG, TIME, N
@@ -154,10 +156,42 @@ def test_two_matrices_need_headers(tmp_path):
 
 def test_nested_structs_and_lists_of_structs(tmp_path):
     """As Simulink's "structure with time" has it."""
-    signals = np.array([({"values": DRIVE},), ({"values": ANSWER},)], dtype=[("s", object)])["s"]
-    savemat(tmp_path / "run.mat", {"out": {"time": TIME, "signals": list(signals), "info": {"deep": {"x": ANSWER}}}})
-    columns = {"time": "out.time", "u": "out.signals(1).values", "x": "out.info.deep.x"}
-    same(read_csv(tmp_path / "run.mat", RIG, columns=columns))
+    signals = np.array([(DRIVE, "V"), (ANSWER, "m")], dtype=[("values", object), ("unit", object)])
+    cells = np.array([TIME, {"x": ANSWER}, "text"], dtype=object)
+    content = {"out": {"time": TIME, "signals": signals, "info": {"deep": {"x": ANSWER}}}, "log": cells}
+    for compressed in (True, False):
+        savemat(tmp_path / "run.mat", content, do_compression=compressed)
+        columns = {"time": "out.time", "u": "out.signals(1).values", "x": "out.info.deep.x"}
+        same(read_csv(tmp_path / "run.mat", RIG, columns=columns))
+        same(read_csv(tmp_path / "run.mat", RIG, columns=columns | {"time": "log{1}", "x": "log{2}.x"}))
+
+
+STORED = ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8", "?"]
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+def test_every_class_of_numbers_is_read_as_scipy_reads_it(tmp_path, compressed):
+    rng = np.random.default_rng(4)
+    arrays = {f"a{k}": rng.integers(0, 2 if kind == "?" else 100, (N, 3)).astype(kind) for k, kind in enumerate(STORED)}
+    arrays |= {
+        "row": TIME[None, :],
+        "wide": rng.normal(size=(3, 7)),
+        "empty": np.zeros((0, 0)),
+        "cube": np.zeros((2, 3, 4)),
+    }
+    arrays |= {
+        "complex": TIME * 1j,
+        "title": "text",
+        "sparse": csc_array(np.eye(3)),
+        "a_name_as_long_as_matlab_allows_which_is_sixty_three_x": TIME,
+    }
+    savemat(tmp_path / "run.mat", arrays, do_compression=compressed)
+    table = read_mat(tmp_path / "run.mat")
+    assert {name for name, info in table.infos.items() if info.holds} == {"complex", "title", "sparse"}
+    expected = loadmat(tmp_path / "run.mat")
+    for name, info in table.infos.items():
+        if not info.holds:
+            np.testing.assert_array_equal(table.load([name])[name], expected[name])
 
 
 def test_only_the_wanted_columns_are_loaded(tmp_path):

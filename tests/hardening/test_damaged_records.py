@@ -5,11 +5,9 @@ from __future__ import annotations
 import io
 import os
 import resource
-import struct
 import sys
 import time
 import zipfile
-import zlib
 
 import h5py
 import numpy as np
@@ -76,9 +74,11 @@ def test_a_matlab_file_with_one_changed_byte_is_read_or_refused(tmp_path, compre
 
 def test_a_matlab_file_that_unpacks_to_much_is_refused_before(tmp_path):
     path = tmp_path / "run.mat"
-    packed = zlib.compress(bytes(50_000_000), 9)
-    path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, len(packed)) + packed)
-    refused(path, mentions="unpacks to more than 1 MB", reading=ReadingPolicy(largest_unpacked=1_000_000))
+    few = ReadingPolicy(largest_unpacked=1_000_000)
+    savemat(path, {"log": {"x": np.zeros(1_000_000)}}, do_compression=True)
+    refused(path, mentions="unpacks to more than 1 MB", reading=few)
+    savemat(path, {**SIGNALS, "x": np.zeros(1_000_000)}, do_compression=True)
+    refused(path, mentions="at most 1 MB are read", reading=few)
 
 
 def test_a_matlab_7_3_file_that_claims_much_is_refused_before(tmp_path):
