@@ -187,3 +187,6 @@ REFERENCE_TOLERANCE = 1e-9
 
 LARGEST_VALUE = 1e100
 """Measured numbers are smaller in any unit. The square of a larger one, over the variance of a noise and summed, can overflow."""
+
+SMALLEST_VALUE = 1e-100
+"""A measured signal that never exceeds it has no squares to speak of."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.errors import DataError
 from greybox.experiment.policy import RECORD_POLICY, RecordPolicy
-from greybox.numerics import LARGEST_VALUE
+from greybox.numerics import LARGEST_VALUE, SMALLEST_VALUE
 
 
 @dataclass(frozen=True)
@@ -93,6 +93,13 @@ def find_measurement_problems(
     problems += [
         f"output {name!r} holds no value at all; remove it from the record if it was not measured" for name in empty
     ]
+    for kind, signals in (("input", inputs), ("output", outputs)):
+        for name, values in signals.items():
+            largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+            if 0 < largest < SMALLEST_VALUE:
+                problems.append(
+                    f"{kind} {name!r} never exceeds {largest:.3g}, and the squares of such numbers vanish; check its unit"
+                )
     inputs_rest = all(map(is_constant, inputs.values()))
     if outputs and not empty and all(map(is_constant, outputs.values())):
         constant = [*(inputs if inputs_rest else ()), *outputs]

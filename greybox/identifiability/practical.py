@@ -242,9 +242,9 @@ def _choose_combinations(
     candidates = []
     for candidate in _list_candidates(problem.model, structure, p, policy):
         slope = candidate.slope(p, which)
-        std = float(np.sqrt(slope @ covariance @ slope))
-        if np.isfinite(std):
-            candidates.append((candidate.text, slope, std))
+        variance = float(slope @ covariance @ slope)
+        if 0 <= variance < np.inf:  # rounding can make it negative where the information is next to singular
+            candidates.append((candidate.text, slope, float(np.sqrt(variance))))
     chosen: list[np.ndarray] = []
     groups: tuple[dict[str, float], dict[str, float]] = ({}, {})
     widest = policy.max_relative_interval

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from greybox.noise import AutoRegression, BoundDirection
 from greybox.rendering.noise import describe_source
 from greybox.rendering.policy import TEXT_LIMITS
-from greybox.rendering.registry import renders, sentences
+from greybox.rendering.registry import register, renders, sentences
 from greybox.rendering.tables import format_number, format_table, format_with_std, make_formatter
+from greybox.result.findings import ResultCode
 from greybox.units import format_unit
 
 if TYPE_CHECKING:
@@ -61,6 +62,16 @@ def _write_step_error(fit: Fit) -> str:
     if not error and not shift:
         return ""
     return f"; error {error:.2g} x noise, half the step changes no parameter by more than {shift:.2g} std"
+
+
+register(
+    {
+        ResultCode.FOREIGN_FINDING: lambda f: (
+            f"{f.subject + ': ' if f.subject else ''}the file holds a finding that this version has no sentence for"
+            f" ({f.values['code']})"
+        ),
+    }
+)
 
 
 def to_constant_rows(fit: Fit) -> list[list[str]]:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from greybox.errors import DataError, GreyboxError, shorten
+from greybox.errors import DataError, GreyboxError, ModelError, shorten
+from greybox.experiment.problems import RowLabels, find_array_problems
 from greybox.files import write_file
 from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.model.process_noise import intensity_name
 from greybox.noise import BoundDirection, NoiseBound, NoiseSource
+from greybox.result.findings import ResultCode
 from greybox.result.fit_parts import (
     Estimate,
     FitConstraints,
@@ -35,6 +37,7 @@ from greybox.result.fit_parts import (
 )
 from greybox.result.json_data import format_json, to_json_data
 from greybox.schemas import ResultKind, read_json
+from greybox.units import parse_unit
 from greybox.values import Printable, ReadOnly
 
 FORMAT = 1
@@ -237,6 +240,13 @@ def _find_contradiction(data: Mapping[str, Any]) -> str:
     free = len(data["free"])
     if [len(row) for row in data["covariance"]] != [free] * free:
         return f"covariance is no matrix of {free} rows and columns, one for each name in free"
+    if set(data.get("tied", {})) != set(data.get("ties", {})):
+        return "tied and ties do not name the same parameters"
+    for place, unit in _list_units(data):
+        try:
+            parse_unit(unit)
+        except ModelError as error:
+            return f"{place}: {error}"
     for key in ("traces", "validation_traces"):
         for k, trace in enumerate(data[key]):
             for group in ("measured", "simulated", "inputs"):
@@ -244,7 +254,21 @@ def _find_contradiction(data: Mapping[str, Any]) -> str:
                     if len(values) != len(trace["time"]):
                         rows = f"{len(values)} rows, its time {len(trace['time'])}"
                         return f"{key}[{k}].{group}.{shorten(name)} has {rows}"
+            signals = (
+                {name: _array(values) for name, values in trace.get(g, {}).items()} for g in ("inputs", "measured")
+            )
+            problems = find_array_problems(_array(trace["time"]), *signals, RowLabels())
+            if problems:
+                return f"{key}[{k}]: {problems[0]}"
     return ""
+
+
+def _list_units(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Place and text of every unit."""
+    groups = {key: data.get(key, {}) for key in ("parameters", "tied", "misfit", "validation", "prediction")}
+    for key, group in (groups | {f"own.{name}": group for name, group in data.get("own", {}).items()}).items():
+        yield from ((f"{key}.{shorten(name)}", each["unit"]) for name, each in group.items())
+    yield from ((f"noise_units.{shorten(name)}", unit) for name, unit in data.get("noise_units", {}).items())
 
 
 def _restore_fit(data: Mapping[str, Any], model: Model) -> Fit:
@@ -324,7 +348,14 @@ def _findings(data: Sequence[Mapping[str, Any]]) -> tuple[Finding, ...]:
 
 
 def _finding(data: Mapping[str, Any]) -> Finding:
-    return Finding(data["code"], Severity(data["severity"]), data["subject"], data["values"])
+    """A finding; one that this version has no sentence for is named by its code."""
+    finding = Finding(data["code"], Severity(data["severity"]), data["subject"], data["values"])
+    try:
+        str(finding)
+    except Exception:  # templates take figures as they need them: a missing or foreign one fails in many ways
+        code = shorten(data["code"])
+        return Finding(ResultCode.FOREIGN_FINDING, finding.severity, shorten(data["subject"]), {"code": code})
+    return finding
 
 
 def _prior_data(check: PriorCheck) -> dict[str, float | None]:

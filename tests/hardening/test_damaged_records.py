@@ -261,6 +261,12 @@ def test_numbers_whose_squares_overflow_are_refused(tmp_path, value, column):
     refused(path, mentions="at line 7; the squares of such numbers overflow")
 
 
+def test_numbers_whose_squares_vanish_are_refused(tmp_path):
+    rows = "\n".join(f"{t},{u},{1e-200 * x}" for t, u, x in zip(TIME, DRIVE, ANSWER, strict=True))
+    (tmp_path / "run.csv").write_text(f"time,u,x\n{rows}")
+    refused(tmp_path / "run.csv", mentions="output 'x' never exceeds 1e-206")
+
+
 def test_numbers_that_overflow_in_the_units_of_the_model_are_refused(tmp_path):
     path = tmp_path / "run.csv"
     path.write_text(

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from greybox import Experiment, FitOptions, fit
+from greybox.findings import Finding, Severity
 from greybox.noise import NoiseSource
 from greybox.rendering.tables import format_with_std, make_formatter
 from greybox.result import FitNoise
+from greybox.result.findings import ResultCode
 from greybox.signals import multisine
 from greybox.simulation import simulate
 from models.silverbox import silverbox
@@ -74,3 +76,8 @@ def test_both_ends_of_a_printed_interval_differ_from_the_value_and_units_are_tid
 )
 def test_the_noise_of_a_fit_says_where_it_is_known_from(noise, text):
     assert str(noise) == text
+
+
+def test_a_finding_of_another_version_is_named_by_its_code():
+    finding = Finding(ResultCode.FOREIGN_FINDING, Severity.WARNING, "x", {"code": "sensor_upside_down"})
+    assert str(finding) == "x: the file holds a finding that this version has no sentence for (sensor_upside_down)"

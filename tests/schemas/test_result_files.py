@@ -118,8 +118,11 @@ def test_keys_of_a_later_version_are_passed_over(changed, saved):
         data["colour"] = "green"
         for group in (*data["parameters"].values(), *data["misfit"].values(), *data["traces"]):
             group["more"] = [1, 2]
+        data["findings"] = [{"code": "sensor_upside_down", "severity": "warning", "subject": "y", "values": {}}]
 
-    assert changed(later).parameters == load_fit(saved, silverbox).parameters
+    fit = changed(later)
+    assert fit.parameters == load_fit(saved, silverbox).parameters
+    assert "(sensor_upside_down)" in fit.notes[0]
 
 
 def test_a_later_format_is_named(changed):
@@ -150,6 +153,9 @@ OFFENCES = [
     (lambda d: d["covariance"].pop(), "covariance is no matrix of"),
     (lambda d: d["covariance"][0].pop(), "covariance is no matrix of"),
     (lambda d: d["traces"][0]["simulated"]["y"].pop(), r"traces\[0\]\.simulated\.y has 599 rows, its time 600"),
+    (lambda d: d["misfit"]["y"].update(unit="V!"), r"misfit\.y: unit 'V!' cannot be read"),
+    (lambda d: d.update(ties={"K": "B"}), "tied and ties do not name the same parameters"),
+    (lambda d: d["traces"][0]["time"].__setitem__(3, 0.0), r"traces\[0\]: time goes back at row 4"),
     (lambda d: d["parameters"].update(extra=next(iter(d["parameters"].values()))), "extra"),
 ]
 

@@ -1,0 +1,178 @@
+"""Mutated results, journals and studies: a right answer or one sentence, never a traceback.
+
+Slow; ``RELIABILITY_SIZE=10`` makes ten times as many trials, ``RELIABILITY_WRITE=1`` writes the figures to ``docs/reliability.md``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import traceback
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.cli.study_file import read_study
+from greybox.discovery.execution import RefitJournal, RefitOutcome
+from greybox.errors import GreyboxError
+from greybox.model import Model
+from greybox.result import load_fit
+from models.micro_actuator import micro_actuator
+from models.silverbox import silverbox
+from tests.hardening.mutations import mutate_bytes, mutate_json, places_of
+from tests.oracles.independent import linear_record, multisine
+from tests.support.child import run_in_child
+from tests.support.reliability import note_row, size_of
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(7200),
+    pytest.mark.skipif(sys.platform == "win32", reason="processes that fork"),
+]
+
+STUDY = """
+model = "micro_actuator"
+effects = ["coulomb_friction"]
+
+[records]
+estimation = ["train.csv"]
+validation = ["test.csv"]
+skip = 3
+hold = "first"
+columns = ["time", "u", "-", "x"]
+sampling_time = 0.01
+
+[fixed]
+M = 0.01
+Ra = "as declared"
+
+[start]
+K = 7000.0
+
+[priors]
+B = { mean = 0.3, std = 0.01 }
+
+[ties]
+Kv = "Kf"
+
+[noise]
+x = 2e-7
+
+[fit]
+profile = ["K"]
+bootstrap = 100
+"""
+
+
+def make_fits(folder: Path) -> dict[Path, Model]:
+    """Saved fits of several kinds, with the model each was made with."""
+    period = 1.6384e-3
+    record = linear_record(silverbox, multisine(np.random.default_rng(1), 120, period, 5, 200, 0.1), period)
+    start = silverbox.start(**{q.name: 1.2 * silverbox.values[q.name] for q in silverbox.free_parameters})
+    rest = gb.FitOptions(at_rest=True)
+    fits = {"plain": gb.fit(start, record, noise={"y": 1e-4}, validation=record)}
+    drive = multisine(np.random.default_rng(2), 200, 2.5e-4, 5, 800, 3.0)
+    records = [linear_record(micro_actuator, scale * drive, 2.5e-4) for scale in (1.0, 0.6)]
+    known = micro_actuator.fix("M", "Ra").tie(Kv="Kf").prior(K=(5900.0, 50.0))
+    fits["tied"] = gb.fit(known, records, noise={"x": 2e-7, "i": 5e-3}, options=rest)
+    fits["robust"] = gb.fit(known, records, options=gb.FitOptions(at_rest=True, loss="huber", per_experiment=("B",)))
+    fits["starts"] = gb.multistart(start, record, starts=3, workers=1).best
+    fits["noisy"] = gb.fit(start.with_process_noise("v"), record)
+    models = {"plain": silverbox, "starts": silverbox, "noisy": silverbox}
+    return {fit.save(folder / f"{name}.json"): models.get(name, micro_actuator) for name, fit in fits.items()}
+
+
+def use_fit(path: Path, model: Model) -> None:
+    """What people do with a saved fit."""
+    fit = load_fit(path, model)
+    str(fit), fit.notes, fit.noise.source, repr(fit.provenance)
+    assert all(trace.experiment.rows > 1 for trace in fit.traces)
+    gb.export.to_python(fit, path.with_suffix(".py"))
+    fit.save(path.with_name("again.json"))
+
+
+def use_journal(path: Path, _: object) -> None:
+    journal = RefitJournal(path)
+    journal.add("new", None)
+    list(map(str, journal.findings))
+    assert "new" in RefitJournal(path).known
+
+
+def judge(use: Callable[[Path, object], None], path: Path, value: object) -> str:
+    """ "used", "refused", or what is wrong."""
+    try:
+        use(path, value)
+    except GreyboxError as error:
+        return "refused" if path.name in str(error) and len(str(error)) < 3000 else f"poor sentence: {str(error)[:200]}"
+    except BaseException as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        return f"{type(error).__name__} in {Path(place.filename).name}:{place.lineno}: {str(error)[:100]}"
+    return "used"
+
+
+def damage_and_use(
+    path: Path, value: object, use: Callable[[Path, object], None], lines: bool, times: int, seed: int
+) -> Mapping[str, int]:
+    rng, outcomes, content = np.random.default_rng(seed), Counter[str](), path.read_bytes()
+    target = path.parent / "damaged" / path.name
+    documents = (
+        [json.loads(line) for line in (content.splitlines() if lines else [content])] if path.suffix != ".toml" else []
+    )
+    places = [list(places_of(document)) for document in documents]
+    for _ in range(times):
+        if documents and rng.random() < 0.7:
+            k = int(rng.integers(len(documents)))
+            damaged = [*documents]
+            damaged[k] = mutate_json(documents[k], places[k], rng)
+            text = "\n".join(map(json.dumps, damaged)).encode()
+        else:
+            text = mutate_bytes(content, rng)
+        target.write_bytes(text)
+        outcomes[judge(use, target, value)] += 1
+    return outcomes
+
+
+def attack(
+    files: Mapping[Path, tuple[object, Callable[[Path, object], None], bool]], each: int
+) -> tuple[Counter[str], Counter[str]]:
+    """Outcomes of all files, and what went wrong with which."""
+    outcomes, wrong = Counter[str](), Counter[str]()
+    for number, (path, (value, use, lines)) in enumerate(files.items()):
+        (path.parent / "damaged").mkdir(exist_ok=True)
+
+        def work(path=path, value=value, use=use, lines=lines, number=number):
+            return damage_and_use(path, value, use, lines, each, number)
+
+        result = run_in_child(work)
+        if isinstance(result, int):
+            wrong[f"{path.name}: the process ended by signal {result}"] += 1
+            continue
+        for outcome, count in result.items():
+            outcomes[outcome] += count
+            if outcome not in ("used", "refused"):
+                wrong[f"{path.name}: {outcome}"] += count
+    return outcomes, wrong
+
+
+def test_mutated_results_journals_and_studies(tmp_path):
+    files: dict[Path, tuple[object, Callable, bool]] = {}
+    for path, model in make_fits(tmp_path).items():
+        load_fit(path, model)
+        files[path] = (model, use_fit, False)
+    journal = RefitJournal(tmp_path / "journal.jsonl")
+    for k in range(12):
+        outcome = RefitOutcome({"M": 0.01 + k, "K": 5000.0}, ((0.0, 1e-6), (1.0, 2.0)), k % 3)
+        journal.add(f"k{k}", outcome if k % 4 else None)
+    files[journal.path] = (None, use_journal, True)
+    (tmp_path / "study.toml").write_text(STUDY)
+    files[tmp_path / "study.toml"] = (None, lambda path, _: read_study(path, "fit"), False)
+    read_study(tmp_path / "study.toml", "fit")
+    each = size_of(715)
+    outcomes, wrong = attack(files, each)
+    figures = f"of {len(files)} files; {outcomes['used']} used, {outcomes['refused']} refused"
+    note_row("mutated results, journals and studies", each * len(files), sum(wrong.values()), figures)
+    assert not wrong, "\n".join(f"{count} x {what}" for what, count in wrong.most_common(60))
