@@ -7,13 +7,17 @@ the lanes run in the vector units while the scalar recursion waits for itself.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import casadi as ca
 
 from greybox.expressions.c import c_instruction, c_literal, c_type
-from greybox.expressions.operations import operation_name
+from greybox.expressions.operations import OPERATIONS, operation_name
+from greybox.kernel.policy import CODE_POLICY
 from greybox.kernel.tape import Node, Tangent, Tape, UnsupportedOperationError
+
+CALL = re.compile(r"\b(?!sqrt|fabs|floor|ceil|copysign)[a-z]\w*\(")
 
 
 class CRoutine:
@@ -74,8 +78,7 @@ class CRoutine:
 
     def _statements(self, varying: bool) -> list[str]:
         lines = []
-        # Tangents after all values: nothing waits for them, and no call of a function then comes between their registers.
-        for kind, k in sorted(self.tape.order, key=lambda instruction: instruction[0] != "node"):
+        for kind, k in self._order():
             if kind == "node":
                 node = self.tape.nodes[k]
                 if node.op not in (ca.OP_CONST, ca.OP_INPUT) and node.varying == varying:
@@ -87,6 +90,18 @@ class CRoutine:
                     f"    {target}{k}_{b} = {self._tangent(self.tape.tangents[k], b)};" for b in range(self.blocks)
                 ]
         return lines
+
+    def _order(self) -> list[tuple[str, int]]:
+        """The instructions as they run; tangents after all values where calls of functions would come between their registers."""
+        values = [(kind, k) for kind, k in self.tape.order if kind == "node"]
+        if len(values) > CODE_POLICY.most_values_ahead or not any(self._is_call(self.tape.nodes[k]) for _, k in values):
+            return self.tape.order
+        return [*values, *((kind, k) for kind, k in self.tape.order if kind != "node")]
+
+    @staticmethod
+    def _is_call(node: Node) -> bool:
+        """Whether an operation calls a function; square roots, signs and rounding are instructions of the processor."""
+        return node.op in OPERATIONS and bool(CALL.search(OPERATIONS[node.op].c))
 
     @staticmethod
     def _type(node: Node) -> str:

