@@ -188,3 +188,15 @@ GENERATED: dict[str, Callable[[], str]] = {
     "result files": result_files,
     "modules": modules,
 }
+
+
+def rewrite_catalogue() -> None:
+    """Write docs/catalogue.md anew from the catalogue: ``python docs/hooks.py``."""
+    from greybox.effects import CATALOGUE
+    from greybox.rendering.effects import write_catalogue_page
+
+    (FOLDER / "catalogue.md").write_text(write_catalogue_page(CATALOGUE), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    rewrite_catalogue()

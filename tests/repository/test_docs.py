@@ -96,7 +96,7 @@ def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
         assert f"## greybox {command.callback.__name__}\n" in text
     assert "--json" in text and "\x1b" not in text
     page = write_catalogue_page(greybox.effects.CATALOGUE)
-    assert (DOCS / "catalogue.md").read_text(encoding="utf-8") == page, "run python -m greybox.rendering.effects"
+    assert (DOCS / "catalogue.md").read_text(encoding="utf-8") == page, "run python docs/hooks.py"
 
 
 def test_every_package_has_its_table_of_modules(hooks) -> None:
