@@ -274,5 +274,5 @@ def _brackets(inside: Sequence[str]) -> str:
 
 
 def _string(text: str) -> str:
-    """Text inside a Modelica string."""
-    return to_line(text).replace("\\", "\\\\").replace('"', "'")
+    """Text inside a Modelica string, without backslashes: not every reader takes them as the standard has it."""
+    return to_line(text).replace("\\", "/").replace('"', "'")

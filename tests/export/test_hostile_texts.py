@@ -80,7 +80,7 @@ def test_modelica_has_the_same_lines(plain, tmp_path, text):
     assert without[0] == without[1]
 
 
-@pytest.mark.parametrize("text", [*CODE[:2], *CODE[4:9]])
+@pytest.mark.parametrize("text", [*CODE[:2], *CODE[4:9], CODE[10]])
 def test_modelica_is_read_by_another_program(plain, tmp_path, text):
     parser = pytest.importorskip("pymoca.parser", reason="pymoca is not installed")
     tree = parser.parse(gb.export.to_modelica(carry(plain, text), tmp_path / "plant.mo").read_text(encoding="utf-8"))
