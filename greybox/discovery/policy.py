@@ -134,6 +134,8 @@ class RefinementPolicy:
     """Candidates that are refitted for each step."""
     refit_starts: int = 2
     """Starting points of each of these refits."""
+    replacements: int = 3
+    """Effects that are refitted in the place of each effect of the model, where none is to be added."""
 
 
 @dataclass(frozen=True)

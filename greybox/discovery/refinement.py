@@ -50,12 +50,15 @@ class RefinementStep(Printable, ReadOnly):
         Share of the rms misfit that it removes on the estimation and on the validation records.
     alike
         What does nearly as well in its place, with the share that it removes on the validation records.
+    replaced
+        The effect whose place it takes; empty for one that is added.
     """
 
     name: str
     estimation_share: float
     validation_share: float
     alike: Mapping[str, float]
+    replaced: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +152,8 @@ def refine_candidate(
 ) -> RefinedCandidate:
     """Further effects for ``start``, one at a time, as long as they remove a share of what is left on the validation records.
 
+    Where none does, an effect may still be replaced by a better one: what was chosen first was chosen beside a larger misfit.
+
     Parameters
     ----------
     scores
@@ -173,11 +178,23 @@ def refine_candidate(
     steps: list[RefinementStep] = []
     checks: list[Check] = []
     while len(steps) < policy.refinement.most_effects:
+        replaced = ""
         extensions = [
             extension
             for candidate in _extend_each(problem, selected, candidates, scales, policy)
             if (extension := _judge_extension(scores, selected, candidate, misfit, policy, checks))
         ]
+        for name in selected.effects if not extensions else ():
+            replaced, extensions = (
+                name,
+                [
+                    extension
+                    for candidate in _replace_each(problem, selected, name, candidates, scales, policy)
+                    if (extension := _judge_extension(scores, selected, candidate, misfit, policy, checks))
+                ],
+            )
+            if extensions:
+                break
         if not extensions:
             break
         alike = 1 + policy.refinement.alike_share
@@ -190,7 +207,7 @@ def refine_candidate(
             if e.validation_misfit <= alike * best.validation_misfit
         }
         share = 1 - best.validation_misfit / misfit
-        steps.append(RefinementStep(best.name, best.estimation_share, share, also))
+        steps.append(RefinementStep(best.name, best.estimation_share, share, also, replaced))
         if on_message:
             on_message(str(steps[-1]))
         selected, misfit = best.candidate, best.validation_misfit
@@ -249,6 +266,34 @@ def _extend_each(
     attempt = problem.failures.attempt
     extended = [attempt(SearchStage.REFINEMENT, (*selected.effects, n), job, None) for n, job in jobs.items()]
     return [candidate for candidate in extended if candidate is not None]
+
+
+def _replace_each(
+    problem: DiscoveryProblem,
+    selected: CandidateFit,
+    name: str,
+    candidates: Sequence[Effect],
+    scales: Scales,
+    policy: DiscoveryPolicy,
+) -> list[CandidateFit]:
+    """``selected`` with one of its effects replaced by each of those whose predicted cost is lowest."""
+    model = selected.model.without(name)
+    values = {n: value for n, value in selected.model.values.items() if n in model.values}
+    rest = problem.failures.attempt(
+        SearchStage.REFINEMENT,
+        tuple(e.name for e in model.effects),
+        partial(problem.refit_best, model, [values], 1, like=selected),
+        None,
+    )
+    if rest is None:
+        return []
+    others = [e for e in candidates if e.name != name]
+    limits = replace(policy.refinement, promising_candidates=policy.refinement.replacements)
+    return [
+        fit
+        for fit in _extend_each(problem, rest, others, scales, replace(policy, refinement=limits))
+        if set(fit.effects) != set(selected.effects)
+    ]
 
 
 def _without_shape_corrections(model: Model) -> Model:

@@ -257,7 +257,13 @@ def _refinement(refinement: Refinement | None) -> dict[str, Any] | None:
     fit = refinement.fit
     return {
         "steps": [
-            {"name": s.name, "fitted": s.estimation_share, "held_out": s.validation_share, "alike": s.alike}
+            {
+                "name": s.name,
+                "fitted": s.estimation_share,
+                "held_out": s.validation_share,
+                "alike": s.alike,
+                "replaced": s.replaced,
+            }
             for s in refinement.steps
         ],
         "checks": refinement.checks,

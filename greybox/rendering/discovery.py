@@ -202,8 +202,9 @@ def _effect_test(test: EffectTest) -> str:
 @renders("RefinementStep")
 def _refinement_step(step: RefinementStep) -> str:
     alike = ", ".join(f"{name} {100 * share:.0f} %" for name, share in step.alike.items())
+    replaces = f", in the place of {step.replaced}," if step.replaced else ""
     return (
-        f"{step.name} removes {100 * step.estimation_share:.0f} % of the misfit, and"
+        f"{step.name}{replaces} removes {100 * step.estimation_share:.0f} % of the misfit, and"
         f" {100 * step.validation_share:.0f} % on the validation records"
         + (f" (nearly as good: {alike})" if alike else "")
     )

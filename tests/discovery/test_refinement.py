@@ -70,7 +70,7 @@ def test_what_is_left_is_searched_for_further_effects_without_being_asked(tmp_pa
     assert step["name"] == "quadratic_stiffness"
     assert step["fitted"] > 0.9
     assert answer["gap"]["y"]["after"] == answer["further"]["validation"]["y"]["rmse"]
-    assert set(step) == {"name", "fitted", "held_out", "alike"}
+    assert set(step) == {"name", "fitted", "held_out", "alike", "replaced"}
     assert answer["further"]["validation"]["y"]["rmse"] < 1.2 * NOISE
     # The extended model that was written has both.
     assert find_model("out/model.py").values["K2"] == pytest.approx(-4e3, rel=0.02)

@@ -405,3 +405,7 @@ def test_errors_and_steps_fit_on_a_line():
     assert str(step) == (
         "backlash removes 21 % of the misfit, and 18 % on the validation records (nearly as good: constant_load 17 %)"
     )
+    swap = RefinementStep("backlash", 0.21, 0.18, {}, "constant_load")
+    assert str(swap) == (
+        "backlash, in the place of constant_load, removes 21 % of the misfit, and 18 % on the validation records"
+    )
