@@ -514,8 +514,9 @@ def _propose_for_unknown(
     policy = judged.selection.policy
     limit = policy.selection.holdout_share
     surrogate_fails = surrogate is None or surrogate.explained_fraction < limit
-    is_near = judged.explained_fraction >= limit and surrogate_fails
-    look_alike = _name(judged.selected) if is_near else ""
+    share = judged.holdout[worst_output(judged.holdout)].share
+    is_near = share >= policy.selection.partial_share and surrogate_fails
+    look_alike = " + ".join(_physical_effects(judged.best)) if is_near else ""
     return propose_next_steps(judged.base, location, surrogate, judged.scores.validation.records, policy, look_alike)
 
 
@@ -530,7 +531,7 @@ def _summarise(
     """The conclusion as findings: the effects and how certain they are, the error they take, and what is left."""
     if decided.verdict is Verdict.COMPLETE:
         return (Finding(DiscoveryCode.NOTHING_MISSING),)
-    effects = [e.name for e in judged.best.model.effects if not is_shape_correction(e.name)]
+    effects = _physical_effects(judged.best)
     name, output = " + ".join(effects), worst_output(judged.holdout)
     error = judged.holdout[output]
     grades = {e.effect: e.grade for e in evidence}
@@ -597,6 +598,11 @@ def _missing_signal(judged: JudgedSelection, location: ResidualLocalisation, sur
         values["variable"] = location.dependences[0].variable
         values["dependence"] = location.dependences[0].to_values()
     return Finding(DiscoveryCode.MISSING_SIGNAL, subject=", ".join(location.likeliest), values=values)
+
+
+def _physical_effects(fit: Fit) -> list[str]:
+    """The effects of a fit that have a name, without curves that correct them."""
+    return [e.name for e in fit.model.effects if not is_shape_correction(e.name)]
 
 
 def _name(candidate: CandidateFit) -> str:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.discovery.candidates import list_candidates
-from greybox.discovery.decision import criterion_gain, make_check
+from greybox.discovery.decision import make_check
 from greybox.discovery.execution import RefitExecutor, RefitJournal
 from greybox.discovery.failures import SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
@@ -224,7 +224,7 @@ def _judge_extension(
 ) -> _Extension | None:
     """The larger model with its errors; None where the records do not demand it. Every check is added to ``checks``."""
     name = next(n for n in larger.effects if n not in smaller.effects)
-    gain, least_gain = criterion_gain(smaller, larger), policy.selection.criterion_gain
+    gain, least_gain = _criterion_gain(smaller, larger), policy.selection.criterion_gain
     share = 1 - (larger.cost / smaller.cost) ** 0.5
     gains = make_check(DiscoveryRule.CRITERION_GAIN, gain, least_gain, gain > least_gain, name)
     fits = Check.at_least(DiscoveryRule.ESTIMATION_DECREASE, share, policy.refinement.estimation_share, name)
@@ -237,6 +237,12 @@ def _judge_extension(
     )
     checks.append(predicts)
     return _Extension(larger, name, after, share) if predicts else None
+
+
+def _criterion_gain(smaller: CandidateFit, larger: CandidateFit) -> float:
+    """Decrease of Schwarz's criterion with a noise level that is not known, and falls with each effect: ``N ln(cost)``."""
+    paid = (larger.free - smaller.free) * float(np.log(larger.count))
+    return larger.count * float(np.log(max(smaller.cost, TINY) / max(larger.cost, TINY))) - paid
 
 
 def _extend_each(
