@@ -154,4 +154,5 @@ def _try(model: Model, entry: Effect, site: str) -> Placement:
 
 def _measured_at(entry: Effect, site: str) -> Effect:
     hooks = {name: getattr(entry, name) for name in ("probe", "grid", "limits", "from_parent")}
-    return replace(entry, **{name: _AtSite(function, site) for name, function in hooks.items() if function})
+    measured: dict[str, Any] = {name: _AtSite(function, site) for name, function in hooks.items() if function}
+    return replace(entry, **measured)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import casadi as ca
 
@@ -25,7 +25,7 @@ def _angle_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balan
     return [Balance("angle", "rad/s", 1, "a", speed=x.velocity)]
 
 
-def _both_amplitudes(sine: str, cosine: str):
+def _both_amplitudes(sine: str, cosine: str) -> Callable[[Scales], Mapping[str, float]]:
     """A probe that shows an amplitude of either phase."""
 
     def probe(s: Scales) -> Mapping[str, float]:

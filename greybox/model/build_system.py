@@ -181,7 +181,7 @@ class _Equations:
         model_names = placed.model_names
         for balance in effect.balances(*names) if effect.balances else ():
             name = f"{effect.name}.{balance.name}"
-            words = self.units | _unit_words(placed.place.units)
+            words = {**self.units, **_unit_words(placed.place.units)}
             unit = _fill_unit(balance.unit, words, effect, self.statement.name)
             state_name = model_names.get(balance.state, balance.state)
             self.balances[name] = Balance(name, unit, balance.storage, state_name, **balance.terms)

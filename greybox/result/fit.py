@@ -254,10 +254,11 @@ def _find_contradiction(data: Mapping[str, Any]) -> str:
                     if len(values) != len(trace["time"]):
                         rows = f"{len(values)} rows, its time {len(trace['time'])}"
                         return f"{key}[{k}].{group}.{shorten(name)} has {rows}"
-            signals = (
-                {name: _array(values) for name, values in trace.get(g, {}).items()} for g in ("inputs", "measured")
+            inputs, outputs = (
+                {name: _array(values) for name, values in trace.get(group, {}).items()}
+                for group in ("inputs", "measured")
             )
-            problems = find_array_problems(_array(trace["time"]), *signals, RowLabels())
+            problems = find_array_problems(_array(trace["time"]), inputs, outputs, RowLabels())
             if problems:
                 return f"{key}[{k}]: {problems[0]}"
     return ""
