@@ -34,7 +34,7 @@ from greybox.experiment import Experiment
 from greybox.experiment.time_gaps import refuse_long_time_gaps
 from greybox.model import Model
 from greybox.model.equations import equations_text
-from greybox.noise import NoiseModel
+from greybox.noise import NoiseModel, NoiseSource
 from greybox.result import (
     Fit,
     FitConstraints,
@@ -208,6 +208,8 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
             {o.name: o.unit for o in estimated_noise},
             {
                 o.name: replace(bound, level=float(problem.noise.std[j]))
+                if bound.source is NoiseSource.RESIDUAL
+                else bound
                 for j, o in measured
                 if not prediction and (bound := problem.noise.bound(o.name)) is not None
             },

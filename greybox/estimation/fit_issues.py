@@ -20,7 +20,7 @@ from greybox.experiment import Experiment, collect_record_findings
 from greybox.experiment.findings import is_sensor_fault
 from greybox.findings import Finding, Severity
 from greybox.model import Model
-from greybox.noise import BoundDirection, NoiseSource
+from greybox.noise import BoundDirection
 from greybox.result import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.transcription import DecisionVector
 from greybox.transcription.problem import EstimationProblem
@@ -46,12 +46,10 @@ def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
     if isinstance(optimum, PredictionOptimum):
         values = {"one_step": ratios[worst], "free_run": misfit[worst].noise_ratio}
         return (Finding(EstimationCode.PREDICTION_RATIO, Severity.NOTE, worst, values),)
-    bound = optimum.problem.noise.bound(worst)
-    values = {
-        "ratio": ratios[worst],
-        "without_outliers": bool(optimum.problem.loss),
-        "noise_at_most": bound is not None and bound.direction is BoundDirection.AT_MOST,
-    }
+    values: dict[str, Any] = {"ratio": ratios[worst], "without_outliers": bool(optimum.problem.loss)}
+    noise, bound = optimum.problem.noise, optimum.problem.noise.bound(worst)
+    if bound is not None and bound.direction is BoundDirection.AT_MOST:
+        values["least_ratio"] = ratios[worst] / noise.ceiling_ratio(worst)
     return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values),)
 
 
@@ -228,11 +226,7 @@ def _find_excess_misfit(
     louder = {n: ratio for n, ratio in ratios.items() if ratio > policy.excess.noise_ratio}
     if not louder:
         return []
-    sources = problem.noise.sources
-    uncertain = all(
-        sources.get(n) is NoiseSource.DIFFERENCES and ratio < policy.excess.difference_noise_ratio
-        for n, ratio in louder.items()
-    )
+    uncertain = all(ratio <= policy.excess.certain_ratio(problem.noise, n) for n, ratio in louder.items())
     code = EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE if uncertain else EstimationCode.MISFIT_ABOVE_NOISE
     return [Finding(code, Severity.WARNING, "", {"ratios": louder})]
 

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from greybox.estimation.policy import ConstancyPolicy, EstimationPolicy
 from greybox.estimation.sandwich import ResidualColour, sum_scores
 from greybox.linear_algebra import decompose_symmetric
-from greybox.noise import AutoRegression, NoiseModel, NoiseSource
+from greybox.noise import AutoRegression, NoiseModel
 from greybox.transcription import DecisionVector
 from greybox.transcription.decision_vector import SHARED
 from greybox.transcription.solution import Runs
@@ -169,8 +169,7 @@ def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel, policy: 
     ratio = np.sqrt(np.nansum(residual**2, axis=0) / np.maximum(counts, 1))
     models, variance = list(colour.models), [max(v, policy.constancy.least_noise_ratio**2) for v in colour.variance]
     for j, name in enumerate(noise.outputs):
-        by_differences = noise.sources.get(name) is NoiseSource.DIFFERENCES
-        if ratio[j] > (policy.excess.difference_noise_ratio if by_differences else policy.excess.noise_ratio):
+        if ratio[j] > policy.excess.certain_ratio(noise, name):
             models[j], variance[j] = AutoRegression(), 1.0
     return replace(colour, models=tuple(models), variance=tuple(variance))
 

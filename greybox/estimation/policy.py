@@ -14,6 +14,7 @@ from typing import Any
 
 from scipy.special import chdtri
 
+from greybox.noise import NoiseModel, NoiseSource
 from greybox.optim import GaussNewtonPolicy, TerminationPolicy
 from greybox.transcription.policy import SolverPolicy
 
@@ -78,6 +79,12 @@ class ExcessPolicy:
 
     difference_noise_ratio: float = 10.0
     """For noise told by differences of the records alone, which may be coloured and that much too small."""
+
+    def certain_ratio(self, noise: NoiseModel, output: str) -> float:
+        """Misfit over the noise that is weighed with from which a residual is certainly more than noise."""
+        if noise.sources.get(output) is NoiseSource.DIFFERENCES:
+            return self.difference_noise_ratio
+        return self.noise_ratio * noise.ceiling_ratio(output)
 
 
 @dataclass(frozen=True)

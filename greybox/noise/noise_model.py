@@ -113,8 +113,8 @@ class NoiseModel(Printable):
     outputs
         Names of the model's outputs, in their order (ny).
     std : array (ny,)
-        Standard deviations in the model's units: what a fit weighs its outputs with. Of an output with too few samples for any source
-        it is the spread of the measurement, until there is a fit with a residual.
+        Standard deviations in the model's units: what a fit weighs its outputs with. Where only a ceiling is known they may lie below
+        it. Of an output with too few samples for any source it is the spread of the measurement, until there is a fit with a residual.
     sources
         Where each is known from, by name of the measured outputs. An output that reads the same in every row has none.
     colour
@@ -149,3 +149,10 @@ class NoiseModel(Printable):
         """Whether the level of every output with a source is known, and not bounded only."""
         bounds = [self.bound(name) for name in self.sources]
         return all(b is not None and b.direction is BoundDirection.ABOUT for b in bounds)
+
+    def ceiling_ratio(self, output: str) -> float:
+        """How many times the standard deviation that is weighed with the noise may be: 1 where its level is known."""
+        bound = self.bound(output)
+        if bound is None or bound.direction is not BoundDirection.AT_MOST:
+            return 1.0
+        return max(bound.level / float(self.std[self.outputs.index(output)]), 1.0)

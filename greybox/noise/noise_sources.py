@@ -33,6 +33,8 @@ class _Level:
     colour: AutoRegression = WHITE
     direction: BoundDirection | None = None
     samples: float = np.inf
+    weight: float = np.inf
+    """Standard deviation to weigh with, where the level is only a ceiling and the noise most likely smaller."""
 
     def to_bound(self, period: float) -> NoiseBound:
         """What it says, with samples ``period`` apart in s."""
@@ -95,7 +97,7 @@ def estimate_noise(
         columns = [e.outputs[output.name] for e in experiments if output.name in e.outputs]
         if any(np.isfinite(c).any() for c in columns):
             level = _estimate_level(model, experiments, quiet_records, output.name, given, robust, alike, policy)
-            std[j], colour[j] = level.std, level.colour
+            std[j], colour[j] = min(level.std, level.weight), level.colour
             levels[output.name] = level
     for name in _find_silent_outputs(levels, experiments):
         del levels[name]
@@ -136,13 +138,41 @@ def _estimate_level(
     rounding = estimate_resolution(columns, policy) / np.sqrt(12)
     level = (
         _repeated_level(experiments, name, inputs, robust, alike, policy)
-        or _flat_level(measured, name, inputs, robust, policy)
-        or _moving_level(measured, name, inputs, robust, policy)
+        or _level_of_records(measured, name, inputs, robust, policy)
         or _Level(movement, NoiseSource.RESIDUAL)
     )
-    if max(level.std, rounding) < policy.min_relative_level * movement:
-        return replace(level, std=policy.min_relative_level * movement, direction=BoundDirection.AT_MOST)
-    return replace(level, std=max(level.std, rounding))
+    least = policy.min_relative_level * movement
+    if max(level.std, rounding) < least:
+        return replace(level, std=least, direction=BoundDirection.AT_MOST)
+    return replace(level, std=max(level.std, rounding), weight=max(level.weight, rounding, least))
+
+
+def _level_of_records(
+    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, policy: NoisePolicy
+) -> _Level | None:
+    """The noise from flat pieces or from the plant in motion; of two ceilings the lower one.
+
+    A fit weighs with what differences show where that is less than the ceiling: of white noise on a slow signal they show it closely.
+    """
+    flat = _flat_level(experiments, name, inputs, robust, policy)
+    moving = _moving_level(experiments, name, inputs, robust, policy)
+    levels = [level for level in (flat, moving) if level is not None]
+    if not levels:
+        return None
+    ceiling = min(level.std for level in levels)
+    about = [
+        level
+        for level in levels
+        if level.direction is BoundDirection.ABOUT and level.std <= policy.about_ratio * ceiling
+    ]
+    if about:
+        return about[0]
+    lowest = min(levels, key=lambda level: level.std)
+    # The signal jumps across a gap in time: no difference may reach over it.
+    columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
+    differences = estimate_noise_of_records(columns, robust=robust, policy=policy)
+    at_most = replace(lowest, direction=BoundDirection.AT_MOST, colour=WHITE)
+    return replace(at_most, weight=differences) if np.isfinite(differences) else at_most
 
 
 def _repeated_level(

@@ -87,8 +87,9 @@ def write_direction(direction: dict[str, float]) -> str:
 
 def _write_misfit_ratio(finding: Finding) -> str:
     outliers = ", outliers excluded" if finding.values["without_outliers"] else ""
-    at_least = "at least " if finding.values.get("noise_at_most") else ""
-    return f"misfit {at_least}{finding.values['ratio']:.3g} times the noise in {finding.subject}{outliers}"
+    ratio, least = finding.values["ratio"], finding.values.get("least_ratio")
+    size = f"{ratio:.3g}" if least is None else f"at least {least:.3g}"
+    return f"misfit {size} times the noise in {finding.subject}{outliers}"
 
 
 def _write_term_not_finite(finding: Finding) -> str:

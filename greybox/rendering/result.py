@@ -105,11 +105,13 @@ def to_constant_cells(name: str, e: Estimate) -> list[str]:
 
 def to_misfit_cells(m: Misfit, bound: NoiseBound | None = None) -> list[str]:
     """rmse, best fit and rmse over noise, as tables show them; over noise that is only bounded it is at least that."""
-    at_least = "at least " if bound is not None and bound.direction is BoundDirection.AT_MOST else ""
+    ratio = f"{format_number(m.noise_ratio, 4)} x noise"
+    if bound is not None and bound.direction is BoundDirection.AT_MOST and bound.level > 0:
+        ratio = f"at least {format_number(m.rmse / bound.level, 4)} x noise"
     return [
         f"{format_number(m.rmse, 4)} {format_unit(m.unit)}".rstrip(),
         f"{m.best_fit_percent:.2f} %",
-        f"{at_least}{format_number(m.noise_ratio, 4)} x noise",
+        ratio,
     ]
 
 

@@ -28,7 +28,7 @@ GOLDEN = [
     (
         "misfit_ratio",
         "x",
-        {"ratio": 1.2, "without_outliers": False, "noise_at_most": True},
+        {"ratio": 1.3, "without_outliers": False, "least_ratio": 1.2},
         "misfit at least 1.2 times the noise in x",
     ),
     (
