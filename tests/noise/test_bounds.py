@@ -110,8 +110,23 @@ def test_pieces_of_different_loudness_give_a_ceiling():
     rng = np.random.default_rng(3)
     u = np.repeat([0.0, 1.0, 0.0, 2.0, 1.0, 2.0], 250)
     bound = bound_of(u, u + (1e-4 + 1e-2 * u) * rng.normal(size=len(u)))
-    assert bound.source is NoiseSource.FLAT_PIECES and bound.direction is BoundDirection.AT_MOST
-    assert bound.level == pytest.approx(2e-2, rel=0.15)
+    assert bound.direction is BoundDirection.AT_MOST and bound.floor is None
+    overall = np.sqrt(np.mean((1e-4 + 1e-2 * u) ** 2))
+    assert 0.95 * overall < bound.level < 1.15 * 2e-2
+
+
+def test_a_fit_weighs_with_differences_below_the_ceiling():
+    rng = np.random.default_rng(8)
+    u = steps(rng, 0.02)
+    y = hardening(u)
+    slow, fast = 1e-3 * y.std(), 1e-4 * resonance(multisine(rng, 0.5)).std()
+    record = Experiment("r", 0.01 * np.arange(ROWS), {"u": u}, {"y": y + slow * rng.normal(size=ROWS)})
+    noise = estimate_noise(model(), [record], {})
+    assert noise.std[0] <= noise.bound("y").level and noise.ceiling_ratio("y") >= 1.0
+    u = multisine(rng, 0.5)
+    y = resonance(u)
+    quick = Experiment("r", 0.01 * np.arange(ROWS), {"u": u}, {"y": y + fast * rng.normal(size=ROWS)})
+    assert estimate_noise(model(), [quick], {}).std[0] == pytest.approx(fast, rel=0.3)
 
 
 def test_drift_is_no_noise():
