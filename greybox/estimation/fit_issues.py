@@ -44,8 +44,8 @@ def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
         return ()
     worst = max(ratios, key=lambda name: ratios[name])
     if isinstance(optimum, PredictionOptimum):
-        values = {"one_step": ratios[worst], "free_run": misfit[worst].noise_ratio}
-        return (Finding(EstimationCode.PREDICTION_RATIO, Severity.NOTE, worst, values),)
+        both = {"one_step": ratios[worst], "free_run": misfit[worst].noise_ratio}
+        return (Finding(EstimationCode.PREDICTION_RATIO, Severity.NOTE, worst, both),)
     values: dict[str, Any] = {"ratio": ratios[worst], "without_outliers": bool(optimum.problem.loss)}
     noise, bound = optimum.problem.noise, optimum.problem.noise.bound(worst)
     if bound is not None and bound.direction is BoundDirection.AT_MOST:
