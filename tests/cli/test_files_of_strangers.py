@@ -9,10 +9,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import greybox as gb
 from greybox.cli.app import app
+from tests.oracles.independent import linear_record
+from tests.parallel.test_jobs import lag
 from tests.project.test_outline import TRAP
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,6 +40,14 @@ def trap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     sys.modules.update(before)
 
 
+@pytest.fixture(scope="module")
+def saved_fit(tmp_path_factory) -> Path:
+    """A fit as the program writes it."""
+    model = lag()
+    record = linear_record(model, np.random.default_rng(1).normal(size=100), 0.01, noise={"x": 1e-3})
+    return gb.fit(model, record).save(tmp_path_factory.mktemp("fit") / "fit.json")
+
+
 def is_a_model_module(name: str) -> bool:
     return name.split(".")[0] == "models" or name.startswith("_greybox_file_")
 
@@ -43,8 +55,8 @@ def is_a_model_module(name: str) -> bool:
 @pytest.mark.parametrize(
     "form", ["trap.py", "./trap.py", "{}/trap.py", "trap.py:rig", "//server/share/trap.py", "..\\trap.py", "a/b"]
 )
-def test_a_fit_names_its_model_without_a_path(trap: Path, form: str):
-    data = {"format": 1, "model": form.format(trap.parent), "effects": [], "parameters": {}}
+def test_a_fit_names_its_model_without_a_path(trap: Path, saved_fit: Path, form: str):
+    data = json.loads(saved_fit.read_text()) | {"model": form.format(trap.parent)}
     Path("fit.json").write_text(json.dumps(data))
     done = run("export", "fit.json", "--to", "json")
     assert done.exit_code == 2
