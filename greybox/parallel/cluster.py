@@ -125,7 +125,7 @@ def open_cluster(address: str, workers: int = 0, policy: ClusterPolicy = CLUSTER
                     n_workers=workers or count_cores(),
                     threads_per_worker=1,
                     processes=True,
-                    dashboard_address=None,
+                    dashboard_address="127.0.0.1:0",  # any port, and for this machine alone
                     local_directory=folder,
                     silence_logs=logging.CRITICAL,
                 )

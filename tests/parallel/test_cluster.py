@@ -99,6 +99,7 @@ def separate_cluster(folder: Path, workers: int = 2) -> Iterator[tuple[str, subp
             with suppress(subprocess.TimeoutExpired):
                 process.wait(10)
             process.kill()
+            process.wait()
 
 
 @needs_dask
@@ -167,7 +168,9 @@ def test_a_closed_client_is_told_with_what_is_finished(tmp_path, answers):
     import distributed
 
     with (
-        distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, local_directory=tmp_path) as local,
+        distributed.LocalCluster(
+            2, threads_per_worker=1, dashboard_address="127.0.0.1:0", local_directory=tmp_path
+        ) as local,
         distributed.Client(local) as client,
     ):
         closing = threading.Timer(2.5, client.close)
