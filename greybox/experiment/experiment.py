@@ -334,13 +334,14 @@ def _with_sampling_time(experiment: Experiment, sampling_time: float | None) -> 
 
 
 def _to_read_only(what: str, values: ArrayLike, problems: list[str], rows: int | None = None) -> np.ndarray:
-    """A read-only copy (N,) in float64; what is wrong with it is added to ``problems``."""
+    """A read-only copy (N,) in float64, or the array itself if it is one; what is wrong with it is added to ``problems``."""
     given = np.asarray(values)
+    owned = given.flags.owndata and not given.flags.writeable and given.dtype == np.float64
     try:
         # Text and complex numbers would be converted by numpy, the latter by dropping half of them.
         if given.dtype.kind not in "biufO":
             raise TypeError(f"its type is {given.dtype}")
-        array = np.array(given, dtype=np.float64)
+        array = given if owned else np.array(given, dtype=np.float64)
     except (TypeError, ValueError) as error:
         problems.append(f"{what} does not hold real numbers: {error}")
         return np.zeros(0)

@@ -242,6 +242,11 @@ def _find_contradiction(data: Mapping[str, Any]) -> str:
         return f"covariance is no matrix of {free} rows and columns, one for each name in free"
     if set(data.get("tied", {})) != set(data.get("ties", {})):
         return "tied and ties do not name the same parameters"
+    for key in ("noise_sources", "noise_colour", "noise_log_std", "noise_units", "noise_bounds"):
+        if not set(data.get(key, {})) <= set(data["noise"]):
+            return f"{key} names an output that noise does not"
+    if set(data.get("noise_log_std", {})) - set(data.get("noise_units", {})):
+        return "noise_log_std names an output that noise_units does not"
     for place, unit in _list_units(data):
         try:
             parse_unit(unit)

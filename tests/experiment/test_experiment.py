@@ -3,6 +3,7 @@
 import copy
 import pickle
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -416,3 +417,13 @@ def test_resolution_is_the_printed_place_of_the_decade():
     time = np.array([0.5, 0.501, 0.25, 1.25, 2.5, 100.0, 250.0])
     np.testing.assert_allclose(estimate_time_resolution(time), [1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 1.0, 1.0])
     assert estimate_time_resolution(np.array([0.1 + 1e-15, np.pi / 10])).max() < 1e-12
+
+
+def test_a_record_made_of_another_shares_its_arrays():
+    record = Experiment("run", np.arange(20.0), {"u": np.sin(np.arange(20.0))}, {"y": np.cos(np.arange(20.0))})
+    again = replace(record, name="again")
+    assert again.time is record.time and again.inputs["u"] is record.inputs["u"]
+    measured = np.arange(20.0)
+    own = Experiment("run", measured, {}, {"y": measured})
+    measured[3] = 100.0
+    assert own.time[3] == 3.0
