@@ -3,8 +3,8 @@
     python -m fits.hidden_certainty FOLDER [--cases 200] [--first 5000] [--rows 1200] [--page]
 
 Every case is answered twice: with every effect of the catalogue as a candidate, and with the true effects and their families taken away;
-cases whose truth no entry of the catalogue comes near are answered once. Both rigs (`fits.hidden_cases`) and four other plants
-(`fits.hidden_plants`). Each answer leaves FOLDER/NNNN.json, so the study goes on where it was stopped.
+cases whose truth no entry of the catalogue comes near are answered once. Both rigs (`fits.hidden_cases`) and six other plants
+(`fits.plant_cases`). Each answer leaves FOLDER/NNNN.json, so the study goes on where it was stopped.
 
 ``--page`` fits the weights of `greybox.discovery.CertaintyPolicy` to what FOLDER holds (a logistic regression; the reliability is that
 of cases that were left out of the fit) and writes docs/certainty.md with the reliability diagram.
@@ -27,13 +27,16 @@ from matplotlib.figure import Figure
 
 import greybox as gb
 from fits.hidden_cases import Case, make
-from fits.hidden_plants import make_plant_case
+from fits.plant_cases import make as make_plant
+from fits.plant_cases import right_names
 from greybox.discovery import CertaintyPolicy, family_of
 from greybox.discovery.certainty import probability_of, to_features
 from greybox.project import find_model
 
-# Where ten cases in a row come from: kinds of `fits.hidden_cases`, or another plant.
-SOURCES = ("single", "foreign", "plant", "single", "outside", "pair", "plant", "relative", "single", "plant")
+# Kinds of ten cases in a row; every other case is on one of the six plants, which lack some kinds.
+SOURCES = ("single", "foreign", "pair", "single", "single", "outside", "foreign", "relative", "single", "single")
+PLANT_KINDS = ("single", "pair", "foreign")
+RIGS = ("micro_actuator", "pneumatic_cylinder")
 CASES, FIRST, ROWS, LONG = 200, 5000, 1200, 3000
 RIDGE = 1.0  # inverse variance of the prior of each weight
 FOLDS, BINS = 10, 10
@@ -50,30 +53,27 @@ def study(folder: Path, cases: int, first: int, rows: int) -> None:
         source = SOURCES[seed % len(SOURCES)]
         length = LONG if seed % 7 == 0 else rows
         try:
-            answers = _answer_plant(seed, length) if source == "plant" else _answer_rig(make(seed, source, length))
+            if seed % 2:
+                case = make(seed, source, length)
+                answers = _answer(case, case.model, case.right)
+            else:
+                case = make_plant(seed, source if source in PLANT_KINDS else "single", rows=length)
+                answers = _answer(case, Path(case.model).stem, right_names(case))
         except OverflowError:  # drawn so strong that the rig flies apart: no case
             answers = []
+        except gb.errors.GreyboxError as error:  # a defect, which the folder has to show
+            answers = [{"case": str(seed), "effect": "", "verdict": f"error: {error}"}]
         part = file.with_suffix(".part")
         part.write_text(json.dumps(answers, indent=1) + "\n", encoding="utf-8")
         part.rename(file)
 
 
-def _answer_rig(case: Case) -> list[Row]:
+def _answer(case: Case, plant: str, right: Sequence[Sequence[str]]) -> list[Row]:
     model = find_model(case.model).fix(**case.known).start(**case.start)
-    right = {name for names in case.right for name in names}
     shared = {"validation": case.validation, "noise": case.noise, "quiet": case.quiet or ()}
-    identity = {"case": case.name, "source": case.kind, "plant": case.model, "truth": sorted(case.effects)}
-    return _answer_twice(identity, model, case.estimation, shared, right, at_rest=True)
-
-
-def _answer_plant(seed: int, rows: int) -> list[Row]:
-    case = make_plant_case(seed, rows)
-    if case is None:
-        return []
-    shared = {"validation": case.validation, "noise": case.noise}
-    truth = {case.effect} - {""}
-    identity = {"case": case.name, "source": "plant", "plant": case.plant, "truth": sorted(truth)}
-    return _answer_twice(identity, case.model, case.estimation, shared, truth, at_rest=False)
+    identity = {"case": case.name, "source": case.kind, "plant": plant, "truth": sorted(case.effects)}
+    names = {name for each in right for name in each}
+    return _answer_twice(identity, model, case.estimation, shared, names, at_rest=plant in RIGS)
 
 
 def _answer_twice(
@@ -86,7 +86,8 @@ def _answer_twice(
 ) -> list[Row]:
     """One row for each effect of each answer; an answer without an effect is a row without one."""
     catalogue = {e.name for e in gb.effects.CATALOGUE}
-    family = sorted({relative for name in right & catalogue for relative in family_of(name)})
+    listed = {name.partition("_at_")[0] for name in right} & catalogue
+    family = sorted({relative for name in listed for relative in family_of(name)})
     options = gb.FitOptions(at_rest=at_rest)
     rows: list[Row] = []
     for without in ((), family) if family else ((),):

@@ -44,6 +44,7 @@ def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[
         "change": _clip(change, 0, 1) if math.isfinite(change) else 1.0,
         "start": measures["start"],
         "several": float(measures["effects"] > 1),
+        "undetermined": measures["undetermined"],
     }
 
 
@@ -56,10 +57,11 @@ def probability_of(features: Mapping[str, float], policy: CertaintyPolicy) -> fl
 def grade_effect(probability: float, features: Mapping[str, float], has_equal: bool, policy: CertaintyPolicy) -> Grade:
     """The grade of an effect: established only where, beside the probability, no single test speaks against it.
 
-    An effect that another one equals (``has_equal``) is probable at most.
+    An effect that another one equals (``has_equal``), or of which a parameter is not determined, is probable at most.
     """
     contradicted = (
         has_equal
+        or features["undetermined"] > 0
         or features["rival_t"] < policy.least_rival
         or features["curve_size"] > policy.most_form
         or features["remainder"] > policy.most_remainder

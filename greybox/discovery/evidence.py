@@ -31,6 +31,7 @@ from greybox.effects import Scales
 from greybox.model import Effect
 from greybox.noise import fit_autoregression, join_series
 from greybox.numerics import TINY
+from greybox.result import Fit
 from greybox.values import Printable, ReadOnly
 
 # Mean square errors (B,) of a model by output, in blocks of the validation records.
@@ -98,6 +99,8 @@ class EvidenceInputs:
         The records, their peaks and times, and all effects that are candidates.
     selected, baseline
         The model in question and the plain one.
+    fit
+        The model in question as a fit with intervals.
     known
         Fits of other sets of effects.
     scores
@@ -113,6 +116,7 @@ class EvidenceInputs:
     candidates: Sequence[Effect]
     selected: CandidateFit
     baseline: CandidateFit
+    fit: Fit
     known: Mapping[frozenset[str], CandidateFit]
     scores: HoldoutScores
     signals: Sequence[EffectSignal]
@@ -187,6 +191,7 @@ def _weigh_effect(
         "change": change,
         "start": float(survives_start),
         "effects": float(len(inputs.selected.effects)),
+        "undetermined": float(_is_undetermined(inputs.fit, name)),
     }
     features = to_features(measures, inputs.policy.certainty)
     probability = probability_of(features, inputs.policy.certainty)
@@ -384,7 +389,9 @@ def measure_structure(scores: HoldoutScores, candidate: CandidateFit, visible: f
     noise, shares = candidate.problem.noise, []
     for name, misfit in run.misfit.items():
         if is_level_measured(noise, name):
-            shares.append(max(1 - (visible / misfit.noise_ratio) ** 2, 0.0))
+            bound = noise.bound(name)  # the problem may weigh with another level, the residual's
+            level = misfit.rmse / misfit.noise_ratio if bound is None else bound.level
+            shares.append(max(1 - (visible * level / max(misfit.rmse, TINY)) ** 2, 0.0))
             continue
         series = join_series(t.residual(name)[scores.validation.uncounted :] for t in run.traces if name in t.measured)
         deviation = series / max(float(np.sqrt(np.nanmean(series**2))), TINY)
@@ -419,6 +426,13 @@ def _measure_change(selected: CandidateFit, effect: Effect, halves: Sequence[Can
         one, other = (half.model.values[name] for half in halves)
         changes.append(abs(one - other) / max((abs(one) + abs(other)) / 2, TINY))
     return float(np.median(changes)) if changes else 0.0
+
+
+def _is_undetermined(fit: Fit, name: str) -> bool:
+    """Whether a parameter of the effect was stopped by its bounds, or nothing in the records determines it."""
+    bound = next((b for b in fit.model.bound_effects if b.effect.name == name), None)
+    estimates = [fit.parameters.get(bound.model_names[q.name]) for q in bound.effect.parameters] if bound else []
+    return any(e is not None and not e.fixed and (e.at_bound or e.std is None) for e in estimates)
 
 
 def _other(rival: CandidateFit, selected: CandidateFit) -> str:

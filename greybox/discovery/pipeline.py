@@ -362,6 +362,7 @@ def _conclude(
             candidates,
             final.candidate,
             selection.baseline,
+            final.fit,
             selection.fits if refinement is None or not refinement.steps else {},
             final.scores,
             signals,

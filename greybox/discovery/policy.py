@@ -321,6 +321,7 @@ class CertaintyPolicy:
             "change": -0.7,
             "start": 0.5,
             "several": -0.3,
+            "undetermined": -1.5,
         }
     )
     """Weight of each feature of the evidence."""

@@ -27,6 +27,7 @@ CLEAR = {
     "change": 0.01,
     "start": 1.0,
     "effects": 1.0,
+    "undetermined": 0.0,
 }
 
 
@@ -66,8 +67,9 @@ def test_whatever_speaks_against_an_effect_lowers_its_probability(change):
         {"curve_loss": -0.9999, "loss": 3.0},
         {"remainder": 0.7},
         {"share": 0.01},
+        {"undetermined": 1.0},
     ],
-    ids=["rival within chance", "curve takes as much", "left over its variable", "takes nothing"],
+    ids=["rival within chance", "curve takes as much", "left over its variable", "takes nothing", "not determined"],
 )
 def test_no_probability_establishes_an_effect_against_a_single_test(change):
     sure = replace(POLICY, intercept=20.0)

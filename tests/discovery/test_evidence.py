@@ -54,7 +54,7 @@ def test_a_change_is_that_of_the_amplitude_between_the_halves():
 
 def structure_of(residual, bound, ratio=1.0):
     run = SimpleNamespace(
-        misfit={"x": SimpleNamespace(noise_ratio=ratio)},
+        misfit={"x": SimpleNamespace(noise_ratio=1.0, rmse=ratio)},
         traces=[SimpleNamespace(measured={"x": residual}, residual=lambda name: residual)],
     )
     scores = SimpleNamespace(run=lambda fit: run, validation=SimpleNamespace(uncounted=0))
