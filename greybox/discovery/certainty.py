@@ -66,6 +66,8 @@ def grade_effect(probability: float, features: Mapping[str, float], has_equal: b
         or features["curve_size"] > policy.most_form
         or features["remainder"] > policy.most_remainder
         or features["share"] < policy.least_share
+        or features["left"] > policy.most_left
+        or (features["curve_untested"] > 0 and features["structure"] > policy.most_untested)
     )
     if probability >= policy.established and not contradicted:
         return Grade.ESTABLISHED

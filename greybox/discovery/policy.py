@@ -341,6 +341,10 @@ class CertaintyPolicy:
     """What the effect leaves over its own variable, over its signal, in rms."""
     least_share: float = 0.02
     """Share of the error that an effect must take."""
+    most_left: float = 0.3
+    """What is left beyond noise, over what the effect takes, in rms: an imposter leaves more of the effect whose place it takes."""
+    most_untested: float = 0.3
+    """Share of the rms error that may be more than noise beside an effect whose form no curve can test (play, a delay)."""
 
 
 @dataclass(frozen=True)

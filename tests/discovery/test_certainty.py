@@ -68,8 +68,18 @@ def test_whatever_speaks_against_an_effect_lowers_its_probability(change):
         {"remainder": 0.7},
         {"share": 0.01},
         {"undetermined": 1.0},
+        {"structure": 0.9, "loss": 5.0},
+        {"structure": 0.9, "curve_loss": math.nan, "curve_t": math.nan},
     ],
-    ids=["rival within chance", "curve takes as much", "left over its variable", "takes nothing", "not determined"],
+    ids=[
+        "rival within chance",
+        "curve takes as much",
+        "left over its variable",
+        "takes nothing",
+        "not determined",
+        "much is left",
+        "form untested and more than noise left",
+    ],
 )
 def test_no_probability_establishes_an_effect_against_a_single_test(change):
     sure = replace(POLICY, intercept=20.0)
