@@ -373,7 +373,8 @@ def _conclude(
     verdict, holdout = decided.verdict, compare_holdout_errors(judged.base, final.fit)
     judged = replace(judged, best=final.fit, holdout=holdout)
     location = _locate(judged.baseline, selection)
-    surrogate, next_steps = None, ()
+    surrogate: Surrogate | None = None
+    next_steps: tuple[Finding, ...] = ()
     if verdict in (Verdict.UNKNOWN, Verdict.PARTLY):
         represent = partial(
             fit_surrogate,

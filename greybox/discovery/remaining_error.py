@@ -103,5 +103,5 @@ def _grows_with_amplitude(fit: Fit, output: str, uncounted: int, policy: Evidenc
                 movements.append(float(np.std(signal[present])))
     if len(errors) < policy.least_blocks or max(movements) < policy.amplitude_range * max(min(movements), TINY):
         return False
-    ranks = [np.argsort(np.argsort(values)) for values in (errors, movements)]
-    return bool(np.corrcoef(*ranks)[0, 1] > policy.amplitude_correlation)
+    ranks = np.array([np.argsort(np.argsort(values)) for values in (errors, movements)], float)
+    return bool(np.corrcoef(ranks)[0, 1] > policy.amplitude_correlation)
