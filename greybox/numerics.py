@@ -29,6 +29,9 @@ SAME_DERIVATIVE = 1e-9
 REACHABILITY_RANK = 1e-10
 """A part of the reachable space below this share of the model's size is a rounding error."""
 
+EARLIER_STATE = 1e-6
+"""Of two states that tell a model equally well the later one is kept only if it tells it better by this share: rounding must not choose."""
+
 INTEGRATING_POLE = 1e-9
 """A pole is at rest (0, or 1 in the z-plane) where its distance is below this share of the fastest one: such a mode integrates, has no
 time constant and is not unstable."""

@@ -12,7 +12,7 @@ from greybox.export.linearisation import Linearisation
 from greybox.export.state_scaling import scale_states
 from greybox.findings import Finding
 from greybox.linear_algebra import REACHABILITY, range_basis
-from greybox.numerics import REACHABILITY_RANK, TINY
+from greybox.numerics import EARLIER_STATE, REACHABILITY_RANK, TINY
 
 
 def minimal_realisation(model: Linearisation) -> Linearisation:
@@ -103,7 +103,9 @@ def _choose_states(basis: np.ndarray) -> np.ndarray:
     """As many states as the basis (n, r) has columns, by which a vector in it is told best; in their order."""
     if not basis.shape[1]:
         return np.empty(0, int)
-    _, _, order = qr(basis.T, pivoting=True, mode="economic")
+    # Of two that tell the same the first one stays, whatever their rounding errors.
+    preference = (1 - EARLIER_STATE) ** np.arange(len(basis))
+    _, _, order = qr(basis.T * preference, pivoting=True, mode="economic")
     return np.sort(order[: basis.shape[1]])
 
 

@@ -143,7 +143,7 @@ def _estimate_level(
     )
     least = policy.min_relative_level * movement
     if max(level.std, rounding) < least:
-        return replace(level, std=least, direction=BoundDirection.AT_MOST)
+        return replace(level, std=least, direction=BoundDirection.AT_MOST, weight=max(level.weight, least))
     return replace(level, std=max(level.std, rounding), weight=max(level.weight, rounding, least))
 
 

@@ -423,7 +423,7 @@ def test_simulate_takes_inputs_from_a_file(run: Run, tmp_path: Path) -> None:
         (
             ["micro_actuator", "u.csv", "--band", "5:8", *PACE],
             2,
-            "--band, --duration, --sampling-time: no effect beside",
+            "--band, --duration: no effect beside",
         ),
     ],
 )

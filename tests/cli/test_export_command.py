@@ -22,11 +22,11 @@ FORMATS = {"control": "_ss.py", "mat": ".mat", "json": ".json", "numpy": ".npz",
 def saved(tmp_path_factory):
     folder = tmp_path_factory.mktemp("fit")
     t = np.arange(600) * 2.5e-4
-    record = gb.simulate(micro_actuator, {"time": t, "u": np.sign(np.sin(300 * t))}).record(
+    model = (micro_actuator + gb.effect("coulomb_friction")).fix("M", "Ra", "La", "Kv", "Kf").start(Fc=0.01)
+    record = gb.simulate(model, {"time": t, "u": np.sign(np.sin(300 * t))}).record(
         {"x": 1e-7, "i": 1e-3}, np.random.default_rng(0)
     )
-    model = (micro_actuator + gb.effect("coulomb_friction")).fix("M", "Ra", "La", "Kv", "Kf")
-    return gb.fit(model.start(Fc=0.01), record).save(folder / "fit.json")
+    return gb.fit(model, record).save(folder / "fit.json")
 
 
 def export(*arguments):
