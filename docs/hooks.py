@@ -156,7 +156,9 @@ def result_files() -> str:
             inner = definitions[value["$ref"].rpartition("/")[2]] if "$ref" in value else value
             needed = "" if key in schema.get("required", ()) else " (later files)" if kind == ResultKind.FIT else ""
             rows.append(f"| `{key}` | {value.get('description') or inner['description']}{needed} |")
-        sections.append("\n".join([f"## {schema['description'].partition(':')[0]}", "", schema["description"], "", *rows]))
+        sections.append(
+            "\n".join([f"## {schema['description'].partition(':')[0]}", "", schema["description"], "", *rows])
+        )
     return "\n\n".join(sections)
 
 

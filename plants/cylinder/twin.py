@@ -1,6 +1,7 @@
 """A simulated cylinder to try things on: `python twin.py` writes train.csv and test.csv.
 
-The twin has what the model lacks: the spool's lands overlap its ports, so that small commands move nothing. Change its constants, or take it away.
+The twin has what the model lacks: the spool's lands overlap its ports, so that small commands move nothing.
+Change its constants, or take it away.
 """
 
 import numpy as np
