@@ -113,9 +113,16 @@ FAMILY: Mapping[str, tuple[str, ...]] = {
     "asymmetric_friction": ("coulomb_friction", "stribeck_friction", "asymmetric_friction"),
     "creeping_friction": ("coulomb_friction", "stribeck_friction", "lugre_friction"),
     "quintic_stiffness": ("cubic_stiffness",),
-    "cubic_damping": ("quadratic_damping",),
+    "cubic_damping": ("quadratic_damping", "cubic_damping"),
     "soft_saturation": ("soft_saturation", "input_saturation"),
     "soft_dead_zone": ("input_dead_zone", "valve_dead_zone"),
+    # The same under the names that the catalogue gives them.
+    "end_stop": ("end_stops",),
+    "spool_play": ("valve_hysteresis",),
+    "input_play": ("input_hysteresis", "valve_hysteresis"),
+    "radiation": ("radiation_loss",),
+    "convection": ("natural_convection",),
+    "second_body": ("heat_storage",),
 }
 RELATIVES = {
     "micro_actuator": ("creep_spectrum", "quintic_stiffness", "cubic_damping", "soft_saturation", "creeping_friction"),

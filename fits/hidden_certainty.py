@@ -28,7 +28,6 @@ from matplotlib.figure import Figure
 import greybox as gb
 from fits.hidden_cases import Case, make
 from fits.plant_cases import make as make_plant
-from fits.plant_cases import right_names
 from greybox.discovery import CertaintyPolicy, family_of
 from greybox.discovery.certainty import probability_of, to_features
 from greybox.project import find_model
@@ -58,7 +57,7 @@ def study(folder: Path, cases: int, first: int, rows: int) -> None:
                 answers = _answer(case, case.model, case.right)
             else:
                 case = make_plant(seed, source if source in PLANT_KINDS else "single", rows=length)
-                answers = _answer(case, Path(case.model).stem, right_names(case))
+                answers = _answer(case, Path(case.model).stem, case.right)
         except OverflowError:  # drawn so strong that the rig flies apart: no case
             answers = []
         except gb.errors.GreyboxError as error:  # a defect, which the folder has to show

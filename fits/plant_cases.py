@@ -202,16 +202,6 @@ SETUPS: Mapping[str, Setup] = {
         ("soft_saturation",),
     ),
 }
-FAMILY: Mapping[str, tuple[str, ...]] = {
-    "creeping_friction": ("coulomb_friction", "stribeck_friction", "lugre_friction"),
-    "quintic_stiffness": ("cubic_stiffness",),
-    "cubic_damping": ("quadratic_damping", "cubic_damping"),
-    "soft_saturation": ("soft_saturation", "input_saturation"),
-    "input_play": ("input_hysteresis", "valve_hysteresis"),
-    "radiation": ("radiation_loss",),
-    "convection": ("natural_convection",),
-    "second_body": ("heat_storage",),
-}
 
 
 def make(seed: int, kind: str, plant: str = "", rows: int = ROWS, effects: Sequence[str] = ()) -> Case:
@@ -241,11 +231,6 @@ def make(seed: int, kind: str, plant: str = "", rows: int = ROWS, effects: Seque
         setup.sensors,
         0.0,
     )
-
-
-def right_names(case: Case) -> tuple[tuple[str, ...], ...]:
-    """For each true effect the names that are right."""
-    return tuple(FAMILY.get(name, (name,)) for name in case.effects)
 
 
 def _draw_effects(setup: Setup, kind: str, rng: np.random.Generator) -> tuple[str, ...]:

@@ -36,7 +36,9 @@ def _quantity(value: float, unit: str, digits: int = 3) -> str:
 
 
 def _percent(share: float, digits: int = 3) -> str:
-    return f"{100 * share:.{digits}g} %"
+    """A share in percent with so many digits, more where the whole percents need them: never as a power of ten."""
+    whole = len(f"{abs(100 * share):.0f}")
+    return f"{100 * share:.{max(digits, whole)}g} %"
 
 
 # Shapes and dependences

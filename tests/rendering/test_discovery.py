@@ -8,6 +8,7 @@ from greybox.discovery.findings import DiscoveryRule as Rule
 from greybox.discovery.misfit_windows import MisfitTiming
 from greybox.findings import Check, Finding
 from greybox.rendering.discovery import (
+    _percent,
     dependence_text,
     explained_share_text,
     shape_text,
@@ -409,3 +410,10 @@ def test_errors_and_steps_fit_on_a_line():
     assert str(swap) == (
         "backlash, in the place of constant_load, removes 21 % of the misfit, and 18 % on the validation records"
     )
+
+
+@pytest.mark.parametrize(
+    ("share", "text"), [(0.123, "12 %"), (0.9951, "99.5 %"), (0.996, "99.6 %"), (1.0, "100 %"), (12.345, "1234 %")]
+)
+def test_a_share_is_never_written_as_a_power_of_ten(share: float, text: str) -> None:
+    assert _percent(share, 2) == text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from fits.plant_cases import SETUPS, make, right_names
+from fits.plant_cases import SETUPS, make
 from fits.plant_twins import PLANTS, simulate
 from greybox.project import find_model
 
@@ -26,7 +26,7 @@ def test_a_foreign_effect_shows_and_the_case_can_be_drawn_again(plant: str) -> N
     case, again = (make(11, "foreign", plant, 300) for _ in range(2))
     for name, values in case.validation.outputs.items():
         np.testing.assert_array_equal(values, again.validation.outputs[name])
-    assert right_names(case) == tuple((name,) for name in case.effects)
+    assert case.right == tuple((name,) for name in case.effects)
     assert set(case.effects) <= set(SETUPS[plant].foreign)
 
 
