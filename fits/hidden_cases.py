@@ -1,7 +1,7 @@
 """Cases with a hidden effect: a rig drawn at random, its records from the twin, and what a user would say about it.
 
-A case is the plain rig plus nothing, one or two effects of the catalogue, an effect that the catalogue does not have, a relative of one
-whose form differs, or something that no entry of the catalogue comes near. How strong an effect is comes from how far it moves the
+A case is the plain rig plus nothing, one or two effects of the catalogue, a relative of one whose form differs, or something that no
+entry of the catalogue comes near. How strong an effect is comes from how far it moves the
 outputs: between a few and two hundred times the noise, before any constant has adapted. What is left of that after the plain model has
 been refitted is another matter (a spring swallows nearly all of a slow creep), so some effects cannot be seen; a study has to say which.
 """
@@ -45,6 +45,9 @@ SINGLES = {
         "input_offset",
         "sensor_drift",
         "sensor_lag",
+        "cogging",
+        "end_stop",
+        "gain_by_sign",
     ),
     "pneumatic_cylinder": (
         "coulomb_friction",
@@ -64,6 +67,10 @@ SINGLES = {
         "input_offset",
         "backlash",
         "sensor_lag",
+        "cogging",
+        "end_stop",
+        "gain_by_sign",
+        "spool_play",
     ),
 }
 PAIRS = {
@@ -88,10 +95,6 @@ PAIRS = {
         ("return_spring", "transport_delay"),
     ),
 }
-OUTSIDE = {
-    "micro_actuator": ("cogging", "end_stop", "mains_hum"),
-    "pneumatic_cylinder": ("cogging", "end_stop", "spool_play"),
-}
 # Effects that no entry of the catalogue comes near; see `fits.rig_twins`.
 _FOREIGN = (
     "power_damping",
@@ -103,8 +106,8 @@ _FOREIGN = (
     "second_clock",
     "sensor_on_change",
     "coarse_drive",
-    "gain_by_sign",
     "gain_ripple",
+    "mains_hum",
 )
 FOREIGN = {"micro_actuator": _FOREIGN, "pneumatic_cylinder": _FOREIGN}
 # A relative, and the names that are right for it.
@@ -134,7 +137,7 @@ RELATIVES = {
         "creeping_friction",
     ),
 }
-KINDS = ("single", "pair", "complete", "outside", "relative", "foreign")
+KINDS = ("single", "pair", "complete", "relative", "foreign")
 
 
 @dataclass(frozen=True)
@@ -229,7 +232,7 @@ def _drawn(rig: str, kind: str, rng: np.random.Generator) -> tuple[str, ...]:
         return ()
     if kind == "pair":
         return tuple(PAIRS[rig][rng.integers(len(PAIRS[rig]))])
-    among = {"single": SINGLES, "outside": OUTSIDE, "relative": RELATIVES, "foreign": FOREIGN}[kind][rig]
+    among = {"single": SINGLES, "relative": RELATIVES, "foreign": FOREIGN}[kind][rig]
     return (among[rng.integers(len(among))],)
 
 

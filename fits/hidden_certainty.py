@@ -1,22 +1,13 @@
-"""How probable is an effect that `greybox.discover` puts into a model? Cases with the truth among the candidates, and without it.
+"""How probable is an effect that `greybox.discover` puts into a model? Weights and reliability from the answers of `fits.hidden_study`.
 
-    python -m fits.hidden_certainty FOLDER [--cases 200] [--first 5000] [--rows 1200] [--page]
-
-Every case is answered twice: with every effect of the catalogue as a candidate, and with the true effects and their families taken away;
-cases whose truth no entry of the catalogue comes near are answered once. Both rigs (`fits.hidden_cases`) and six other plants
-(`fits.plant_cases`). Each answer leaves FOLDER/NNNN.json, so the study goes on where it was stopped.
-
-``--page`` fits the weights of `greybox.discovery.CertaintyPolicy` to what FOLDER holds (a logistic regression; the reliability is that
-of cases that were left out of the fit) and writes docs/certainty.md with the reliability diagram.
+Every effect of every answer is one observation: what its evidence was, and whether it is right. The weights of
+`greybox.discovery.CertaintyPolicy` are a logistic regression on these; the reliability on the page is that of cases that were left out
+of the fit.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import sys
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,104 +16,29 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-import greybox as gb
-from fits.hidden_cases import Case, make
-from fits.plant_cases import make as make_plant
-from greybox.discovery import CertaintyPolicy, family_of
+from greybox.discovery import CertaintyPolicy
 from greybox.discovery.certainty import probability_of, to_features
-from greybox.project import find_model
 
-# Kinds of ten cases in a row; every other case is on one of the six plants, which lack some kinds.
-SOURCES = ("single", "foreign", "pair", "single", "single", "outside", "foreign", "relative", "single", "single")
-PLANT_KINDS = ("single", "pair", "foreign")
-RIGS = ("micro_actuator", "pneumatic_cylinder")
-CASES, FIRST, ROWS, LONG = 200, 5000, 1200, 3000
 RIDGE = 1.0  # inverse variance of the prior of each weight
 FOLDS, BINS = 10, 10
+NEWTON_STEPS = 50
 Row = Mapping[str, Any]
 
 
-def study(folder: Path, cases: int, first: int, rows: int) -> None:
-    """Every case that FOLDER does not have yet, one after the other."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for seed in range(first, first + cases):
-        file = folder / f"{seed:05d}.json"
-        if file.exists():
-            continue
-        source = SOURCES[seed % len(SOURCES)]
-        length = LONG if seed % 7 == 0 else rows
-        try:
-            if seed % 2:
-                case = make(seed, source, length)
-                answers = _answer(case, case.model, case.right)
-            else:
-                case = make_plant(seed, source if source in PLANT_KINDS else "single", rows=length)
-                answers = _answer(case, Path(case.model).stem, case.right)
-        except OverflowError:  # drawn so strong that the rig flies apart: no case
-            answers = []
-        except gb.errors.GreyboxError as error:  # a defect, which the folder has to show
-            answers = [{"case": str(seed), "effect": "", "verdict": f"error: {error}"}]
-        part = file.with_suffix(".part")
-        part.write_text(json.dumps(answers, indent=1) + "\n", encoding="utf-8")
-        part.rename(file)
+def list_effects(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """One entry for each effect of each answer."""
+    return [
+        {**effect, "case": row["name"], "plant": row["plant"], "left_out": answer["left_out"]}
+        for row in rows
+        for answer in row["answers"]
+        for effect in answer["effects"]
+    ]
 
 
-def _answer(case: Case, plant: str, right: Sequence[Sequence[str]]) -> list[Row]:
-    model = find_model(case.model).fix(**case.known).start(**case.start)
-    shared = {"validation": case.validation, "noise": case.noise, "quiet": case.quiet or ()}
-    identity = {"case": case.name, "source": case.kind, "plant": plant, "truth": sorted(case.effects)}
-    names = {name for each in right for name in each}
-    return _answer_twice(identity, model, case.estimation, shared, names, at_rest=plant in RIGS)
-
-
-def _answer_twice(
-    identity: Mapping[str, Any],
-    model: gb.Model,
-    estimation: gb.Experiment,
-    shared: Mapping[str, Any],
-    right: set[str],
-    at_rest: bool,
-) -> list[Row]:
-    """One row for each effect of each answer; an answer without an effect is a row without one."""
-    catalogue = {e.name for e in gb.effects.CATALOGUE}
-    listed = {name.partition("_at_")[0] for name in right} & catalogue
-    family = sorted({relative for name in listed for relative in family_of(name)})
-    options = gb.FitOptions(at_rest=at_rest)
-    rows: list[Row] = []
-    for without in ((), family) if family else ((),):
-        began = time.process_time()
-        found = gb.discover(model, estimation, without=without, options=options, workers=1, **shared)
-        answer = {
-            **identity,
-            "left_out": bool(without),
-            "verdict": found.verdict,
-            "noise_known": shared["noise"] is not None,
-            "seconds": time.process_time() - began,
-        }
-        rows += [
-            {
-                **answer,
-                "effect": e.effect,
-                "right": e.effect in right,
-                "probability": e.probability,
-                "grade": e.grade,
-                "measures": {n: v if math.isfinite(v) else None for n, v in e.measures.items()},
-            }
-            for e in found.evidence
-        ] or [{**answer, "effect": ""}]
-    return rows
-
-
-def read(folder: Path) -> list[Row]:
-    """All rows with an effect."""
-    rows = [row for file in sorted(folder.glob("*.json")) for row in json.loads(file.read_text(encoding="utf-8"))]
-    return [row for row in rows if row["effect"]]
-
-
-def features_of(row: Row, policy: CertaintyPolicy) -> dict[str, float]:
-    """The features of a row as the library computes them."""
+def compute_features(effect: Row, policy: CertaintyPolicy) -> dict[str, float]:
+    """The features of an effect as the library computes them."""
     infinite = {"loss": 1e300, "loss_t": 1e300, "rival_loss": 1e300, "rival_t": 1e300}
-    measures = {n: infinite.get(n, math.nan) if v is None else v for n, v in row["measures"].items()}
+    measures = {n: infinite.get(n, math.nan) if v is None else v for n, v in effect["measures"].items()}
     return to_features(measures, policy)
 
 
@@ -134,60 +50,73 @@ def fit_weights(features: np.ndarray, right: np.ndarray, mean: np.ndarray, ridge
     x = np.column_stack([np.ones(len(features)), features])
     prior = np.full(x.shape[1], ridge)
     w = mean.copy()
-    for _ in range(50):
+    for _ in range(NEWTON_STEPS):
         p = 1 / (1 + np.exp(-np.clip(x @ w, -30, 30)))
         gradient = x.T @ (p - right) + prior * (w - mean)
         w = w - np.linalg.solve((x * (p * (1 - p))[:, None]).T @ x + np.diag(prior), gradient)
     return w
 
 
-def _library_weights(policy: CertaintyPolicy) -> np.ndarray:
-    return np.array([policy.intercept, *policy.weights.values()])
-
-
-def cross_validate(rows: Sequence[Row], policy: CertaintyPolicy) -> np.ndarray:
-    """The probability (N,) of each row from weights fitted without its case."""
-    names = list(policy.weights)
-    features = np.array([[features_of(r, policy)[n] for n in names] for r in rows])
-    right = np.array([r["right"] for r in rows], float)
-    cases = sorted({r["case"] for r in rows})
-    fold = np.array([cases.index(r["case"]) % FOLDS for r in rows])
-    result = np.zeros(len(rows))
+def cross_validate(effects: Sequence[Row], policy: CertaintyPolicy) -> np.ndarray:
+    """The probability (N,) of each effect from weights fitted without its case."""
+    features, right = _tabulate(effects, policy)
+    cases = sorted({e["case"] for e in effects})
+    fold = np.array([cases.index(e["case"]) % FOLDS for e in effects])
+    result = np.zeros(len(effects))
     for k in range(FOLDS):
         w = fit_weights(features[fold != k], right[fold != k], _library_weights(policy))
         result[fold == k] = 1 / (1 + np.exp(-(w[0] + features[fold == k] @ w[1:])))
     return result
 
 
-def write_page(folder: Path, docs: Path) -> None:
-    """Weights to the terminal; page and figure to ``docs``."""
-    rows, policy = read(folder), CertaintyPolicy()
-    names = list(policy.weights)
-    features = np.array([[features_of(r, policy)[n] for n in names] for r in rows])
-    right = np.array([r["right"] for r in rows], float)
-    w = fit_weights(features, right, _library_weights(policy))
-    lines = [f"intercept: {w[0]:.2f}", *(f'"{n}": {v:.2f},' for n, v in zip(names, w[1:], strict=True))]
-    sys.stdout.write("\n".join(lines) + "\n")
-    predicted = cross_validate(rows, policy)
-    stated = np.array([probability_of(features_of(r, policy), policy) for r in rows])
+def format_weights(rows: Sequence[Row]) -> str:
+    """Intercept and weights that the rows ask for, as lines of the policy."""
+    effects, policy = list_effects(rows), CertaintyPolicy()
+    w = fit_weights(*_tabulate(effects, policy), _library_weights(policy))
+    return "\n".join(
+        [f"intercept: {w[0]:.2f}", *(f'"{n}": {v:.2f},' for n, v in zip(policy.weights, w[1:], strict=True))]
+    )
+
+
+def write_certainty(rows: Sequence[Row], docs: Path) -> None:
+    """``certainty.md`` and ``figures/certainty.svg`` in ``docs``."""
+    effects, policy = list_effects(rows), CertaintyPolicy()
+    right = np.array([e["right"] for e in effects], float)
+    stated = np.array([probability_of(compute_features(e, policy), policy) for e in effects])
+    predicted = cross_validate(effects, policy)
     (docs / "figures").mkdir(parents=True, exist_ok=True)
     _figure(predicted, right).savefig(docs / "figures" / "certainty.svg", metadata={"Date": None})
-    cases = len({r["case"] for r in rows})
-    sure = [r for r, p in zip(rows, predicted, strict=True) if p >= policy.established]
-    wrong = sum(not r["right"] for r in sure)
-    plants = sorted({r["plant"] for r in rows})
+    runs = sum(len(row["answers"]) for row in rows)
+    without = sum(answer["left_out"] for row in rows for answer in row["answers"])
+    plants = sorted({e["plant"] for e in effects})
+    sure = [e for e in effects if e["grade"] == "established"]
+    wrong = [e for e in sure if not e["right"]]
     text = [
         "# How certain is an established effect?",
-        f"Each effect of an answer has a probability of being right. Here it is held against the truth: {len(rows)} effects in the answers"
-        f" to {cases} simulated cases on {len(plants)} plants ({', '.join(plants)}), most of them answered twice: with the true effect"
-        " among the candidates, and with it and its family taken away. The probabilities are those of weights that were fitted without"
-        " the case in question. Written by `python -m fits.hidden_certainty FOLDER --page`.",
+        f"Each effect of an answer has a probability of being right. Here it is held against the truth: {len(effects)} effects in"
+        f" {runs} answers to {len(rows)} simulated cases on {len(plants)} plants ({', '.join(plants)}); in {without} of the answers the"
+        " true effect and its family had been taken away from the candidates. The probabilities are those of weights fitted without the"
+        " case in question. Written by `python -m fits.hidden_study FOLDER --page`.",
         _reliability_table(predicted, right),
         "![Predicted probability against observed frequency](figures/certainty.svg)",
-        f"Brier score: {np.mean((predicted - right) ** 2):.3f} (with the weights of the library: {np.mean((stated - right) ** 2):.3f}). Of"
-        f" {len(sure)} effects with a probability of at least {policy.established:g}, {wrong} are wrong.",
+        f"Brier score: {np.mean((predicted - right) ** 2):.3f} (with the weights of the library:"
+        f" {np.mean((stated - right) ** 2):.3f}).",
+        f"The grade asks for more than a probability of {policy.established:g}: no single test may speak against the effect. Of"
+        f" {len(sure)} effects with the grade `established`, {len(wrong)} are wrong"
+        + (": " + "; ".join(f"{e['name']} in {e['case']}" for e in wrong) if wrong else "")
+        + ".",
     ]
     (docs / "certainty.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
+
+
+def _tabulate(effects: Sequence[Row], policy: CertaintyPolicy) -> tuple[np.ndarray, np.ndarray]:
+    """Features (N, n) and outcomes (N,)."""
+    features = [compute_features(e, policy) for e in effects]
+    return np.array([[f[n] for n in policy.weights] for f in features]), np.array([e["right"] for e in effects], float)
+
+
+def _library_weights(policy: CertaintyPolicy) -> np.ndarray:
+    return np.array([policy.intercept, *policy.weights.values()])
 
 
 def _bins(predicted: np.ndarray) -> np.ndarray:
@@ -213,29 +142,8 @@ def _figure(predicted: np.ndarray, right: np.ndarray) -> Figure:
     for k in range(BINS):
         chosen = _bins(predicted) == k
         if chosen.any():
-            axis.plot(
-                predicted[chosen].mean(), right[chosen].mean(), "o", color="C0", markersize=3 + chosen.sum() ** 0.5
-            )
+            size = 3 + chosen.sum() ** 0.5
+            axis.plot(predicted[chosen].mean(), right[chosen].mean(), "o", color="C0", markersize=size)
     axis.set_xlabel("predicted probability of being right")
     axis.set_ylabel("share that is right")
     return figure
-
-
-def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("folder", type=Path)
-    arguments.add_argument("--cases", type=int, default=CASES)
-    arguments.add_argument("--first", type=int, default=FIRST)
-    arguments.add_argument("--rows", type=int, default=ROWS)
-    arguments.add_argument(
-        "--page", action="store_true", help="fit the weights and write the page from what the folder holds"
-    )
-    chosen = arguments.parse_args()
-    if chosen.page:
-        write_page(chosen.folder, Path(__file__).resolve().parents[1] / "docs")
-    else:
-        study(chosen.folder, chosen.cases, chosen.first, chosen.rows)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,16 +1,21 @@
-"""How often is the hidden effect named? Cases that the program was not tuned to, each answered by `greybox.discover` and two baselines.
+"""How often is the hidden effect named, and what is said where the catalogue does not have it?
 
     python -m fits.hidden_study FOLDER [--cases 200] [--first 1000] [--rows 1200] [--workers 1] [--cluster ADDRESS] [--page]
 
-Six of ten cases hide one effect, one each two effects, none, one that the catalogue does not have, and a relative of one whose form
-differs (`fits.hidden_cases`, simulated without greybox). Every case leaves FOLDER/NNNN.json, so the study goes on where it was
-stopped. ``--page`` writes docs/discovery_study.md and its figure from what FOLDER holds, bad results included.
+Every other case is on one of two rigs (`fits.hidden_cases`), the others on six everyday plants (`fits.plant_cases`); all are simulated
+without greybox. Each case is answered twice: with every effect of the catalogue among the candidates, and with the true effects and
+their families taken away. Every case leaves FOLDER/NNNNN.json, so the study goes on where it was stopped.
+
+``--page`` writes docs/discovery_study.md and docs/certainty.md with their figures from what FOLDER holds, bad results included, and prints
+the weights of `greybox.discovery.CertaintyPolicy` that these cases ask for.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,121 +24,162 @@ from typing import Any
 import greybox as gb
 from fits.hidden_baselines import by_correlation, by_sparse_regression
 from fits.hidden_cases import Case, make
+from fits.hidden_certainty import format_weights, write_certainty
 from fits.hidden_page import VISIBLE, write
+from fits.plant_cases import make as make_plant
+from greybox.discovery import Discovery, family_of
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.starting_points import estimate_scales
-from greybox.effects import Scales, tailor_to_record
+from greybox.effects import CATALOGUE, Scales, find_placements, tailor_to_record
 from greybox.files import write_file
 from greybox.parallel import JobResult, open_workers, run_jobs
 from greybox.project import find_model
 
-# Kinds of ten cases in a row.
-KINDS = ("single", "single", "pair", "single", "complete", "single", "relative", "single", "outside", "single")
-CASES, FIRST, ROWS = 200, 1000, 1200
+# Kinds of twenty cases in a row: odd seeds are on the rigs, even ones on the plants.
+KINDS = (
+    *("single", "single", "foreign", "pair", "single", "single", "pair", "complete", "single", "single"),
+    *("complete", "relative", "single", "foreign", "relative", "single", "foreign", "single", "single", "single"),
+)
+RIGS = ("micro_actuator", "pneumatic_cylinder")
+CASES, FIRST, ROWS, LONG = 200, 1000, 1200, 3000
+EVERY_LONG = 11  # one of so many cases has LONG rows
 
 
 def study(folder: Path, cases: int, first: int, rows: int, workers: int = 1, cluster: str = "") -> None:
     """Every case that FOLDER does not have yet: here one after the other, in worker processes or on a cluster."""
-    open_cases = [(seed, rows) for seed in range(first, first + cases) if not (folder / f"{seed:04d}.json").exists()]
+    open_cases = [(seed, rows) for seed in range(first, first + cases) if not (folder / f"{seed:05d}.json").exists()]
 
     def receive(number: int, result: JobResult) -> None:
         seed, _ = open_cases[number]
-        answer = failed(_make_case(seed, rows), result.error) if result.error else result.value
+        answer = _failed(_make_case(seed, rows), result.error) if result.error else result.value
         if answer is not None:
-            write_file(folder / f"{seed:04d}.json", json.dumps(answer, indent=1) + "\n")
+            write_file(folder / f"{seed:05d}.json", json.dumps(answer, indent=1) + "\n")
 
     with open_workers(workers, cluster) as executor:
-        run_jobs(_answer, None, open_cases, executor=executor, workers=workers, receive=receive)
+        run_jobs(_answer_seed, None, open_cases, executor=executor, workers=workers, receive=receive)
 
 
-def _answer(_: None, item: tuple[int, int]) -> dict[str, Any] | None:
-    """The row of one case; None where the rig flies apart."""
+def _answer_seed(_: None, item: tuple[int, int]) -> dict[str, Any] | None:
+    """The row of one case; None where the plant flies apart."""
     try:
         case = _make_case(*item)
     except OverflowError:  # drawn so strong: no case
         return None
     try:
-        return answered(case)
+        return answer_case(case)
     except gb.GreyboxError as error:  # a defect, which the page has to show
-        return failed(case, error)
+        return _failed(case, error)
 
 
 def _make_case(seed: int, rows: int) -> Case:
-    return make(seed, KINDS[seed % len(KINDS)], rows)
+    kind, length = KINDS[seed % len(KINDS)], LONG if seed % EVERY_LONG == 0 else rows
+    return make(seed, kind, length) if seed % 2 else make_plant(seed, kind, rows=length)
 
 
-def answered(case: Case) -> dict[str, Any]:
-    """What `discover` and the baselines say to one case, beside the truth."""
+def answer_case(case: Case) -> dict[str, Any]:
+    """What `discover` says to one case with the truth among the candidates and without it, and the baselines, beside the truth."""
     model = find_model(case.model).fix(**case.known).start(**case.start)
-    options = gb.FitOptions(at_rest=True)
-    began = time.process_time()
-    discovery = gb.discover(
-        model, case.estimation, validation=case.validation, noise=case.noise, quiet=case.quiet or (), options=options
+    on_rig = case.model in RIGS
+    options = gb.FitOptions(at_rest=on_rig)
+    right = {name for names in case.right for name in names}
+    listed = {name.partition("_at_")[0] for name in right} & {e.name for e in CATALOGUE}
+    family = sorted({relative for name in listed for relative in family_of(name)})
+    answers = []
+    for without in ((), family) if family else ((),):
+        began = time.process_time()
+        discovery = gb.discover(
+            model,
+            case.estimation,
+            validation=case.validation,
+            noise=case.noise,
+            quiet=case.quiet or (),
+            without=without,
+            options=options,
+            workers=1,
+        )
+        answers.append(
+            _describe(case, discovery, right) | {"left_out": bool(without), "seconds": time.process_time() - began}
+        )
+    placements = find_placements(model, CATALOGUE)
+    baselines = {}
+    if on_rig:
+        baselines = {
+            "correlation": by_correlation(discovery.base, model, case),
+            "sparse": by_sparse_regression(model, case),
+        }
+    return (
+        _describe_truth(case)
+        | {"true_sites": sorted({p.site for p in placements if p.name in right and p.effect is not None})}
+        | {"base": max(g.before / case.sigma[o] for o, g in discovery.holdout.items())}
+        | {"answers": answers, "each": compare_without_each(case, model), **baselines}
     )
-    seconds = time.process_time() - began
-    worst = max(discovery.holdout.values(), key=lambda g: g.before / g.floor)
-    return hidden(case) | {
-        "verdict": discovery.verdict,
-        "said": [e["name"] for e in discovery.effects],
-        "alternatives": discovery.alternatives,
-        "sites": list(discovery.sites),
-        "base": max(g.before / case.sigma[o] for o, g in discovery.holdout.items()),
-        "closed": worst.explained_fraction,
-        "curve": discovery.surrogate.explained_fraction if discovery.surrogate else None,
-        "constants": _constants(case, discovery.effects),
-        "seconds": seconds,
-        "correlation": by_correlation(discovery.base, model, case),
-        "sparse": by_sparse_regression(model, case),
-        "each": without_each(case, model),
-    }
 
 
-def hidden(case: Case) -> dict[str, Any]:
-    """What is true of a case."""
-    truth = {name: dict(values) for name, values in case.effects.items()}
+def _describe_truth(case: Case) -> dict[str, Any]:
     return {
         "name": case.name,
         "kind": case.kind,
-        "rig": case.model,
-        "truth": truth,
+        "plant": Path(case.model).stem,
+        "truth": {name: dict(values) for name, values in case.effects.items()},
         "right": case.right,
         "colour": case.colour,
+        "noise_known": case.noise is not None,
     }
 
 
-def failed(case: Case, error: gb.GreyboxError | str) -> dict[str, Any]:
+def _describe(case: Case, discovery: Discovery, right: set[str]) -> dict[str, Any]:
+    """One answer: the verdict, its effects with their evidence, what else is said, and the constants beside the true ones."""
+    worst = max(discovery.holdout.values(), key=lambda g: g.before / g.floor)
+    dependences = [d for d in discovery.localisation.dependences if d.is_relevant]
+    surrogate = discovery.surrogate
+    sites = {e["name"]: e["site"] for e in discovery.effects}
+    return {
+        "verdict": str(discovery.verdict),
+        "effects": [
+            {
+                "name": e.effect,
+                "site": sites[e.effect],
+                "right": e.effect in right,
+                "grade": str(e.grade),
+                "probability": e.probability,
+                "measures": {n: v if math.isfinite(v) else None for n, v in e.measures.items()},
+            }
+            for e in discovery.evidence
+        ],
+        "said": list(sites),
+        "alternatives": discovery.alternatives,
+        "sites": list(discovery.sites),
+        "variables": [d.variable for d in dependences[:1]] + ([surrogate.variable] if surrogate else []),
+        "closed": worst.explained_fraction,
+        "share": worst.share,
+        "curve": surrogate.explained_fraction if surrogate else None,
+        "constants": _compare_constants(case, discovery.effects),
+    }
+
+
+def _failed(case: Case, error: gb.GreyboxError | str) -> dict[str, Any]:
     """The row of a case that ended with an error."""
-    nothing: dict[str, Any] = {"said": [], "alternatives": [], "sites": [], "constants": [], "each": []}
-    return (
-        hidden(case)
-        | nothing
-        | {
-            "verdict": f"error: {error}",
-            "base": VISIBLE,
-            "closed": 0.0,
-            "curve": None,
-            "seconds": 0.0,
-            "correlation": "",
-            "sparse": "",
-        }
-    )
+    return _describe_truth(case) | {"error": str(error), "answers": [], "each": [], "true_sites": [], "base": VISIBLE}
 
 
-def without_each(case: Case, model: gb.Model) -> list[float]:
+def compare_without_each(case: Case, model: gb.Model) -> list[float]:
     """Of two effects, the misfit on the judging record without each, over that with both; the larger ratio of all outputs.
 
-    Below `VISIBLE` nothing could name that one. (Noise of a colour leaves more or less than its level on one record.)
+    Below `VISIBLE` nothing could name that one. (Noise of a colour leaves more or less than its level on one record.) Only for effects
+    of the catalogue.
     """
-    if len(case.effects) < 2:
+    if len(case.effects) < 2 or any(name not in names for name, names in zip(case.effects, case.right, strict=True)):
         return []
     problem = DiscoveryProblem(model, (case.estimation,), dict(case.sigma), (), gb.FitOptions(at_rest=True))
     scales = estimate_scales(problem.baseline)
-    both = _misfit(case, problem, scales, list(case.effects))
-    one = [_misfit(case, problem, scales, [kept for kept in case.effects if kept != name]) for name in case.effects]
+    both = _measure_misfit(case, problem, scales, list(case.effects))
+    one = [
+        _measure_misfit(case, problem, scales, [kept for kept in case.effects if kept != name]) for name in case.effects
+    ]
     return [max(left[o] / both[o] for o in both) for left in one]
 
 
-def _misfit(case: Case, problem: DiscoveryProblem, scales: Scales, names: Sequence[str]) -> dict[str, float]:
+def _measure_misfit(case: Case, problem: DiscoveryProblem, scales: Scales, names: Sequence[str]) -> dict[str, float]:
     """Rms misfit on the judging record by output, of the model with these effects, fitted from the true constants."""
     model = problem.baseline.model
     for name in names:
@@ -143,11 +189,11 @@ def _misfit(case: Case, problem: DiscoveryProblem, scales: Scales, names: Sequen
         truth |= {bound.model_names[n]: v for n, v in case.effects[bound.effect.name].items()}
     candidate = problem.refit_best(model, [truth, model.values])
     extended = model if candidate is None else candidate.model
-    seen = gb.validate(extended, case.validation, noise=case.sigma, options=problem.options)
-    return {name: m.rmse for name, m in seen.misfit.items()}
+    run = gb.validate(extended, case.validation, noise=case.sigma, options=problem.options)
+    return {name: m.rmse for name, m in run.misfit.items()}
 
 
-def _constants(case: Case, effects: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _compare_constants(case: Case, effects: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Estimate, standard deviation and truth of every constant of the effects that were named rightly."""
     return [
         {"effect": e["name"], "name": q, "truth": case.effects[e["name"]][q], **c}
@@ -158,20 +204,29 @@ def _constants(case: Case, effects: Sequence[Mapping[str, Any]]) -> list[dict[st
     ]
 
 
+def read(folder: Path) -> list[dict[str, Any]]:
+    """The rows of a folder."""
+    return [json.loads(file.read_text(encoding="utf-8")) for file in sorted(folder.glob("*.json"))]
+
+
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("folder", type=Path)
     arguments.add_argument("--cases", type=int, default=CASES)
     arguments.add_argument("--first", type=int, default=FIRST)
     arguments.add_argument("--rows", type=int, default=ROWS)
-    arguments.add_argument("--page", action="store_true", help="write the page from what the folder holds")
+    arguments.add_argument("--page", action="store_true", help="write the pages from what the folder holds")
     arguments.add_argument("--workers", type=int, default=1, help="processes; 0: one for each core")
     arguments.add_argument("--cluster", default="", help="address of a Dask scheduler, or local")
     chosen = arguments.parse_args()
+    chosen.folder.mkdir(parents=True, exist_ok=True)
     if not chosen.page:
         study(chosen.folder, chosen.cases, chosen.first, chosen.rows, chosen.workers, chosen.cluster)
-    rows = [json.loads(file.read_text(encoding="utf-8")) for file in sorted(chosen.folder.glob("*.json"))]
-    write(rows, Path(__file__).resolve().parents[1] / "docs", chosen.rows)
+        return
+    rows, docs = read(chosen.folder), Path(__file__).resolve().parents[1] / "docs"
+    write(rows, docs, chosen.rows)
+    write_certainty(rows, docs)
+    sys.stdout.write(format_weights(rows) + "\n")
 
 
 if __name__ == "__main__":
