@@ -80,8 +80,8 @@ def delay_input(system: System, advance: AdvanceFunction, past: InputHistory) ->
         # The kernel runs straight from row to row: the column of 0 and 1 tells which of how many substeps this is.
         n = ca.floor(1 / ca.fabs(ub[-3] - ua[-3]) + 0.5)
         number = ca.floor(ca.if_else(ub[-3] > ua[-3], ua[-3], 1 - ua[-3]) * n + 0.5)
-        u_ramp = (ub - ua) * n
-        u_start = ua - number / n * u_ramp
+        u_ramp = (ub[:nu] - ua[:nu]) * n
+        u_start = ua[:nu] - number / n * u_ramp
         u_ramp = u_ramp * ua[-2]
         whole, part = _split_delay(seconds(p), n * h, past.rows)
         before = ca.floor(n / 2)
@@ -92,14 +92,17 @@ def delay_input(system: System, advance: AdvanceFunction, past: InputHistory) ->
             for k in steps
         )
         columns = [past.column, *range(nu, nu + past.rows)]
-        newer, older = (
-            _select(u_start[columns], whole + k) + _select(u_ramp[columns], whole + k) * (k - part) for k in (0, 1)
-        )
-        slope = ca.if_else(is_before_cut, _select(u_ramp[columns], whole + 1), _select(u_ramp[columns], whole))
+        # Two neighbours of the past at both ends of the substep, then their value and ramp over the whole interval.
+        ends = [_select_two(u[columns], whole) for u in (ua, ub)]
+        ramps = [(b - a) * n for a, b in zip(*ends, strict=True)]
+        starts = [a - number / n * ramp for a, ramp in zip(ends[0], ramps, strict=True)]
+        ramps = [ramp * ua[-2] for ramp in ramps]
+        newer, older = (starts[k] + ramps[k] * (k - part) for k in (0, 1))
+        slope = ca.if_else(is_before_cut, ramps[1], ramps[0])
         arrived = ca.if_else(is_before_cut, older, newer)
 
         def at(share: ca.SX) -> ca.SX:
-            values = u_start[:nu] + u_ramp[:nu] * share
+            values = u_start + u_ramp * share
             values[past.column] = arrived + slope * share
             return values
 
@@ -114,7 +117,7 @@ def delay_outputs(system: System, past: InputHistory) -> ca.Function:
     row = ca.SX.sym("u", nu + count_history_columns(past))
     whole, part = _split_delay(make_delay_function(system)(system.p), row[-1], past.rows)
     row_inputs = row[[past.column, *range(nu, nu + past.rows)]]
-    newer, older = _select(row_inputs, whole), _select(row_inputs, whole + 1)
+    newer, older = _select_two(row_inputs, whole)
     held = ca.if_else(part > 0, older, newer)
     u = ca.SX(row[:nu])
     u[past.column] = ca.if_else(row[-2] > 0, newer + part * (older - newer), held)
@@ -134,5 +137,10 @@ def _split_delay(seconds: ca.SX, interval: ca.SX, rows: int) -> tuple[ca.SX, ca.
     return whole, delay - whole
 
 
-def _select(values: ca.SX, number: ca.SX) -> ca.SX:
-    return sum((ca.if_else(number == k, values[k], 0) for k in range(values.numel())), ca.SX(0))
+def _select_two(values: ca.SX, number: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Element ``number`` and the one after it."""
+    flags = [number == k for k in range(values.numel() - 1)]
+    first, second = (
+        sum((ca.if_else(flag, values[k + later], 0) for k, flag in enumerate(flags)), ca.SX(0)) for later in (0, 1)
+    )
+    return first, second

@@ -22,7 +22,7 @@ class DiscretisationPolicy:
     max_interval_lengths: int = 200
     """Distinct interval lengths for which the exact hold is taken: each needs a matrix exponential of its own."""
 
-    max_delay_rows: int = 64
+    max_delay_rows: int = 200
     """Longest delay of an input in sampling intervals: each interval adds a column to the input of the step."""
 
     max_implicit_states: int = 8

@@ -192,9 +192,9 @@ def test_a_delay_is_in_seconds():
 
 
 def test_the_longest_delay_decides_how_much_of_the_past_is_kept():
-    model = micro_actuator + delay(longest=70 * T)
+    model = micro_actuator + delay(longest=250 * T)
     with pytest.raises(
-        ModelError, match=r"70 intervals of 0.00025 s, more than 64; give its parameter an upper bound of 0.016 s"
+        ModelError, match=r"250 intervals of 0.00025 s, more than 200; give its parameter an upper bound of 0.05 s"
     ):
         discretise(model.system, values(model), np.zeros((1, 3)), np.array([T]))
     short = model.fix(delay=2.5 * T)

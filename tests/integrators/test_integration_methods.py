@@ -221,6 +221,78 @@ def test_the_step_with_friction_is_differentiable_across_a_stop():
         assert np.allclose(slope[:, k], difference, rtol=1e-5, atol=1e-9)
 
 
+def two_rubbing(levels):
+    """Two masses joined by a spring, the first pushed and the second on a spring to the ground, each with dry friction."""
+    model = Model(
+        "two",
+        [State("x1", "m"), State("v1", "m/s"), State("x2", "m"), State("v2", "m/s")],
+        [Input("u", "N")],
+        [Output("x1", "m")],
+        [Parameter("M1", "kg", 2.0), Parameter("M2", "kg", 1.0), Parameter("K", "N/m", 80.0)],
+        lambda x, u, p: [
+            Balance("position1", "m/s", 1, "x1", velocity=x.v1),
+            Balance("force", "N", p.M1, "v1", drive=u.u, spring=-p.K * (x.x1 - x.x2)),
+            Balance("position2", "m/s", 1, "x2", velocity=x.v2),
+            Balance("second_force", "N", p.M2, "v2", spring=p.K * (x.x1 - x.x2), ground=-0.5 * p.K * x.x2),
+        ],
+    )
+    sites = ("force", "second_force")
+    for k, (site, level) in enumerate(zip(sites, levels, strict=True), 1):
+        name = f"F{k}"
+        friction = Parameter(name, "N", level, (0, 1e6))
+        model = model + Effect(
+            f"rubbing{k}", site, [friction], dry=lambda x, u, p, name=name: DryFriction(p[name], p[name])
+        )
+    return model
+
+
+def moreau_of_two(masses, k, levels, u, h, fine):
+    """As `moreau`, for the two bodies: the spring's force from the state at the beginning of each tiny step."""
+    m, f = np.array(masses), np.array(levels)
+    x, v, dt, path = np.zeros(2), np.zeros(2), h / fine, []
+    for push in u[:-1]:
+        for _ in range(fine):
+            shaft = k * (x[0] - x[1])
+            free = v + dt * np.array([push - shaft, shaft - 0.5 * k * x[1]]) / m
+            v = np.sign(free) * np.maximum(np.abs(free) - dt * f / m, 0.0)
+            x = x + dt * v
+        path.append((x[0], v[0], x[1], v[1]))
+    return np.array(path)
+
+
+def test_two_bodies_stick_and_slide_each_for_itself():
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.normal(0, 9, 16), 10)
+    levels = (3.0, 2.0)
+    step_error = []
+    fine = moreau_of_two((2.0, 1.0), 80.0, levels, u, 0.01, 400)
+    finer = moreau_of_two((2.0, 1.0), 80.0, levels, u, 0.01, 800)
+    exact = 2 * finer - fine  # its error is of first order
+    for substeps in (2, 8):
+        mine = run(two_rubbing(levels), [0.0] * 4, u, 0.01, substeps=substeps)
+        at_rest = mine[:, [1, 3]] == 0.0
+        step_error.append(np.abs(mine[:, [0, 2]] - exact[:, [0, 2]]).max() / np.ptp(exact[:, 0]))
+    assert step_error[1] < 3e-4
+    assert step_error[0] < 3e-3
+    # Alone and together.
+    assert at_rest.all(axis=1).mean() > 0.02
+    assert (at_rest[:, 0] & ~at_rest[:, 1]).mean() > 0.02
+    assert (at_rest[:, 1] & ~at_rest[:, 0]).mean() > 0.02
+
+
+def test_a_step_in_which_both_bodies_stop_is_exact_and_has_slopes():
+    """Without springs each stops at ``v0 M / F``: one after 0.2 s, the other after 0.35 s of a step of 0.5 s."""
+    model = two_rubbing((4.0, 2.0)).start(K=1e-12)
+    step, p, x = rk4(model.system), values(model), np.array([0.0, 0.4, 0.0, 0.7])
+    end = step.advance(x, 0.0, 0.0, p, 0.5).full().ravel()
+    assert end == pytest.approx([0.4**2 * 2.0 / (2 * 4.0), 0.0, 0.7**2 * 1.0 / (2 * 2.0), 0.0], abs=1e-12)
+    slope = ca.Function("s", (a := step.advance).sx_in(), [ca.jacobian(a(*a.sx_in()), a.sx_in()[3])])(
+        x, 0.0, 0.0, p, 0.5
+    ).full()
+    k1, k2 = (list(model.values).index(name) for name in ("F1", "F2"))
+    assert slope[[0, 2], [k1, k2]] == pytest.approx([-(0.4**2) * 2.0 / (2 * 16.0), -(0.7**2) / (2 * 4.0)])
+
+
 def test_unknown_and_unsuitable_methods_are_refused():
     p, x, h = values(duffing()), np.zeros((1, 2)), np.array([0.01])
     with pytest.raises(ModelError, match=r"unknown discretisation 'rk5'; did you mean 'rk4'"):
