@@ -9,7 +9,7 @@ import typer
 
 from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
-from greybox.cli.inputs import build_model, check_skip, print_record_notes, read_quiet_records, read_records
+from greybox.cli.inputs import build_model, check_skip, constrain, print_record_notes, read_quiet_records, read_records
 from greybox.cli.options import Cluster, Figures, Json, NoReport, Workers, check_writable, takes_study
 from greybox.cli.progress import show_search_progress
 from greybox.cli.reporting import write_report
@@ -52,7 +52,7 @@ def discover(
     from greybox.estimation import FitOptions
     from greybox.parallel import open_workers
 
-    model = build_model(study)
+    model = constrain(build_model(study), study)
     folder = check_writable(output or Path("results") / f"{model.name}-discover")
     records, validation = read_records(study, model)
     quiet = read_quiet_records(study, model, hold=study.hold)

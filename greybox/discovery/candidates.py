@@ -46,7 +46,7 @@ def list_candidates(
     Raises
     ------
     ModelError
-        For a name in ``without`` that neither ``effects`` nor the catalogue has.
+        For a name in ``without`` that neither ``effects`` nor the catalogue has, and where none of ``effects`` has a place.
     """
     entries = tuple(effects) if effects else tuple(applicable_effects(model))
     _check_names(without, [e.name for e in (*entries, *CATALOGUE)])
@@ -64,6 +64,9 @@ def list_candidates(
         tailored = failures.attempt(SearchStage.PREPARATION, (entry.name,), tailor, None)
         if tailored is not None:
             candidates.append(tailored)
+    if effects and not candidates:
+        reasons = "; ".join(dict.fromkeys(str(f.values.get("reason", f)) for f in not_tried.values()))
+        raise ModelError(f"none of the effects to try finds a place in model {model.title!r}: {reasons}")
     if not effects:
         for entry in CATALOGUE:
             if not {entry.name} & {e.name.partition(AT)[0] for e in entries}:

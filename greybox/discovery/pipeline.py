@@ -202,7 +202,7 @@ def discover(
     Raises
     ------
     ModelError
-        For an unknown name in ``without``.
+        For an unknown name in ``without``, and where none of ``effects`` has a place in the model.
     DataError
         Without a validation record, for records that do not go with the model, and for a file that is no journal.
 

@@ -16,7 +16,7 @@ from greybox.discovery.residual_noise import INDEPENDENT_SOURCES
 from greybox.discovery.surrogate import Surrogate, SurrogateTone
 from greybox.experiment import Experiment
 from greybox.findings import Finding, Severity
-from greybox.linear_algebra import pseudo_inverse
+from greybox.linear_algebra import decompose_symmetric, pseudo_inverse
 from greybox.result import Fit
 
 
@@ -88,8 +88,11 @@ def _detection_limit(candidate: CandidateFit, policy: ProposalPolicy) -> Finding
     if not amplitudes:
         return None
     name = amplitudes[0]
-    covariance = pseudo_inverse(candidate.evaluation.hessian / 2)
+    information = candidate.evaluation.hessian / 2
+    covariance = pseudo_inverse(information)
     k = variables.names.index(name)
+    if decompose_symmetric(information).is_open[k]:  # at zero these records show nothing of it, whatever its amplitude
+        return None
     std = float(np.sqrt(covariance[k, k]) * variables.spans[k])
     values = {
         "parameter": name,

@@ -187,6 +187,8 @@ class StepwiseSelection:
 
     def _refit_leading(self) -> None:
         """The leading effects once more, from several starting points and to convergence."""
+        if not self.single_effects:
+            return
         ranked = sorted(self.single_effects, key=lambda fit: fit.criterion)
         best = ranked[0]
         only_noise_left = best.per_sample <= noise_cost_limit(best.count)
@@ -405,10 +407,19 @@ class StepwiseSelection:
         new = [(key, e) for key, e in zip(keys, effects, strict=True) if key not in self.fits]
         prepared = [(key, self._prepare(fit, effect, partial(self._screening_job, fit, effect))) for key, effect in new]
         jobs = [(key, job) for key, job in prepared if job is not None]
-        for (key, _), extended in zip(jobs, self.problem.refit_all([job for _, job in jobs]), strict=True):
+        for (key, job), extended in zip(jobs, self.problem.refit_all([job for _, job in jobs]), strict=True):
+            if (
+                extended is None or extended.cost > fit.cost
+            ):  # it contains the smaller model: from there it cannot do worse
+                extended = self._refit_from_absent(fit, job) or extended
             if extended is not None:
                 self.fits[key] = extended
         return [self.fits[key] for key in keys if key in self.fits]
+
+    def _refit_from_absent(self, fit: CandidateFit, job: RefitJob) -> CandidateFit | None:
+        """The larger model from where the smaller one ended, the effect absent."""
+        absent = {name: value for name, value in fit.model.values.items() if name in job.model.values}
+        return self.problem.refit_best(job.model, [absent], keep=1, iterations=job.iterations, like=fit)
 
     def _prepare(self, fit: CandidateFit, effect: Effect, prepare: Callable[[], RefitJob]) -> RefitJob | None:
         """A refit of ``fit`` with ``effect``; None where it cannot even begin."""

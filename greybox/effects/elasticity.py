@@ -65,9 +65,11 @@ def _second_mode_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expres
 
 
 def _second_mass_balances(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+    # Where positions are measured from a base that moves, its acceleration acts on this mass as on the body.
+    carried = {"base": -p.m2 * u.base_acceleration} if "base_acceleration" in u else {}
     return [
         Balance("second_position", "{velocity}", 1, "z1", velocity=x.z2),
-        Balance("second_force", "{force}", p.m2, "z2", reaction=-_coupling_force(x, p)),
+        Balance("second_force", "{force}", p.m2, "z2", reaction=-_coupling_force(x, p), **carried),
     ]
 
 
@@ -217,7 +219,7 @@ second_mode = Effect(
     ],
     terms=_second_mode_force,
     balances=_second_mass_balances,
-    equation="k2 (z1 - x) + c2 (z2 - v), z1' = z2, m2 z2' = -(that)",
+    equation="k2 (z1 - x) + c2 (z2 - v), z1' = z2, m2 z2' = -(that) - m2 base acceleration",
     parity="linear",
     tells_apart=(
         "Excite up to the resonance of the second mass: it shows a dip and a peak; far below it cannot be told from a"

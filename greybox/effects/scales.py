@@ -140,7 +140,7 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
             f"model {model.title!r}: no row of the simulated states is finite; start from other values of its parameters"
         )
     columns = {state.name: x[:, k] for k, state in enumerate(model.all_states)}
-    peaks = {state.role: _peak(columns[state.name]) for state in model.all_states if state.role}
+    peaks = {state.role: _peak(columns[state.name]) for state in reversed(model.all_states) if state.role}
     arguments = [system.x, system.u, system.p]
     every_term = [ca.Function("terms", arguments, [ca.vertcat(*b.terms.values())]) for b in system.balances]
     balances = {b.name: _peak(np.asarray(f(x.T, u.T, p))) for b, f in zip(system.balances, every_term, strict=True)}

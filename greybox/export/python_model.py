@@ -19,7 +19,7 @@ from greybox.expressions import NUMPY, PYTHON, Printer
 from greybox.files import write_file
 from greybox.model import Effect, Model, Rule
 from greybox.model.equations import equations_text
-from greybox.model.signals import NamedValues, Parameter, State
+from greybox.model.signals import NamedValues, Parameter, State, names_by_role
 from greybox.model.system import BoundEffect, named_symbols
 from greybox.result import Fit
 
@@ -273,7 +273,7 @@ def _returned(hook: str, value: Any, printer: Printer) -> str:
 
 def _effect_symbols(bound: BoundEffect, model: Model) -> tuple[NamedValues, NamedValues, NamedValues]:
     """States, inputs and parameters as the effect's functions see them."""
-    roles = {s.role: s.name for group in (model.states, model.inputs, model.parameters) for s in group if s.role}
+    roles = names_by_role((*model.states, *model.inputs, *model.parameters))
     x = NamedValues("state", {s.name: ca.SX.sym(s.name) for s in model.all_states}, roles)
     u = NamedValues("input", {i.name: ca.SX.sym(i.name) for i in model.inputs}, roles)
     p = NamedValues("parameter", {q.name: ca.SX.sym(q.name) for q in model.stated_parameters}, roles)

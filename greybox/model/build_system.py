@@ -280,7 +280,7 @@ def _name_of(name: str, items: Sequence[ParameterSymbol] | Sequence[State]) -> s
 def _units_by_word(statement: Statement, balances: Iterable[Balance]) -> dict[str, str]:
     """What the words in the units of an effect stand for: roles, names, balances, ``sensor`` and ``input``."""
     items: tuple[Item, ...] = (*statement.states, *statement.inputs, *statement.parameters)
-    words = {item.role: item.unit for item in items if item.role}
+    words = {item.role: item.unit for item in reversed(items) if item.role}
     words |= {item.name: item.unit for item in items}
     words |= {b.name: b.unit for b in balances}
     words["sensor"] = statement.outputs[0].unit

@@ -24,7 +24,7 @@ from greybox.model.process_noise import (
 )
 from greybox.model.rules import Rule, check_constants, check_measured, check_outputs_known
 from greybox.model.schedules import schedule_effect
-from greybox.model.signals import Input, NamedValues, Output, Parameter, State
+from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
 from greybox.model.sites import Site
 from greybox.model.system import BoundEffect, ParameterSymbol, Statement, System
 from greybox.model.system_cache import SYSTEMS
@@ -207,9 +207,7 @@ class Model(Printable):
         return self._named(dict(zip(self.values, ca.vertsplit(p), strict=True)))
 
     def _named(self, values: Mapping[str, Any]) -> NamedValues:
-        return apply_ties(
-            self.ties, NamedValues("parameter", values, {q.role: q.name for q in self.parameters if q.role})
-        )
+        return apply_ties(self.ties, NamedValues("parameter", values, names_by_role(self.parameters)))
 
     def check_measured(self, subject: str, measured: Mapping[str, np.ndarray]) -> None:
         """Refuse measured outputs, name -> (N,), that break a rule of this model; ``subject`` begins the message.
@@ -449,7 +447,7 @@ class Model(Printable):
         """`tie` with the formulas as a dictionary: for names with a dot, such as an effect's ``creep.K``."""
         model = replace(self, parameters=(*self.parameters, *new)) if new else self
         known = {q.name: q for q in model.stated_parameters}
-        roles = {q.role: q.name for q in model.parameters if q.role}
+        roles = names_by_role(model.parameters)
         p = NamedValues("constant", {name: ca.SX.sym(name) for name in known}, roles)
         before = {tie.name: tie for tie in model.ties}
         for name in formulas:

@@ -8,9 +8,9 @@ plant that has a velocity.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from greybox.errors import ModelError, nearest
 
@@ -199,6 +199,19 @@ def _check_prior(name: str, unit: str, prior: tuple[float, float], bounds: tuple
 
 
 Quantity = State | Input | Output | Parameter
+
+
+class _WithRole(Protocol):
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def role(self) -> str: ...
+
+
+def names_by_role(items: Sequence[_WithRole]) -> dict[str, str]:
+    """Role -> name of the item that has it, the first one where several have it."""
+    return {item.role: item.name for item in reversed(items) if item.role}
 
 
 class NamedValues:

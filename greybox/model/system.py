@@ -17,7 +17,7 @@ import numpy as np
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effect_hooks import InputDelay, StateUpdate
-from greybox.model.signals import Input, NamedValues, Output, Parameter, State
+from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
 from greybox.model.sites import Site
 from greybox.model.ties import Tie
 
@@ -298,8 +298,8 @@ def parameter_symbols(parameters: Iterable[Parameter]) -> tuple[ParameterSymbol,
 
 
 def named_symbols(kind: str, items: Sequence[Item]) -> NamedValues:
-    """A CasADi symbol for each item, by name and by role."""
-    return NamedValues(kind, {i.name: ca.SX.sym(i.name) for i in items}, {i.role: i.name for i in items if i.role})
+    """A CasADi symbol for each item, by name and by role; a role that several have means the first of them."""
+    return NamedValues(kind, {i.name: ca.SX.sym(i.name) for i in items}, names_by_role(items))
 
 
 def unused_parameters(system: System) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from greybox.expressions.unit_rules import UnitMismatchError
 from greybox.expressions.units import infer_unit
 from greybox.model.balance import Balance
 from greybox.model.process_noise import intensity_unit
-from greybox.model.signals import NamedValues
+from greybox.model.signals import NamedValues, names_by_role
 from greybox.model.system import Item, PlacedEffect, Statement, System
 from greybox.model.ties import apply_ties
 from greybox.units import ONE, Unit, format_unit, parse_unit, unit_name
@@ -50,10 +50,10 @@ class _UnitCheck:
     @cached_property
     def symbols(self) -> tuple[NamedValues, NamedValues, NamedValues]:
         """States, inputs and parameters as the symbols of the system, under their names and roles."""
-        s, roles = self.system, {q.role: q.name for q in self.parameters if q.role}
-        x = NamedValues("state", _by_name(s.state_names, s.x), {q.role: q.name for q in s.states if q.role})
+        s, roles = self.system, names_by_role(self.parameters)
+        x = NamedValues("state", _by_name(s.state_names, s.x), names_by_role(s.states))
         inputs = self.statement.inputs
-        u = NamedValues("input", _by_name(s.input_names, s.u), {i.role: i.name for i in inputs if i.role})
+        u = NamedValues("input", _by_name(s.input_names, s.u), names_by_role(inputs))
         p = NamedValues("parameter", _by_name(s.parameter_names, s.p), roles)
         return x, u, apply_ties(self.statement.ties, p)
 

@@ -82,3 +82,12 @@ def test_bad_choices_end_with_2_and_nothing_is_written(
     assert result.exit_code == 2
     assert message in " ".join(result.stderr.replace("│", " ").split())
     assert not (tmp_path / "out").exists()
+
+
+def test_a_discovery_keeps_ties_and_counts_priors(run: Run, data: Path, tmp_path: Path) -> None:
+    options = [*KNOWN, "--tie", "Kv=Kf", "--prior", "B=20+-1e-5", "--effects", "input_offset", "--no-report"]
+    result = run("discover", "micro_actuator", data, "--validate", data, *options, "--output", "out")
+    assert result.exit_code == 0, result.output
+    base = json.loads((tmp_path / "out" / "discovery.json").read_text())["base"]
+    assert base["ties"] == {"Kv": "Kf"}
+    assert base["parameters"]["B"]["value"] == pytest.approx(20, abs=0.1)  # far off: the prior counts

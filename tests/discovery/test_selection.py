@@ -1,9 +1,13 @@
 """The selection alone: the cost of every set of effects in, the expected path out. Nothing is simulated and nothing is fitted."""
 
+from collections.abc import Sequence
+
 import pytest
 
 from greybox.discovery import DiscoveryPolicy, SearchBudget, StepKind
 from greybox.discovery.decision import noise_cost_limit
+from greybox.discovery.execution import RefitJob
+from greybox.discovery.problem import CandidateFit
 from greybox.discovery.selection import StepwiseSelection
 from tests.support.fake_candidates import COUNT, FakeProblem, costs, leaves_noise, toy_effect
 
@@ -192,3 +196,24 @@ def test_every_step_has_its_checks():
     assert all(step.checks for step in selection.steps)
     first = selection.steps[0]
     assert [str(check.rule) for check in first.checks] == ["criterion_gain", "explained_excess"]
+
+
+class _StuckProblem(FakeProblem):
+    """Its refits from starting points end in a bad minimum; only from where the smaller model ended do they find the way."""
+
+    def refit_all(self, jobs: Sequence[RefitJob]) -> list[CandidateFit | None]:
+        return [CandidateFit(job.model, 1e6, COUNT, 6, None, None, None) for job in jobs]
+
+
+def test_a_model_with_an_effect_more_never_ends_above_the_model_without():
+    selection = StepwiseSelection(
+        _StuckProblem(costs(9000, a=NOISE, b=9000)),
+        [A, B],
+        scales=None,
+        policy=DiscoveryPolicy(),
+        on_message=lambda text: None,
+        measure_autocorrelation=leaves_noise,
+        correct_shape=lambda *_: None,
+    )
+    assert selection.select().effects == ("a",)
+    assert all(fit.cost <= 9000 for fit in selection.single_effects)

@@ -173,3 +173,22 @@ def test_a_site_that_is_not_there_is_refused():
     drag = Effect("drag", "force", [], terms=lambda x, u, p: -x.velocity)
     with pytest.raises(ModelError, match=r"acts at 'force'.*it needs a balance of a velocity"):
         (heat + drag).system  # noqa: B018
+
+
+def test_a_role_that_two_states_have_means_the_first_of_them_where_no_site_tells():
+    """An effect of the input that speaks of a current: that of the first coil, in values, units and scales alike."""
+    droop = Effect("droop", "input", [Parameter("R", "ohm", 0.0)], on_input=lambda v, x, u, p: v - p.R * x.current)
+    coils = Model(
+        "coils",
+        [State("i1", "A", role="current"), State("i2", "A", role="current")],
+        [Input("u", "V")],
+        [Output("i1", "A"), Output("i2", "A")],
+        [Parameter("L", "H", 1.0)],
+        lambda x, u, p: [
+            Balance("first", "V", p.L, "i1", source=u.u),
+            Balance("second", "V", p.L, "i2", source=u.u),
+        ],
+    )
+    assert rates(coils + droop, [2.0, 5.0], [1.0], R=0.1) == pytest.approx([0.8, 0.8])
+    x = np.array([[2.0, 5.0], [-1.0, 7.0]])
+    assert measure_scales(coils, x, np.ones((2, 1)), 0.1).peaks["current"] == 2.0

@@ -1,0 +1,71 @@
+"""What could be recorded next, and what could still be hidden: inputs within the range of the record, limits only where there are some."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.discovery import DiscoveryPolicy
+from greybox.discovery.discriminating_experiments import InputKind, candidate_inputs
+from greybox.discovery.findings import DiscoveryCode
+from greybox.effects import effect
+from greybox.errors import ModelError
+
+POLICY = DiscoveryPolicy().proposals
+HEATED = Model(
+    "heated",
+    states=[State("T", "K", role="temperature")],
+    inputs=[Input("P", "W", role="drive"), Input("Q", "W"), Input("Ta", "K", role="ambient_temperature")],
+    outputs=[Output("T", "K")],
+    parameters=[Parameter("C", "J/K", 50.0, (1.0, 1e3)), Parameter("h", "W/K", 1.0, (0.01, 100.0))],
+    balances=lambda x, u, p: [
+        Balance("heat", "W", p.C, "T", heater=u.P, second=u.Q, loss=-p.h * (x.T - u.Ta)),
+    ],
+)
+
+
+def record(seed: int, rows: int = 300) -> gb.Experiment:
+    rng = np.random.default_rng(seed)
+    inputs = {
+        "P": np.repeat(rng.uniform(5, 60, rows // 20), 20),
+        "Q": np.repeat(rng.normal(size=rows // 20), 20),
+        "Ta": 20 + np.linspace(0, 2, rows),
+    }
+    run = gb.simulate(HEATED, {"time": np.arange(rows) * 1.0, **inputs})
+    return gb.Experiment(
+        f"run {seed}", np.arange(rows) * 1.0, inputs, {"T": run.outputs["T"] + 0.01 * rng.normal(size=rows)}
+    )
+
+
+@pytest.mark.parametrize("kind", list(InputKind))
+def test_each_input_moves_within_its_own_range_and_what_nobody_sets_stays(kind: InputKind) -> None:
+    run = record(1)
+    inputs = candidate_inputs(run, HEATED.inputs, POLICY)[kind].inputs
+    assert np.array_equal(inputs["Ta"], run.inputs["Ta"])
+    assert inputs["P"].min() >= 0  # a heater does not cool
+    factor = 2.0 if kind is InputKind.SAME_INPUT_DOUBLED else 1.0
+    peak = np.abs(run.inputs["Q"]).max()
+    assert np.abs(inputs["Q"]).max() <= factor * peak * (1 + 1e-12)
+    assert np.ptp(inputs["P"]) > 0 and np.ptp(inputs["Q"]) > 0
+    assert abs(np.corrcoef(inputs["P"], inputs["Q"])[0, 1]) < 0.9  # or nobody could tell which of them did it
+
+
+def test_an_amplitude_of_which_nothing_shows_at_zero_has_no_limit() -> None:
+    """A drive that never changes sign: a dead zone of zero width changes nothing that could be told from an offset."""
+    found = gb.discover(
+        HEATED,
+        record(1),
+        validation=record(2),
+        noise={"T": 0.01},
+        effects=[effect("gain_by_sign"), effect("input_offset")],
+        workers=1,
+    )
+    limits = {f.subject: f.values["limit"] for f in found.findings if f.code is DiscoveryCode.DETECTION_LIMIT}
+    assert found.verdict == "complete"
+    assert set(limits) == {"input_offset"}
+    assert limits["input_offset"] > 0
+
+
+def test_effects_without_a_place_are_refused_with_what_they_need() -> None:
+    with pytest.raises(ModelError, match=r"none of the effects to try.*it needs a balance of a velocity"):
+        gb.discover(HEATED, record(1), validation=record(2), effects=[effect("stribeck_friction")], workers=1)
