@@ -13,7 +13,7 @@ import secrets
 import stat
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import IO, BinaryIO
 
@@ -33,7 +33,10 @@ LEFTOVER_SECONDS = 3600.0
 
 
 def write_file(
-    path: str | os.PathLike[str], content: str | bytes | Callable[[BinaryIO], object], *, private: bool = False
+    path: str | os.PathLike[str],
+    content: str | bytes | Iterable[str] | Callable[[BinaryIO], object],
+    *,
+    private: bool = False,
 ) -> Path:
     """Write a file so that it holds all of ``content``, or what it held before.
 
@@ -43,8 +46,7 @@ def write_file(
         The file; missing folders are made. A link keeps pointing to its target, which is replaced. A device or a pipe
         is written to as it is.
     content
-        Text (written as UTF-8), bytes, or a function that writes to the binary file it is given.
-
+        Text (written as UTF-8), bytes, parts of a text, or a function that writes to the binary file it is given.
     private
         For the eyes of this user alone. Else the permissions of the file that was there stay.
 
@@ -161,11 +163,14 @@ def locked(file: IO[bytes]) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_UN)
 
 
-def _fill(file: BinaryIO, content: str | bytes | Callable[[BinaryIO], object]) -> None:
+def _fill(file: BinaryIO, content: str | bytes | Iterable[str] | Callable[[BinaryIO], object]) -> None:
     if callable(content):
         content(file)
-    else:
+    elif isinstance(content, str | bytes):
         file.write(content.encode() if isinstance(content, str) else content)
+    else:
+        for part in content:
+            file.write(part.encode())
 
 
 def _mode_of(path: Path) -> int | None:

@@ -193,3 +193,7 @@ LARGEST_VALUE = 1e100
 
 SMALLEST_VALUE = 1e-100
 """A measured signal that never exceeds it has no squares to speak of."""
+
+ROWS_AT_A_TIME = 100_000
+"""Rows of a record that are looked at together where each step of a computation needs arrays of its own: they stay in the cache, and a
+long record is in memory a few times only."""

@@ -111,8 +111,12 @@ def find_parameter_shifts(tested: ConstancyInput, rows: Runs, policy: ConstancyP
 def compute_running_mean(values: np.ndarray, width: int) -> np.ndarray:
     """Mean (N,) of ``width`` samples around each of ``values`` (N,), which go on beyond their ends as they end."""
     padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
-    sums = np.concatenate([[0.0], np.cumsum(padded)])
-    return np.asarray((sums[width:] - sums[:-width]) / width)
+    sums = np.zeros(len(padded) + 1)
+    np.cumsum(padded, out=sums[1:])
+    del padded  # a long record is in memory a few times only
+    mean = sums[width:] - sums[:-width]
+    mean /= width
+    return mean
 
 
 def _split_by_experiment(tested: ConstancyInput, rows: Runs) -> list[DataPart]:
@@ -136,18 +140,20 @@ def _split_in_halves(rows: Runs) -> list[DataPart]:
 def _split_by_motion(tested: ConstancyInput, policy: ConstancyPolicy) -> list[DataPart]:
     """The rows with small and with large motion, if the motion changes enough; motion is smoothed over some correlation times."""
     outputs, colour = tested.outputs, tested.colour
-    everything = np.concatenate(outputs)
+    everything = outputs[0] if len(outputs) == 1 else np.concatenate(outputs)
     mean, spread = everything.mean(axis=0), everything.std(axis=0)
+    del everything
     if not np.isfinite(spread).all() or not spread.any():
         return []
     moving = spread > 0
     time = max((t for t, _ in colour.times), default=1.0)
     size = {}
     for e, y in enumerate(outputs):
-        squares = np.square((y - mean)[:, moving] / spread[moving]).mean(axis=1)
         width = int(min(max(len(y) / policy.motion_windows, policy.correlation_times * time), len(y)))
-        size[e] = np.sqrt(compute_running_mean(squares, max(width, 1)))
-    ordered = np.sort(np.concatenate(list(size.values())))
+        squares = compute_running_mean(np.square((y - mean)[:, moving] / spread[moving]).mean(axis=1), max(width, 1))
+        size[e] = np.sqrt(squares, out=squares)
+    ordered = np.concatenate(list(size.values()))
+    ordered.sort()
     small, middle, large = ordered[[int(share * (len(ordered) - 1)) for share in (0.25, 0.5, 0.75)]]
     if large < policy.motion_ratio * small:
         return []

@@ -49,20 +49,27 @@ def compute_misfits(problem: EstimationProblem, traces: Sequence[Trace], skip: i
 
 def compute_misfit(traces: Sequence[Trace], output: str, unit: str, noise: float, skip: int = 0) -> Misfit:
     """Error of one output over the records that have it."""
-    errors, movements = [], []
-    for trace in traces:
-        if output in trace.measured:
-            residual, measured = trace.residual(output)[skip:], trace.measured[output][skip:]
-            usable = np.isfinite(measured)
-            errors.append(residual[usable])
-            movements.append(measured[usable] - measured[usable].mean() if usable.any() else measured[usable])
-    error, movement = np.concatenate(errors), np.concatenate(movements)
-    if len(error) == 0:
+    seen = [trace for trace in traces if output in trace.measured]
+    error = _join([_select_measured(t.residual(output), t.measured[output], skip) for t in seen])
+    samples = len(error)
+    if samples == 0:
         return Misfit(np.nan, unit, np.nan, np.nan, 0)
-    rmse = float(np.sqrt(np.mean(error**2)))
-    spread = float(np.linalg.norm(movement))
-    best_fit = 100 * (1 - float(np.linalg.norm(error)) / spread) if spread > 0 else np.nan
-    return Misfit(rmse, unit, best_fit, rmse / noise, len(error))
+    rmse, size = float(np.sqrt(np.mean(error**2))), float(np.linalg.norm(error))
+    del error  # a long record is in memory a few times only
+    measured = [_select_measured(t.measured[output], t.measured[output], skip) for t in seen]
+    spread = float(np.linalg.norm(_join([values - values.mean() if len(values) else values for values in measured])))
+    best_fit = 100 * (1 - size / spread) if spread > 0 else np.nan
+    return Misfit(rmse, unit, best_fit, rmse / noise, samples)
+
+
+def _select_measured(values: np.ndarray, measured: np.ndarray, skip: int) -> np.ndarray:
+    """The ``values`` (N,) of the samples that were ``measured`` (N,), from row ``skip`` on."""
+    usable = np.isfinite(measured[skip:])
+    return values[skip:] if usable.all() else values[skip:][usable]
+
+
+def _join(parts: Sequence[np.ndarray]) -> np.ndarray:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def compute_record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, Misfit]:

@@ -17,11 +17,11 @@ class RowLabels:
     """How rows are called in messages: ``line 17`` of a text file, ``row 16`` of anything else (counted from 1)."""
 
     word: str = "row"
-    numbers: np.ndarray | None = None
+    numbers: Sequence[int] | np.ndarray | None = None
 
     def select(self, rows: slice) -> RowLabels:
         """The same for these rows alone, which are counted from 0 again."""
-        numbers = np.arange(1, (rows.stop or 0) + 1) if self.numbers is None else self.numbers
+        numbers = range(1, (rows.stop or 0) + 1) if self.numbers is None else self.numbers
         return RowLabels(self.word, numbers[rows])
 
     def describe(self, rows: Sequence[int] | np.ndarray, shown: int = 5) -> str:

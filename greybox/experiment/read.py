@@ -202,10 +202,14 @@ def read_arrays(
     raise_problems(file.path.name, match.problems)
     raw, problems = file.values([c.position for c in match.columns.values()])
     groups: dict[SignalKind, Arrays] = {kind: {} for kind in SignalKind}
+    rows = 0
     for signal, column in match.columns.items():
-        groups[signal.kind][signal.name] = convert_column(raw[column.position], signal, column, problems)
+        # Each column is let go of as it is converted: a long record is in memory once.
+        values = convert_column(raw.pop(column.position), signal, column, problems)
+        values.setflags(write=False)  # then no record needs a copy of its own
+        groups[signal.kind][signal.name] = values
+        rows = len(values)
     raise_problems(file.path.name, problems)
-    rows = len(next(iter(raw.values()), ()))
     time = groups[SignalKind.TIME][TIME] if sampling_time is None else sampling_time * np.arange(rows)
     return RecordArrays(
         file, match, time, groups[SignalKind.INPUT], groups[SignalKind.OUTPUT], groups[SignalKind.CONDITION]
@@ -262,6 +266,8 @@ def _cut_runs(
 ) -> list[tuple[slice, np.ndarray, Arrays, Arrays]]:
     """The rows of each run with its arrays: with ``split`` a run ends where time goes back, else the whole is one."""
     starts = [0, *(np.flatnonzero(np.diff(time) < 0) + 1).tolist()] if split else [0]
+    if len(starts) == 1:
+        return [(slice(0, len(time)), time, dict(inputs), dict(outputs))]
     parts = [slice(a, b) for a, b in pairwise([*starts, len(time)])]
     return [
         (rows, time[rows], {n: v[rows] for n, v in inputs.items()}, {n: v[rows] for n, v in outputs.items()})

@@ -26,21 +26,36 @@ import numpy as np
 from greybox.experiment.findings import RecordCode
 from greybox.experiment.policy import RECORD_POLICY, RecordPolicy
 from greybox.findings import Finding, Severity
+from greybox.numerics import ROWS_AT_A_TIME
 
 
 def find_sampling_time(time: np.ndarray, policy: RecordPolicy = RECORD_POLICY) -> float | None:
     """Sampling time in seconds of the increasing stamps ``time`` (N,), N >= 2, or None when they are irregular."""
     step = float(time[-1] - time[0]) / (len(time) - 1)
-    off_grid = np.abs(time - time[0] - step * np.arange(len(time)))
-    off_step = np.abs(np.diff(time) - step)
-    on_grid = off_grid.max() <= policy.grid_tolerance * step
+    on_grid = _measure_grid_offset(time, step) <= policy.grid_tolerance * step
+    off_step = np.diff(time)
+    off_step -= step
+    np.abs(off_step, out=off_step)
     if on_grid and off_step.max() <= policy.step_tolerance * step:
         return step
     unit = estimate_time_resolution(time, policy)
-    allowed = np.maximum(policy.step_tolerance * step, policy.rounding_units * np.maximum(unit[:-1], unit[1:]))
+    allowed = np.maximum(unit[:-1], unit[1:])
+    allowed *= policy.rounding_units
+    np.maximum(allowed, policy.step_tolerance * step, out=allowed)
     if on_grid and bool(np.all(off_step <= allowed)):
         return step
+    del off_step, allowed
     return _find_coarsely_printed_step(time, step, float(np.median(unit)), policy)
+
+
+def _measure_grid_offset(time: np.ndarray, step: float) -> float:
+    """Largest distance of a stamp from the grid ``time[0] + k step``."""
+    largest = 0.0
+    for first in range(0, len(time), ROWS_AT_A_TIME):
+        stamps = time[first : first + ROWS_AT_A_TIME]
+        grid = step * np.arange(first, first + len(stamps))
+        largest = max(largest, float(np.abs(stamps - time[0] - grid).max()))
+    return largest
 
 
 def _find_coarsely_printed_step(time: np.ndarray, step: float, unit: float, policy: RecordPolicy) -> float | None:
@@ -142,16 +157,19 @@ def estimate_time_resolution(time: np.ndarray, policy: RecordPolicy = RECORD_POL
     The printed places are those of the longest number of the same power of ten: 0.5 beside 0.501 was printed with
     three.
     """
-    places = _count_decimals(time, policy.max_decimals)
-    decade = np.floor(np.log10(np.maximum(np.abs(time), 10.0**-policy.max_decimals)))
+    places, decade = (np.empty(len(time), np.int16) for _ in range(2))
+    for first in range(0, len(time), ROWS_AT_A_TIME):
+        rows = slice(first, first + ROWS_AT_A_TIME)
+        places[rows] = _count_decimals(time[rows], policy.max_decimals)
+        decade[rows] = np.floor(np.log10(np.maximum(np.abs(time[rows]), 10.0**-policy.max_decimals)))
     unit = np.zeros(len(time))
     for d in np.unique(decade):
         same = decade == d
-        unit[same] = 10.0 ** -places[same].max()
+        unit[same] = 10.0 ** -np.int64(places[same].max())
     unit[np.isinf(unit)] = 0.0
     single = time.astype(np.float32)
     if np.array_equal(single, time):
-        unit = np.maximum(unit, np.spacing(np.abs(single)).astype(float))
+        np.maximum(unit, np.spacing(np.abs(single)), out=unit)
     return unit
 
 

@@ -15,6 +15,7 @@ from greybox.experiment.findings import RecordCode
 from greybox.experiment.policy import RECORD_POLICY, RecordPolicy
 from greybox.experiment.problems import is_constant
 from greybox.findings import Finding, Severity
+from greybox.numerics import ROWS_AT_A_TIME
 
 
 def inspect_signals(
@@ -135,13 +136,16 @@ def _find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray], policy: Recor
     usual = beside[beside > 0]  # neither rest nor gaps
     if not len(usual):
         return np.zeros(0, int)
+    limit = policy.spike_ratio * np.quantile(usual, 1 - policy.repeat_share, overwrite_input=True)
+    del usual  # a long record is in memory a few times only
     driven = np.zeros(len(values), bool)
     for u in inputs:
         pulse = _measure_offset(u)[1] > policy.pulse_share * np.ptp(u)
         driven |= pulse | np.concatenate(([False], pulse[:-1]))
     # A spike puts its neighbours aside too, by half as much.
-    highest = (beside >= np.append(beside[1:], 0)) & (beside >= np.append(0, beside[:-1]))
-    limit = policy.spike_ratio * np.quantile(usual, 1 - policy.repeat_share)
+    highest = beside >= 0
+    highest[:-1] &= beside[:-1] >= beside[1:]
+    highest[1:] &= beside[1:] >= beside[:-1]
     spikes = np.flatnonzero(highest & (beyond > limit) & ~driven)
     return spikes if len(spikes) <= max(1, policy.max_spike_share * len(values)) else spikes[:0]
 
@@ -149,11 +153,13 @@ def _find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray], policy: Recor
 def _measure_offset(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How far each value (N,) lies from the middle of its neighbours; and beyond both, where they are close together, else 0."""
     offset, beyond = np.zeros(len(values)), np.zeros(len(values))
-    if len(values) > 2:
-        before, after = values[1:-1] - values[:-2], values[1:-1] - values[2:]
-        offset[1:-1] = np.abs(before + after) / 2
-        alone = (before * after > 0) & (np.abs(before - after) <= offset[1:-1])
-        beyond[1:-1][alone] = np.minimum(np.abs(before), np.abs(after))[alone]
+    for first in range(1, len(values) - 1, ROWS_AT_A_TIME):
+        rows = slice(first, min(first + ROWS_AT_A_TIME, len(values) - 1))
+        middle, left, right = (values[rows.start + k : rows.stop + k] for k in (0, -1, 1))
+        before, after = middle - left, middle - right
+        offset[rows] = np.abs(before + after) / 2
+        alone = (before * after > 0) & (np.abs(before - after) <= offset[rows])
+        beyond[rows][alone] = np.minimum(np.abs(before), np.abs(after))[alone]
     return offset, beyond
 
 

@@ -150,11 +150,11 @@ class TextTable:
 def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
     """Open a text table. Raises DataError for an empty or binary file, and where the header is not the first line."""
     source = TextSource(path, _find_encoding(path, policy))
-    numbers, comments, first = array("q"), dict[int, str](), list[str]()
+    numbers, comments, first = _LineNumbers(), dict[int, str](), list[str]()
     has_comma = has_point = False
     for number, line in enumerate(source.read_lines(), 1):
         if _is_of_table(line):
-            numbers.append(number)
+            numbers.add(number)
             if len(first) < policy.header_lines:
                 first.append(line)
             has_comma = has_comma or "," in line
@@ -169,22 +169,23 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
         stated = None
     body = first[skipped + 1 : skipped + 1 + policy.separator_lines]
     separator = stated or _guess_separator(first[skipped], body)
-    headers, header_line = split_header(first[skipped], separator), numbers[skipped]
+    rows = numbers.as_sequence()
+    headers, header_line = split_header(first[skipped], separator), int(rows[skipped])
     headless = _holds_numbers(headers)
     if not headless:
-        misplaced = describe_misplaced_header(first[skipped:], list(numbers[skipped : len(first)]))
+        misplaced = describe_misplaced_header(first[skipped:], list(map(int, rows[skipped : len(first)])))
         if misplaced:
             raise DataError(f"{path.name}: {misplaced}")
         skipped += 1
     else:
-        stated_header = _find_header_in_comments(comments, numbers[skipped], separator, len(headers))
+        stated_header = _find_header_in_comments(comments, int(rows[skipped]), separator, len(headers))
         if stated_header is not None:
             header_line, headers = stated_header
             headless = False
         else:
             headers = [str(k) for k in range(1, len(headers) + 1)]
     check_width(len(headers), policy)
-    labels = RowLabels("line", np.frombuffer(numbers, dtype=np.int64)[skipped:])
+    labels = RowLabels("line", rows[skipped:])
     return TextTable(
         source,
         tuple(headers),
@@ -198,6 +199,32 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
         has_point,
         policy,
     )
+
+
+class _LineNumbers:
+    """Numbers of the lines of a table: a range, as long as no blank line or comment lies between them."""
+
+    def __init__(self) -> None:
+        self.first = self.last = 0
+        self.scattered: array | None = None
+
+    def add(self, number: int) -> None:
+        """One more line, behind the others."""
+        if self.scattered is not None:
+            self.scattered.append(number)
+        elif not self.first:
+            self.first = self.last = number
+        elif number == self.last + 1:
+            self.last = number
+        else:
+            self.scattered = array("q", range(self.first, self.last + 1))
+            self.scattered.append(number)
+
+    def as_sequence(self) -> Sequence[int] | np.ndarray:
+        """The numbers in their order."""
+        if self.scattered is not None:
+            return np.frombuffer(self.scattered, dtype=np.int64)
+        return range(self.first, self.last + 1) if self.first else range(0)
 
 
 def _is_of_table(line: str) -> bool:

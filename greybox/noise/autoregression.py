@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg.blas import dtbsv
 
 from greybox.noise.policy import NOISE_POLICY, NoisePolicy
+from greybox.numerics import ROWS_AT_A_TIME
 from greybox.values import Printable
 
 
@@ -141,7 +142,8 @@ def fit_autoregression(
     0
     """
     max_order = policy.max_order if max_order is None else max_order
-    forward = backward = _trim_gaps(np.asarray(values, float))
+    forward = _trim_gaps(np.asarray(values, float)).copy()
+    backward = forward.copy()
     is_whole = bool(np.isfinite(forward).all())
     count = np.isfinite(forward).sum() / copies
     reflection: list[float] = []
@@ -157,7 +159,14 @@ def fit_autoregression(
         if not abs(k) < 1:
             break
         reflection.append(k)
-        forward, backward = f - k * b, b - k * f
+        for first in range(
+            0, len(f), ROWS_AT_A_TIME
+        ):  # in their places: a long series is in memory twice, and not five times
+            rows = slice(first, first + ROWS_AT_A_TIME)
+            change = k * f[rows]
+            f[rows] -= k * b[rows]
+            b[rows] -= change
+        forward, backward = f, b
         criterion += len(used_f) / copies * np.log(1 - k * k) + np.log(count)
         if criterion < best:
             best, chosen = criterion, order

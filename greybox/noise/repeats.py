@@ -20,10 +20,13 @@ def find_period(inputs: np.ndarray, policy: NoisePolicy = NOISE_POLICY) -> int |
         return None
     # sum over t of (u[t + lag] - u[t])^2 for all lags at once
     power = np.concatenate([[0.0], np.cumsum((moving**2).sum(axis=1))])
-    spectrum = np.fft.rfft(moving, 2 * rows, axis=0)
-    product = np.fft.irfft(np.abs(spectrum) ** 2, 2 * rows, axis=0).sum(axis=1)
     lags = np.arange(policy.min_period_rows, rows // 2 + 1)
-    difference = power[rows - lags] + power[rows] - power[lags] - 2 * product[lags]
+    product = np.zeros(len(lags))
+    for column in moving.T:  # one after another, and nothing kept of them: a long record is in memory a few times only
+        squares = np.square(np.abs(np.fft.rfft(column, 2 * rows)))
+        product += np.fft.irfft(squares, 2 * rows)[lags]
+        del squares
+    difference = power[rows - lags] + power[rows] - power[lags] - 2 * product
     for lag in lags[difference < PERIOD_CLOSURE * power[rows]]:
         if np.abs(moving[lag:] - moving[:-lag]).max() <= policy.same_input:
             return int(lag)

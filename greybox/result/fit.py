@@ -35,7 +35,7 @@ from greybox.result.fit_parts import (
     Trace,
     Validation,
 )
-from greybox.result.json_data import format_json, to_json_data
+from greybox.result.json_data import iterate_json
 from greybox.schemas import ResultKind, read_json
 from greybox.units import parse_unit
 from greybox.values import Printable, ReadOnly
@@ -133,7 +133,7 @@ class Fit(Printable, ReadOnly):
 
 def save_fit(fit: Fit, path: str | Path) -> Path:
     """Write ``fit`` to ``path`` (folders are made); numbers that are not finite become null."""
-    return write_file(path, format_json(to_json_data(fit_data(fit))) + "\n")
+    return write_file(path, iterate_json(fit_data(fit)))
 
 
 def fit_data(fit: Fit) -> dict[str, Any]:
