@@ -9,7 +9,15 @@ import typer
 
 from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
-from greybox.cli.inputs import build_model, check_skip, constrain, print_record_notes, read_quiet_records, read_records
+from greybox.cli.inputs import (
+    build_model,
+    check_skip,
+    constrain,
+    print_record_notes,
+    read_quiet_records,
+    read_records,
+    read_time_limit,
+)
 from greybox.cli.options import Cluster, Figures, Json, NoReport, Workers, check_writable, takes_study
 from greybox.cli.progress import show_search_progress
 from greybox.cli.reporting import write_report
@@ -58,6 +66,7 @@ def discover(
     quiet = read_quiet_records(study, model, hold=study.hold)
     print_record_notes(records, validation, quiet)
     check_skip(study, validation)
+    time_limit = read_time_limit(study)
     candidates = [effect(name) for name in study.candidates] or None
     journal = folder / "journal.jsonl"
     try:
@@ -79,6 +88,7 @@ def discover(
                 on_refit=report,
                 executor=executor,
                 workers=workers,
+                time_limit=time_limit,
             )
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command continues from there" if journal.exists() else ""

@@ -24,6 +24,7 @@ from greybox.cli.inputs import (
     print_record_notes,
     read_quiet_records,
     read_records,
+    read_time_limit,
     seed_of,
     with_delays_of_records,
 )
@@ -43,7 +44,7 @@ from greybox.cli.policy import COMMANDS
 from greybox.cli.progress import show_fit_progress, show_progress
 from greybox.cli.reporting import write_report
 from greybox.cli.study import FIT, Study
-from greybox.errors import FitError
+from greybox.errors import FitError, GreyboxError
 
 if TYPE_CHECKING:
     from greybox.experiment import Experiment
@@ -96,6 +97,11 @@ def fit(
     if not silent:  # notes on the fitted records stand in the result, but for JSON
         print_record_notes(*((records, validation) if json else (validation,)))
     seed, profiled = seed_of(study), check_intervals(study, model)
+    time_limit = read_time_limit(study)
+    if study.time_limit and study.starts == 1:
+        raise GreyboxError(
+            f"{study.label('time_limit')} {study.time_limit:g} has no effect: there is one start; give --starts N too"
+        )
     given: dict[str, Any] = {
         "noise": dict(study.noise),
         "quiet": quiet,
@@ -116,10 +122,11 @@ def fit(
                     executor=executor,
                     workers=workers,
                     journal=journal,
+                    time_limit=time_limit,
                     **given,
                 )
             result, interrupted = many.best, many.interrupted
-            if not interrupted:
+            if not interrupted and len(many.start_results) == study.starts:
                 journal.unlink(missing_ok=True)
         else:
             with hold_interrupts() as interrupt, show_fit_progress(model.title, interrupt) as report:

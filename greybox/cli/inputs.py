@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -272,6 +273,13 @@ def check_prediction_steps(study: Study, *groups: Sequence[Experiment]) -> None:
                 f"{study.label('predict')} {k}: the longest record has {longest} rows, and the first {k} of each have no"
                 " measurement to predict from; predict fewer samples ahead"
             )
+
+
+def read_time_limit(study: Study) -> float:
+    """Seconds that a search may take, infinite where nobody limits it. Raises GreyboxError."""
+    if study.time_limit < 0:
+        raise GreyboxError(f"{study.label('time_limit')} {study.time_limit:g}: give a number of seconds above 0")
+    return study.time_limit or math.inf
 
 
 def seed_of(study: Study) -> int:

@@ -30,6 +30,8 @@ class ProgressPolicy:
 
     patience: float = 1.0
     """Seconds before the line appears: short commands stay quiet."""
+    line_seconds: float = 10.0
+    """Seconds between two lines where there is no terminal: a log says that the command lives, and is not filled."""
     usual_iterations: int = 15
     """Iterations that a stage of a fit usually takes."""
     usual_refits: int = 40

@@ -1,4 +1,4 @@
-"""A line that says how far a long command is, with a bar and the time left; only on a terminal, and only after a second."""
+"""How far a long command is, with the time left: on a terminal one line with a bar, after a second; else a plain line now and then."""
 
 from __future__ import annotations
 
@@ -31,24 +31,31 @@ class ProgressLine:
         from rich.console import Console
 
         self.console = Console(stderr=True)
-        self.began = time.monotonic()
+        self.began = self.written = time.monotonic()
         self.bar: Bar | None = None
 
     def __call__(self, text: str, share: float | None = None) -> None:
         """Show ``text``; with the ``share`` of the work that is done also the bar and the time left."""
-        elapsed = time.monotonic() - self.began
-        if not self.console.is_terminal or elapsed < PROGRESS.patience:
+        now = time.monotonic()
+        elapsed = now - self.began
+        left = time_left(elapsed, share)
+        remaining = "" if left is None else f"about {format_duration(left)} left"
+        if not self.console.is_terminal:
+            if now - self.written >= PROGRESS.line_seconds:
+                self.written = now
+                print_note("; ".join(part for part in (text, f"{format_duration(elapsed)} so far", remaining) if part))
+            return
+        if elapsed < PROGRESS.patience:
             return
         if self.bar is None:
             self.bar = _bar(self.console)
             self.bar.start()
-        left = time_left(elapsed, share)
         self.bar.update(
             self.bar.task_ids[0],
             description=text,
             total=None if share is None else 1.0,
             completed=share or 0.0,
-            left="" if left is None else f"about {format_duration(left)} left",
+            left=remaining,
         )
 
     def stop(self) -> None:

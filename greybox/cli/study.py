@@ -218,6 +218,17 @@ class Study:
         metavar="NAME=FORMULA",
         complete=completion.constants,
     )
+    time_limit: float = _study_field(
+        Quantity(),
+        "--time",
+        "search.time",
+        (FIT, DISCOVER),
+        {
+            FIT: "With --starts: begin no further start after so many seconds, and take the best so far.",
+            DISCOVER: "End the search after so many seconds, with the best answer so far. The same command continues it.",
+        },
+        metavar="SECONDS",
+    )
     per_experiment: tuple[str, ...] = _study_field(
         Names(split=True),
         "--own",

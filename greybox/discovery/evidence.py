@@ -132,6 +132,11 @@ class EvidenceInputs:
         return self.problem.failures.attempt(SearchStage.EVIDENCE, self.selected.effects, run, None)
 
 
+def lower_grade(evidence: EffectEvidence) -> EffectEvidence:
+    """The same evidence of a search that was cut short: what it established is only probable."""
+    return replace(evidence, grade=Grade.PROBABLE) if evidence.grade is Grade.ESTABLISHED else evidence
+
+
 def gather_evidence(inputs: EvidenceInputs) -> tuple[EffectEvidence, ...]:
     """The evidence for each effect of the selected model; empty where that cannot be run on the validation records."""
     errors = inputs.scores.square_errors(inputs.selected, inputs.limits.blocks)

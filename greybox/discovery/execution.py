@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -115,6 +116,9 @@ class RefitExecutor:
         Called after each refit with the number of finished ones.
     parallel_seconds
         Expected seconds of refits from which starting processes pays.
+    deadline, last_deadline
+        Values of ``time.perf_counter()`` after which no refit begins: while effects are looked for, and in all. ``skipped`` counts
+        those that did not.
     """
 
     executor: Executor | None = None
@@ -122,7 +126,10 @@ class RefitExecutor:
     journal: RefitJournal | None = None
     report: Callable[[int], None] | None = None
     parallel_seconds: float = SearchBudget.parallel_seconds
+    deadline: float = math.inf
+    last_deadline: float = math.inf
     finished: int = field(init=False, default=0)
+    skipped: int = field(init=False, default=0)
     seconds: list[float] = field(init=False, default_factory=list)
     _pools: ExitStack = field(init=False, default_factory=ExitStack)
 
@@ -149,11 +156,23 @@ class RefitExecutor:
             self._run_in_parallel(problem, jobs, keys, remaining, results)
             return results
         for k in remaining:
+            if self.is_late:
+                self.skipped += 1
+                continue
             began = time.perf_counter()
             results[k] = _attempt(problem, jobs[k], partial(problem.refit, jobs[k]))
             self.seconds.append(time.perf_counter() - began)
             self._keep(keys[k], results[k] and problem.to_outcome(results[k]))
         return results
+
+    @property
+    def is_late(self) -> bool:
+        """Whether no refit may begin any more."""
+        return time.perf_counter() >= self.deadline
+
+    def release_reserve(self) -> None:
+        """From now on refits may begin until the last deadline."""
+        self.deadline = self.last_deadline
 
     def _key(self, problem: RefitProblem, job: RefitJob) -> str:
         """The key of a job in the journal; empty where there is none, or the job fails already here."""
@@ -200,10 +219,12 @@ class RefitExecutor:
             executor=self.executor,
             workers=self.workers,
             receive=keep,
+            deadline=self.deadline,
         )
         errors = []
         for k, result in zip(remaining, done, strict=True):
             if result is None:
+                self.skipped += 1
                 continue
             if result.error:
                 errors.append(f"{jobs[k].model.title}: {result.error}")
@@ -212,7 +233,7 @@ class RefitExecutor:
             results[k] = self._restore(problem, jobs[k], result.value)
         if interrupted:
             raise KeyboardInterrupt
-        if len(errors) == len(remaining):  # no candidate's fault: the processes
+        if errors and len(errors) == len(remaining):  # no candidate's fault: the processes
             raise FitError(f"refits failed: {'; '.join(errors)}")
 
     def _keep(self, key: str, outcome: RefitOutcome | None) -> None:

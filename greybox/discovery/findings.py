@@ -49,6 +49,7 @@ class DiscoveryCode(StrEnum):
     SURROGATE_FITTED = "surrogate_fitted"
     # What a reader should know.
     LEARNT_FROM_VALIDATION = "learnt_from_validation"
+    TIME_OVER = "time_over"
     SHAPE_CORRECTED = "shape_corrected"
     DISCRIMINATING_EXPERIMENT = "discriminating_experiment"
     NO_DISCRIMINATING_EXPERIMENT = "no_discriminating_experiment"
@@ -58,6 +59,7 @@ class DiscoveryCode(StrEnum):
     EFFECT_PRESENT = "effect_present"
     NOT_A_CANDIDATE = "not_a_candidate"
     EFFECT_LEFT_OUT = "effect_left_out"
+    NOT_REACHED = "not_reached"
     CANDIDATE_FAILED = "candidate_failed"
     CANDIDATE_NOT_SIMULATED = "candidate_not_simulated"
     # What to do next.

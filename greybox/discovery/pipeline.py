@@ -5,6 +5,7 @@ The stages, each a function of its own: baseline, noise, screening and selection
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
@@ -24,7 +25,13 @@ from greybox.discovery.decision import (
     visible_rms_limit,
 )
 from greybox.discovery.effect_signal import EffectSignal, estimate_effect_signals
-from greybox.discovery.evidence import EffectEvidence, EvidenceInputs, gather_evidence, measure_structure
+from greybox.discovery.evidence import (
+    EffectEvidence,
+    EvidenceInputs,
+    gather_evidence,
+    lower_grade,
+    measure_structure,
+)
 from greybox.discovery.execution import RefitExecutor, RefitJournal
 from greybox.discovery.failures import SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
@@ -64,7 +71,7 @@ from greybox.effects import Scales
 from greybox.errors import DataError
 from greybox.estimation import FitOptions
 from greybox.experiment import Experiment
-from greybox.findings import Check, Finding
+from greybox.findings import Check, Finding, Severity
 from greybox.model import Effect, Model
 from greybox.result import Fit
 
@@ -150,6 +157,7 @@ def discover(
     journal: str | Path | None = None,
     on_refit: Callable[[int], None] | None = None,
     further: bool = False,
+    time_limit: float = math.inf,
 ) -> Discovery:
     """Find which effect, if any, ``model`` lacks.
 
@@ -193,6 +201,9 @@ def discover(
         Called after each refit with the number of finished ones.
     further
         Whether smaller effects are looked for even where the residual is noise already.
+    time_limit
+        Seconds after which no refit begins and the best answer so far is given as such: no effect in it counts as established. The
+        first fit and the runs over the validation records are always made.
 
     Returns
     -------
@@ -223,7 +234,17 @@ def discover(
     refit_journal = RefitJournal(Path(journal)) if journal else None
     for finding in refit_journal.findings if refit_journal else ():
         on_message(str(finding))
-    refits = RefitExecutor(executor, workers, refit_journal, on_refit, policy.budget.parallel_seconds)
+    if not time_limit > 0:
+        raise DataError(f"a time limit of {time_limit:g} s: give a number of seconds above 0")
+    refits = RefitExecutor(
+        executor,
+        workers,
+        refit_journal,
+        on_refit,
+        policy.budget.parallel_seconds,
+        began + policy.budget.search_share * time_limit,
+        began + time_limit,
+    )
     with refits.open():
         problem = DiscoveryProblem(
             model, _as_tuple(estimation), dict(noise or {}), _as_tuple(quiet), options, refits, policy.budget
@@ -232,7 +253,7 @@ def discover(
         listed = list_candidates(problem.model, scales, problem.failures, effects, without)
         findings: tuple[Finding, ...] = ()
         judged = _select_and_judge(problem, listed.effects, scales, validation_set, policy, on_message)
-        if problem.options.at_rest and _shows_on_validation_only(judged):
+        if problem.options.at_rest and not refits.is_late and _shows_on_validation_only(judged):
             on_message(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
             half = min(record.rows for record in validation_set.records) // 2
             first_halves = tuple(record.window(0, half) for record in validation_set.records)
@@ -242,9 +263,18 @@ def discover(
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
         result = _conclude(judged, listed.effects, findings, further)
         fitted = {name for key in judged.selection.fits if len(key) == 1 for name in key}
+        failed = failed_candidates(listed.effects, problem.failures, fitted)
+        not_reached: dict[str, Finding] = {}
+        if refits.skipped:
+            values = {"seconds": time_limit, "skipped": refits.skipped}
+            result = replace(
+                result, findings=(Finding(DiscoveryCode.TIME_OVER, Severity.WARNING, "", values), *result.findings)
+            )
+            missed = [e.name for e in listed.effects if e.name not in fitted and e.name not in failed]
+            not_reached = {name: Finding(DiscoveryCode.NOT_REACHED, subject=name) for name in missed}
         return replace(
             result,
-            not_tried=listed.not_tried | failed_candidates(listed.effects, problem.failures, fitted),
+            not_tried=listed.not_tried | failed | not_reached,
             failures=tuple(problem.failures.entries.values()),
             seconds=time.perf_counter() - began,
         )
@@ -290,6 +320,8 @@ def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSe
     level_known = is_level_known(selection.baseline.problem.noise)
     selected = selection.select() if level_known else selection.select_first()
     for _ in range(policy.noise.rounds):
+        if selection.problem.executor.is_late:
+            break
         noise = estimate_residual_noise(selected, policy.noise)
         if is_same_noise(noise, selected.problem.noise, policy.noise):
             if level_known:
@@ -300,10 +332,13 @@ def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSe
             values = {"colours": colours, "std": noise.std.tolist()}
             on_message(str(Finding(DiscoveryCode.NOISE_FROM_RESIDUAL, subject=selected.model.title, values=values)))
         problem = replace(selection.problem, noise=noise, model=selection.baseline.model)
+        previous = selection
         selection = StepwiseSelection(
             problem, _leading_candidates(selection), selection.scales, policy, on_message, selection.fits
         )
         before, selected = selected, selection.select()
+        if problem.executor.is_late:  # cut short: what the round before had found stands
+            return previous, before
         if before.effects == selected.effects:
             break
     return selection, selected
@@ -368,7 +403,10 @@ def _conclude(
             signals,
             policy,
         )
+        problem.executor.release_reserve()
         evidence = attempt(SearchStage.EVIDENCE, final.candidate.effects, partial(gather_evidence, inputs), ())
+        if problem.executor.skipped:  # neither all rivals nor all tests of its form were tried
+            evidence = tuple(lower_grade(e) for e in evidence)
     decided = weigh_evidence(decided, evidence, policy.certainty)
     verdict, holdout = decided.verdict, compare_holdout_errors(judged.base, final.fit)
     judged = replace(judged, best=final.fit, holdout=holdout)

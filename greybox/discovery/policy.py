@@ -114,6 +114,8 @@ class SearchBudget:
     """Starting points from which an effect that is tried by hand is refitted."""
     least_noise_share: float = 0.01
     """Share of a residual's variance that counts as noise at least where what is left is localised."""
+    search_share: float = 0.6
+    """Share of a limited time that the search for effects may take; the rest is for the evidence of what it finds."""
     parallel_seconds: float = 20.0
     """Expected seconds of refits from which starting processes pays."""
 

@@ -224,8 +224,10 @@ class DiscoveryProblem:
     def predict_cost(self, model: Model, starts: Iterable[StartValues], like: CandidateFit | None = None) -> float:
         """The lowest cost that one Gauss-Newton step predicts from any of ``starts``; ``like`` as in `refit_best`.
 
-        Infinite for a model that cannot be simulated.
+        Infinite for a model that cannot be simulated, and once the time of the search is over.
         """
+        if self.executor.is_late:
+            return np.inf
 
         def predict() -> float:
             problem = _with_initial_states(self.prepare(model), _initial_states(like))

@@ -43,3 +43,4 @@ class EstimationCode(StrEnum):
     NOISE_COLOUR_IGNORED = "noise_colour_ignored"
     # Several starts.
     STARTS = "starts"
+    STARTS_NOT_BEGUN = "starts_not_begun"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -76,6 +78,7 @@ def multistart(
     workers: int = 0,
     report: JobProgressCallback | None = None,
     journal: str | Path | None = None,
+    time_limit: float = math.inf,
 ) -> MultiStartResult:
     """Fit ``model`` from its own start and from random ones.
 
@@ -101,6 +104,8 @@ def multistart(
         Called as ``report(done, starts)`` after each start.
     journal
         File that keeps every finished start; the same call continues from it.
+    time_limit
+        Seconds after which no start begins. The first one always does.
 
     Returns
     -------
@@ -116,7 +121,9 @@ def multistart(
     WorkersLostError
         If a cluster is lost. The starts that are finished are in the journal.
     """
-    options = resolve_options(options)
+    began, options = time.perf_counter(), resolve_options(options)
+    if not time_limit > 0:
+        raise ModelError(f"a time limit of {time_limit:g} s: give a number of seconds above 0")
     if starts < 1:
         raise ModelError(f"starts {starts}: give at least 1, the model's own")
     if model.noisy_states:
@@ -150,6 +157,7 @@ def multistart(
             workers=workers,
             report=None if report is None else lambda done, _: report(before + done, len(begins)),
             receive=receive,
+            deadline=began + time_limit,
         )
     except WorkersLostError as error:
         raise WorkersLostError(error.fault, results) from error
@@ -160,9 +168,14 @@ def multistart(
         elif job is not None:
             values, ratio, status = job.value
             start_results.append(StartResult(begin, values, ratio, status, job.seconds))
+    left = len(begins) - len(start_results)
+    is_late = not interrupted and left > 0
     start_results.sort(key=lambda result: result.noise_ratio)
     if not start_results or not start_results[0].values:
-        reason = start_results[0].status if start_results else "interrupted before the first was done"
+        reason = (
+            f"the first was not done within {time_limit:g} s" if is_late else "interrupted before the first was done"
+        )
+        reason = start_results[0].status if start_results else reason
         raise GreyboxError(
             f"multi-start of {model.title}: none of {len(begins)} starts has a result ({reason}); give start values nearer to physical"
             " ones"
@@ -179,7 +192,9 @@ def multistart(
     )
     policy = options.policy.multistart
     summary = summarise_starts(start_results, policy)
-    best = replace(best, findings=(summary, *best.findings), starts=tuple(start_results))
+    values = {"left": left, "starts": len(begins), "seconds": time_limit}
+    late = (Finding(EstimationCode.STARTS_NOT_BEGUN, Severity.WARNING, "", values),) if is_late else ()
+    best = replace(best, findings=(summary, *late, *best.findings), starts=tuple(start_results))
     return MultiStartResult(best, tuple(start_results), interrupted, policy)
 
 

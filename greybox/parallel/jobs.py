@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
@@ -41,6 +42,7 @@ def run_jobs(
     workers: int = 0,
     report: JobProgressCallback | None = None,
     receive: JobResultCallback | None = None,
+    deadline: float = math.inf,
 ) -> tuple[list[JobResult | None], bool]:
     """``job(common, item)`` for every item.
 
@@ -60,6 +62,8 @@ def run_jobs(
         Called after each job with how many are finished.
     receive
         Called with the number of a job and its result as soon as it is there.
+    deadline
+        Value of ``time.perf_counter()`` after which no job begins; what runs elsewhere by then is given up.
 
     Returns
     -------
@@ -75,7 +79,7 @@ def run_jobs(
         If the cluster is lost or its workers are of another version, with what is finished.
     """
     workers = min(workers or count_cores(), max(len(items), 1))
-    book = _Book(job, common, items, report, receive)
+    book = _Book(job, common, items, report, receive, deadline)
     try:
         if executor is not None:
             book.run_through(executor)
@@ -109,8 +113,10 @@ class _Book:
         items: Sequence[Any],
         report: JobProgressCallback | None,
         receive: JobResultCallback | None,
+        deadline: float,
     ) -> None:
         self.job, self.common, self.items, self.report, self.receive = job, common, items, report, receive
+        self.deadline = deadline
         self.results: list[JobResult | None] = [None] * len(items)
         self.tries = [0] * len(items)
         self.losses = [""] * len(items)
@@ -120,6 +126,11 @@ class _Book:
     def open(self) -> list[int]:
         """Jobs without a result."""
         return [k for k, done in enumerate(self.results) if done is None]
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the time is over."""
+        return time.perf_counter() >= self.deadline
 
     def enter(self, k: int, done: JobResult) -> None:
         """A result."""
@@ -132,12 +143,14 @@ class _Book:
     def run_here(self) -> None:
         """All jobs one after the other in this process."""
         for k in self.open:
+            if self.is_late:
+                return
             self.enter(k, _run_timed(self.job, self.common, self.items[k]))
 
     def run_through(self, executor: Executor) -> None:
         """All jobs in workers; a job that was lost twice with its worker runs alone, and is given up if that kills its worker."""
         health = watch_executor(executor)
-        while pending := self.open:
+        while (pending := self.open) and not self.is_late:
             suspects = [k for k in pending if self.tries[k] >= RETRY_POLICY.tries]
             group = suspects[:1] or pending
             self.submit(executor, group, health)
@@ -156,12 +169,14 @@ class _Book:
                     waiting[executor.submit(_work, describe_version(), payload, pack(self.items[k]))] = k
                 except Exception as error:  # broken or closed while we were still handing out jobs
                     self.lose(k, error)
-            while waiting:
+            while waiting and not self.is_late:
                 finished, _ = wait(waiting, timeout=RETRY_POLICY.wake_seconds, return_when=FIRST_COMPLETED)
                 for future in finished:
                     self.take(waiting.pop(future), future)
                 self.check(health)
             self.check(health)
+            for future in waiting:  # too late for them
+                future.cancel()
         except WorkersLostError:  # nobody is there who could be told to stop
             raise
         except BaseException:

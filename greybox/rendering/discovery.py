@@ -458,6 +458,8 @@ register(
         # What a reader should know.
         DiscoveryCode.LEARNT_FROM_VALIDATION: "the estimation records do not show the effect: it was identified from the first half of"
         " the validation records",
+        DiscoveryCode.TIME_OVER: "the search ended after {seconds:.3g} s, as asked, before it was finished: this is the best answer so far,"
+        " and nothing in it is established; repeat the command to continue with its finished refits, or give it more time",
         DiscoveryCode.SHAPE_CORRECTED: lambda f: (
             f"the family of the effect is certain, but its shape differs from {f.subject}: {' + '.join(f.values['correction'])} corrects it"
         ),
@@ -470,6 +472,7 @@ register(
         DiscoveryCode.EFFECT_PRESENT: "the model contains it already",
         DiscoveryCode.NOT_A_CANDIDATE: "the model lists the effects to try, and this is none of them",
         DiscoveryCode.EFFECT_LEFT_OUT: "left out as asked",
+        DiscoveryCode.NOT_REACHED: "the time was over before it was tried",
         DiscoveryCode.CANDIDATE_FAILED: "it could not be fitted: {reason}",
         DiscoveryCode.CANDIDATE_NOT_SIMULATED: "the model with it cannot be simulated from any starting point",
         # What to do next.

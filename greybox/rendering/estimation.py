@@ -285,6 +285,9 @@ register(
             "the noise is coloured, but a fit with process noise assumes white noise"
         ),
         EstimationCode.STARTS: _write_starts,
+        EstimationCode.STARTS_NOT_BEGUN: (
+            "{left:d} of {starts:d} starts were not finished within {seconds:.3g} s; repeat the command to continue with them"
+        ),
     }
 )
 

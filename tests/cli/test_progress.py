@@ -63,6 +63,19 @@ def test_the_line_shows_text_and_time_left_and_goes_away(monkeypatch: pytest.Mon
     assert "rig: 1 of 4 starts done" in shown and "about 12 s left" in shown
 
 
+def test_without_a_terminal_a_plain_line_comes_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    seconds = iter([0.0, 5.0, 12.0, 15.0, 100.0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(seconds))
+    line = ProgressLine()
+    line.console = Console(file=io.StringIO(), force_terminal=False)
+    for text, share in (("too early", 0.1), ("refit 10", 0.25), ("too soon", 0.3), ("refit 60", None)):
+        line(text, share)
+    line.stop()
+    assert capsys.readouterr().err.splitlines() == ["refit 10; 12 s so far; about 36 s left", "refit 60; 2 min so far"]
+
+
 def _still(console: Console, own=progress._bar):
     """The same line, drawn when asked and not by a clock, which the test has stopped."""
     bar = own(console)

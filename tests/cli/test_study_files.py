@@ -168,8 +168,8 @@ HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
             "greybox fit does not use it, discover does; leave it out, or move it to the table [discover]",
         ),
         (
-            HEAD + "[discover.ties]\nKv = 'Kf'",
-            "[discover.ties]: greybox discover does not use it, fit and compare and check do",
+            HEAD + "[discover.process_noise]\nv = 0.1",
+            "[discover.process_noise]: greybox discover does not use it, fit and compare do",
         ),
         ("[records]\nestimation = ['a.csv']", 'study.toml: model is missing; name one, as in model = "micro_actuator"'),
         ('model = "micro_actuator"', "study.toml: [records] estimation is missing; name records"),

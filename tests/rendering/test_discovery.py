@@ -94,6 +94,13 @@ FINDINGS = [
         "the estimation records do not show the effect: it was identified from the first half of the validation records",
     ),
     (
+        Code.TIME_OVER,
+        *("", {"seconds": 60.0, "skipped": 12}),
+        "the search ended after 60 s, as asked, before it was finished: this is the best answer so far, and nothing in it is"
+        " established; repeat the command to continue with its finished refits, or give it more time",
+    ),
+    (Code.NOT_REACHED, *("cubic_stiffness", {}), "the time was over before it was tried"),
+    (
         Code.SHAPE_CORRECTED,
         *("viscoelastic_creep", {"correction": ["viscoelastic_creep_second_branch"]}),
         "the family of the effect is certain, but its shape differs from viscoelastic_creep: viscoelastic_creep_second_branch"

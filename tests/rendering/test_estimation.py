@@ -268,6 +268,12 @@ GOLDEN = [
     ),
     ("noise_colour_ignored", "", {}, "the noise is coloured, but a fit with process noise assumes white noise"),
     (
+        "starts_not_begun",
+        "",
+        {"left": 12, "starts": 20, "seconds": 60.0},
+        "12 of 20 starts were not finished within 60 s; repeat the command to continue with them",
+    ),
+    (
         "starts",
         "",
         {"counts": [3, 2, 1], "ratios": [1.0, 3.4, 9.0], "without_result": 1},

@@ -1,0 +1,83 @@
+"""A search that ends when its time is over: the best answer so far, given as such, and nothing in it as certain."""
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.discovery.execution import RefitExecutor
+from greybox.discovery.failures import FailureLog
+from greybox.discovery.findings import DiscoveryCode
+from greybox.effects import effect
+from greybox.errors import DataError
+from greybox.parallel import run_jobs
+
+STAGE = Model(
+    "stage",
+    states=[State("x", "m", role="displacement"), State("v", "m/s", role="velocity")],
+    inputs=[Input("F", "N", role="drive")],
+    outputs=[Output("x", "m")],
+    parameters=[
+        Parameter("M", "kg", 0.6, (0.01, 10.0)),
+        Parameter("K", "N/m", 300.0, (1.0, 1e5)),
+        Parameter("B", "N*s/m", 6.0, (0.01, 100.0)),
+    ],
+    balances=lambda x, u, p: [
+        Balance("position", "m/s", 1, "x", velocity=x.v),
+        Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * x.x, damping=-p.B * x.v),
+    ],
+)
+NOISE = {"x": 1e-5}
+
+
+def record(seed: int) -> gb.Experiment:
+    rng = np.random.default_rng(seed)
+    time_axis, force = 5e-3 * np.arange(400), np.repeat(rng.normal(0, 6, 40), 10)
+    run = gb.simulate((STAGE + effect("coulomb_friction")).start(Fc=1.0), {"time": time_axis, "F": force})
+    return gb.Experiment(f"run {seed}", time_axis, {"F": force}, {"x": run.outputs["x"] + 1e-5 * rng.normal(size=400)})
+
+
+def test_a_search_without_time_says_so_and_calls_nothing_established() -> None:
+    found = gb.discover(STAGE, record(1), validation=record(2), noise=NOISE, time_limit=1e-9, workers=1)
+    (over,) = [f for f in found.findings if f.code is DiscoveryCode.TIME_OVER]
+    assert over.values["seconds"] == 1e-9 and over.values["skipped"] > 0
+    assert found.verdict == "unknown"
+    assert found.not_tried["coulomb_friction"].code is DiscoveryCode.NOT_REACHED
+    assert found.base.misfit["x"].rmse > 10 * 1e-5
+
+
+def test_what_was_found_by_then_is_the_answer_and_no_effect_of_it_is_established(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    names = ["coulomb_friction", "quadratic_damping", "cubic_stiffness", "input_offset"]
+    shared = {"validation": record(2), "noise": NOISE, "effects": [effect(n) for n in names], "workers": 1}
+    whole = gb.discover(STAGE, record(1), **shared)
+    assert whole.verdict == "named" and not [f for f in whole.findings if f.code is DiscoveryCode.TIME_OVER]
+    # The time is over when every effect was refitted once.
+    monkeypatch.setattr(RefitExecutor, "is_late", property(lambda refits: refits.finished >= len(names)))
+    found = gb.discover(STAGE, record(1), time_limit=60.0, **shared)
+    assert found.effects[0]["name"] == "coulomb_friction" and found.effects[0]["grade"] != "established"
+    assert found.verdict != "named"
+    assert [f.values["seconds"] for f in found.findings if f.code is DiscoveryCode.TIME_OVER] == [60.0]
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])
+def test_a_time_limit_is_above_zero(limit: float) -> None:
+    with pytest.raises(DataError, match="give a number of seconds above 0"):
+        gb.discover(STAGE, record(1), validation=record(2), time_limit=limit)
+
+
+def test_no_job_begins_after_the_deadline() -> None:
+    results, interrupted = run_jobs(
+        lambda common, item: item, None, [1, 2], workers=1, deadline=time.perf_counter() - 1
+    )
+    assert results == [None, None] and not interrupted
+
+
+def test_a_late_refit_is_no_failure_of_its_candidate() -> None:
+    problem, refits = SimpleNamespace(failures=FailureLog()), RefitExecutor(deadline=0.0)
+    assert refits.run(problem, [None, None]) == [None, None]
+    assert refits.skipped == 2 and not problem.failures.entries
