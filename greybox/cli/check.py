@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from greybox.cli.inputs import build_model, check_substeps, constrain, fit_options, read_records
+from greybox.cli.inputs import build_model, check_substeps, constrain, fit_options, layout_of, read_records
 from greybox.cli.options import Json, NoReport, check_writable, takes_study
 from greybox.cli.reporting import write_report
 from greybox.cli.study import CHECK, Study
@@ -33,10 +33,16 @@ def check(
     sensor or known parameter would determine them. Then, for the records in DATA, near the start values and if the model is
     right: the expected standard deviation of each parameter, and the excitation of each input. Without DATA, the check
     simulates a record with a random input. Writes DIR/check.json and DIR/report.html.
+
+    A file in the place of MODEL is looked at without a model: signals, units, rates, holes, doubtful sensors, and the columns to
+    name. Nothing is written.
     """
     from greybox.check import check as check_model
     from greybox.rendering.cli import report_line
 
+    if is_record(study.model):
+        look_at_files(study, json)
+        return
     model = constrain(build_model(study), study)
     check_substeps(study, model)
     records, _ = read_records(study, model)
@@ -54,3 +60,31 @@ def check(
     typer.echo(text if json else f"{result}\n\nwritten: {saved}")
     if report and not json:
         typer.echo(report_line(report))
+
+
+def is_record(name: str) -> bool:
+    """Whether a file that records are read from stands in the place of the model."""
+    from greybox.experiment.formats import SUFFIXES
+
+    return Path(name).suffix.lower() in SUFFIXES
+
+
+def look_at_files(study: Study, json: bool) -> None:
+    """Print what is in the files that the command names. Raises GreyboxError."""
+    from greybox.experiment.policy import READING_POLICY
+    from greybox.experiment.survey import survey_file
+
+    layout = layout_of(study)
+    surveys = [
+        survey_file(
+            file,
+            names=list(study.headers) or None,
+            sampling_time=study.sampling_time or None,
+            reading=layout.get("reading", READING_POLICY),
+        )
+        for file in (study.model, *study.estimation)
+    ]
+    data = [survey.as_dict() for survey in surveys]
+    typer.echo(
+        json_format.dumps(data if len(data) > 1 else data[0], indent=2) if json else "\n\n".join(map(str, surveys))
+    )

@@ -168,6 +168,8 @@ def layout_of(study: Study) -> dict[str, Any]:
     layout: dict[str, Any] = {"columns": study.headers or dict(study.columns) or None}
     if study.sampling_time:
         layout["sampling_time"] = study.sampling_time
+    if study.interpolation:
+        layout["interpolation"] = dict(study.interpolation)
     if study.read_limit:
         layout["reading"] = READING_POLICY.times(study.read_limit)
     return layout

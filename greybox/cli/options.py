@@ -56,8 +56,8 @@ Silent = Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothin
 MODEL_HELP = "Name of a model (see greybox models), or a model file: my/rig.py, my/rig.py:name."
 STUDY_HELP = " A study file, study.toml, replaces MODEL, records and options."
 RECORDS = {
-    "fit": ("DATA", "Records to fit: CSV, TSV, MAT, NPZ or Parquet, headers 'name [unit]'."),
-    "compare": ("TRAIN", "Records to fit: CSV, TSV, MAT, NPZ or Parquet, headers 'name [unit]'."),
+    "fit": ("DATA", "Records to fit: CSV, MAT, MF4, TDMS and others, headers 'name [unit]'."),
+    "compare": ("TRAIN", "Records to fit: CSV, MAT, MF4, TDMS and others, headers 'name [unit]'."),
     "discover": ("ESTIMATION", "Records to learn from, headers 'name [unit]'."),
     "check": ("DATA", "Records; without them the model is simulated."),
 }

@@ -318,6 +318,14 @@ class Study:
         "The input between samples: zero (held), first (straight lines) or band-limited.",
         show_default=True,
     )
+    interpolation: Mapping[str, str] = _study_field(
+        Table(shape="INPUT=COURSE", example="u=first"),
+        "--interpolate",
+        "interpolation.",
+        (*_ALL, SIMULATE),
+        "How an input with stamps of its own moves between its samples, if not as --hold says: zero, first or band-limited.",
+        metavar="INPUT=COURSE",
+    )
     at_rest: bool = _study_field(
         Switch(),
         "--at-rest",
@@ -362,7 +370,7 @@ class Study:
         "--sampling-time",
         "records.sampling_time",
         _ALL,
-        "Seconds between rows, for records without a time column.",
+        "Seconds between rows, for records without a time column; the common step of signals with stamps of their own.",
         metavar="SECONDS",
     )
     read_limit: float = _study_field(

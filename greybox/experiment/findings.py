@@ -29,6 +29,13 @@ class RecordCode(StrEnum):
     CONDITION_READ = "condition_read"
     ONE_OF_RUNS = "one_of_runs"
     RESAMPLED = "record_resampled"
+    NO_TIME = "no_time"
+    TIME_UNUSABLE = "time_unusable"
+    BROUGHT_TO_ONE_TIME = "brought_to_one_time"
+    CLOCK_OFFSET = "clock_offset"
+    CLOCK_OFFSET_BY_RECORDER = "clock_offset_by_recorder"
+    CLOCK_START = "clock_start"
+    CLOCKS_NOT_COMPARED = "clocks_not_compared"
     ALSO_FITTED = "record_also_fitted"
 
 

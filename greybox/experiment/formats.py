@@ -7,23 +7,33 @@ when a file of the kind is opened, and belongs to an extra of the package where 
 from __future__ import annotations
 
 import difflib
+import logging
 import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from greybox.errors import DataError, GreyboxError, shorten
+from greybox.experiment.channels import ChannelTable
+from greybox.experiment.excel_file import read_excel
+from greybox.experiment.hdf5_file import read_hdf5_file
 from greybox.experiment.mat_file import read_mat
+from greybox.experiment.mdf_file import read_mdf
 from greybox.experiment.npz_file import read_npz
 from greybox.experiment.parquet_file import read_parquet
 from greybox.experiment.policy import READING_POLICY, ReadingPolicy
 from greybox.experiment.problems import enumerate_first
-from greybox.experiment.table import DataTable, raise_limit
+from greybox.experiment.ros_file import read_bag, read_mcap, read_ros2_database
+from greybox.experiment.table import DataTable, check_size, raise_limit
+from greybox.experiment.tdms_file import read_tdms
 from greybox.experiment.text_table import read_text
+from greybox.experiment.time_base import Samples
+from greybox.findings import Finding
 
 
 @dataclass(frozen=True)
@@ -62,11 +72,26 @@ FORMATS = (
         "write it again, or export the record as CSV",
         (("pyarrow", "parquet"),),
     ),
+    FileFormat("MDF", (".mf4", ".mdf"), read_mdf, "export it as CSV", (("asammdf", "mdf"),)),
+    FileFormat("TDMS", (".tdms",), read_tdms, "export it as CSV", (("nptdms", "tdms"),)),
+    FileFormat("HDF5", (".h5", ".hdf5", ".hdf"), read_hdf5_file, "export it as CSV", (("h5py", "hdf5"),)),
+    FileFormat("ROS 1", (".bag",), read_bag, "repair it with rosbag reindex", (("rosbags", "ros"),)),
+    FileFormat("MCAP", (".mcap",), read_mcap, "repair it with mcap recover", (("mcap", "ros"), ("rosbags", "ros"))),
+    FileFormat("ROS 2", (".db3",), read_ros2_database, "repair it with ros2 bag reindex", (("rosbags", "ros"),)),
+    FileFormat("Excel", (".xlsx", ".xlsm"), read_excel, "save the sheet as CSV", (("openpyxl", "excel"),)),
 )
 """The formats, in the order in which messages list them."""
 
 SUFFIXES = tuple(suffix for kind in FORMATS for suffix in kind.suffixes)
 """Endings of the files that can be read."""
+
+
+class ColumnValues(NamedTuple):
+    """Position -> column, the problems met, and what is to be said of clocks and rates."""
+
+    arrays: dict[int, np.ndarray]
+    problems: list[str]
+    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -77,10 +102,18 @@ class RecordFile:
     kind: FileFormat
     table: DataTable = field(repr=False)
 
-    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
-        """Columns (N,) as float64 with NaN for gaps, and the problems met. Raises DataError for a damaged file."""
+    def values(self, positions: Sequence[int]) -> ColumnValues:
+        """Columns (N,) as float64 with NaN for gaps. Raises DataError for a damaged file."""
         with _guarded(self.path, self.kind):
-            return self.table.values(positions)
+            return ColumnValues(*self.table.values(positions))
+
+    def load_channel(self, index: int) -> Samples:
+        """The samples of one channel of a file whose signals have stamps of their own. Raises DataError for a damaged file."""
+        table = self.table
+        assert isinstance(table, ChannelTable)
+        with _guarded(self.path, self.kind):
+            check_size(2 * table.channels[index].rows, 1, table.policy)
+            return table.load([index])[index]
 
 
 def open_record_file(
@@ -121,7 +154,9 @@ def open_record_file(
 
 @contextmanager
 def _guarded(file: Path, kind: FileFormat) -> Iterator[None]:
-    """Whatever the library of a format raises or warns becomes one sentence with the name of the file."""
+    """Whatever the library of a format raises, warns or logs becomes one sentence with the name of the file."""
+    level = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -144,6 +179,8 @@ def _guarded(file: Path, kind: FileFormat) -> Iterator[None]:
     except Exception as error:  # of a library, on bytes that it did not expect
         reason = shorten(str(error), 120) or type(error).__name__
         raise DataError(f"{file.name}: not a readable {kind.name} file ({reason}); {kind.remedy}") from error
+    finally:
+        logging.disable(level)
 
 
 def _find_file(file: Path) -> Path:

@@ -72,6 +72,8 @@ class ReadingPolicy:
     """Columns, or variables, of a file; rigs have tens, loggers hundreds."""
     deepest_nesting: int = 8
     """Levels of structs inside structs; a logger's are two or three deep."""
+    longest_message_array: int = 64
+    """Numbers of an array in a message, each of which becomes a signal; joints are tens, images and scans are no signals."""
     longest_line: int = 200_000
     """Bytes of a line of text: 10 000 columns of 20 characters."""
     longest_header: int = 200
@@ -94,5 +96,32 @@ class ReadingPolicy:
         return replace(self, **{name: int(factor * getattr(self, name)) for name in names})
 
 
+@dataclass(frozen=True)
+class ChannelPolicy:
+    """How signals with stamps of their own are compared and interpolated. Shares have no unit; samples and rows are counted."""
+
+    least_shared_samples: int = 20
+    """Samples of a signal on two clocks from which their offset is estimated: four numbers are fitted to them."""
+    least_correlation: float = 0.9
+    """Correlation of the two copies from which they are the same signal; noise of a third of the signal leaves 0.9."""
+    most_correlated_rows: int = 2_000_000
+    """Rows of the grid on which the start of the search is found by correlation; longer records get a coarser one."""
+    recorder_latency: float = 0.05
+    """Difference (s) of the shortest ways to the recorder from which it is an offset of the clocks; networks take milliseconds."""
+    offset_iterations: int = 30
+    """Most steps of the search; it settles in five, and may need more where the grid is coarse."""
+    offset_resolution: float = 1e-6
+    """A step of the search below this share of the grid's ends it."""
+    drift_significance: float = 5.0
+    """Standard deviations from which one clock runs faster than the other; below, the drift is zero."""
+    band_limited_samples: int = 32
+    """Samples on either side by which a band-limited signal is interpolated; the error is below 1e-5 up to 0.8 of its band."""
+    kaiser_beta: float = 10.0
+    """Shape of the window over these samples: side lobes of 1e-5."""
+    held_values: float = 0.2
+    """Share of samples that change, at most, for a signal to be called held: commands, switches, set points."""
+
+
 RECORD_POLICY = RecordPolicy()
+CHANNEL_POLICY = ChannelPolicy()
 READING_POLICY = ReadingPolicy()

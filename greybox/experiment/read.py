@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from greybox.errors import DataError
+from greybox.errors import DataError, nearest
+from greybox.experiment.channels import ChannelTable
 from greybox.experiment.columns import (
     TIME,
     ColumnMapping,
@@ -22,7 +24,7 @@ from greybox.experiment.columns import (
     match_columns,
 )
 from greybox.experiment.conditions import read_conditions, request_conditions
-from greybox.experiment.experiment import Experiment, Hold
+from greybox.experiment.experiment import HOLDS, Experiment, Hold
 from greybox.experiment.findings import RecordCode
 from greybox.experiment.formats import RecordFile, open_record_file
 from greybox.experiment.policy import READING_POLICY, RECORD_POLICY, ReadingPolicy, RecordPolicy
@@ -40,13 +42,14 @@ def read_csv(
     columns: ColumnMapping | Sequence[str] | None = None,
     sampling_time: float | None = None,
     hold: Hold = "zero",
+    interpolation: Mapping[str, Hold] | None = None,
     name: str | None = None,
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
     policy: RecordPolicy = RECORD_POLICY,
     reading: ReadingPolicy = READING_POLICY,
 ) -> Experiment:
-    """Read a record for ``model`` from a CSV, TSV, TXT, MAT, NPZ or Parquet file.
+    """Read a record for ``model`` from a text, MATLAB, NumPy, Parquet, MDF, TDMS, HDF5, ROS, MCAP or Excel file.
 
     Headers are ``name [unit]``, ``name (unit)`` or ``name`` (then in the model's unit, which ``findings`` say); names are those of
     the model's inputs and outputs, exactly, and ``time`` or ``t`` (seconds unless a unit is given). Values are converted to the
@@ -66,9 +69,13 @@ def read_csv(
         counts columns from 1. Or the names of all columns in their order, for a file without a header or a matrix:
         ``["time [ms]", "u", "-", "x"]``, with ``-`` for a column that is not wanted.
     sampling_time
-        Seconds between rows, for a file without a time column.
+        Seconds between rows, for a file without a time column; for a file whose signals have stamps of their own, the step of the
+        time base that they are brought to, in the place of the stamps of the fastest.
     hold
         How the input moves between samples, see `Experiment`.
+    interpolation
+        Input -> ``"zero"``, ``"first"`` or ``"band-limited"``, where an input with stamps of its own does not move between them as
+        ``hold`` says.
     name
         What results call the record; None takes the file's name without suffix.
     conditions
@@ -95,7 +102,7 @@ def read_csv(
     --------
     >>> record = read_csv("run.csv", micro_actuator, columns={"x": "Laser ch1 [um]"})  # doctest: +SKIP
     """
-    source = _RecordSource(columns, sampling_time, reading)
+    source = _RecordSource(columns, sampling_time, interpolation, reading)
     (experiment,) = _read_runs(path, model, source, hold, name, conditions, allow_constant_input, policy, split=False)
     return experiment
 
@@ -107,6 +114,7 @@ def read_experiments(
     columns: ColumnMapping | Sequence[str] | None = None,
     sampling_time: float | None = None,
     hold: Hold = "zero",
+    interpolation: Mapping[str, Hold] | None = None,
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
     split: bool = False,
@@ -119,7 +127,7 @@ def read_experiments(
     ----------
     paths
         The files. Files of the same name get their folder's name in front.
-    model, columns, sampling_time, hold, conditions, allow_constant_input, policy, reading
+    model, columns, sampling_time, hold, interpolation, conditions, allow_constant_input, policy, reading
         As of `read_csv`.
     split
         A file in which time starts anew holds several runs; each becomes a record ``name[first:last]``.
@@ -137,7 +145,7 @@ def read_experiments(
     files = [Path(p) for p in ([paths] if isinstance(paths, (str, os.PathLike)) else paths)]
     if not files:
         raise DataError("no file to read; give at least one path")
-    source = _RecordSource(columns, sampling_time, reading)
+    source = _RecordSource(columns, sampling_time, interpolation, reading)
     stems = [f.stem for f in files]
     experiments: list[Experiment] = []
     problems: list[str] = []
@@ -163,6 +171,7 @@ class RecordArrays(NamedTuple):
     inputs: Arrays
     outputs: Arrays
     conditions: Arrays
+    findings: tuple[Finding, ...] = ()
 
 
 class _RecordSource(NamedTuple):
@@ -170,6 +179,7 @@ class _RecordSource(NamedTuple):
 
     columns: ColumnMapping | Sequence[str] | None
     sampling_time: float | None
+    interpolation: Mapping[str, Hold] | None
     reading: ReadingPolicy
 
 
@@ -181,9 +191,15 @@ def read_arrays(
     sampling_time: float | None = None,
     conditions: Sequence[RequestedSignal] = (),
     inputs_only: bool = False,
+    hold: Hold = "zero",
+    interpolation: Mapping[str, Hold] | None = None,
     reading: ReadingPolicy = READING_POLICY,
 ) -> RecordArrays:
-    """The arrays of a file, unchecked; with ``inputs_only`` without outputs. Raises DataError."""
+    """The arrays of a file, unchecked; with ``inputs_only`` without outputs. Raises DataError.
+
+    Signals with stamps of their own are brought to one time base: ``sampling_time`` is then its step, and inputs move between
+    their samples as ``interpolation`` (name -> course) says, else as ``hold``.
+    """
     by_name = None if columns is None or isinstance(columns, Mapping) else list(columns)
     if isinstance(columns, str):
         raise DataError(f"columns={columns!r} is one text; give a list of names, or a dictionary signal -> header")
@@ -193,14 +209,18 @@ def read_arrays(
         )
     file = open_record_file(path, names=by_name, policy=reading)
     mapping = columns if isinstance(columns, Mapping) else None
+    channels = file.table if isinstance(file.table, ChannelTable) else None
+    has_clock = sampling_time is not None and channels is None
     try:
-        match = match_columns(
-            file.table, model, mapping, conditions, has_clock=sampling_time is not None, inputs_only=inputs_only
-        )
+        match = match_columns(file.table, model, mapping, conditions, has_clock=has_clock, inputs_only=inputs_only)
     except DataError as error:
         raise DataError(f"{file.path.name}: {error}") from None
     raise_problems(file.path.name, match.problems)
-    raw, problems = file.values([c.position for c in match.columns.values()])
+    if channels is not None:
+        _check_interpolation(interpolation or {}, model)
+        table = channels.for_signals(match, hold, interpolation or {}, sampling_time)
+        file = replace(file, table=table)
+    raw, problems, findings = file.values([c.position for c in match.columns.values()])
     groups: dict[SignalKind, Arrays] = {kind: {} for kind in SignalKind}
     rows = 0
     for signal, column in match.columns.items():
@@ -210,10 +230,23 @@ def read_arrays(
         groups[signal.kind][signal.name] = values
         rows = len(values)
     raise_problems(file.path.name, problems)
-    time = groups[SignalKind.TIME][TIME] if sampling_time is None else sampling_time * np.arange(rows)
+    time = sampling_time * np.arange(rows) if has_clock and sampling_time else groups[SignalKind.TIME][TIME]
     return RecordArrays(
-        file, match, time, groups[SignalKind.INPUT], groups[SignalKind.OUTPUT], groups[SignalKind.CONDITION]
+        file, match, time, groups[SignalKind.INPUT], groups[SignalKind.OUTPUT], groups[SignalKind.CONDITION], findings
     )
+
+
+def _check_interpolation(interpolation: Mapping[str, str], model: Model) -> None:
+    inputs = [i.name for i in model.inputs]
+    for name, course in interpolation.items():
+        if name not in inputs:
+            raise DataError(
+                f"interpolation names {name!r}, which is no input of model {model.name!r}; {nearest(name, inputs)}"
+            )
+        if course not in HOLDS:
+            raise DataError(
+                f"interpolation of {name!r}: there is no course {course!r}; {nearest(str(course), list(HOLDS))}"
+            )
 
 
 def _read_runs(
@@ -231,7 +264,7 @@ def _read_runs(
     """The record in a file as `read_csv` gives it; with ``split`` each run of a file in which time starts anew."""
     given = {name: value for name, value in (conditions or {}).items() if value is not None}
     requested = request_conditions(model, [name for name in conditions or {} if name not in given])
-    record = read_arrays(path, model, conditions=requested, **source._asdict())
+    record = read_arrays(path, model, conditions=requested, hold=hold, **source._asdict())
     file, table, problems = record.file.path, record.file.table, list[str]()
     from_file, findings = read_conditions(requested, record.conditions, table.comments, problems, policy)
     runs = _cut_runs(record.time, record.inputs, record.outputs, split)
@@ -241,7 +274,8 @@ def _read_runs(
             problems += find_array_problems(t, u, y, table.row_labels.select(rows))
         problems += find_measurement_problems(u, y, len(t), allow_constant_input, policy)
     raise_problems(file.name, problems)
-    title, findings = name or file.stem, [*_inspect_columns(record.match), *findings]
+    title = name or file.stem
+    findings = [*_inspect_columns(record.match), *record.findings, *findings]
     if len(runs) > 1:
         findings.append(Finding(RecordCode.ONE_OF_RUNS, values={"runs": len(runs)}))
     return [

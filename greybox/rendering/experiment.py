@@ -11,9 +11,11 @@ from greybox.experiment.findings import RecordCode
 from greybox.findings import Finding
 from greybox.rendering.english import count_noun
 from greybox.rendering.registry import register, renders, sentences
+from greybox.rendering.tables import format_table
 
 if TYPE_CHECKING:
     from greybox.experiment import Experiment
+    from greybox.experiment.survey import FileSurvey, SignalSurvey
 
 HOLDS = {
     "zero": "input held between samples",
@@ -32,7 +34,7 @@ def _about_records(template: str | Callable[[Finding], str]) -> Callable[[Findin
     """The sentence of a finding, after the names of the records that it holds for (`collect_record_findings`)."""
 
     def write(finding: Finding) -> str:
-        values = {"subject": finding.subject, **finding.values}
+        values = {"subject": finding.subject, "kind": "output", **finding.values}
         text = template.format_map(values) if isinstance(template, str) else template(finding)
         records = finding.values.get("records", ())
         return f"{', '.join(records)}: {text}" if records else text
@@ -49,8 +51,9 @@ def _spikes(finding: Finding) -> str:
     count, times = finding.values["count"], finding.values["times"]
     places = _enumerate([f"{t:.6g} s" for t in times], count)
     return (
-        f"output {finding.subject!r} jumps away and back within one row, {count} time{'s' * (count != 1)} (at {places}): if"
-        f" this is a fault of the sensor and not the motion of the plant, {_LEAVE_EMPTY}, or fit with a robust loss (shell: --loss huber)"
+        f"{finding.values.get('kind', 'output')} {finding.subject!r} jumps away and back within one row, {count}"
+        f" time{'s' * (count != 1)} (at {places}): if this is"
+        f" a fault of the sensor and not the motion of the plant, {_LEAVE_EMPTY}, or fit with a robust loss (shell: --loss huber)"
     )
 
 
@@ -79,19 +82,50 @@ def _columns_ignored(finding: Finding) -> str:
     return f"columns ignored: {_enumerate([repr(c) for c in columns[:8]], len(columns))}"
 
 
+def _write_rate(step: float) -> str:
+    """``1000 Hz``, or ``every 20 s``."""
+    return f"{1 / step:.4g} Hz" if 0 < step <= 1 else f"every {step:.4g} s"
+
+
+_COURSES = {"zero": "held", "first": "straight", "band-limited": "band-limited", "measured": "at the nearest rows"}
+
+
+def _brought_to_one_time(finding: Finding) -> str:
+    v = finding.values
+    base = f"the stamps of {v['base']!r}" if v["base"] else "a uniform grid"
+    signals = ", ".join(
+        f"{name!r} ({_write_rate(step)}) {_COURSES[course]}"
+        for name, _, step, course in v["signals"]
+        if name != v["base"]
+    )
+    return (
+        f"signals have stamps of their own; brought to {base} ({_write_rate(v['step'])}, {v['rows']} rows from {v['start']:.6g} to"
+        f" {v['stop']:.6g} s): {signals}"
+    )
+
+
+def _clock_offset(finding: Finding) -> str:
+    v = finding.values
+    drift = f", and gains {1e6 * v['drift']:.3g} us every second" if v["drift"] else ""
+    return (
+        f"clock {finding.subject!r} is {abs(v['offset']):.6g} s {'behind' if v['offset'] > 0 else 'ahead of'} clock"
+        f" {v['reference']!r} (standard deviation {v['std']:.2g} s{drift}), as {v['signal']!r} on both shows; its stamps are corrected"
+    )
+
+
 _SOURCES = {"column": "mean of its column", "comment": "from a comment of the file"}
 
 _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.INPUT_CONSTANT: "input '{subject}' is constant at {value:g}",
-    RecordCode.OUTPUT_CONSTANT: "output '{subject}' is constant at {value:g}: a constant signal carries no information; leave"
+    RecordCode.OUTPUT_CONSTANT: "{kind} '{subject}' is constant at {value:g}: a constant signal carries no information; leave"
     " it out",
     RecordCode.OUTPUT_GAPS: _gaps,
-    RecordCode.SENSOR_FROZEN: "output '{subject}' stays at exactly {value:g} for {rows} rows, from {start:.6g} to {stop:.6g} s,"
+    RecordCode.SENSOR_FROZEN: "{kind} '{subject}' stays at exactly {value:g} for {rows} rows, from {start:.6g} to {stop:.6g} s,"
     " while the input moves, with a jump before or after: if the sensor or the logger failed, " + _LEAVE_EMPTY,
-    RecordCode.SENSOR_DEAD: "output '{subject}' stays at exactly {value:g} from {start:.6g} s to the end ({rows} rows) while the"
+    RecordCode.SENSOR_DEAD: "{kind} '{subject}' stays at exactly {value:g} from {start:.6g} s to the end ({rows} rows) while the"
     " input keeps moving: if the sensor or the logger failed, " + _LEAVE_EMPTY,
     RecordCode.SENSOR_SPIKES: _spikes,
-    RecordCode.SENSOR_SATURATED: "output '{subject}' reads exactly its {end} value, {value:g}, in {rows} rows and stays there"
+    RecordCode.SENSOR_SATURATED: "{kind} '{subject}' reads exactly its {end} value, {value:g}, in {rows} rows and stays there"
     " {stays} times: if the sensor or the converter saturates, "
     + _LEAVE_EMPTY
     + " (an end stop of the plant looks the same)",
@@ -113,6 +147,15 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     ),
     RecordCode.ONE_OF_RUNS: "one of {runs} runs in its file: time restarts with each run",
     RecordCode.RESAMPLED: "resampled to every {sampling_time:.6g} s from {rows} rows",
+    RecordCode.NO_TIME: "no column is called time or t: name it (--column time=HEADER), or give the step (--sampling-time SECONDS)",
+    RecordCode.TIME_UNUSABLE: lambda f: f"{f.subject + ': ' if f.subject else ''}{f.values['reason']}",
+    RecordCode.BROUGHT_TO_ONE_TIME: _brought_to_one_time,
+    RecordCode.CLOCK_OFFSET: _clock_offset,
+    RecordCode.CLOCK_OFFSET_BY_RECORDER: "clocks '{reference}' and '{subject}' differ by {offset:.3g} s, by when their messages reached the"
+    " recorder; the stamps of the second are corrected, to a few milliseconds",
+    RecordCode.CLOCK_START: "clock '{subject}' was started {start:.6g} s after the first, as the file says; its stamps are shifted by that",
+    RecordCode.CLOCKS_NOT_COMPARED: "clocks '{reference}' and '{subject}' have no signal in common: an offset between them cannot be told"
+    " from a delay of the plant; record one signal on both, or fit a delay (shell: --effect transport_delay)",
     RecordCode.ALSO_FITTED: "the same data as the estimation record {record}: it cannot validate the model; use a record that was"
     " not fitted",
 }
@@ -139,3 +182,68 @@ def write_experiment(experiment: Experiment) -> str:
         lines += [f"  {kind:<9} {name}: {describe_range(values)}" for name, values in signals.items()]
     lines += [f"  condition {name}: {value:g}" for name, value in experiment.conditions.items()]
     return "\n".join([*lines, *(f"  note      {text}" for text in sentences(experiment.findings))])
+
+
+@renders("FileSurvey")
+def write_survey(survey: FileSurvey) -> str:
+    """The signals as a table, what is doubtful, and the columns to name."""
+    clocks = any(s.clock for s in survey.signals)
+    head = [
+        "signal",
+        "unit",
+        *(["clock"] if clocks else []),
+        "samples",
+        "rate",
+        "from - to",
+        "range",
+        "holes",
+        "may be",
+    ]
+    rows = [_write_signal(signal, clocks) for signal in survey.signals]
+    lines = [f"{survey.file}: {survey.kind}, {count_noun(len(rows), 'signal')}", "", *format_table(head, rows)]
+    if survey.findings:
+        lines += [
+            "",
+            *(f"{f.severity}: {text}" for f, text in zip(survey.findings, sentences(survey.findings), strict=True)),
+        ]
+    inputs, outputs = ([s for s in survey.signals if s.use == use] for use in ("input", "output"))
+    if inputs or outputs:
+        lines += ["", "for a model (which signal is an input is a guess from names and from how they move):"]
+        lines += [f'  gb.Input("{s.name}", "{s.unit or "1"}")' for s in inputs]
+        lines += [f'  gb.Output("{s.name}", "{s.unit or "1"}")' for s in outputs]
+    renamed = {name: header for name, header in survey.columns.items() if name not in (header, _bare(header))}
+    if renamed:
+        lines += [
+            "",
+            "columns for it: " + " ".join(f"--column {name}={_quote(header)}" for name, header in renamed.items()),
+        ]
+    return "\n".join(lines)
+
+
+def _bare(header: str) -> str:
+    return header.partition(" [")[0]
+
+
+def _quote(text: str) -> str:
+    return text if text.replace("_", "").replace(".", "").replace("/", "").isalnum() else f"'{text}'"
+
+
+def _write_signal(signal: SignalSurvey, clocks: bool) -> list[str]:
+    holes = [count_noun(signal.gaps, "gap")] if signal.gaps else []
+    holes += [f"{signal.missing} empty"] if signal.missing else []
+    rate = "" if signal.step is None else _write_rate(signal.step) + ("" if signal.regular else ", irregular")
+    span = "" if signal.start is None else f"{signal.start:.6g} - {signal.stop:.6g} s"
+    values = "" if signal.lowest is None else f"{signal.lowest:.4g} to {signal.highest:.4g}"
+    use = f"{signal.use}, held" if signal.held and signal.use == "input" else signal.use
+    clock = [signal.clock] if clocks else []
+    return [
+        _bare(signal.header),
+        signal.unit,
+        *clock,
+        str(signal.rows),
+        rate,
+        span,
+        values,
+        ", ".join(holes) or "-",
+        use,
+    ]

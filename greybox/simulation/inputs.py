@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from greybox.experiment import Experiment
 from greybox.experiment.columns import ColumnMapping
@@ -21,6 +21,7 @@ def read_inputs(
     columns: ColumnMapping | Sequence[str] | None = None,
     sampling_time: float | None = None,
     hold: Hold = "zero",
+    interpolation: Mapping[str, Hold] | None = None,
     reading: ReadingPolicy = READING_POLICY,
 ) -> Experiment:
     """Read time and the inputs of a model from a file, to simulate where nothing was measured. Other columns are not read.
@@ -31,7 +32,7 @@ def read_inputs(
         The file, of a kind that `greybox.read_csv` reads.
     model
         Its inputs are looked for, and their units are those of the record.
-    columns, sampling_time, reading
+    columns, sampling_time, interpolation, reading
         As of `greybox.read_csv`.
     hold
         How the inputs move between samples, see `greybox.Experiment`.
@@ -46,7 +47,16 @@ def read_inputs(
     DataError
         For a file that is missing, cannot be read, or lacks an input.
     """
-    record = read_arrays(path, model, columns=columns, sampling_time=sampling_time, inputs_only=True, reading=reading)
+    record = read_arrays(
+        path,
+        model,
+        columns=columns,
+        sampling_time=sampling_time,
+        inputs_only=True,
+        hold=hold,
+        interpolation=interpolation,
+        reading=reading,
+    )
     file, labels = record.file.path, record.file.table.row_labels
     if len(record.time) > 1:
         raise_problems(file.name, find_array_problems(record.time, record.inputs, {}, labels))

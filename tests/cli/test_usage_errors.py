@@ -72,7 +72,7 @@ SHOW = "greybox fit --help"
         ("init a b", "greybox init: got unexpected extra argument"),
         ("fit data.csv", "data.csv: a record, not a model; MODEL comes first: write greybox fit MODEL DATA"),
         (
-            "check data.csv",
+            "models data.csv",
             "data.csv: a record, not a model file; MODEL comes first, as in MODEL data.csv (known models: cascaded_tanks",
         ),
         ("simulate ./data.mat --step 1", "./data.mat: a record, not a model file; MODEL comes first"),

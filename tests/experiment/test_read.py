@@ -583,7 +583,7 @@ def test_files_that_are_not_there_or_not_readable(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("run.xlsx", b"PK", "run.xlsx: files of type '.xlsx' cannot be read; export it as one of .csv, .tsv"),
+        ("run.xls", b"PK", "run.xls: files of type '.xls' cannot be read; export it as one of .csv, .tsv"),
         ("run", b"t,u,x", "run: files of type '(no suffix)' cannot be read"),
         ("run.csv", b"", "run.csv: the file is empty; it needs a header line and rows of numbers"),
         ("run.csv", b"\n \n# nothing\n", "run.csv: the file is empty; it needs a header line"),

@@ -5,11 +5,62 @@ import pytest
 
 from greybox.experiment import Experiment
 from greybox.experiment.findings import RecordCode
+from greybox.experiment.survey import FileSurvey, SignalSurvey
 from greybox.findings import Finding
 from greybox.rendering import sentence
 
 GAP = {"gaps": 2, "start": 10.0, "stop": 40.5, "usual_step": 0.5}
 GOLDEN = {
+    RecordCode.NO_TIME: (
+        "",
+        {},
+        "no column is called time or t: name it (--column time=HEADER), or give the step (--sampling-time SECONDS)",
+    ),
+    RecordCode.TIME_UNUSABLE: ("u [V]", {"reason": "time is repeated"}, "u [V]: time is repeated"),
+    RecordCode.BROUGHT_TO_ONE_TIME: (
+        "",
+        {
+            "base": "u",
+            "step": 1e-3,
+            "rows": 3500,
+            "start": 0.2,
+            "stop": 3.7,
+            "signals": [["u", "input", 1e-3, "zero"], ["v", "input", 20.0, "first"], ["y", "output", 0.01, "measured"]],
+        },
+        "signals have stamps of their own; brought to the stamps of 'u' (1000 Hz, 3500 rows from 0.2 to 3.7 s): 'v' (every 20 s)"
+        " straight, 'y' (100 Hz) at the nearest rows",
+    ),
+    RecordCode.CLOCK_OFFSET: (
+        "Laser",
+        {
+            "reference": "DAQ",
+            "signal": "sync",
+            "offset": 0.2373,
+            "std": 1.2e-6,
+            "drift": 2e-5,
+            "middle": 2.0,
+            "correlation": 1.0,
+        },
+        "clock 'Laser' is 0.2373 s behind clock 'DAQ' (standard deviation 1.2e-06 s, and gains 20 us every second), as 'sync' on"
+        " both shows; its stamps are corrected",
+    ),
+    RecordCode.CLOCK_OFFSET_BY_RECORDER: (
+        "stamps of /laser",
+        {"reference": "stamps of /daq", "offset": 0.2378},
+        "clocks 'stamps of /daq' and 'stamps of /laser' differ by 0.238 s, by when their messages reached the recorder; the stamps of"
+        " the second are corrected, to a few milliseconds",
+    ),
+    RecordCode.CLOCK_START: (
+        "B",
+        {"start": 0.25},
+        "clock 'B' was started 0.25 s after the first, as the file says; its stamps are shifted by that",
+    ),
+    RecordCode.CLOCKS_NOT_COMPARED: (
+        "B",
+        {"reference": "A"},
+        "clocks 'A' and 'B' have no signal in common: an offset between them cannot be told from a delay of the plant; record one"
+        " signal on both, or fit a delay (shell: --effect transport_delay)",
+    ),
     RecordCode.INPUT_CONSTANT: ("u", {"value": 1.0}, "input 'u' is constant at 1"),
     RecordCode.OUTPUT_CONSTANT: (
         "x",
@@ -131,3 +182,46 @@ def test_an_irregular_record_and_an_output_without_values_are_shown_as_such():
     lines = str(record).splitlines()
     assert lines[0].startswith("run: 40 rows at irregular times, ") and "input linear between samples" in lines[0]
     assert lines[2] == "  output    y: no value"
+
+
+def test_a_survey_is_a_table_with_the_columns_to_name():
+    def signal(header, unit, rows, step, use, name, **more):
+        values = {
+            "missing": 0,
+            "regular": True,
+            "start": 0.0,
+            "stop": 2.0,
+            "lowest": -1.0,
+            "highest": 1.0,
+            "gaps": 0,
+            "held": False,
+        }
+        return SignalSurvey(header, unit, "", rows, step=step, use=use, name=name, **{**values, **more})
+
+    signals = (
+        signal("/cmd.value [V]", "V", 2000, 0.001, "input", "value", held=True),
+        signal("x [mm]", "mm", 200, 0.01, "output", "x", gaps=2, missing=3, regular=False),
+    )
+    text = str(FileSurvey("run.mcap", "MCAP", signals, (Finding(RecordCode.NO_TIME),)))
+    lines = text.splitlines()
+    assert lines[0] == "run.mcap: MCAP, 2 signals"
+    assert lines[3].split() == [
+        "/cmd.value",
+        "V",
+        "2000",
+        "1000",
+        "Hz",
+        "0",
+        "-",
+        "2",
+        "s",
+        "-1",
+        "to",
+        "1",
+        "-",
+        "input,",
+        "held",
+    ]
+    assert lines[4].endswith("200      100 Hz, irregular  0 - 2 s    -1 to 1  2 gaps, 3 empty  output")
+    assert '  gb.Input("value", "V")' in lines and '  gb.Output("x", "mm")' in lines
+    assert lines[-1] == "columns for it: --column value='/cmd.value [V]'"

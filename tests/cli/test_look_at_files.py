@@ -1,0 +1,50 @@
+"""`greybox check FILE`: a file without a model."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from typer.testing import CliRunner
+
+from greybox.cli.app import app
+
+
+def run(*words):
+    return CliRunner().invoke(app, list(map(str, words)))
+
+
+def write(path):
+    time = 0.01 * np.arange(300)
+    rows = "\n".join(
+        f"{t!r},{u!r},{x!r}" for t, u, x in np.column_stack([time, np.sin(time), np.cos(9 * time)]).tolist()
+    )
+    path.write_text(f"time [s],drive [V],laser 1 [um]\n{rows}\n")
+    return path
+
+
+def test_a_file_is_looked_at_and_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = run("check", write(tmp_path / "run.csv"))
+    assert result.exit_code == 0
+    assert 'gb.Input("drive", "V")' in result.stdout and "laser 1" in result.stdout
+    assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]
+
+
+def test_several_files_as_json(tmp_path):
+    file = write(tmp_path / "run.csv")
+    one = json.loads(run("check", file, "--json").stdout)
+    assert {s["header"]: s["use"] for s in one["signals"]} == {
+        "time [s]": "time",
+        "drive [V]": "input",
+        "laser 1 [um]": "output",
+    }
+    assert one["columns"]["drive"] == "drive [V]"
+    assert len(json.loads(run("check", file, file, "--json").stdout)) == 2
+
+
+def test_a_damaged_file_ends_with_exit_code_2(tmp_path):
+    (tmp_path / "run.mf4").write_bytes(b"MDF     4.10    " + bytes(100))
+    result = run("check", tmp_path / "run.mf4")
+    assert result.exit_code == 2
+    assert result.stderr.count("\n") == 1 and result.stderr.startswith("error: run.mf4: ")
