@@ -87,6 +87,7 @@ _NAMES = {
 }
 _NAMESPACES = (
     "blackbox",
+    "comparison",
     "discovery",
     "effects",
     "errors",
@@ -120,6 +121,7 @@ __all__ = [
     "State",
     "blackbox",
     "compare",
+    "comparison",
     "discover",
     "discovery",
     "effect",

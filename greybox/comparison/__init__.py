@@ -2,7 +2,7 @@
 
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import compare
-from greybox.comparison.comparison_file import save_comparison
+from greybox.comparison.comparison_file import load_comparison, save_comparison
 from greybox.comparison.findings import ComparisonFinding
 from greybox.comparison.policy import ComparisonPolicy
 from greybox.comparison.result import BoxKind, Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
@@ -17,5 +17,6 @@ __all__ = [
     "ComparisonScore",
     "compare",
     "fit_black_boxes",
+    "load_comparison",
     "save_comparison",
 ]

@@ -10,6 +10,7 @@ from typing import Any
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
 from greybox.files import write_file
 from greybox.result import to_json_data
+from greybox.schemas import ResultKind, read_json
 
 FORMAT = 1
 """Version of ``compare.json``."""
@@ -39,6 +40,31 @@ def save_comparison(comparison: Comparison, path: str | Path, extra: Mapping[str
     """
     data = to_json_data({**comparison_data(comparison), **(extra or {})})
     return write_file(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+
+def load_comparison(path: str | Path) -> dict[str, Any]:
+    """What ``compare.json`` holds, checked.
+
+    Parameters
+    ----------
+    path
+        The file that `save_comparison` or ``greybox compare`` has written.
+
+    Returns
+    -------
+    dict
+        ``models`` -> name -> kind, parameters, validation ..., ``outputs``, ``verdict`` and more, as ``docs/result_files.md`` lists them.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read, or is not a comparison as the schema says, with the first offence.
+
+    Examples
+    --------
+    >>> gb.comparison.load_comparison("results/compare.json")["verdict"]  # doctest: +SKIP
+    """
+    return read_json(path, ResultKind.COMPARISON)
 
 
 def comparison_data(comparison: Comparison) -> dict[str, Any]:

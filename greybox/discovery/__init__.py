@@ -30,7 +30,7 @@ from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.refinement import Refinement, RefinementStep, refine
 from greybox.discovery.remaining_error import RemainingError
 from greybox.discovery.residual_spectrum import ResidualSpectrum, estimate_residual_spectrum
-from greybox.discovery.result import Discovery, RankedCandidate
+from greybox.discovery.result import Discovery, RankedCandidate, load_discovery
 from greybox.discovery.selection import SelectionStep, StepKind
 from greybox.discovery.surrogate import Surrogate, SurrogateTone
 
@@ -78,6 +78,7 @@ __all__ = [
     "drop_effect",
     "estimate_residual_spectrum",
     "family_of",
+    "load_discovery",
     "localise_residual",
     "refine",
     "try_effect",

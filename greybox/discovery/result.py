@@ -24,6 +24,7 @@ from greybox.estimation.options import FitOptions
 from greybox.files import write_file
 from greybox.findings import Check, Finding
 from greybox.result import Fit, format_json, to_json_data
+from greybox.schemas import ResultKind, read_json
 from greybox.values import Printable
 
 FORMAT = 1
@@ -172,6 +173,32 @@ class Discovery(Printable):
 def save_discovery(discovery: Discovery, path: str | Path) -> Path:
     """Write a discovery as JSON. The keys are a contract: they stay, whatever the fields are called."""
     return write_file(path, format_json(to_json_data(_to_mapping(discovery))) + "\n")
+
+
+def load_discovery(path: str | Path) -> dict[str, Any]:
+    """What ``discovery.json`` holds, checked.
+
+    Parameters
+    ----------
+    path
+        The file that `Discovery.save` or ``greybox discover`` has written.
+
+    Returns
+    -------
+    dict
+        ``verdict``, ``effects`` with their parameters, ``evidence``, ``parameters`` of the best model and more, as
+        ``docs/result_files.md`` lists them.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read, or is not a discovery as the schema says, with the first offence.
+
+    Examples
+    --------
+    >>> gb.discovery.load_discovery("results/discovery.json")["verdict"]  # doctest: +SKIP
+    """
+    return read_json(path, ResultKind.DISCOVERY)
 
 
 def _to_mapping(d: Discovery) -> dict[str, Any]:

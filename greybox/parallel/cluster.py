@@ -40,7 +40,8 @@ class DaskHealth:
     def __init__(self, client: Any, policy: ClusterPolicy = CLUSTER_POLICY) -> None:
         self._client, self._policy = client, policy
         now = time.monotonic()
-        self._looked = self._answered = self._staffed = now
+        self._looked = self._answered = self._staffed = self._listened = now
+        self._heartbeats: dict[str, tuple[Any, float]] = {}
         self._finished = 0
         self._present: set[str] = set()
         self._most_present = self._lost = 0
@@ -64,6 +65,9 @@ class DaskHealth:
         self._present, self._most_present = present, max(self._most_present, len(present))
         if present:
             self._staffed = now
+        if now - self._listened > policy.listen_seconds:
+            self._listened = now
+            self._remove_frozen(now)
         if now - self._staffed > policy.empty_seconds:
             return f"it has had no worker for {now - self._staffed:.0f} s"
         if self._lost > max(policy.least_losses, policy.losses_per_worker * self._most_present):
@@ -72,8 +76,29 @@ class DaskHealth:
 
     def _ask(self) -> set[str] | None:
         """The addresses of the workers; None where the scheduler does not answer."""
+        workers = self._call("ncores")
+        return None if workers is None else set(workers)
+
+    def _remove_frozen(self, now: float) -> None:
+        """Have the scheduler give the jobs of workers without a heartbeat to others. It would do so by itself after five minutes.
+
+        A worker that computes goes on beating: the solvers and the compiled kernels let its other threads run.
+        """
+        workers = (self._call("identity", n_workers=-1) or {}).get("workers", {})
+        limit = max(self._policy.frozen_seconds, self._policy.frozen_seconds_per_worker * len(workers))
+        for address, worker in workers.items():
+            beat = worker.get("last_seen")
+            last, since = self._heartbeats.get(address, (None, now))
+            if beat is None or beat != last:
+                self._heartbeats[address] = (beat, now)
+            elif now - since > limit:
+                self._call("unregister", address=address, stimulus_id="greybox-frozen")
+
+    def _call(self, name: str, **arguments: Any) -> Any:
+        """A call of the scheduler; None where it does not answer."""
         try:
-            return set(self._client.sync(self._client.scheduler.ncores, callback_timeout=self._policy.call_seconds))
+            call = getattr(self._client.scheduler, name)
+            return self._client.sync(call, callback_timeout=self._policy.call_seconds, **arguments)
         except Exception:  # of the network, in as many kinds as there are transports: each means no answer
             return None
 

@@ -31,6 +31,12 @@ class ClusterPolicy:
     """Seconds that one call of the scheduler may take."""
     look_seconds: float = 1.0
     """Seconds between two calls: a worker that lives for a shorter time is not counted."""
+    listen_seconds: float = 4.0
+    """Seconds between two looks at the heartbeats of the workers."""
+    frozen_seconds: float = 18.0
+    """Seconds without a heartbeat after which a worker is done without; one beats twice a second in a small cluster."""
+    frozen_seconds_per_worker: float = 0.03
+    """The same for each worker of a large cluster: a thousand of them beat every six seconds only."""
     least_losses: int = 6
     """Workers that may die one after another while no job is finished: one bad job kills four before Dask gives it up."""
     losses_per_worker: int = 3

@@ -27,6 +27,8 @@ class ResultKind(StrEnum):
     COMPARISON = "comparison"
     MODEL_CHECK = "model_check"
     LINEAR_MODEL = "linear_model"
+    PROFILE = "profile"
+    BOOTSTRAP = "bootstrap"
     REFIT = "refit"
     """One line of a journal."""
 
@@ -37,6 +39,8 @@ TITLES: Mapping[ResultKind, tuple[str, str]] = {
     ResultKind.COMPARISON: ("a comparison", "compare.json that greybox compare has written"),
     ResultKind.MODEL_CHECK: ("a check", "check.json that greybox check has written"),
     ResultKind.LINEAR_MODEL: ("a linear model", "file that greybox export --to json has written"),
+    ResultKind.PROFILE: ("a profile", "file that a profile was saved to"),
+    ResultKind.BOOTSTRAP: ("a bootstrap", "file that a bootstrap was saved to"),
     ResultKind.REFIT: ("a journal entry", "journal.jsonl that greybox discover has written"),
 }
 """What messages call each kind, and what to give in the place of another file."""

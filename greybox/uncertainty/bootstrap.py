@@ -7,19 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.errors import FitError
+from greybox.errors import DataError, FitError
 from greybox.estimation.options import FitOptions
 from greybox.estimation.restore import restore_residuals
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.linear_algebra import pseudo_inverse
 from greybox.result import Fit
+from greybox.schemas import ResultKind
 from greybox.transcription import DecisionVector
-from greybox.uncertainty.interval_file import read_intervals, restore_interval, restore_policy, save_intervals
+from greybox.uncertainty.interval_file import IntervalFile, read_intervals, restore_interval, restore_policy
 from greybox.uncertainty.policy import DEFAULT_BOOTSTRAP_POLICY, BootstrapPolicy
 
 
 @dataclass(frozen=True, eq=False)
-class Bootstrap:
+class Bootstrap(IntervalFile):
     """``samples`` (B, nf) of the constants ``names``; their ``std`` and 95 % ``interval`` by name; ``block`` rows of a block; ``policy``:
     how long blocks are.
     """
@@ -30,21 +31,6 @@ class Bootstrap:
     interval: dict[str, tuple[float, float]]
     block: int
     policy: BootstrapPolicy = DEFAULT_BOOTSTRAP_POLICY
-
-    def save(self, path: str | Path) -> Path:
-        """Write the bootstrap as JSON; `load_bootstrap` reads it back without loss.
-
-        Parameters
-        ----------
-        path
-            Where to; folders are made.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-        """
-        return save_intervals(self, path)
 
 
 def load_bootstrap(path: str | Path) -> Bootstrap:
@@ -65,8 +51,13 @@ def load_bootstrap(path: str | Path) -> Bootstrap:
     DataError
         If the file is not a bootstrap.
     """
-    data = read_intervals(path, "bootstrap")
-    data["names"], data["samples"] = tuple(data["names"]), np.array(data["samples"])
+    data = read_intervals(path, ResultKind.BOOTSTRAP)
+    names = data["names"]
+    if any(len(row) != len(names) for row in data["samples"]) or not {*names} == {*data["std"]} == {*data["interval"]}:
+        raise DataError(f"{path}: its samples, deviations and intervals are not those of its constants; save it again")
+    data["names"] = tuple(names)
+    data["samples"] = np.array(data["samples"], dtype=float).reshape(-1, len(names))
+    data["std"] = {name: np.nan if std is None else std for name, std in data["std"].items()}
     data["interval"] = {name: restore_interval(ends) for name, ends in data["interval"].items()}
     data["policy"] = restore_policy(BootstrapPolicy, data["policy"])
     return Bootstrap(**data)

@@ -2,44 +2,43 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from greybox.errors import DataError
 from greybox.files import write_file
-from greybox.result.json_data import format_json, to_json_data
-
-if TYPE_CHECKING:
-    from greybox.uncertainty.bootstrap import Bootstrap
-    from greybox.uncertainty.profile import Profile
+from greybox.result.json_data import iterate_json, to_json_data
+from greybox.schemas import ResultKind, read_json
 
 FORMAT = 1
 """Version of the files. Their keys are the names of the fields."""
 
 
-def save_intervals(value: Profile | Bootstrap, path: str | Path) -> Path:
-    """Write a profile or a bootstrap (folders are made); numbers that are not finite become null."""
-    data = {"format": FORMAT, "kind": type(value).__name__.lower(), **to_json_data(value)}
-    return write_file(path, format_json(data) + "\n")
+class IntervalFile:
+    """A value about intervals that can be saved: its fields are the keys of the file."""
+
+    def save(self, path: str | Path) -> Path:
+        """Write it as JSON; `load_profile` or `load_bootstrap` reads it back without loss.
+
+        Parameters
+        ----------
+        path
+            Where to; folders are made. Numbers that are not finite become null.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+        """
+        data = {"format": FORMAT, "kind": type(self).__name__.lower(), **to_json_data(self)}
+        return write_file(path, iterate_json(data))
 
 
-def read_intervals(path: str | Path, kind: str) -> dict[str, Any]:
-    """What `save_intervals` wrote of a ``kind``. Raises DataError for anything else."""
-    source = Path(path)
-    try:
-        data = json.loads(source.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DataError(
-            f"{source}: not a readable {kind} ({error}); give the file that a {kind} was saved to"
-        ) from error
-    if not isinstance(data, dict) or (data.get("format"), data.get("kind")) != (FORMAT, kind):
-        raise DataError(
-            f"{source}: not a {kind} of this program (format {FORMAT}); give the file that a {kind} was saved to"
-        )
+def read_intervals(path: str | Path, kind: ResultKind) -> dict[str, Any]:
+    """The fields of what was saved of a ``kind``. Raises DataError for anything else."""
+    data = read_json(path, kind)
     return {name: value for name, value in data.items() if name not in ("format", "kind")}
 
 

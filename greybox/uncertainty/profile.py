@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.errors import ModelError, nearest
+from greybox.errors import DataError, ModelError, nearest
 from greybox.estimation.covariance import compute_quantile, estimate_covariance
 from greybox.estimation.objective import Objective, SimulationErrorObjective
 from greybox.estimation.objective_search import hold_parameters, refine_minimum, search_minimum
@@ -18,15 +18,16 @@ from greybox.estimation.restore import restore_objective, restore_options
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.linear_algebra import pseudo_inverse
 from greybox.result import Fit
+from greybox.schemas import ResultKind
 from greybox.transcription import DecisionVector, Evaluation
 from greybox.transcription.decision_vector import SHARED
-from greybox.uncertainty.interval_file import read_intervals, restore_interval, restore_policy, save_intervals
+from greybox.uncertainty.interval_file import IntervalFile, read_intervals, restore_interval, restore_policy
 from greybox.uncertainty.policy import DEFAULT_PROFILE_POLICY, ProfilePolicy
 from greybox.values import Printable
 
 
 @dataclass(frozen=True, eq=False)
-class Profile(Printable):
+class Profile(Printable, IntervalFile):
     """The profile of one constant.
 
     ``values`` (k,), increasing, in ``unit``, and ``increase`` (k,): the rise of the minimal cost over its scale, which for a
@@ -49,21 +50,6 @@ class Profile(Printable):
         """Whether the rise stays below the threshold downwards and upwards as far as it was followed."""
         return bool(self.increase[0] < self.threshold), bool(self.increase[-1] < self.threshold)
 
-    def save(self, path: str | Path) -> Path:
-        """Write the profile as JSON; `load_profile` reads it back without loss.
-
-        Parameters
-        ----------
-        path
-            Where to; folders are made.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-        """
-        return save_intervals(self, path)
-
 
 def load_profile(path: str | Path) -> Profile:
     """Read a profile that `Profile.save` wrote.
@@ -83,7 +69,9 @@ def load_profile(path: str | Path) -> Profile:
     DataError
         If the file is not a profile.
     """
-    data = read_intervals(path, "profile")
+    data = read_intervals(path, ResultKind.PROFILE)
+    if len(data["values"]) != len(data["increase"]):
+        raise DataError(f"{path}: it has {len(data['values'])} values and {len(data['increase'])} rises; save it again")
     data["values"], data["increase"] = (
         np.array(data["values"]),
         np.array([np.inf if rise is None else rise for rise in data["increase"]]),

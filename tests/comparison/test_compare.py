@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.cli.app import app
-from greybox.comparison import ComparisonFinding, ComparisonPolicy, fit_black_boxes, save_comparison
+from greybox.comparison import ComparisonFinding, ComparisonPolicy, fit_black_boxes, load_comparison, save_comparison
 from greybox.findings import with_code
 from greybox.plots import draw_comparison
 from greybox.schemas import ResultKind
@@ -194,6 +194,7 @@ def test_criteria_over_different_outputs_are_not_compared():
 def test_the_file_has_the_promised_form(compared, tmp_path):
     _, found = compared
     saved = json.loads(save_comparison(found, tmp_path / "compare.json").read_text())
+    assert load_comparison(tmp_path / "compare.json") == saved
     assert strict_offences(saved, ResultKind.COMPARISON) == []
     for name, entry in saved["models"].items():
         assert entry["kind"] in ("grey", "black") and isinstance(entry["parameters"], int)

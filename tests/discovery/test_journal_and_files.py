@@ -63,6 +63,7 @@ def test_the_command_writes_answer_model_figures_and_journal(written):
     answer = json.loads((written / "discovery.json").read_text())
     assert answer["verdict"] == "named"
     assert strict_offences(answer, ResultKind.DISCOVERY) == []
+    assert gb.discovery.load_discovery(written / "discovery.json") == answer
     assert answer["effects"][0]["name"] == "coulomb_friction"
     assert answer["sites"][0]["name"] == "force" and answer["sites"][0]["set"] == 0
     assert {"start", "end", "share"} <= set(answer["when"][0])

@@ -17,10 +17,13 @@ import pytest
 
 import greybox as gb
 from greybox.cli.study_file import read_study
+from greybox.comparison import load_comparison
+from greybox.discovery import load_discovery
 from greybox.discovery.execution import RefitJournal, RefitOutcome
 from greybox.errors import GreyboxError
 from greybox.model import Model
 from greybox.result import load_fit
+from greybox.uncertainty import load_bootstrap, load_profile
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
 from tests.hardening.mutations import mutate_bytes, mutate_json, places_of
@@ -102,6 +105,45 @@ def use_journal(path: Path, _: object) -> None:
     assert "new" in RefitJournal(path).known
 
 
+def use_profile(path: Path, _: object) -> None:
+    profile = load_profile(path)
+    str(profile), profile.open_sides
+    profile.save(path.with_name("again.json"))
+
+
+def use_bootstrap(path: Path, _: object) -> None:
+    load_bootstrap(path).save(path.with_name("again.json"))
+
+
+def use_discovery(path: Path, _: object) -> None:
+    assert isinstance(load_discovery(path)["verdict"], str)
+
+
+def use_comparison(path: Path, _: object) -> None:
+    assert all(entry["parameters"] >= 0 for entry in load_comparison(path)["models"].values())
+
+
+def make_others(folder: Path) -> dict[Path, Callable[[Path, object], None]]:
+    """Saved results that are no fits, and what people do with each."""
+    period = 1.6384e-3
+    records = [
+        linear_record(silverbox, multisine(np.random.default_rng(k), 120, period, 5, 200, 0.1), period) for k in (1, 2)
+    ]
+    fit = gb.fit(silverbox, records[0], noise={"y": 1e-4})
+    name = silverbox.free_parameters[0].name
+    draws = gb.uncertainty.bootstrap(fit, np.random.default_rng(3), replicates=5)
+    comparison = gb.compare([fit], records[1], training=records[0])
+    search = gb.discover(
+        silverbox, records[0], validation=records[1], noise={"y": 1e-4}, effects=[gb.effect("coulomb_friction")]
+    )
+    return {
+        gb.uncertainty.profile(fit, name).save(folder / "profile.json"): use_profile,
+        draws.save(folder / "bootstrap.json"): use_bootstrap,
+        gb.comparison.save_comparison(comparison, folder / "compare.json"): use_comparison,
+        search.save(folder / "discovery.json"): use_discovery,
+    }
+
+
 def judge(use: Callable[[Path, object], None], path: Path, value: object) -> str:
     """ "used", "refused", or what is wrong."""
     try:
@@ -163,6 +205,9 @@ def test_mutated_results_journals_and_studies(tmp_path):
     for path, model in make_fits(tmp_path).items():
         load_fit(path, model)
         files[path] = (model, use_fit, False)
+    for path, use in make_others(tmp_path).items():
+        use(path, None)
+        files[path] = (None, use, False)
     journal = RefitJournal(tmp_path / "journal.jsonl")
     for k in range(12):
         outcome = RefitOutcome({"M": 0.01 + k, "K": 5000.0}, ((0.0, 1e-6), (1.0, 2.0)), k % 3)
@@ -171,7 +216,7 @@ def test_mutated_results_journals_and_studies(tmp_path):
     (tmp_path / "study.toml").write_text(STUDY)
     files[tmp_path / "study.toml"] = (None, lambda path, _: read_study(path, "fit"), False)
     read_study(tmp_path / "study.toml", "fit")
-    each = size_of(715)
+    each = size_of(455)
     outcomes, wrong = attack(files, each)
     figures = f"of {len(files)} files; {outcomes['used']} used, {outcomes['refused']} refused"
     note_row("mutated results, journals and studies", each * len(files), sum(wrong.values()), figures)

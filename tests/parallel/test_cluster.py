@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -28,7 +30,7 @@ from tests.support.reliability import note_row
 
 needs_dask = pytest.mark.skipif(find_spec("distributed") is None, reason="the extra 'dask' is not installed")
 ANSWER_SECONDS = 60.0
-FAULTS = 11
+FAULTS = 12
 """Faults that the slow tests of this file make."""
 
 
@@ -247,6 +249,33 @@ def test_one_worker_that_is_lost_for_ever_is_done_without(tmp_path, number, answ
 @needs_dask
 @pytest.mark.slow
 @pytest.mark.timeout(300)
+def test_the_jobs_of_a_frozen_worker_are_done_by_another(tmp_path, answers):
+    """A process that neither works nor ends, as on a machine whose disk hangs."""
+    frozen: list[int] = []
+
+    def freeze_one(stop: threading.Event) -> None:
+        while not stop.wait(0.05):
+            if len(pids := worker_pids(tmp_path)) == 2:
+                frozen.append(pids[0])
+                os.kill(pids[0], signal.SIGSTOP)
+                return
+
+    with separate_cluster(tmp_path) as (address, *_), open_cluster(address) as executor, in_background(freeze_one):
+        began = time.monotonic()
+        try:
+            results, _ = run_jobs(work, tmp_path, range(12), executor=executor)
+            answers.append(time.monotonic() - began)
+        finally:
+            for pid in frozen:
+                os.kill(pid, signal.SIGCONT)
+    assert frozen
+    assert [r.value[0] for r in results] == list(range(12))
+    assert answers[-1] < ANSWER_SECONDS
+
+
+@needs_dask
+@pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_all_workers_killed_once_are_replaced(tmp_path, answers):
     def kill_all_once(stop: threading.Event) -> None:
         while not stop.wait(0.05):
@@ -310,12 +339,22 @@ class FakeClient:
         self.status = "running"
         self.workers: set[str] | None = {"a", "b"}
         self.scheduler = self
-        self.ncores = None
+        self.beats: dict[str, float] = defaultdict(itertools.count(1.0).__next__)
+        self.removed: list[str] = []
 
-    def sync(self, *_, **__):
+    def ncores(self):
+        return dict.fromkeys(self.workers, 1)
+
+    def identity(self, **_):
+        return {"workers": {worker: {"last_seen": self.beats[worker]} for worker in self.workers}}
+
+    def unregister(self, address, **_):
+        self.removed.append(address)
+
+    def sync(self, call, callback_timeout, **arguments):
         if self.workers is None:
             raise OSError("no answer")
-        return dict.fromkeys(self.workers, 1)
+        return call(**arguments)
 
 
 @pytest.fixture
@@ -355,6 +394,16 @@ def test_workers_that_come_and_go_are_counted_until_a_job_is_finished(clock):
     client.workers = {"a4", "b4"}
     assert "died one after another" in faults(health, clock, 1)[0]
     assert not faults(health, clock, 1, finished=1)[0]
+
+
+def test_a_worker_without_a_heartbeat_is_removed(clock):
+    client = FakeClient()
+    health = DaskHealth(client)
+    for second in range(30):
+        client.beats["a"] = float(second)
+        faults(health, clock, 1)
+        assert second < 20 or client.removed
+    assert {*client.removed} == {"b"}
 
 
 def test_a_closed_client_is_a_fault_at_once():

@@ -1,11 +1,15 @@
 """Profiles and bootstraps are read back as they were saved."""
 
+import json
+
 import numpy as np
 import pytest
 
 from greybox.errors import DataError
+from greybox.schemas import ResultKind
 from greybox.uncertainty import Bootstrap, Profile, load_bootstrap, load_profile, profile
 from greybox.uncertainty.policy import BootstrapPolicy, ProfilePolicy
+from tests.support.result_schema import strict_offences
 from tests.uncertainty.test_intervals import saturation_fit
 
 
@@ -37,6 +41,48 @@ def test_a_bootstrap_is_read_back(tmp_path):
         7,
         before.policy,
     )
+
+
+def write_changed(path, **changes):
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+    return path
+
+
+def test_files_are_as_the_schema_says(tmp_path):
+    one = Profile("a", "m", 1.0, np.array([0.5, 1.0]), np.array([np.inf, 0.0]), 3.84, (0.7, np.inf))
+    two = Bootstrap(("a",), np.array([[1.0], [2.0]]), {"a": 0.3}, {"a": (0.9, 1.6)}, 7)
+    for value, kind in ((one, ResultKind.PROFILE), (two, ResultKind.BOOTSTRAP)):
+        assert strict_offences(json.loads(value.save(tmp_path / "x.json").read_text()), kind) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"values": [1.0]}, "1 values and 2 rises"),
+        ({"values": ["a", "b"]}, r"values\[0\] is"),
+        ({"interval": [1.0]}, "interval is a list of 1"),
+        ({"policy": 3}, "policy is 3"),
+    ],
+)
+def test_a_damaged_profile_is_refused(tmp_path, changes, message):
+    whole = Profile("a", "m", 1.0, np.array([0.5, 1.0]), np.array([np.inf, 0.0]), 3.84, (0.7, np.inf))
+    with pytest.raises(DataError, match=message):
+        load_profile(write_changed(whole.save(tmp_path / "a.json"), **changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"samples": [[1.0], [2.0, 3.0]]}, "are not those of its constants"),
+        ({"names": ["b"]}, "are not those of its constants"),
+        ({"samples": 5}, "samples is 5"),
+        ({"std": {"a": "wide"}}, "std.a is"),
+    ],
+)
+def test_a_damaged_bootstrap_is_refused(tmp_path, changes, message):
+    whole = Bootstrap(("a",), np.array([[1.0], [2.0]]), {"a": 0.3}, {"a": (0.9, 1.6)}, 7)
+    with pytest.raises(DataError, match=message):
+        load_bootstrap(write_changed(whole.save(tmp_path / "a.json"), **changes))
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"format": 1, "kind": "bootstrap"}', '{"format": 2, "kind": "profile"}'])
