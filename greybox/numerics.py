@@ -197,3 +197,6 @@ SMALLEST_VALUE = 1e-100
 ROWS_AT_A_TIME = 100_000
 """Rows of a record that are looked at together where each step of a computation needs arrays of its own: they stay in the cache, and a
 long record is in memory a few times only."""
+
+NUMBERS_AT_A_TIME = 4_000_000
+"""Numbers that one Fourier transform of several columns may hold: a limit of memory, not of accuracy."""

@@ -18,9 +18,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from greybox.estimation.policy import DEFAULT_POLICY, IntervalPolicy
 from greybox.noise import AutoRegression, NoisePolicy, fit_autoregression, join_series
-
-# Numbers that one transform may hold: a limit of memory, not of accuracy.
-_CHUNK = 4_000_000
+from greybox.numerics import NUMBERS_AT_A_TIME
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ def compute_toeplitz_form(columns: np.ndarray, rho: np.ndarray) -> np.ndarray:
     circle = np.concatenate([rho, np.zeros(size - 2 * n + 1), rho[:0:-1]])
     spectrum = rfft(circle)
     filtered = np.empty_like(columns)
-    step = max(1, _CHUNK // size)
+    step = max(1, NUMBERS_AT_A_TIME // size)
     for k in range(0, columns.shape[1], step):
         filtered[:, k : k + step] = irfft(
             rfft(columns[:, k : k + step], size, axis=0) * spectrum[:, None], size, axis=0

@@ -8,9 +8,7 @@ from fractions import Fraction
 from functools import lru_cache
 
 from greybox.errors import ModelError
-
-LONGEST_UNIT = 100
-"""Characters of a unit; no rig has a longer one, and so brackets in brackets stay few."""
+from greybox.units.policy import UNIT_POLICY
 
 Powers = dict[str, float]  # symbol -> exponent, in the order in which the symbols were written
 
@@ -28,9 +26,10 @@ def parse_powers(unit: str) -> tuple[float, Powers]:
         text = text.replace(special, plain)
     if text in ("", "-"):
         return 1.0, {}
-    shown = unit if len(unit) <= LONGEST_UNIT else f"{unit[:LONGEST_UNIT]}..."
+    longest = UNIT_POLICY.longest_unit
+    shown = unit if len(unit) <= longest else f"{unit[:longest]}..."
     try:
-        if len(text) > LONGEST_UNIT:
+        if len(text) > longest:
             raise ValueError("too long")
         tokens = _tokens(text)
         factor, powers = _product(tokens)
