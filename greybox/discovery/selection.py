@@ -375,11 +375,28 @@ class StepwiseSelection:
                 if simpler is None:
                     continue
                 loss, limit = simpler.cost - best.cost, self._allowed_loss(simpler, best)
+                if loss > limit:
+                    simpler = self._refit_from_child(simpler, best, parent, name)
+                    loss, limit = simpler.cost - best.cost, self._allowed_loss(simpler, best)
                 check = Check.at_most(DiscoveryRule.SIMPLER_MEMBER, loss, limit, parent)
                 self.steps.append(SelectionStep(StepKind.SIMPLIFY, simpler.effects, check.passed, (check,)))
                 if check:
                     return self._simplify(simpler, among)
         return best
+
+    def _refit_from_child(self, simpler: CandidateFit, richer: CandidateFit, parent: str, child: str) -> CandidateFit:
+        """The simpler model from the constants of the richer one: caught in a minimum of its own it would leave its name to its child."""
+        values = dict(richer.model.values)
+        child_names = next(b.model_names for b in richer.model.bound_effects if b.effect.name == child)
+        parent_names = next(b.model_names for b in simpler.model.bound_effects if b.effect.name == parent)
+        shared = {parent_names[q]: values[child_names[q]] for q in parent_names.keys() & child_names.keys()}
+        start = {**simpler.model.values, **{n: v for n, v in values.items() if n in simpler.model.values}, **shared}
+        again = self.problem.refit_best(simpler.model, [start], keep=1)
+        if again is None or again.cost >= simpler.cost:
+            return simpler
+        self.fits[frozenset(again.effects)] = again
+        self.single_effects = [again if fit.effects == again.effects else fit for fit in self.single_effects]
+        return again
 
     def _allowed_loss(self, simpler: CandidateFit, best: CandidateFit) -> float:
         """By how much the simpler member of a family may do worse: less where only the richer one leaves nothing but noise."""
