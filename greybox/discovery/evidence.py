@@ -67,8 +67,8 @@ class EffectEvidence(Printable, ReadOnly):
         Whether it takes a part of the error of every validation record.
     measures
         What the probability was computed from. Losses are relative differences of mean square errors from that of the model, all outputs
-        together, on the validation records: without the effect, with its rival, with a flexible curve beside it; ``_t`` are the
-        same in standard errors of the blocks.
+        together, on the validation records and adapted to them (`HoldoutScores.adapt`): without the effect, with its rival, with a
+        flexible curve beside it; ``_t`` are the same in standard errors of the blocks.
     """
 
     effect: str
@@ -169,17 +169,15 @@ def _weigh_effect(
     without = inputs.scores.square_errors(rest, limits.blocks) if rest is not None else {}
     rivals = _refit_rivals(inputs, name, rest)
     rival_errors = [inputs.scores.square_errors(rival, limits.blocks) for rival in rivals]
-    behind = [_compare(errors, each) for each in rival_errors]
-    loss, loss_t = _compare(errors, without)
+    square_errors = partial(inputs.scores.square_errors, blocks=limits.blocks, adapted=True)
+    form = square_errors(inputs.selected)
+    behind = [_compare(form, square_errors(rival)) for rival in rivals]
+    loss, loss_t = _compare(form, square_errors(rest) if rest is not None else {})
     alike = [k for k in range(len(rivals)) if abs(behind[k][0]) < limits.same_error * min(loss, 1.0)]
     others = [k for k in range(len(rivals)) if k not in alike]
     nearest = min(others, key=lambda k: behind[k][0], default=None)
     rival_loss, rival_t = (loss, loss_t) if nearest is None else behind[nearest]
-    curve_loss, curve_t = (
-        (np.nan, np.nan)
-        if corrected is None
-        else _compare(errors, inputs.scores.square_errors(corrected, limits.blocks))
-    )
+    curve_loss, curve_t = (np.nan, np.nan) if corrected is None else _compare(form, square_errors(corrected))
     change = _measure_change(inputs.selected, effect, halves)
     output = max(errors, key=lambda o: _mean(without.get(o)) / max(_mean(errors[o]), TINY))
     share, interval = _share_of_error(errors[output], without.get(output), limits)
@@ -385,21 +383,23 @@ def _helps_on_every_record(inputs: EvidenceInputs, rest: CandidateFit | None, ou
 def measure_structure(scores: HoldoutScores, candidate: CandidateFit, visible: float, most_correlation: float) -> float:
     """Share of the rms error on the validation records that is no noise, 0 to 1, all outputs together.
 
-    Where the noise is known, what exceeds it ``visible`` times. Else what the samples before tell of each sample, beyond the correlation
+    What the uncertainty of constants and first states explains does not count (`HoldoutScores.adapt`). Where the noise is known, what
+    exceeds it ``visible`` times. Else what the samples before tell of each sample, beyond the correlation
     of first order that a sensor may have: up to ``most_correlation`` from sample to sample.
     """
     run = scores.run(candidate)
     if run is None:
         return 1.0
-    noise, shares = candidate.problem.noise, []
+    noise, adapted, shares = candidate.problem.noise, scores.adapt(candidate), []
     for name, misfit in run.misfit.items():
+        series = join_series(adapted[name])
+        rms = max(float(np.sqrt(np.nanmean(series**2))), TINY)
         if is_level_measured(noise, name):
             bound = noise.bound(name)  # the problem may weigh with another level, the residual's
             level = misfit.rmse / misfit.noise_ratio if bound is None else bound.level
-            shares.append(max(1 - (visible * level / max(misfit.rmse, TINY)) ** 2, 0.0))
+            shares.append(max(1 - (visible * level / rms) ** 2, 0.0))
             continue
-        series = join_series(t.residual(name)[scores.validation.uncounted :] for t in run.traces if name in t.measured)
-        deviation = series / max(float(np.sqrt(np.nanmean(series**2))), TINY)
+        deviation = series / rms
         colour, first = fit_autoregression(deviation), fit_autoregression(deviation, max_order=1)
         # A sensor, or the filter behind it, has one time constant; a correlation that lasts longer is none of theirs.
         is_sensor = abs(first.autocorrelation(2)[1]) < most_correlation

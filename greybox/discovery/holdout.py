@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.discovery.adaptation import Residuals, adapt_to_records
 from greybox.discovery.failures import SearchStage
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import SelectionPolicy
@@ -151,10 +152,11 @@ class HoldoutScores:
     problem: DiscoveryProblem
     validation: ValidationSet
     _runs: dict[tuple[Any, ...], Validation | None] = field(init=False, default_factory=dict)
+    _residuals: dict[tuple[Any, ...], Residuals] = field(init=False, default_factory=dict)
 
     def run(self, candidate: CandidateFit) -> Validation | None:
         """The candidate's free run over the records; None where it fails there."""
-        key = (candidate.effects, *candidate.model.values.values())
+        key = _key_of(candidate)
         if key not in self._runs:
             run = partial(self.validation.run, candidate.model, self.problem.noise_std, self.problem.options)
             self._runs[key] = self.problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, run, None)
@@ -168,22 +170,72 @@ class HoldoutScores:
         score = float(np.sqrt(np.mean([m.noise_ratio**2 for m in run.misfit.values()])))
         return score if np.isfinite(score) else np.inf
 
-    def square_errors(self, candidate: CandidateFit, blocks: int) -> dict[str, np.ndarray]:
-        """By output the mean square error (B,) in about ``blocks`` blocks of equal length; empty where the model fails."""
+    def adapt(self, candidate: CandidateFit) -> Residuals:
+        """Its residuals on the counted rows once constants and first states moved within their uncertainty; empty where it fails.
+
+        See `adapt_to_records`. Where the step does not lower the error, the residuals are those of the free run.
+        """
+        key = _key_of(candidate)
+        if key not in self._residuals:
+            self._residuals[key] = self._adapt(candidate)
+        return self._residuals[key]
+
+    def _adapt(self, candidate: CandidateFit) -> Residuals:
         run = self.run(candidate)
         if run is None:
             return {}
-        rows = sum(len(trace.time) - self.validation.uncounted for trace in run.traces)
+        first, records, free_run = self.validation.uncounted, self.validation.records, self._free_residuals(candidate)
+        step = partial(adapt_to_records, self.problem, candidate, records, run)
+        adapted = self.problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, step, None)
+        if adapted is None:
+            return free_run
+        counted: Residuals = {
+            name: [r[first:] for r, trace in zip(adapted[name], run.traces, strict=True) if name in trace.measured]
+            for name in run.misfit
+        }
+        noise = self.problem.noise_std
+        return min((counted, free_run), key=lambda each: sum(_mean_square(r) / noise[n] ** 2 for n, r in each.items()))
+
+    def _free_residuals(self, candidate: CandidateFit) -> Residuals:
+        run, first = self.run(candidate), self.validation.uncounted
+        if run is None:
+            return {}
+        return {
+            name: [trace.residual(name)[first:] for trace in run.traces if name in trace.measured]
+            for name in run.misfit
+        }
+
+    def measure_drift(self, candidate: CandidateFit) -> dict[str, float]:
+        """By output the mean square error that goes when constants and first states move within their uncertainty."""
+        run, adapted = self.run(candidate), self.adapt(candidate)
+        if run is None:
+            return {}
+        return {name: max(m.rmse**2 - _mean_square(adapted[name]), 0.0) for name, m in run.misfit.items()}
+
+    def square_errors(self, candidate: CandidateFit, blocks: int, *, adapted: bool = False) -> dict[str, np.ndarray]:
+        """By output the mean square error (B,) in about ``blocks`` blocks of equal length; empty where the model fails.
+
+        Of the free run, or ``adapted`` to the records (`adapt`): the one is what a user sees, the other compares forms.
+        """
+        every = self.adapt(candidate) if adapted else self._free_residuals(candidate)
+        rows = sum(len(r) for r in next(iter(every.values()), []))
         length = max(math.ceil(rows / blocks), 1)
-        errors: dict[str, list[float]] = {name: [] for name in run.misfit}
-        for trace in run.traces:
-            for name in trace.measured:
-                residual = trace.residual(name)[self.validation.uncounted :]
+        errors: dict[str, list[float]] = {name: [] for name in every}
+        for name, residuals in every.items():
+            for residual in residuals:
                 parts = np.array_split(residual, max(round(len(residual) / length), 1))
                 errors[name] += [
                     float(np.mean(part[np.isfinite(part)] ** 2)) for part in parts if np.isfinite(part).any()
                 ]
         return {name: np.array(values) for name, values in errors.items() if values}
+
+
+def _key_of(candidate: CandidateFit) -> tuple[Any, ...]:
+    return candidate.effects, *candidate.model.values.values()
+
+
+def _mean_square(residuals: Sequence[np.ndarray]) -> float:
+    return float(np.nanmean(np.concatenate(residuals) ** 2))
 
 
 def reject_on_validation(

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -127,15 +127,17 @@ class JudgedSelection:
         """Share of the gap that the extended model explains, in the output that the plain model misses most."""
         return self.holdout[worst_output(self.holdout)].explained_fraction
 
-    @property
+    @cached_property
     def noise_limits(self) -> dict[str, float]:
-        """Rms over noise that the noise of each output hardly ever exceeds on the validation records."""
+        """Rms over noise that noise and the uncertainty of the constants hardly ever exceed on the validation records, by output."""
         colours = dict(zip((o.name for o in self.base.model.outputs), self.baseline.problem.noise.colour, strict=True))
         policy = self.selection.policy.selection
-        return {
-            name: visible_rms_limit(self.base.validation.misfit[name].samples, colours[name], policy)
-            for name in self.holdout
-        }
+        drift = self.scores.measure_drift(self.corrected if self.selected.effects else self.baseline)
+        limits = {}
+        for name, error in self.holdout.items():
+            of_noise = visible_rms_limit(self.base.validation.misfit[name].samples, colours[name], policy)
+            limits[name] = math.hypot(of_noise, math.sqrt(drift.get(name, 0.0)) / error.floor)
+        return limits
 
 
 def discover(

@@ -53,11 +53,12 @@ def test_a_change_is_that_of_the_amplitude_between_the_halves():
 
 
 def structure_of(residual, bound, ratio=1.0):
+    residual = ratio * residual
     run = SimpleNamespace(
-        misfit={"x": SimpleNamespace(noise_ratio=1.0, rmse=ratio)},
+        misfit={"x": SimpleNamespace(noise_ratio=ratio, rmse=ratio)},
         traces=[SimpleNamespace(measured={"x": residual}, residual=lambda name: residual)],
     )
-    scores = SimpleNamespace(run=lambda fit: run, validation=SimpleNamespace(uncounted=0))
+    scores = SimpleNamespace(run=lambda fit: run, adapt=lambda fit: {"x": [residual]})
     noise = SimpleNamespace(bound=lambda name: bound)
     fit = SimpleNamespace(problem=SimpleNamespace(noise=noise))
     return measure_structure(scores, fit, 1.05, 0.95)
@@ -70,7 +71,7 @@ SLOW = np.sin(np.arange(2000) / 30) + 0.02 * RNG.standard_normal(2000)
 
 
 def test_what_exceeds_known_noise_is_structure():
-    assert structure_of(WHITE, KNOWN, 1.04) == 0.0
+    assert structure_of(WHITE / WHITE.std(), KNOWN, 1.04) == 0.0
     assert structure_of(WHITE, KNOWN, 10.0) == pytest.approx(1.0, abs=0.01)
 
 
