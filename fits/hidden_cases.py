@@ -1,9 +1,10 @@
 """Cases with a hidden effect: a rig drawn at random, its records from the twin, and what a user would say about it.
 
-A case is the plain rig plus nothing, one or two effects of the catalogue, a relative of one whose form differs, or something that no
-entry of the catalogue comes near. How strong an effect is comes from how far it moves the
-outputs: between a few and two hundred times the noise, before any constant has adapted. What is left of that after the plain model has
-been refitted is another matter (a spring swallows nearly all of a slow creep), so some effects cannot be seen; a study has to say which.
+A case is the plain rig plus nothing, one or two effects of the catalogue, a relative of one whose form differs, something that no
+entry of the catalogue comes near, or an effect of the catalogue beside such a stranger. How strong an effect is comes from how far it
+moves the outputs: between a few and two hundred times the noise, before any constant has adapted. What is left of that after the plain
+model has been refitted is another matter (a spring swallows nearly all of a slow creep), so some effects cannot be seen; a study has to
+say which.
 """
 
 from __future__ import annotations
@@ -137,7 +138,7 @@ RELATIVES = {
         "creeping_friction",
     ),
 }
-KINDS = ("single", "pair", "complete", "relative", "foreign")
+KINDS = ("single", "pair", "complete", "relative", "foreign", "mixed")
 
 
 @dataclass(frozen=True)
@@ -232,6 +233,8 @@ def _drawn(rig: str, kind: str, rng: np.random.Generator) -> tuple[str, ...]:
         return ()
     if kind == "pair":
         return tuple(PAIRS[rig][rng.integers(len(PAIRS[rig]))])
+    if kind == "mixed":
+        return (*_drawn(rig, "single", rng), *_drawn(rig, "foreign", rng))
     among = {"single": SINGLES, "relative": RELATIVES, "foreign": FOREIGN}[kind][rig]
     return (among[rng.integers(len(among))],)
 

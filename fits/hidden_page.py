@@ -141,6 +141,10 @@ def knows_shape(row: Row) -> bool:
     return not wanted or bool(wanted & given)
 
 
+def _has_listed(row: Row) -> bool:
+    return any(name in row["right"][0] for name in _answer(row)["said"])
+
+
 def _left_out(row: Row) -> Row:
     return next(a for a in row["answers"] if a["left_out"])
 
@@ -153,7 +157,8 @@ def _variables(row: Row, name: str) -> tuple[str, ...]:
 
 def _scores(rows: Sequence[Row]) -> str:
     kinds = {
-        kind: [r for r in rows if r["kind"] == kind] for kind in ("single", "pair", "complete", "foreign", "relative")
+        kind: [r for r in rows if r["kind"] == kind]
+        for kind in ("single", "pair", "complete", "foreign", "relative", "mixed")
     }
     visible = {kind: [r for r in rows if r["base"] >= VISIBLE] for kind, rows in kinds.items()}
     effects = [r for r in rows if r["kind"] != "complete"]
@@ -184,6 +189,10 @@ def _scores(rows: Sequence[Row]) -> str:
         (
             "relative of a catalogued effect, visible: family named and nothing else",
             _share(map(right, visible["relative"])),
+        ),
+        (
+            "an effect beside one that the catalogue does not have: it is among the names, and nothing wrong is certain",
+            _share([_has_listed(r) and not is_falsely_certain(r, _answer(r)) for r in visible["mixed"]]),
         ),
         ("two effects, each visible beside the other: both and nothing else", _share(map(right, both))),
         (
@@ -258,7 +267,7 @@ def _pairs(rows: Sequence[Row]) -> Counter[tuple[str, str]]:
     """(truth, answer) of every visible case with at most one true effect."""
     counts: Counter[tuple[str, str]] = Counter()
     for r in rows:
-        if r["kind"] == "pair" or (r["kind"] != "complete" and r["base"] < VISIBLE):
+        if r["kind"] in ("pair", "mixed") or (r["kind"] != "complete" and r["base"] < VISIBLE):
             continue
         truth = NOTHING if r["kind"] == "complete" else next(iter(r["truth"]))
         answer = _answer(r)
@@ -294,6 +303,8 @@ def _is_fine(row: Row, answer: Row) -> bool:
         return False
     if answer["left_out"] or row["kind"] == "foreign":
         return True
+    if row["kind"] == "mixed":
+        return _has_listed(row)
     if row["kind"] == "complete" or row["base"] < VISIBLE:
         return answer["verdict"] == "complete" or row["base"] < VISIBLE
     return tied(row)

@@ -37,8 +37,8 @@ from greybox.project import find_model
 
 # Kinds of twenty cases in a row: odd seeds are on the rigs, even ones on the plants.
 KINDS = (
-    *("single", "single", "foreign", "pair", "single", "single", "pair", "complete", "single", "single"),
-    *("complete", "relative", "single", "foreign", "relative", "single", "foreign", "single", "single", "single"),
+    *("single", "single", "foreign", "pair", "single", "single", "pair", "complete", "mixed", "mixed"),
+    *("complete", "relative", "single", "foreign", "relative", "single", "foreign", "single", "single", "mixed"),
 )
 RIGS = ("micro_actuator", "pneumatic_cylinder")
 CASES, FIRST, ROWS, LONG = 200, 1000, 1200, 3000
@@ -168,7 +168,7 @@ def compare_without_each(case: Case, model: gb.Model) -> list[float]:
     Below `VISIBLE` nothing could name that one. (Noise of a colour leaves more or less than its level on one record.) Only for effects
     of the catalogue.
     """
-    if len(case.effects) < 2 or any(name not in names for name, names in zip(case.effects, case.right, strict=True)):
+    if case.kind != "pair" or any(name not in names for name, names in zip(case.effects, case.right, strict=True)):
         return []
     problem = DiscoveryProblem(model, (case.estimation,), dict(case.sigma), (), gb.FitOptions(at_rest=True))
     scales = estimate_scales(problem.baseline)

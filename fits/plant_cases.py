@@ -238,6 +238,8 @@ def _draw_effects(setup: Setup, kind: str, rng: np.random.Generator) -> tuple[st
         return ()
     if kind == "pair":
         return setup.pairs[rng.integers(len(setup.pairs))]
+    if kind == "mixed":
+        return (*_draw_effects(setup, "single", rng), *_draw_effects(setup, "foreign", rng))
     among = {"single": setup.singles, "relative": setup.relatives}.get(kind, setup.foreign)
     return (among[rng.integers(len(among))],)
 

@@ -340,7 +340,8 @@ def _compare(errors: BlockErrors, others: BlockErrors) -> tuple[float, float]:
     """How much larger the mean square errors of another model are, and how many standard errors of the blocks that is.
 
     Each output counts relative to the error that the first model leaves in it. The standard errors are those of the logarithm, so that
-    blocks of large motion do not hide the others. Infinitely larger for a model that cannot be run.
+    blocks of large motion do not hide the others, or those of the errors themselves where these tell more: an effect that acts in a
+    few blocks only (a stop, an overflow). Infinitely larger for a model that cannot be run.
     """
     shared = [o for o in errors if o in others and len(others[o]) == len(errors[o])]
     if not shared or not all(np.isfinite(others[o]).all() for o in shared):
@@ -349,9 +350,13 @@ def _compare(errors: BlockErrors, others: BlockErrors) -> tuple[float, float]:
     loss = float(np.mean([_mean(others[o]) / max(_mean(errors[o]), TINY) for o in shared])) - 1
     relative = [[each[o][:blocks] / max(_mean(errors[o]), TINY) for o in shared] for each in (errors, others)]
     first, second = (np.maximum(np.mean(each, axis=0), TINY) for each in relative)
-    ratios = np.log(second / first)
-    spread = float(ratios.std(ddof=1)) / math.sqrt(blocks) if blocks > 1 else math.inf
-    return loss, float(ratios.mean()) / max(spread, TINY)
+    return loss, max((_standard_errors(each) for each in (np.log(second / first), second - first)), key=abs)
+
+
+def _standard_errors(values: np.ndarray) -> float:
+    """The mean of ``values`` (B,) in standard errors."""
+    spread = float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.inf
+    return float(values.mean()) / max(spread, TINY)
 
 
 def _share_of_error(
@@ -434,10 +439,23 @@ def _measure_change(selected: CandidateFit, effect: Effect, halves: Sequence[Can
 
 
 def _is_undetermined(fit: Fit, name: str) -> bool:
-    """Whether a parameter of the effect was stopped by its bounds, or nothing in the records determines it."""
+    """Whether the records do not determine the effect.
+
+    One of its amplitudes ended at zero, or is free and has no interval; of an effect that has a simpler relative, also a parameter that
+    its bounds stopped: there the one becomes the other. Bounds elsewhere say no such thing (an edge as sharp as the samples can show).
+    """
     bound = next((b for b in fit.model.bound_effects if b.effect.name == name), None)
-    estimates = [fit.parameters.get(bound.model_names[q.name]) for q in bound.effect.parameters] if bound else []
-    return any(e is not None and not e.fixed and (e.at_bound or e.std is None) for e in estimates)
+    if bound is None:
+        return False
+    amplitudes = bound.effect.amplitudes or [q.name for q in bound.effect.parameters]
+    for parameter in bound.effect.parameters:
+        estimate = fit.parameters.get(bound.model_names[parameter.name])
+        if estimate is None or estimate.fixed:
+            continue
+        is_absent = estimate.std is None if not estimate.at_bound else estimate.value == 0
+        if (parameter.name in amplitudes and is_absent) or (bound.effect.parents and estimate.at_bound):
+            return True
+    return False
 
 
 def _other(rival: CandidateFit, selected: CandidateFit) -> str:
