@@ -193,9 +193,11 @@ GENERATED: dict[str, Callable[[], str]] = {
 
 
 def rewrite_catalogue() -> None:
-    """Write docs/catalogue.md anew from the catalogue: ``python docs/hooks.py``."""
-    from greybox.effects import CATALOGUE
-    from greybox.rendering.effects import write_catalogue_page
+    """Write docs/catalogue.md and docs/roles.md anew from the catalogue: ``python docs/hooks.py``."""
+    from greybox.effects import CATALOGUE, ROLES
+    from greybox.rendering.effects import write_catalogue_page, write_roles_page
+
+    (FOLDER / "roles.md").write_text(write_roles_page(ROLES), encoding="utf-8")
 
     (FOLDER / "catalogue.md").write_text(write_catalogue_page(CATALOGUE), encoding="utf-8")
 

@@ -15,6 +15,25 @@ class ModelError(GreyboxError):
     """A model, an effect or a constant is stated in a way that cannot be right."""
 
 
+class MissingNameError(ModelError):
+    """A model has no site, signal or parameter of the name or role that an effect asks for.
+
+    Attributes
+    ----------
+    kind
+        ``site``, ``state``, ``input``, ``parameter``, or ``unit`` for something whose unit is asked for.
+    name
+        Its name or role.
+    """
+
+    def __init__(self, message: str, kind: str, name: str) -> None:
+        self.kind, self.name = kind, name
+        super().__init__(message)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.kind, self.name)
+
+
 class UnitError(ModelError):
     """A term of an equation has another unit than the equation."""
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
+from greybox.effects import CATALOGUE, Placement, find_placements
 from greybox.errors import DataError, ModelError, nearest
 from greybox.estimation.fit_issues import find_excluded_outputs
 from greybox.estimation.options import FitOptions
@@ -61,6 +62,8 @@ class ModelCheck(Printable):
         What the measured outputs determine at best; None where the model could not be run, then ``doubt`` says why.
     practical
         What these records determine.
+    placements
+        Where the effects of the catalogue find a place in it, and what the others lack.
     policy, options
         What it was steered by.
     """
@@ -79,6 +82,7 @@ class ModelCheck(Printable):
     structure: StructuralIdentifiability | None
     practical: PracticalIdentifiability
     doubt: str = ""
+    placements: tuple[Placement, ...] = ()
     policy: IdentifiabilityPolicy = field(default=IDENTIFIABILITY_POLICY, repr=False)
     options: FitOptions = field(default_factory=FitOptions, repr=False)
 
@@ -91,6 +95,11 @@ class ModelCheck(Printable):
     def open_directions(self) -> tuple[OpenDirection, ...]:
         """Combinations that no record of the measured outputs determines."""
         return self.structure.directions if self.structure else ()
+
+    @property
+    def roles(self) -> dict[str, dict[str, str]]:
+        """``states``, ``inputs`` and ``parameters`` of the plant that have a role, by name."""
+        return _list_roles(self.model)
 
     @property
     def failure(self) -> Finding | None:
@@ -149,6 +158,17 @@ class ModelCheck(Printable):
                 "structure": structure_data,
                 "data": practical_data,
                 "complete": self.complete,
+                "roles": self.roles,
+                "effects": [{"name": p.name, "site": p.site} for p in self.placements if p.effect is not None],
+                "without_place": [
+                    {
+                        "name": p.name,
+                        "reason": p.reason,
+                        "missing": None if p.missing is None else dict(zip(("kind", "name"), p.missing, strict=True)),
+                    }
+                    for p in self.placements
+                    if p.effect is None
+                ],
                 "policy": self.policy,
                 "options": self.options.to_data(),
             }
@@ -235,9 +255,22 @@ def check(
         structure,
         analyse_problem(problem, structure, policy),
         doubt,
+        tuple(find_placements(model, CATALOGUE)),
         policy,
         options,
     )
+
+
+def _list_roles(model: Model) -> dict[str, dict[str, str]]:
+    """The role of each state, input and parameter of the plant; a body's velocity and displacement are found by their balances."""
+    groups = {"states": model.states, "inputs": model.inputs, "parameters": model.parameters}
+    roles = {group: {item.name: item.role for item in items if item.role} for group, items in groups.items()}
+    for site in model.sites:
+        if site.is_motion:
+            bodily = {site.states[role]: role for role in ("velocity", "displacement") if site.states.get(role)}
+            roles["states"] = bodily | roles["states"]
+    roles["states"] = {s.name: roles["states"][s.name] for s in model.states if s.name in roles["states"]}
+    return roles
 
 
 def _analyse_structure(

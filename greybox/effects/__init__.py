@@ -19,6 +19,7 @@ from greybox.effects.intersample import BETWEEN_SAMPLES
 from greybox.effects.level import LEVEL
 from greybox.effects.load import LOAD
 from greybox.effects.placement import AT, EffectListing, Placement, find_placements, place_effect
+from greybox.effects.roles import ROLES, SignalRole
 from greybox.effects.rotation import ROTATION
 from greybox.effects.scales import Scales, bound_delays, measure_scales, tailor_to_record
 from greybox.effects.signal_path import SIGNAL_PATH
@@ -53,12 +54,14 @@ __all__ = [
     "FRICTION",
     "LEVEL",
     "LOAD",
+    "ROLES",
     "ROTATION",
     "SIGNAL_PATH",
     "THERMAL",
     "EffectListing",
     "Placement",
     "Scales",
+    "SignalRole",
     "applicable_effects",
     "bound_delays",
     "effect",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from greybox.effects.scales import Scales
-from greybox.errors import ModelError, UnitError
+from greybox.errors import MissingNameError, ModelError, UnitError
 from greybox.model import Effect, Model
 from greybox.model.signals import Parameter
 from greybox.model.sites import FIRST_INPUT, ROLE_OF_WORD, PlaceKind, find_sites
@@ -30,6 +30,8 @@ class Placement:
         The effect as it acts there; None where it cannot.
     reason
         Why it cannot.
+    missing
+        What the model lacks for it, as far as that is a site, a signal or a parameter: its kind and its name or role.
     parameters
         Its parameters with the names and units that they have in the model.
     """
@@ -39,6 +41,7 @@ class Placement:
     effect: Effect | None = None
     reason: str = ""
     parameters: tuple[Parameter, ...] = ()
+    missing: tuple[str, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -147,6 +150,8 @@ def _try(model: Model, entry: Effect, site: str) -> Placement:
         changed = model + entry  # writing the equations out asks for every site, role, term and unit
     except UnitError:
         raise
+    except MissingNameError as error:
+        return Placement(entry.name, site, None, str(error), missing=(error.kind, error.name))
     except ModelError as error:
         return Placement(entry.name, site, None, str(error))
     return Placement(entry.name, site, entry, "", changed.bound_effects[-1].parameters)

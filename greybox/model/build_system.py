@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import casadi as ca
 
-from greybox.errors import ModelError, nearest
+from greybox.errors import MissingNameError, ModelError, nearest
 from greybox.model.balance import Balance
 from greybox.model.effect_hooks import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
 from greybox.model.process_noise import build_diffusion
@@ -208,7 +208,9 @@ class _Equations:
 
     def _balance(self, site: str, effect: EffectEquations) -> Balance:
         if site not in self.balances:
-            raise ModelError(f"effect {effect.name!r} adds to a balance {site!r}; {nearest(site, self.balances)}")
+            raise MissingNameError(
+                f"effect {effect.name!r} adds to a balance {site!r}; {nearest(site, self.balances)}", "site", site
+            )
         return self.balances[site]
 
 
@@ -298,8 +300,10 @@ def _fill_unit(unit: str, words: Mapping[str, str], effect: EffectEquations, mod
         return format_unit(unit.format_map(words))
     except KeyError as missing:
         word = missing.args[0]
-        raise ModelError(
-            f"effect {effect.name!r} needs a {word}, which model {model!r} does not have; {nearest(word, words)}"
+        raise MissingNameError(
+            f"effect {effect.name!r} needs a {word}, which model {model!r} does not have; {nearest(word, words)}",
+            "unit",
+            word,
         ) from None
     except ModelError as error:
         raise ModelError(f"effect {effect.name!r}: {error}") from None

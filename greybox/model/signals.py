@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from greybox.errors import ModelError, nearest
+from greybox.errors import MissingNameError, ModelError, nearest
 
 Expression = Any  # a CasADi SX expression, or a plain number
 
@@ -229,7 +229,7 @@ class NamedValues:
             raise AttributeError(name)
         key = name if name in self._values else self._roles.get(name, name)
         if key not in self._values:
-            raise ModelError(f"no {self._kind} {name!r}; {nearest(name, self.names)}")
+            raise MissingNameError(f"no {self._kind} {name!r}; {nearest(name, self.names)}", self._kind, name)
         return self._values[key]
 
     def __getitem__(self, name: str) -> Expression:

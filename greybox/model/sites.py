@@ -14,7 +14,7 @@ from enum import StrEnum
 
 import casadi as ca
 
-from greybox.errors import ModelError, nearest
+from greybox.errors import MissingNameError, ModelError, nearest
 from greybox.model.balance import Balance
 from greybox.model.signals import Input, Output, State
 from greybox.units import parse_unit
@@ -153,7 +153,9 @@ def require_site(effect: str, word: str, model: str, sites: Sequence[Site], inpu
     if meant:
         return meant[0]
     remedy = f"it needs {NEEDED[word]}" if word in NEEDED else nearest(word, [s.name for s in sites])
-    raise ModelError(f"effect {effect!r} acts at {word!r}, which model {model!r} does not have; {remedy}")
+    raise MissingNameError(
+        f"effect {effect!r} acts at {word!r}, which model {model!r} does not have; {remedy}", "site", word
+    )
 
 
 def _takes(word: str, role: str) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from greybox.model.equations import equations_text
+from greybox.rendering.effects import write_places
 from greybox.rendering.identifiability import describe_inputs, describe_verdict
 from greybox.rendering.registry import renders
 from greybox.rendering.tables import format_number
@@ -23,7 +24,7 @@ def describe_noise_source(check: ModelCheck) -> str:
 
 @renders("ModelCheck")
 def write_check(check: ModelCheck) -> str:
-    """Equations, integration, records, what the outputs can tell at best, and what these records tell."""
+    """Equations, integration, records, what the outputs can tell at best and what these records tell, roles and effects."""
     linear = "linear in states and inputs" if check.linear else "nonlinear"
     lines = [check.model.title, equations_text(check.model), ""]
     lines += ["units           every term has the unit of its balance"]
@@ -40,9 +41,25 @@ def write_check(check: ModelCheck) -> str:
         units = {o.name: o.unit for o in check.model.outputs}
         noise = ", ".join(f"{name} {format_number(std, 3)} {units[name]}".rstrip() for name, std in check.noise.items())
         lines += [f"noise           {noise}; {describe_noise_source(check)}", *_excitation(check)]
+    lines += ["", *_roles(check)]
     if check.failure and not check.model.free_parameters:
         return "\n".join([*lines, "", f"parameters      {check.failure}"])
     return "\n".join([*lines, "", *_structure(check), "", *_constants(check)])
+
+
+def _roles(check: ModelCheck) -> list[str]:
+    """The role of each signal, the effects that find a place, and what would open the others."""
+    named = check.roles
+    lines = [f"roles           {', '.join(f'{n} {role}' for n, role in named['states'].items()) or 'no state has one'}"]
+    lines += [
+        f"{'':<16}{', '.join(f'{n} {role}' for n, role in named[group].items())}"
+        for group in ("inputs", "parameters")
+        if named[group]
+    ]
+    without = [s.name for s in check.model.states if s.name not in named["states"]]
+    lines += [f"{'':<16}without one: {', '.join(without)}"] if without else []
+    count = sum(p.effect is not None for p in check.placements)
+    return [*lines, f"effects         {count} find a place", *write_places(check.placements)]
 
 
 def _records(experiments: tuple[Experiment, ...]) -> list[str]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
+from greybox.effects.placement import AT
+from greybox.effects.roles import ROLES
 from greybox.model.sites import NEEDED
 from greybox.rendering.registry import renders
 from greybox.rendering.tables import format_table
 from greybox.units import format_unit
 
 if TYPE_CHECKING:
-    from greybox.effects import EffectListing, Placement
+    from greybox.effects import EffectListing, Placement, SignalRole
     from greybox.model import Effect
     from greybox.model.signals import Parameter
 
@@ -24,6 +27,33 @@ several sites (bodies, inputs, outputs), the name alone means the first, and `NA
 
 In equations `x` and `v` are displacement and velocity of a body, `u` is the input and `y` the output at the site. Units in braces are
 those of the model: `{force}` is that of its balance.
+"""
+
+ROLES_HEAD = """# Roles
+
+A role says what a signal or a parameter is physically; names are yours. Effects of the catalogue ask for roles, so that one Coulomb
+friction serves every body:
+
+```text
+State("w", "rad/s", role="velocity")
+Input("Ta", "K", role="ambient_temperature")
+Parameter("Ra", "ohm", 8.0, role="resistance")
+```
+
+Most of it goes without: a balance in N or N m of a state in m/s or rad/s is that of a body, the state whose rate is this velocity its
+displacement, and an input without a role is a drive. `greybox check MODEL` shows the role of each signal, the effects that find a place,
+and what would open the others; `greybox effects MODEL` lists the same effect by effect. Several signals may have one role: each body has
+its own velocity, each tank its own level. Where an effect asks for a role and its site does not tell which is meant, it is the first.
+"""
+
+ROLES_TAIL = """Beside these, the effects at `pressure_a` and `upper_level` look for balances of these names, as the [pneumatic
+chain](tutorial_pneumatic.md) and the cascaded tanks have them. What an effect needs stands with it in the [catalogue](catalogue.md).
+
+## Plants to start from
+
+`greybox init DIR --plant NAME` writes a model with all roles: `rotary-drive` (velocity, current, resistance, inductance),
+`two-mass` (two bodies on a shaft), `stage` (displacement and velocity), `cylinder` (pressure and valve), `thermal` (temperature
+and ambient temperature), `tanks` (levels), `circuit` (current, inductance).
 """
 
 
@@ -59,6 +89,56 @@ def write_catalogue_page(entries: Sequence[Effect]) -> str:
             lines += [f"Says the same as {_names(e.stands_for, ' with ')}, and is no candidate where these are.", ""]
         lines += [f"Tell it apart: {e.tells_apart}", "", f"Source: {e.source}."]
     return "\n".join(lines) + "\n"
+
+
+def describe_missing(placement: Placement) -> str:
+    """What would open a place for an effect that has none; empty where nothing would."""
+    if placement.missing is None:
+        return ""
+    kind, name = placement.missing
+    role = next((role for role in ROLES if role.name == name), None)
+    if kind == "site":
+        return NEEDED.get(name, f"a balance named `{name}`")
+    if role is None:
+        return f"a {kind} named `{name}`" if kind != "unit" else f"something named `{name}`"
+    owners = " or ".join(f"{'an' if owner == 'input' else 'a'} {owner}" for owner in role.owners)
+    return f"{owners} with the role `{name}`"
+
+
+def write_places(placements: Sequence[Placement]) -> list[str]:
+    """Lines: the effects that find a place, by site, and for the others what the model would have to have."""
+    sites = dict.fromkeys(p.site for p in placements if p.effect is not None)
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for site in sites:
+        names = tuple(p.name.partition(AT)[0] for p in placements if p.effect and p.site == site)
+        alike.setdefault(names, []).append(site)
+    at_site = {", ".join(group): names for names, group in alike.items()}
+    lines = _listed({f"at {site}" if site else "anywhere": names for site, names in at_site.items()})
+    lacking: dict[str, list[str]] = {}
+    for p in placements:
+        if p.effect is None and (needed := describe_missing(p)):
+            lacking.setdefault(needed, []).append(p.name)
+    if lacking:
+        lines += ["the others need", *_listed(lacking)]
+    return lines
+
+
+def _listed(groups: Mapping[str, Sequence[str]]) -> list[str]:
+    """A head and names a group, in lines that a terminal holds."""
+    return [
+        line
+        for head, names in groups.items()
+        for line in wrap(f"{head}: {', '.join(names)}", 118, initial_indent="  ", subsequent_indent="      ")
+    ]
+
+
+def write_roles_page(roles: Sequence[SignalRole]) -> str:
+    """The page of the documentation: every role with units, meaning and what it opens."""
+    lines = [ROLES_HEAD, "| role | of | units | what it is | opens |", "|---|---|---|---|---|"]
+    lines += [
+        f"| `{r.name}` | {', '.join(r.owners)} | {', '.join(r.units)} | {r.meaning} | {r.needed_for} |" for r in roles
+    ]
+    return "\n".join([*lines, "", ROLES_TAIL])
 
 
 def _names(names: Sequence[str], word: str = " and ") -> str:

@@ -1,0 +1,98 @@
+"""Roles: every one that an effect asks for is listed, and a model that lacks one is told which."""
+
+import ast
+import re
+from pathlib import Path
+
+import greybox.effects
+from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.check import check
+from greybox.effects import CATALOGUE, ROLES, find_placements
+from greybox.effects.roles import RoleOwner
+from greybox.model.sites import NEEDED
+from greybox.rendering.effects import describe_missing, write_roles_page
+
+# What an effect sees at its site under these words, whatever the model calls it; and other balances by their names.
+OF_THE_SITE = {*NEEDED, "transmitted", "driven"}
+OWNERS = {"x": RoleOwner.STATE, "u": RoleOwner.INPUT, "p": RoleOwner.PARAMETER}
+
+
+def asked_for() -> set[tuple[str, str]]:
+    """``(x, u or p; name)`` of everything that functions of effects speak of."""
+    folder = Path(greybox.effects.__file__).parent
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in folder.glob("*.py") if path.stem != "scales"]
+    nodes = [node for tree in trees for node in ast.walk(tree)]
+    return {
+        (node.value.id, node.attr)
+        for node in nodes
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in OWNERS
+    }
+
+
+def test_every_role_that_an_effect_asks_for_is_listed_with_its_owner() -> None:
+    of_effects = {item.name for e in CATALOGUE for item in (*e.parameters, *e.states)}
+    # `p.effect`, `p.side` and the like are fields of values in the code that places effects.
+    fields = {"effect", "kind", "name", "value", "bounds", "positive", "side", "displacement", "temperature"}
+    wanted = {(OWNERS[kind], name) for kind, name in asked_for() if name not in of_effects | OF_THE_SITE | fields}
+    listed = {(owner, role.name) for role in ROLES for owner in role.owners}
+    assert not wanted - listed
+    words = {word for e in CATALOGUE for q in (*e.parameters, *e.states) for word in re.findall(r"{(\w+)}", q.unit)}
+    assert not words - {role.name for role in ROLES} - OF_THE_SITE
+
+
+def test_no_role_is_listed_that_nothing_asks_for() -> None:
+    asked = {name for _, name in asked_for()} | set(re.findall(r"role `(\w+)`", " ".join(NEEDED.values())))
+    asked |= set(re.findall(r"`(\w+)`", NEEDED["store"]))
+    assert {role.name for role in ROLES} <= asked | {"base_acceleration", "level"}
+
+
+MOTOR = Model(
+    "motor",
+    states=[State("w", "rad/s"), State("i", "A"), State("q", "1")],
+    inputs=[Input("u", "V")],
+    outputs=[Output("w", "rad/s")],
+    parameters=[Parameter("J", "kg*m^2", 1e-4), Parameter("L", "H", 1e-3), Parameter("k", "N*m/A", 0.04)],
+    balances=lambda x, u, p: [
+        Balance("torque", "N*m", p.J, "w", motor=p.k * x.i),
+        Balance("loop", "V", p.L, "i", source=u.u, emf=-p.k * x.w),
+        Balance("counter", "1/s", 1, "q", rate=0 * x.w / 1),
+    ],
+)
+
+
+def test_what_would_open_a_place_is_told() -> None:
+    placements = {p.name: p for p in find_placements(MOTOR, CATALOGUE)}
+    assert placements["coulomb_friction"].missing is None and placements["coulomb_friction"].effect is not None
+    assert placements["cubic_stiffness"].missing == ("unit", "displacement")
+    assert describe_missing(placements["cubic_stiffness"]) == "a state with the role `displacement`"
+    assert describe_missing(placements["brush_drop"]) == "a balance of a current (role `current`)"
+    assert describe_missing(placements["valve_lag"]) == "an input with the role `valve`"
+    with_current = Model(
+        "motor",
+        [State("w", "rad/s"), State("i", "A", role="current"), State("q", "1")],
+        MOTOR.inputs,
+        MOTOR.outputs,
+        MOTOR.parameters,
+        MOTOR.balances,
+    )
+    placements = {p.name: p for p in find_placements(with_current, CATALOGUE)}
+    assert placements["brush_drop"].effect is not None
+    assert placements["saturating_inductance"].missing == ("parameter", "inductance")
+    assert describe_missing(placements["saturating_inductance"]) == "a parameter with the role `inductance`"
+
+
+def test_a_check_tells_roles_places_and_what_lacks() -> None:
+    found = check(MOTOR.fix("J", "L", "k"))
+    data = found.as_dict()
+    assert data["roles"] == {"states": {"w": "velocity"}, "inputs": {}, "parameters": {}}
+    assert {"name": "coulomb_friction", "site": "torque"} in data["effects"]
+    lacking = {entry["name"]: entry["missing"] for entry in data["without_place"]}
+    assert lacking["valve_lag"] == {"kind": "site", "name": "valve"}
+    text = str(found)
+    assert "roles           w velocity" in text and "without one: i, q" in text
+    assert "  an input with the role `valve`: valve_dead_zone, valve_hysteresis, valve_lag" in text
+
+
+def test_the_page_is_that_of_the_program() -> None:
+    page = Path(__file__).parents[2] / "docs" / "roles.md"
+    assert page.read_text(encoding="utf-8") == write_roles_page(ROLES)
