@@ -1,0 +1,76 @@
+"""What a model leaves on records that were not fitted once its constants may move within what the fit left open.
+
+A free run carries the uncertainty of the constants and of the first states along: in a plant that integrates, a constant that is wrong by
+one standard deviation moves the end of a long record by many times the noise. That is no model error. So the run is corrected by one
+Gauss-Newton step of the first states and of the constants, which the estimation records hold as firmly as they determine them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem, with_start_values
+from greybox.experiment import Experiment
+from greybox.linear_algebra import eliminate
+from greybox.optim import QuadraticModel
+from greybox.result import Validation
+from greybox.transcription import DecisionVector
+
+# Residuals (N,) of each output, one array a record.
+Residuals = dict[str, list[np.ndarray]]
+
+
+def adapt_to_records(
+    problem: DiscoveryProblem, candidate: CandidateFit, experiments: Sequence[Experiment], run: Validation
+) -> Residuals | None:
+    """The residuals of ``candidate`` on ``experiments`` after the step, in the units of the outputs.
+
+    Parameters
+    ----------
+    problem, candidate
+        The search's records and noise, and the model as it was fitted.
+    experiments, run
+        Other records, and its free run over them.
+
+    Returns
+    -------
+    dict or None
+        By measured output the residuals, one array a record; None where the model cannot be run after the step.
+    """
+    prepared = problem.prepare(candidate.model, tuple(experiments))
+    if candidate.problem.step.substeps and not prepared.step.per_interval:
+        prepared = prepared.with_substeps(candidate.problem.step.substeps)
+    names = prepared.model.system.state_names
+    guess = np.array([[trace.initial_state[name] for name in names] for trace in run.traces])
+    variables = with_start_values(prepared.variables, candidate.model.values)
+    variables = replace(variables, initial=replace(variables.initial, guess=guess))
+    model = prepared.shooting(variables).evaluate(variables.here)
+    if not (model.is_finite and len(variables.which) == len(candidate.variables.which)):
+        return None
+    held = QuadraticModel(model.cost, model.gradient, model.hessian + _hold_constants(candidate, variables))
+    step = held.bounded_step(*variables.bounds())
+    errors = prepared.with_plain_squares().shooting(variables).residuals(step)
+    std = prepared.noise.std
+    measured = {name for experiment in experiments for name in experiment.outputs}
+    residuals = {
+        output.name: [r[:, j] * std[j] for r, _ in errors]
+        for j, output in enumerate(prepared.model.outputs)
+        if output.name in measured
+    }
+    is_finite = all(np.isfinite(r[~np.isnan(r)]).all() for each in residuals.values() for r in each)
+    return residuals if is_finite else None
+
+
+def _hold_constants(candidate: CandidateFit, variables: DecisionVector) -> np.ndarray:
+    """Information (n, n) of the estimation records on the constants, as the unknowns ``variables`` count them; none on first states."""
+    constants = np.arange(len(candidate.variables.which))
+    others = np.arange(len(constants), candidate.variables.size)
+    information = candidate.evaluation.hessian
+    projection = eliminate(information, constants, others)
+    scale = variables.spans / candidate.variables.spans
+    held = np.zeros((variables.size, variables.size))
+    held[np.ix_(constants, constants)] = (projection @ information @ projection.T) * np.outer(scale, scale)
+    return held
