@@ -41,6 +41,7 @@ class DiscoveryCode(StrEnum):
     EFFECTS_ESTABLISHED = "effects_established"
     ERROR_REDUCED = "error_reduced"
     ERROR_LEFT = "error_left"
+    EFFECTS_PROBABLE = "effects_probable"
     UNKNOWN_EFFECT = "unknown_effect"
     NO_LOOK_ALIKE = "no_look_alike"
     NEAREST_LOOK_ALIKE = "nearest_look_alike"

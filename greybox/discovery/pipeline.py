@@ -432,9 +432,10 @@ def _conclude(
     left = measure_remaining_error(
         final.fit, holdout, left_location, judged.scores.validation.uncounted, policy.evidence
     )
-    if verdict is Verdict.UNKNOWN:
+    is_probable = any(e.grade is Grade.PROBABLE for e in evidence)
+    if verdict is Verdict.UNKNOWN and not is_probable:
         next_steps = _propose_for_unknown(judged, location, surrogate)
-    elif verdict is Verdict.PARTLY:
+    elif verdict in (Verdict.PARTLY, Verdict.UNKNOWN):
         next_steps = _propose_for_part(judged, left_location, evidence, bool(refinement and refinement.steps))
     elif verdict is Verdict.COMPLETE:
         next_steps = propose_noise_check(judged.base)
@@ -594,6 +595,11 @@ def _summarise(
         others = {e: grades[e] for e in effects if e in grades and e not in established}
         values = {"established": established, "others": others}
         return (Finding(DiscoveryCode.EFFECTS_ESTABLISHED, subject=name, values=values), *reduced, *remaining)
+    probable = {e.effect: e.probability for e in evidence if e.effect in effects and e.grade is Grade.PROBABLE}
+    if probable and error.share > 0:
+        others = [e for e in effects if e not in probable]
+        values = {"probabilities": probable, "others": others}
+        return (Finding(DiscoveryCode.EFFECTS_PROBABLE, subject=name, values=values), *reduced, *remaining)
     findings = [Finding(DiscoveryCode.UNKNOWN_EFFECT)]
     if name and error.share <= 0:
         findings.append(Finding(DiscoveryCode.NO_LOOK_ALIKE, subject=name))

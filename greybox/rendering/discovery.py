@@ -315,6 +315,18 @@ def _effects_established(finding: Finding) -> str:
     return f"{text}. More than that is missing, or not certain."
 
 
+def _effects_probable(finding: Finding) -> str:
+    v = finding.values
+    names = [f"{effect_title(name)} ({100 * p:.0f} %)" for name, p in v["probabilities"].items()]
+    text = (
+        f"No effect is established. {'Probable are' if len(names) > 1 else 'The most probable is'} {list_text(names)}"
+    )
+    others = [effect_title(name) for name in v["others"]]
+    if others:
+        text += f"; {list_text(others)} {'are' if len(others) > 1 else 'is'} only a stand-in for something else"
+    return f"{text}."
+
+
 # The whole discovery
 
 # An effect of the catalogue with no place in the model is no news in the text; one that should have worked is.
@@ -447,6 +459,7 @@ register(
         DiscoveryCode.ERROR_REDUCED: _error_reduced,
         DiscoveryCode.ERROR_LEFT: lambda f: f"{_remaining_text(f.subject, f.values)}.",
         DiscoveryCode.EFFECTS_TIED: _effects_tied,
+        DiscoveryCode.EFFECTS_PROBABLE: _effects_probable,
         DiscoveryCode.UNKNOWN_EFFECT: "The model lacks an effect, and no effect of the catalogue is established.",
         DiscoveryCode.NO_LOOK_ALIKE: "No effect improves on the plain model on the validation records; the best one on the estimation"
         " records is {subject}.",

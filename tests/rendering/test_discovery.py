@@ -238,6 +238,15 @@ FINDINGS = [
         " missing, or not certain.",
     ),
     (
+        Code.EFFECTS_PROBABLE,
+        *(
+            "coulomb_friction_at_load",
+            {"probabilities": {"coulomb_friction_at_load": 0.892}, "others": ["input_offset"]},
+        ),
+        "No effect is established. The most probable is coulomb friction at load (89 %); input offset is only a stand-in for something"
+        " else.",
+    ),
+    (
         Code.ERROR_REDUCED,
         *(
             "y",
