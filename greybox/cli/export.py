@@ -34,6 +34,7 @@ class Target(StrEnum):
     fmu = "fmu"
     modelica = "modelica"
     python = "python"
+    casadi = "casadi"
 
 
 class Sampling(StrEnum):
@@ -45,6 +46,7 @@ class Sampling(StrEnum):
 
 LINEAR = (Target.control, Target.mat, Target.json, Target.numpy)
 STEPPED = (Target.c, Target.fmu)
+OBSERVED = (Target.c, Target.fmu, Target.python)
 SUFFIX = {
     Target.control: ".py",
     Target.mat: ".mat",
@@ -54,6 +56,7 @@ SUFFIX = {
     Target.fmu: ".fmu",
     Target.modelica: ".mo",
     Target.python: ".py",
+    Target.casadi: ".casadi",
 }
 
 KIND = {
@@ -65,6 +68,7 @@ KIND = {
     Target.fmu: "an FMU 2.0 for co-simulation",
     Target.modelica: "Modelica",
     Target.python: "a Python model file",
+    Target.casadi: "a CasADi function",
 }
 
 
@@ -75,7 +79,7 @@ def export(
         Target,
         typer.Option(
             "--to",
-            help="A linear model (control: Python file, mat: MATLAB, json, numpy), or the nonlinear one (c, fmu, modelica, python).",
+            help="Linear (control: Python file, mat: MATLAB, json, numpy), or the nonlinear one (c, fmu, modelica, python, casadi).",
         ),
     ],
     at: Annotated[
@@ -111,6 +115,22 @@ def export(
     ] = 0,
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of --samples.")] = 0,
     substeps: Annotated[int, typer.Option("--substeps", metavar="N", min=0, help=SPECS["substeps"].help_for(FIT))] = 0,
+    observer: Annotated[
+        bool,
+        typer.Option(
+            "--observer",
+            help="With c, fmu and python: write the Kalman filter of the model, extended where it is nonlinear.",
+        ),
+    ] = False,
+    process_noise: Annotated[
+        Texts,
+        typer.Option(
+            "--process-noise",
+            metavar="STATE=VALUE",
+            default_factory=list,
+            help="Process noise for --observer, in the state's unit over sqrt(s). [default: of the fit, or of its records]",
+        ),
+    ],
     model: Annotated[
         str | None,
         typer.Option(
@@ -144,16 +164,19 @@ def export(
         "--samples": samples,
         "--seed": seed,
     }
-    _refuse_idle(to, dt, method, given, substeps)
+    noise = parse_numbers("--process-noise", process_noise)
+    _refuse_idle(to, dt, method, given, substeps, observer)
+    if noise and not observer:
+        raise GreyboxError("--process-noise has no effect without --observer")
     result = load_fit_with_model(fit, model)
     name = to_identifier(result.model.name)
-    suffix = "_ss.py" if to is Target.control else SUFFIX[to]
+    suffix = "_ss.py" if to is Target.control else f"_observer{SUFFIX[to]}" if observer else SUFFIX[to]
     target = _target(output or Path("results") / f"{name}-export" / f"{name}{suffix}", to, fit)
     answer: LinearAnswer | CodeAnswer
     if to in LINEAR:
         answer, made = _linear(result, to, target, point, dt, method or Sampling.zoh, delay, minimal, samples, seed)
     else:
-        answer, made = _code(result, to, target, dt, substeps)
+        answer, made = _code(result, to, target, dt, substeps, noise if observer else None)
     report = None if no_report else write_report(made, target.with_name(f"{target.name}.html"))
     if json:
         typer.echo(_as_json(made, to, report))
@@ -209,18 +232,39 @@ def _linear(
     return LinearAnswer(shown, family, (written,)), Export(fit, KIND[to], (written,), linear, drawn)
 
 
-def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -> tuple[CodeAnswer, Export]:
-    from greybox.export import to_c, to_fmu, to_modelica, to_python
+def _code(
+    fit: Fit,
+    to: Target,
+    target: Path,
+    dt: float | None,
+    substeps: int,
+    observer_noise: Mapping[str, float] | None = None,
+) -> tuple[CodeAnswer, Export]:
+    """``observer_noise``: process noise of an observer, empty for that of the fit; None for the model itself."""
+    from greybox.export import design_observer, to_c, to_casadi, to_fmu, to_modelica, to_python
     from greybox.export.plant import to_plant
+    from greybox.files import write_file
     from greybox.reports.export_page import Export
 
     for finding in to_plant(fit).findings:
         print_note(f"warning: {finding}")
     files: tuple[Path, ...]
+    if observer_noise is not None:
+        observer = design_observer(fit, dt, process_noise=observer_noise or None, substeps=substeps)
+        files = (
+            to_c(observer, target)[::-1]
+            if to is Target.c
+            else ((to_fmu if to is Target.fmu else to_python)(observer, target),)
+        )
+        kind = f"{KIND[to].replace('model file', 'file')}, its Kalman filter"
+        return CodeAnswer(fit.model.title, kind, observer.dt, "step", files), Export(fit, kind, files)
     step = (dt if dt is not None else to_plant(fit).sampling_time) if to in STEPPED else None
     if to is Target.c:
         source, header = to_c(fit, target, dt=dt, substeps=substeps)
         files = (header, source)
+    elif to is Target.casadi:
+        files = (write_file(target, to_casadi(fit, dt, substeps=substeps).serialize()),)
+        step = dt
     elif to is Target.fmu:
         files = (to_fmu(fit, target, dt=dt, substeps=substeps),)
     else:
@@ -230,12 +274,19 @@ def _code(fit: Fit, to: Target, target: Path, dt: float | None, substeps: int) -
 
 
 def _refuse_idle(
-    to: Target, dt: float | None, method: Sampling | None, given: Mapping[str, object], substeps: int
+    to: Target,
+    dt: float | None,
+    method: Sampling | None,
+    given: Mapping[str, object],
+    substeps: int,
+    observer: bool = False,
 ) -> None:
     """Refuse options that would change nothing."""
     idle = [name for name, value in given.items() if value] if to not in LINEAR else []
-    idle += ["--dt"] if dt is not None and to not in (*LINEAR, *STEPPED) else []
-    idle += ["--substeps"] if substeps and to not in STEPPED else []
+    is_sampled = to in (*STEPPED, Target.casadi) or observer
+    idle += ["--dt"] if dt is not None and to not in LINEAR and not is_sampled else []
+    idle += ["--substeps"] if substeps and not is_sampled else []
+    idle += ["--observer"] if observer and to not in OBSERVED else []
     if to is Target.control and given["--samples"]:
         idle += ["--samples"]
     if idle:

@@ -1,6 +1,7 @@
 """Hand-over to controller design: linear models with their uncertainty, and the model as code."""
 
 from greybox.export.c_code import to_c
+from greybox.export.casadi_model import to_acados, to_casadi, to_do_mpc
 from greybox.export.findings import ExportFinding
 from greybox.export.fmu import to_fmu
 from greybox.export.linear_files import to_json, to_mat, to_numpy, write_linear
@@ -9,6 +10,7 @@ from greybox.export.linearise import linearise
 from greybox.export.minimal_realisation import minimal_realisation
 from greybox.export.model_family import ModelFamily, WorstCase, sample_family
 from greybox.export.modelica import to_modelica
+from greybox.export.observer import Observer, ObserverRun, design_observer
 from greybox.export.operating_point import OperatingPoint, find_operating_point
 from greybox.export.python_control import to_control, to_nonlinear_system, to_state_space, to_transfer_function
 from greybox.export.python_model import to_python
@@ -19,17 +21,23 @@ __all__ = [
     "ExportFinding",
     "Linearisation",
     "ModelFamily",
+    "Observer",
+    "ObserverRun",
     "OperatingPoint",
     "TransferChannel",
     "WorstCase",
+    "design_observer",
     "extract_channel",
     "find_operating_point",
     "linearise",
     "minimal_realisation",
     "sample",
     "sample_family",
+    "to_acados",
     "to_c",
+    "to_casadi",
     "to_control",
+    "to_do_mpc",
     "to_fmu",
     "to_json",
     "to_mat",

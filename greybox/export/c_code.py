@@ -9,6 +9,7 @@ from pathlib import Path
 from greybox.export.c_core import write_initialisers, write_step
 from greybox.export.discrete_step import DiscreteStep, make_discrete_step
 from greybox.export.identifiers import to_identifier, to_identifiers
+from greybox.export.observer import Observer, refuse_sampling
 from greybox.export.plant import Plant, to_plant
 from greybox.export.texts import to_comment
 from greybox.expressions.c import c_literal
@@ -31,7 +32,9 @@ KEYWORDS = frozenset(
 )
 
 
-def to_c(plant: Fit | Model, path: str | Path, *, dt: float | None = None, substeps: int = 0) -> tuple[Path, Path]:
+def to_c(
+    plant: Fit | Model | Observer, path: str | Path, *, dt: float | None = None, substeps: int = 0
+) -> tuple[Path, Path]:
     """Write one sampling interval of a model as C99 without dependencies: a source and the header beside it.
 
     It is the library's own step (exact hold or Runge-Kutta with its substeps), with every effect in it: friction that sticks, bristles,
@@ -41,7 +44,8 @@ def to_c(plant: Fit | Model, path: str | Path, *, dt: float | None = None, subst
     Parameters
     ----------
     plant
-        A fit, or a model at its present values.
+        A fit, a model at its present values, or an `Observer`: its state is the estimate with its covariance, its inputs are those of
+        the plant and the measurements (NaN for a missing one), its outputs the states after them with their standard deviations.
     path
         Of the source, ``plant.c``.
     dt
@@ -61,8 +65,12 @@ def to_c(plant: Fit | Model, path: str | Path, *, dt: float | None = None, subst
     UnsupportedOperationError
         For an operation that C does not have.
     """
-    source = to_plant(plant)
-    interval = make_discrete_step(source, dt, substeps=substeps)
+    if isinstance(plant, Observer):
+        refuse_sampling(dt, substeps)
+        source, interval = plant.plant, plant.corrected
+    else:
+        source = to_plant(plant)
+        interval = make_discrete_step(source, dt, substeps=substeps)
     target = Path(path).with_suffix(".c")
     header, text = write_c(source, interval, target.with_suffix(".h").name)
     declarations = write_file(target.with_suffix(".h"), header)
@@ -75,7 +83,7 @@ def write_c(plant: Plant, interval: DiscreteStep, header_name: str) -> tuple[str
 
 
 def _header(plant: Plant, interval: DiscreteStep) -> str:
-    model, name = plant.model, to_identifier(plant.model.name)
+    model, name = interval.interface, to_identifier(interval.interface.name)
     past = _past_members(interval)
     lines = [
         "/*",
@@ -107,7 +115,8 @@ def _header(plant: Plant, interval: DiscreteStep) -> str:
 
 def _about(plant: Plant, interval: DiscreteStep) -> list[str]:
     model = plant.model
-    title = f"{model.title}: {model.description}" if model.description else model.title
+    title = interval.interface.title
+    title = f"{title}: {interval.interface.description}" if interval.interface.description else title
     table = [
         (q.name, repr(float(q.value)), format_unit(q.unit) or "-", plant.provenance(q.name))
         for q in model.all_parameters
@@ -130,7 +139,7 @@ def _about(plant: Plant, interval: DiscreteStep) -> list[str]:
 
 
 def _source(plant: Plant, interval: DiscreteStep, header_name: str) -> str:
-    model, name = plant.model, to_identifier(plant.model.name)
+    model, name = interval.interface, to_identifier(interval.interface.name)
     remarks = [f"{q.name} [{format_unit(q.unit) or '-'}] {plant.provenance(q.name)}" for q in model.all_parameters]
     exact = interval.step.per_interval
     tables = [
@@ -215,7 +224,7 @@ def _members(signals: Sequence[State | Input | Output], extra: Sequence[tuple[st
 def _past_members(interval: DiscreteStep) -> list[tuple[str, str]]:
     if not interval.past:
         return []
-    late = interval.model.inputs[interval.late_input]
+    late = interval.interface.inputs[interval.late_input]
     return [
         (f"{late.name}_{k + 1}", f"[{format_unit(late.unit) or '-'}] {late.name} of {k + 1} steps ago")
         for k in range(interval.past)
@@ -224,7 +233,7 @@ def _past_members(interval: DiscreteStep) -> list[tuple[str, str]]:
 
 def _blocks(interval: DiscreteStep) -> list[str]:
     """The coefficients of the exact hold, block by block."""
-    nx, nu = len(interval.x0), len(interval.model.inputs)
+    nx, nu = len(interval.x0), len(interval.interface.inputs)
     sizes = {
         "Phi: x+ = Phi x + ..., column by column": nx * nx,
         "Gamma of the held inputs and of the constant 1": nx * (nu + 1),

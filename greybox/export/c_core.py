@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from importlib.resources import files
 
-import casadi as ca
-
 from greybox.export.discrete_step import DiscreteStep
 from greybox.export.texts import to_comment
 from greybox.expressions.c import c_literal
@@ -22,11 +20,11 @@ def write_step(interval: DiscreteStep) -> str:
     Raises UnsupportedOperationError for an operation that C does not have.
     """
     step = interval.step
-    columns = len(interval.model.inputs) + count_history_columns(step.past)
+    columns = len(interval.interface.inputs) + count_history_columns(step.past)
     sizes = {
         "NX": len(interval.x0),
-        "NU": len(interval.model.inputs),
-        "NY": len(interval.model.outputs),
+        "NU": len(interval.interface.inputs),
+        "NY": len(interval.interface.outputs),
         "NP": len(interval.p),
         "NQ": len(interval.coefficients()),
         "PAST": interval.past,
@@ -34,12 +32,10 @@ def write_step(interval: DiscreteStep) -> str:
         "COLUMNS": max(columns, 1),
         "SUBSTEPS": step.substeps,
     }
-    system = interval.model.system
-    start = ca.Function("start", [system.p], [ca.densify(system.start)])
     routines = [
         CRoutine("advance", read_tape(step.advance, varying=(0, 1, 2)), ADVANCE, (), 0),
         CRoutine("outputs", read_tape(step.outputs, varying=(0, 1)), OUTPUTS, (), 0),
-        CRoutine("start", read_tape(start), ("p",), (), 0),
+        CRoutine("start", read_tape(interval.start_function()), ("p",), (), 0),
     ]
     return "\n".join(
         [

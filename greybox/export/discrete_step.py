@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -14,8 +15,41 @@ from greybox.export.plant import Plant
 from greybox.export.policy import DEFAULT_STEP, DiscreteStepPolicy
 from greybox.integrators import Step, discretise
 from greybox.model import Model
+from greybox.model.signals import Input, Output, Parameter, State
 
 NO_ROWS = np.empty(0, int)
+
+
+class SteppedSignals(Protocol):
+    """What code has to know of the thing that it steps."""
+
+    @property
+    def title(self) -> str:
+        """What people call it."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in code."""
+
+    @property
+    def description(self) -> str:
+        """What it is."""
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """Inputs."""
+
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        """Outputs."""
+
+    @property
+    def all_states(self) -> tuple[State, ...]:
+        """States."""
+
+    @property
+    def all_parameters(self) -> tuple[Parameter, ...]:
+        """Constants."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +64,15 @@ class DiscreteStep:
     dt: float
     p: np.ndarray
     x0: np.ndarray
+
+    @property
+    def interface(self) -> SteppedSignals:
+        """The signals that code is written for."""
+        return self.model
+
+    def start_function(self) -> ca.Function:
+        """``p -> state`` at rest."""
+        return ca.Function("start", [self.model.system.p], [ca.densify(self.model.system.start)])
 
     @property
     def past(self) -> int:

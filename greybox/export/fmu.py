@@ -14,8 +14,9 @@ from xml.etree import ElementTree as ET
 
 from greybox.errors import ModelError
 from greybox.export.c_core import read_template, write_initialisers, write_step
-from greybox.export.discrete_step import DiscreteStep, find_delay_parameters, make_discrete_step
+from greybox.export.discrete_step import DiscreteStep, SteppedSignals, find_delay_parameters, make_discrete_step
 from greybox.export.identifiers import to_identifier, to_identifiers
+from greybox.export.observer import Observer, ObserverInterval, refuse_sampling
 from greybox.export.plant import Plant, to_plant
 from greybox.export.texts import to_line
 from greybox.expressions.c import c_literal
@@ -35,7 +36,7 @@ BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd")
 
 
 def to_fmu(
-    plant: Fit | Model, path: str | Path, *, dt: float | None = None, substeps: int = 0, binary: bool = True
+    plant: Fit | Model | Observer, path: str | Path, *, dt: float | None = None, substeps: int = 0, binary: bool = True
 ) -> Path:
     """Write the model as an FMU 2.0 for co-simulation.
 
@@ -46,7 +47,8 @@ def to_fmu(
     Parameters
     ----------
     plant
-        A fit, or a model at its present values.
+        A fit, a model at its present values, or an `Observer`: its outputs are the states predicted for the present from the measurements
+        up to the sample before, and their standard deviations; a measurement that is NaN is missing. Its steps are its own ``dt``.
     path
         The file; its suffix becomes ``.fmu``.
     dt
@@ -72,11 +74,15 @@ def to_fmu(
     --------
     >>> gb.export.to_fmu(fit, "plant.fmu", dt=1e-3)  # doctest: +SKIP
     """
-    source = to_plant(plant)
-    step = make_discrete_step(source, dt, substeps=substeps, method="rk4")
+    if isinstance(plant, Observer):
+        refuse_sampling(dt, substeps)
+        source, step = plant.plant, plant.predicted
+    else:
+        source = to_plant(plant)
+        step = make_discrete_step(source, dt, substeps=substeps, method="rk4")
     if step.step.per_interval:
         raise ModelError(f"{source.model.title}: an FMU needs a step that takes the parameters as they are; use rk4")
-    name = to_identifier(source.model.name)
+    name = to_identifier(step.interface.name)
     text, guid = _source(source, step)
     platform = next((value for key, value in PLATFORMS.items() if sys.platform.startswith(key)), None)
     target = Path(path).with_suffix(".fmu")
@@ -100,7 +106,7 @@ def to_fmu(
 
 def _source(plant: Plant, step: DiscreteStep) -> tuple[str, str]:
     """The C text of the FMU and its identifier, which follows from the text."""
-    model, fixed = plant.model, find_delay_parameters(plant.model)
+    model, fixed = step.interface, find_delay_parameters(plant.model)
     remarks = [f"{q.name} [{format_unit(q.unit) or '-'}] {plant.provenance(q.name)}" for q in model.all_parameters]
     body = [
         write_step(step),
@@ -125,7 +131,7 @@ def _source(plant: Plant, step: DiscreteStep) -> tuple[str, str]:
 
 def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) -> str:
     """The description of ``plant`` stepped over ``step``; value references as in ``fmu.c``."""
-    model = plant.model
+    model = step.interface
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -139,7 +145,7 @@ def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) ->
         root,
         "CoSimulation",
         modelIdentifier=name,
-        canHandleVariableCommunicationStepSize=_to_boolean(not step.past),
+        canHandleVariableCommunicationStepSize=_to_boolean(not step.past and not isinstance(step, ObserverInterval)),
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
         canNotUseMemoryManagementFunctions="true",
@@ -164,9 +170,8 @@ def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) ->
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def list_fmu_names(plant: Plant) -> list[str]:
+def list_fmu_names(model: SteppedSignals) -> list[str]:
     """The FMU's names of inputs, outputs, states (``state.x``) and constants, each once."""
-    model = plant.model
     plain = to_identifiers([*(i.name for i in model.inputs), *(o.name for o in model.outputs)])
     states = [f"state.{name}" for name in to_identifiers(s.name for s in model.all_states)]
     return [*plain, *states, *to_identifiers((q.name for q in model.all_parameters), plain)]
@@ -193,12 +198,14 @@ def _variables(
 ) -> None:
     group, fixed = ET.SubElement(root, "ModelVariables"), find_delay_parameters(plant.model)
     starts = iter(step.x0)
-    for reference, (name, signal) in enumerate(zip(list_fmu_names(plant), signals, strict=True)):
+    measured = step.measurements if isinstance(step, ObserverInterval) else ()
+    for reference, (name, signal) in enumerate(zip(list_fmu_names(step.interface), signals, strict=True)):
         description = signal.description
         real: dict[str, str] = {}
         if isinstance(signal, Input):
-            kind = {"causality": "input", "variability": "continuous"}
-            real["start"] = "0"
+            # A measurement is there at its sample; between two of them there is nothing to interpolate.
+            kind = {"causality": "input", "variability": "discrete" if signal.name in measured else "continuous"}
+            real["start"] = "NaN" if signal.name in measured else "0"
         elif isinstance(signal, Output):
             kind = {"causality": "output", "variability": "continuous", "initial": "calculated"}
         elif isinstance(signal, State):

@@ -13,6 +13,8 @@ from greybox.effects import CATALOGUE, place_effect
 from greybox.effects.placement import AT
 from greybox.errors import GreyboxError
 from greybox.export.identifiers import to_identifier
+from greybox.export.observer import Observer
+from greybox.export.observer_class import write_observer_class
 from greybox.export.plant import Plant, to_plant
 from greybox.export.python_text import INDENT, balance, call, docstring, items, keywords, literal, signal
 from greybox.expressions import NUMPY, PYTHON, Printer
@@ -45,7 +47,7 @@ DISPLACEMENT_AT_REST = "displacement at rest"
 TRANSFORMED = "value to be changed"
 
 
-def to_python(plant: Fit | Model, path: str | Path) -> Path:
+def to_python(plant: Fit | Model | Observer, path: str | Path) -> Path:
     """Write a model as a Python file: its equations term by term with units, and its present values.
 
     Effects of the catalogue are added by name, others are written out. The file is one that ``greybox`` commands take as a MODEL; it
@@ -54,7 +56,7 @@ def to_python(plant: Fit | Model, path: str | Path) -> Path:
     Parameters
     ----------
     plant
-        A fit, or a model at its present values.
+        A fit, a model at its present values, or an `Observer`: then the file holds a class that needs NumPy alone.
     path
         Of the file, ``rig.py``.
 
@@ -68,9 +70,8 @@ def to_python(plant: Fit | Model, path: str | Path) -> Path:
     GreyboxError
         For an equation that cannot be written.
     """
-    source = to_plant(plant)
     target = Path(path).with_suffix(".py")
-    text = python_text(source)
+    text = write_observer_class(plant) if isinstance(plant, Observer) else python_text(to_plant(plant))
     return write_file(target, text)
 
 

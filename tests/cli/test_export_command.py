@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 
+import casadi as ca
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -48,6 +49,29 @@ def test_code_is_stepped_as_the_records_were(saved, tmp_path, to, files):
     assert done.exit_code == 0, done.output
     assert "0.00025 s" in done.output
     assert all((tmp_path / f"plant{suffix}").is_file() for suffix in files)
+
+
+@pytest.mark.parametrize(("to", "files"), [("c", [".c", ".h"]), ("fmu", [".fmu"]), ("python", [".py"])])
+def test_an_observer_is_written(saved, tmp_path, to, files):
+    noise = ["--process-noise", "v=0.5", "--process-noise", "i=0.2"]
+    done = export(saved, "--to", to, "--observer", *noise, "--output", tmp_path / "plant")
+    assert done.exit_code == 0, done.output
+    assert "Kalman filter, step 0.00025 s" in done.output
+    assert all((tmp_path / f"plant{suffix}").is_file() for suffix in files)
+
+
+def test_an_observer_of_a_model_that_lacks_nothing_says_what_to_give(saved, tmp_path):
+    done = export(saved, "--to", "c", "--observer", "--output", tmp_path / "plant")
+    assert done.exit_code == 2
+    assert "--process-noise" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_casadi_function_is_read_back(saved, tmp_path):
+    done = export(saved, "--to", "casadi", "--dt", "2.5e-4", "--output", tmp_path / "plant")
+    assert done.exit_code == 0, done.output
+    function = ca.Function.deserialize((tmp_path / "plant.casadi").read_text())
+    assert (function.name_out(), function.size1_in(0)) == (["x_next", "y"], 3)
 
 
 def test_poles_zeros_gain_and_bandwidth_are_printed(saved, tmp_path):
