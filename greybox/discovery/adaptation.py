@@ -8,7 +8,7 @@ Gauss-Newton step of the first states and of the constants, which the estimation
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,10 +23,26 @@ from greybox.transcription import DecisionVector
 Residuals = dict[str, list[np.ndarray]]
 
 
+@dataclass(frozen=True)
+class AdaptedRun:
+    """A run over records that were not fitted, corrected within what the fit left open.
+
+    Parameters
+    ----------
+    residuals
+        By measured output the residuals in its unit, one array a record.
+    rise
+        By how much the step raises the cost of the estimation records: what the correction has to be charged with.
+    """
+
+    residuals: Residuals
+    rise: float = 0.0
+
+
 def adapt_to_records(
     problem: DiscoveryProblem, candidate: CandidateFit, experiments: Sequence[Experiment], run: Validation
-) -> Residuals | None:
-    """The residuals of ``candidate`` on ``experiments`` after the step, in the units of the outputs.
+) -> AdaptedRun | None:
+    """``candidate`` on ``experiments`` after the step.
 
     Parameters
     ----------
@@ -37,8 +53,8 @@ def adapt_to_records(
 
     Returns
     -------
-    dict or None
-        By measured output the residuals, one array a record; None where the model cannot be run after the step.
+    AdaptedRun or None
+        None where the model cannot be run after the step.
     """
     prepared = problem.prepare(candidate.model, tuple(experiments))
     if candidate.problem.step.substeps and not prepared.step.per_interval:
@@ -50,8 +66,8 @@ def adapt_to_records(
     model = prepared.shooting(variables).evaluate(variables.here)
     if not (model.is_finite and len(variables.which) == len(candidate.variables.which)):
         return None
-    held = QuadraticModel(model.cost, model.gradient, model.hessian + _hold_constants(candidate, variables))
-    step = held.bounded_step(*variables.bounds())
+    held = _hold_constants(candidate, variables)
+    step = QuadraticModel(model.cost, model.gradient, model.hessian + held).bounded_step(*variables.bounds())
     errors = prepared.with_plain_squares().shooting(variables).residuals(step)
     std = prepared.noise.std
     measured = {name for experiment in experiments for name in experiment.outputs}
@@ -61,7 +77,7 @@ def adapt_to_records(
         if output.name in measured
     }
     is_finite = all(np.isfinite(r[~np.isnan(r)]).all() for each in residuals.values() for r in each)
-    return residuals if is_finite else None
+    return AdaptedRun(residuals, float(step @ held @ step) / 2) if is_finite else None
 
 
 def _hold_constants(candidate: CandidateFit, variables: DecisionVector) -> np.ndarray:

@@ -392,13 +392,13 @@ def measure_structure(scores: HoldoutScores, candidate: CandidateFit, visible: f
     exceeds it ``visible`` times. Else what the samples before tell of each sample, beyond the correlation
     of first order that a sensor may have: up to ``most_correlation`` from sample to sample.
     """
-    run = scores.run(candidate)
-    if run is None:
+    run, adapted = scores.run(candidate), scores.adapt(candidate)
+    if run is None or adapted is None:
         return 1.0
-    noise, adapted, shares = candidate.problem.noise, scores.adapt(candidate), []
+    noise, charge, shares = candidate.problem.noise, scores.charge(adapted), []
     for name, misfit in run.misfit.items():
-        series = join_series(adapted[name])
-        rms = max(float(np.sqrt(np.nanmean(series**2))), TINY)
+        series = join_series(adapted.residuals[name])
+        rms = max(float(np.sqrt(np.nanmean(series**2) + charge[name])), TINY)
         if is_level_measured(noise, name):
             bound = noise.bound(name)  # the problem may weigh with another level, the residual's
             level = misfit.rmse / misfit.noise_ratio if bound is None else bound.level

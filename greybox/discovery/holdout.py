@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.discovery.adaptation import Residuals, adapt_to_records
+from greybox.discovery.adaptation import AdaptedRun, Residuals, adapt_to_records
 from greybox.discovery.failures import SearchStage
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import SelectionPolicy
@@ -152,7 +152,7 @@ class HoldoutScores:
     problem: DiscoveryProblem
     validation: ValidationSet
     _runs: dict[tuple[Any, ...], Validation | None] = field(init=False, default_factory=dict)
-    _residuals: dict[tuple[Any, ...], Residuals] = field(init=False, default_factory=dict)
+    _adapted: dict[tuple[Any, ...], AdaptedRun | None] = field(init=False, default_factory=dict)
 
     def run(self, candidate: CandidateFit) -> Validation | None:
         """The candidate's free run over the records; None where it fails there."""
@@ -170,31 +170,40 @@ class HoldoutScores:
         score = float(np.sqrt(np.mean([m.noise_ratio**2 for m in run.misfit.values()])))
         return score if np.isfinite(score) else np.inf
 
-    def adapt(self, candidate: CandidateFit) -> Residuals:
-        """Its residuals on the counted rows once constants and first states moved within their uncertainty; empty where it fails.
+    def adapt(self, candidate: CandidateFit) -> AdaptedRun | None:
+        """Its run on the counted rows once constants and first states moved within their uncertainty; None where it fails.
 
-        See `adapt_to_records`. Where the step does not lower the error, the residuals are those of the free run.
+        See `adapt_to_records`. Where the step lowers the error by less than it costs, this is the free run.
         """
         key = _key_of(candidate)
-        if key not in self._residuals:
-            self._residuals[key] = self._adapt(candidate)
-        return self._residuals[key]
+        if key not in self._adapted:
+            self._adapted[key] = self._adapt(candidate)
+        return self._adapted[key]
 
-    def _adapt(self, candidate: CandidateFit) -> Residuals:
-        run = self.run(candidate)
+    def _adapt(self, candidate: CandidateFit) -> AdaptedRun | None:
+        run, first, records = self.run(candidate), self.validation.uncounted, self.validation.records
         if run is None:
-            return {}
-        first, records, free_run = self.validation.uncounted, self.validation.records, self._free_residuals(candidate)
+            return None
+        free_run = AdaptedRun(self._free_residuals(candidate))
         step = partial(adapt_to_records, self.problem, candidate, records, run)
         adapted = self.problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, step, None)
         if adapted is None:
             return free_run
-        counted: Residuals = {
-            name: [r[first:] for r, trace in zip(adapted[name], run.traces, strict=True) if name in trace.measured]
+        residuals: Residuals = {
+            name: [r[first:] for r, t in zip(adapted.residuals[name], run.traces, strict=True) if name in t.measured]
             for name in run.misfit
         }
+        return min((AdaptedRun(residuals, adapted.rise), free_run), key=self._total_cost)
+
+    def _total_cost(self, run: AdaptedRun) -> float:
         noise = self.problem.noise_std
-        return min((counted, free_run), key=lambda each: sum(_mean_square(r) / noise[n] ** 2 for n, r in each.items()))
+        return run.rise + sum(np.nansum(np.concatenate(r) ** 2) / noise[name] ** 2 for name, r in run.residuals.items())
+
+    def charge(self, run: AdaptedRun) -> dict[str, float]:
+        """By output, the mean square error that stands for the rise of an adapted run: it is spread evenly over the samples."""
+        noise = self.problem.noise_std
+        samples = sum(int(np.isfinite(r).sum()) for each in run.residuals.values() for r in each)
+        return {name: noise[name] ** 2 * run.rise / max(samples, 1) for name in run.residuals}
 
     def _free_residuals(self, candidate: CandidateFit) -> Residuals:
         run, first = self.run(candidate), self.validation.uncounted
@@ -208,16 +217,21 @@ class HoldoutScores:
     def measure_drift(self, candidate: CandidateFit) -> dict[str, float]:
         """By output the mean square error that goes when constants and first states move within their uncertainty."""
         run, adapted = self.run(candidate), self.adapt(candidate)
-        if run is None:
+        if run is None or adapted is None:
             return {}
-        return {name: max(m.rmse**2 - _mean_square(adapted[name]), 0.0) for name, m in run.misfit.items()}
+        charge = self.charge(adapted)
+        left = {name: charge[name] + _mean_square(r) for name, r in adapted.residuals.items()}
+        return {name: max(m.rmse**2 - left[name], 0.0) for name, m in run.misfit.items()}
 
     def square_errors(self, candidate: CandidateFit, blocks: int, *, adapted: bool = False) -> dict[str, np.ndarray]:
         """By output the mean square error (B,) in about ``blocks`` blocks of equal length; empty where the model fails.
 
         Of the free run, or ``adapted`` to the records (`adapt`): the one is what a user sees, the other compares forms.
         """
-        every = self.adapt(candidate) if adapted else self._free_residuals(candidate)
+        every, charge = self._free_residuals(candidate), dict.fromkeys(self.problem.noise_std, 0.0)
+        run = self.adapt(candidate) if adapted else None
+        if run is not None:
+            every, charge = run.residuals, self.charge(run)
         rows = sum(len(r) for r in next(iter(every.values()), []))
         length = max(math.ceil(rows / blocks), 1)
         errors: dict[str, list[float]] = {name: [] for name in every}
@@ -225,7 +239,9 @@ class HoldoutScores:
             for residual in residuals:
                 parts = np.array_split(residual, max(round(len(residual) / length), 1))
                 errors[name] += [
-                    float(np.mean(part[np.isfinite(part)] ** 2)) for part in parts if np.isfinite(part).any()
+                    charge[name] + float(np.mean(part[np.isfinite(part)] ** 2))
+                    for part in parts
+                    if np.isfinite(part).any()
                 ]
         return {name: np.array(values) for name, values in errors.items() if values}
 

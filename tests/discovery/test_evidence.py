@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from greybox.discovery import evidence
+from greybox.discovery.adaptation import AdaptedRun
 from greybox.discovery.evidence import _compare, _measure_change, _share_of_error, measure_structure
 from greybox.discovery.policy import EvidencePolicy
 from greybox.noise import BoundDirection, NoiseBound, NoiseSource
@@ -58,7 +59,9 @@ def structure_of(residual, bound, ratio=1.0):
         misfit={"x": SimpleNamespace(noise_ratio=ratio, rmse=ratio)},
         traces=[SimpleNamespace(measured={"x": residual}, residual=lambda name: residual)],
     )
-    scores = SimpleNamespace(run=lambda fit: run, adapt=lambda fit: {"x": [residual]})
+    scores = SimpleNamespace(
+        run=lambda fit: run, adapt=lambda fit: AdaptedRun({"x": [residual]}), charge=lambda run: {"x": 0.0}
+    )
     noise = SimpleNamespace(bound=lambda name: bound)
     fit = SimpleNamespace(problem=SimpleNamespace(noise=noise))
     return measure_structure(scores, fit, 1.05, 0.95)
@@ -82,7 +85,7 @@ def test_noise_of_one_time_constant_is_no_structure_where_nobody_knows_the_noise
 
 
 def test_without_a_run_on_the_validation_records_there_is_no_evidence():
-    scores = SimpleNamespace(square_errors=lambda fit, blocks: {}, run=lambda fit: None)
+    scores = SimpleNamespace(square_errors=lambda fit, blocks: {}, run=lambda fit: None, adapt=lambda fit: None)
     inputs = SimpleNamespace(scores=scores, selected=candidate(1.0, "a"), limits=EvidencePolicy())
     assert evidence.gather_evidence(inputs) == ()
     assert measure_structure(scores, None, 1.05, 0.95) == 1.0
