@@ -26,6 +26,7 @@ from greybox.identifiability.generic_experiment import simulate_generic_record
 from greybox.identifiability.practical import analyse_problem, list_measured_outputs
 from greybox.kernel.compiled import CompiledKernel
 from greybox.model import Model
+from greybox.model.sites import STORE
 from greybox.noise import NoiseModel
 from greybox.transcription.problem import prepare_problem
 from greybox.values import Printable
@@ -266,9 +267,7 @@ def _list_roles(model: Model) -> dict[str, dict[str, str]]:
     groups = {"states": model.states, "inputs": model.inputs, "parameters": model.parameters}
     roles = {group: {item.name: item.role for item in items if item.role} for group, items in groups.items()}
     for site in model.sites:
-        if site.is_motion:
-            bodily = {site.states[role]: role for role in ("velocity", "displacement") if site.states.get(role)}
-            roles["states"] = bodily | roles["states"]
+        roles["states"] = {name: role for role, name in site.states.items() if name and role != STORE} | roles["states"]
     roles["states"] = {s.name: roles["states"][s.name] for s in model.states if s.name in roles["states"]}
     return roles
 

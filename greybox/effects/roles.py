@@ -57,13 +57,17 @@ ROLES: tuple[SignalRole, ...] = (
         "springs, stops, creep, hysteresis, second mode",
     ),
     SignalRole(
-        "current", _STATE, ("A",), "current of a winding; its balance is in V", "effects of windings and contacts"
+        "current",
+        _STATE,
+        ("A",),
+        "current of a winding. A state in A whose balance is in V has it without being told",
+        "effects of windings and contacts",
     ),
     SignalRole(
         "temperature",
         _STATE,
         ("K",),
-        "temperature of a body; its balance is in W. In degrees Celsius as well as in kelvin",
+        "temperature of a body, in degrees Celsius as well as in kelvin. A state in K whose balance is in W has it without being told",
         "radiation, convection, heat storage",
     ),
     SignalRole(
@@ -73,7 +77,13 @@ ROLES: tuple[SignalRole, ...] = (
         "difference of pressure across an actuator, or pressure of a vessel against what it leaks to",
         "leaks, relief valve, back pressure of a pump",
     ),
-    SignalRole("level", _STATE, ("m",), "level of a tank above its outlet", "leak, overflow, back pressure of a pump"),
+    SignalRole(
+        "level",
+        _STATE,
+        ("m",),
+        "level of a tank above its outlet. A state in m whose balance is in m^3/s has it without being told",
+        "leak, overflow, back pressure of a pump",
+    ),
     SignalRole(
         "upper_head", _STATE, ("m", "V"), "level of the upper of two tanks", "overflow that reaches the lower tank"
     ),

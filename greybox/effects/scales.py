@@ -141,6 +141,8 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
         )
     columns = {state.name: x[:, k] for k, state in enumerate(model.all_states)}
     peaks = {state.role: _peak(columns[state.name]) for state in reversed(model.all_states) if state.role}
+    for site in model.sites:  # roles that units tell
+        peaks = {role: _peak(columns[name]) for role, name in site.states.items() if name} | peaks
     arguments = [system.x, system.u, system.p]
     every_term = [ca.Function("terms", arguments, [ca.vertcat(*b.terms.values())]) for b in system.balances]
     balances = {b.name: _peak(np.asarray(f(x.T, u.T, p))) for b, f in zip(system.balances, every_term, strict=True)}

@@ -1,8 +1,9 @@
 """Sites: the places in a model where an effect may act, found by role and unit and not by name alone.
 
 A *force* is any balance of a velocity: its state has the role ``velocity``, or its unit is a force, a torque or an acceleration and that
-of its state a speed. So every body of a drive train may have friction, whatever its balance is called. Seen from a site the roles
-``velocity`` and ``displacement`` mean the body there; a displacement is the state whose rate is that velocity.
+of its state a speed. Likewise a state in A whose balance is in V is a current, one in K with a balance in W a temperature, and one in m
+with a balance in m^3/s a level. So every body of a drive train may have friction, whatever its balance is called. Seen from a site the
+roles ``velocity`` and ``displacement`` mean the body there; a displacement is the state whose rate is that velocity.
 """
 
 from __future__ import annotations
@@ -28,6 +29,11 @@ ROLE_OF_WORD = {STORE: "store", PRESSURE: "pressure", HEAT: "temperature", VOLTA
 STORE_ROLES = ("pressure", "level", "upper_head", "lower_head")
 SPEEDS = tuple(map(parse_unit, ("m/s", "rad/s")))
 FORCES = tuple(map(parse_unit, ("N", "N*m", "m/s^2", "rad/s^2")))
+ROLES_BY_UNITS = {
+    role: (parse_unit(balance), parse_unit(state))
+    for role, balance, state in (("current", "V", "A"), ("temperature", "W", "K"), ("level", "m^3/s", "m"))
+}
+"""Role -> units of a balance and of its state that tell it."""
 _KIND_OF_BALANCE = re.compile(r"_(torque|force|balance|moment|motion)$")
 
 
@@ -103,12 +109,13 @@ def list_sites(
     sites = []
     for b in balances:
         state = by_name[b.state]
-        roles, units = {state.role: state.name} if state.role else {}, {MOTION: b.unit}
-        if state.role == ROLE_OF_WORD[VOLTAGE]:
-            units[VOLTAGE] = b.unit
-        if state.role == ROLE_OF_WORD[HEAT]:
-            units[state.role] = state.unit
-        if state.role in STORE_ROLES:
+        role = state.role or _role_by_units(b, state)
+        roles, units = {role: state.name} if role else {}, {MOTION: b.unit}
+        if role == ROLE_OF_WORD[VOLTAGE]:
+            units |= {VOLTAGE: b.unit, role: state.unit}
+        if role == ROLE_OF_WORD[HEAT]:
+            units[role] = state.unit
+        if role in STORE_ROLES:
             roles[STORE] = state.name
             units[STORE] = state.unit
         if b in moving:
@@ -160,6 +167,15 @@ def require_site(effect: str, word: str, model: str, sites: Sequence[Site], inpu
 
 def _takes(word: str, role: str) -> bool:
     return word == FIRST_INPUT or role == word or (word == DRIVE and not role)
+
+
+def _role_by_units(balance: Balance, state: State) -> str:
+    """The role that units alone tell of a state without one: a current in A whose balance is in V, and the like; else none."""
+    try:
+        units = parse_unit(balance.unit), parse_unit(state.unit)
+    except ModelError:  # the unit check of the model says which one
+        return ""
+    return next((role for role, known in ROLES_BY_UNITS.items() if known == units), "")
 
 
 def _is_motion(balance: Balance, state: State) -> bool:

@@ -41,9 +41,11 @@ Parameter("Ra", "ohm", 8.0, role="resistance")
 ```
 
 Most of it goes without: a balance in N or N m of a state in m/s or rad/s is that of a body, the state whose rate is this velocity its
-displacement, and an input without a role is a drive. `greybox check MODEL` shows the role of each signal, the effects that find a place,
-and what would open the others; `greybox effects MODEL` lists the same effect by effect. Several signals may have one role: each body has
-its own velocity, each tank its own level. Where an effect asks for a role and its site does not tell which is meant, it is the first.
+displacement; a balance in V of a state in A is that of a current, and so on; an input without a role is a drive.
+
+`greybox check MODEL` shows the role of each signal, the effects that find a place, and what would open the others; `greybox effects
+MODEL` lists the same effect by effect. Several signals may have one role: each body has its own velocity, each tank its own level. Where
+an effect asks for a role and its site does not tell which is meant, it is the first.
 """
 
 ROLES_TAIL = """Beside these, the effects at `pressure_a` and `upper_level` look for balances of these names, as the [pneumatic

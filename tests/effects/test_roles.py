@@ -4,10 +4,12 @@ import ast
 import re
 from pathlib import Path
 
+import numpy as np
+
 import greybox.effects
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.check import check
-from greybox.effects import CATALOGUE, ROLES, find_placements
+from greybox.effects import CATALOGUE, ROLES, find_placements, measure_scales
 from greybox.effects.roles import RoleOwner
 from greybox.model.sites import NEEDED
 from greybox.rendering.effects import describe_missing, write_roles_page
@@ -65,18 +67,9 @@ def test_what_would_open_a_place_is_told() -> None:
     assert placements["coulomb_friction"].missing is None and placements["coulomb_friction"].effect is not None
     assert placements["cubic_stiffness"].missing == ("unit", "displacement")
     assert describe_missing(placements["cubic_stiffness"]) == "a state with the role `displacement`"
-    assert describe_missing(placements["brush_drop"]) == "a balance of a current (role `current`)"
+    assert describe_missing(placements["radiation_loss"]) == "a balance of a temperature (role `temperature`)"
     assert describe_missing(placements["valve_lag"]) == "an input with the role `valve`"
-    with_current = Model(
-        "motor",
-        [State("w", "rad/s"), State("i", "A", role="current"), State("q", "1")],
-        MOTOR.inputs,
-        MOTOR.outputs,
-        MOTOR.parameters,
-        MOTOR.balances,
-    )
-    placements = {p.name: p for p in find_placements(with_current, CATALOGUE)}
-    assert placements["brush_drop"].effect is not None
+    assert placements["brush_drop"].site == "loop"  # volts and amperes tell
     assert placements["saturating_inductance"].missing == ("parameter", "inductance")
     assert describe_missing(placements["saturating_inductance"]) == "a parameter with the role `inductance`"
 
@@ -84,15 +77,37 @@ def test_what_would_open_a_place_is_told() -> None:
 def test_a_check_tells_roles_places_and_what_lacks() -> None:
     found = check(MOTOR.fix("J", "L", "k"))
     data = found.as_dict()
-    assert data["roles"] == {"states": {"w": "velocity"}, "inputs": {}, "parameters": {}}
+    assert data["roles"] == {"states": {"w": "velocity", "i": "current"}, "inputs": {}, "parameters": {}}
     assert {"name": "coulomb_friction", "site": "torque"} in data["effects"]
     lacking = {entry["name"]: entry["missing"] for entry in data["without_place"]}
     assert lacking["valve_lag"] == {"kind": "site", "name": "valve"}
     text = str(found)
-    assert "roles           w velocity" in text and "without one: i, q" in text
+    assert "roles           w velocity, i current" in text and "without one: q" in text
     assert "  an input with the role `valve`: valve_dead_zone, valve_hysteresis, valve_lag" in text
 
 
 def test_the_page_is_that_of_the_program() -> None:
     page = Path(__file__).parents[2] / "docs" / "roles.md"
     assert page.read_text(encoding="utf-8") == write_roles_page(ROLES)
+
+
+def test_units_tell_a_temperature_and_its_scales() -> None:
+    heat = Model(
+        "heat",
+        states=[State("T", "K", 20.0), State("h", "m", 0.1)],
+        inputs=[Input("P", "W"), Input("Ta", "K", role="ambient_temperature"), Input("q", "m^3/s")],
+        outputs=[Output("T", "K"), Output("h", "m")],
+        parameters=[Parameter("C", "J/K", 50.0), Parameter("A", "m^2", 0.1)],
+        balances=lambda x, u, p: [
+            Balance("heat", "W", p.C, "T", heater=u.P),
+            Balance("volume", "m^3/s", p.A, "h", pump=u.q),
+        ],
+    )
+    placements = {p.name: p for p in find_placements(heat, CATALOGUE)}
+    assert [placements[name].site for name in ("radiation_loss", "overflow")] == ["heat", "volume"]
+    x, u = np.array([[20.0, 0.1], [35.0, 0.3]]), np.array([[10.0, 20.0, 1e-4]] * 2)
+    scales = measure_scales(heat, x, u, 1.0)
+    assert scales.peaks == {"temperature": 35.0, "level": 0.3, "store": 0.3}
+    radiation = placements["radiation_loss"].effect
+    assert radiation is not None and radiation.probe is not None and radiation.grid is not None
+    assert radiation.probe(scales)["kr"] > 0 and radiation.grid(scales)["T0"] == [273.15]
