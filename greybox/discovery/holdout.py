@@ -294,3 +294,31 @@ def reject_on_validation(
         if explains(better, mostly, policy.holdout_share):
             return better, tuple(checks)
     return selected, tuple(checks)
+
+
+def drop_on_validation(
+    scores: HoldoutScores, selected: CandidateFit, candidates: Sequence[CandidateFit], least_share: float
+) -> tuple[CandidateFit, tuple[Check, ...]]:
+    """``selected``, or a part of its effects that follows the validation records better.
+
+    An effect that is in the records takes something away wherever it shows: one with which the error on records that were not fitted is
+    larger by ``least_share`` only bends the model to the estimation records.
+
+    Returns
+    -------
+    tuple
+        The candidate to go on with, and the checks that this rests on.
+    """
+    checks: list[Check] = []
+    while len(selected.effects) > 1:
+        smaller = [c for c in candidates if c.effects and set(c.effects) < set(selected.effects)]
+        best = min(smaller, key=scores.score, default=None)
+        if best is None:
+            break
+        dropped = " + ".join(name for name in selected.effects if name not in best.effects)
+        allowed = scores.score(best) / (1 - least_share)
+        checks.append(Check.at_most(DiscoveryRule.VALIDATION_DECREASE, scores.score(selected), allowed, dropped))
+        if checks[-1].passed:
+            break
+        selected = best
+    return selected, tuple(checks)

@@ -40,6 +40,7 @@ from greybox.discovery.holdout import (
     HoldoutScores,
     ValidationSet,
     compare_holdout_errors,
+    drop_on_validation,
     reject_on_validation,
     validate_candidate,
     worst_output,
@@ -63,7 +64,7 @@ from greybox.discovery.residual_noise import (
     is_same_noise,
 )
 from greybox.discovery.result import Discovery, RankedCandidate
-from greybox.discovery.selection import MessageCallback, StepwiseSelection, checks_of
+from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelection, checks_of
 from greybox.discovery.shape_correction import is_shape_correction
 from greybox.discovery.starting_points import estimate_scales
 from greybox.discovery.surrogate import Surrogate, fit_surrogate
@@ -304,6 +305,8 @@ def _select_and_judge(
         fits = list(selection.fits.values())
         selected, of_holdout = reject_on_validation(scores, selection.baseline, selected, fits, policy.selection)
         checks += of_holdout
+        selected, of_holdout = drop_on_validation(scores, selected, fits, policy.refinement.validation_share)
+        checks += of_holdout
     rivals = selection.find_rivals(selected) if selected.effects else []
     base = validate_candidate(selection.problem, selection.baseline, validation)
     final = selection.shape_corrections.get(frozenset(selected.effects), selected)
@@ -335,9 +338,10 @@ def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSe
             on_message(str(Finding(DiscoveryCode.NOISE_FROM_RESIDUAL, subject=selected.model.title, values=values)))
         problem = replace(selection.problem, noise=noise, model=selection.baseline.model)
         previous = selection
-        selection = StepwiseSelection(
-            problem, _leading_candidates(selection), selection.scales, policy, on_message, selection.fits
-        )
+        # Beside another effect one that is nothing alone may be much: single effects put none out of the running.
+        is_full = any(step.kind is StepKind.ADD for step in selection.steps)
+        candidates = _leading_candidates(selection) if is_full else selection.candidates
+        selection = StepwiseSelection(problem, candidates, selection.scales, policy, on_message, selection.fits)
         before, selected = selected, selection.select()
         if problem.executor.is_late:  # cut short: what the round before had found stands
             return previous, before
@@ -388,7 +392,9 @@ def _conclude(
     decided = _decide(judged)
     final = FinalModel(judged.scores, selected, judged.best)
     refinement: Refinement | None = None
-    if further or decided.verdict is Verdict.UNKNOWN:
+    # A residual within a mere ceiling of the noise may still hold an effect.
+    is_open = bool(selected.effects) and not is_level_known(problem.noise_model)
+    if further or is_open or decided.verdict is Verdict.UNKNOWN:
         final, refinement = _refine(judged, candidates)
     signals = _estimate_signals(final, policy)
     evidence: tuple[EffectEvidence, ...] = ()

@@ -246,10 +246,11 @@ class StepwiseSelection:
         """The best model with one effect more, beside the selected effects and (for a second one) beside other good first effects."""
         firsts = [selected]
         if len(selected.effects) == 1:
-            # A family is represented by its simplest member: the others cost more and say the same.
+            # Other families are represented by their simplest members, which cost less and say the same. The selected effect was
+            # compared with its own simpler members, and stays.
             ranked = (selected, *sorted(self.single_effects, key=lambda fit: fit.criterion))
             simplest = [self._simplest_member(fit) for fit in ranked]
-            firsts = list({fit.effects: fit for fit in simplest}.values())[: self.budget.beam_width]
+            firsts = list({fit.effects: fit for fit in (selected, *simplest)}.values())[: self.budget.beam_width]
         best: CandidateFit | None = None
         size = self.budget.batch_size
         for k in range(0, len(firsts), size):
