@@ -80,6 +80,8 @@ class SearchBudget:
     """Most promising starting points from which a model is refitted."""
     screening_iterations: int = 12
     """Iterations of the first, short refit of every candidate."""
+    falling_share: float = 0.1
+    """Share of its cost that a further step must promise for a short refit to go on: it was stopped in the middle of a descent."""
     refit_top: int = 5
     """Leading candidates that are refitted to convergence."""
     generations: int = 2

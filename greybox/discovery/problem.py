@@ -69,6 +69,11 @@ class CandidateFit:
         """Schwarz's criterion: cost plus ``ln(samples)`` for each free constant."""
         return self.cost + self.free * float(np.log(self.count))
 
+    @property
+    def promised_decrease(self) -> float:
+        """By how much a further Gauss-Newton step promises to lower the cost."""
+        return self.evaluation.predicted_decrease(*self.variables.bounds())
+
 
 @dataclass(frozen=True)
 class DiscoveryProblem:

@@ -432,7 +432,20 @@ class StepwiseSelection:
                 extended = self._refit_from_absent(fit, job) or extended
             if extended is not None:
                 self.fits[key] = extended
+        self._carry_on([key for key, _ in jobs if key in self.fits])
         return [self.fits[key] for key in keys if key in self.fits]
+
+    def _carry_on(self, keys: Sequence[Key]) -> None:
+        """Short refits that were stopped in the middle of a descent go on: where they stand says nothing yet."""
+        limit = self.budget.falling_share
+        falling = [key for key in keys if self.fits[key].promised_decrease > limit * self.fits[key].cost]
+        jobs = [
+            RefitJob(f.model, (f.model.values,), 1, self.budget.refit_iterations)
+            for f in map(self.fits.__getitem__, falling)
+        ]
+        for key, further in zip(falling, self.problem.refit_all(jobs), strict=True):
+            if further is not None and further.cost < self.fits[key].cost:
+                self.fits[key] = further
 
     def _refit_from_absent(self, fit: CandidateFit, job: RefitJob) -> CandidateFit | None:
         """The larger model from where the smaller one ended, the effect absent."""

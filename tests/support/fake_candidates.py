@@ -15,12 +15,14 @@ from greybox.model.signals import Parameter
 from models.micro_actuator import micro_actuator
 
 COUNT = 1000
+# Where a fit ended that has converged: no further step promises anything.
+CONVERGED = SimpleNamespace(predicted_decrease=lambda *_: 0.0, bounds=tuple)
 
 
 def candidate(cost: float, *effects: str, count: int = COUNT, free: int = 0) -> CandidateFit:
     """A fit of the plain model with these effects, of this cost."""
     model = SimpleNamespace(effects=[SimpleNamespace(name=name) for name in effects], values={})
-    return CandidateFit(model, cost, count, free or 5 + len(effects), None, None, None)
+    return CandidateFit(model, cost, count, free or 5 + len(effects), None, CONVERGED, CONVERGED)
 
 
 @dataclass
@@ -52,7 +54,7 @@ class FakeProblem:
     def _fit(self, model: Model) -> CandidateFit:
         names = frozenset(e.name for e in model.effects)
         self.refits.append(names)
-        return CandidateFit(model, self._cost(model), COUNT, 5 + len(names), None, None, None)
+        return CandidateFit(model, self._cost(model), COUNT, 5 + len(names), None, CONVERGED, CONVERGED)
 
     def _cost(self, model: Model) -> float:
         names = frozenset(e.name for e in model.effects)
