@@ -9,6 +9,7 @@ import numpy as np
 from greybox.discovery.curve_shape import ShapeKind
 from greybox.discovery.discriminating_experiments import rank_discriminating_experiments
 from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.holdout import is_level_measured
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy, ProposalPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
@@ -116,7 +117,7 @@ def _propose(
     has_look_alike: bool,
 ) -> Iterator[Finding]:
     suffices = surrogate is not None and surrogate.explained_fraction >= policy.selection.holdout_share
-    guessed = _outputs_of_unknown_noise(base)
+    guessed = [name for name in base.misfit if not is_level_measured(base.noise, name)]
     if guessed and not suffices:
         yield Finding(DiscoveryCode.STATE_NOISE, Severity.WARNING, ", ".join(guessed), {"outputs": guessed})
     if not location.is_missing:

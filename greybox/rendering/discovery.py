@@ -498,8 +498,8 @@ register(
         " waveform",
         DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE: "continue with {subject}, which follows the records better, but do not read its parameters"
         " as physics",
-        DiscoveryCode.STATE_NOISE: "give the noise of {subject} (a number or a quiet record): it was estimated from these records and"
-        " may contain part of the missing effect",
+        DiscoveryCode.STATE_NOISE: "give the noise of {subject} (a number or a quiet record): these records show only what it is at"
+        " most, and below that an effect may hide",
         DiscoveryCode.CHECK_NOISE: _check_noise,
         DiscoveryCode.EXTEND_ESTIMATION_RECORDS: "use longer estimation records, or records with the range of the validation records:"
         " these hardly show the missing effect",

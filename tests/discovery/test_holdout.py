@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from greybox.discovery.failures import FailureLog, SearchStage
-from greybox.discovery.holdout import HoldoutError, HoldoutScores, ValidationSet, reject_on_validation, worst_output
+from greybox.discovery.holdout import (
+    HoldoutError,
+    HoldoutScores,
+    ValidationSet,
+    drop_on_validation,
+    reject_on_validation,
+    worst_output,
+)
 from greybox.discovery.policy import SearchBudget, SelectionPolicy
 from greybox.result import Misfit, Trace, Validation
 from tests.support.fake_candidates import candidate
@@ -123,3 +130,17 @@ def test_a_share_is_of_the_error_and_needs_no_noise():
     error = HoldoutError(8.84e-3, 0.31e-3, 1e-3, "V", is_floor_known=False)
     assert error.share == pytest.approx(1 - 0.31 / 8.84)
     assert HoldoutError(0.0, 0.0, 1.0, "V").share == 0.0
+
+
+def test_an_effect_that_makes_other_records_worse_is_dropped():
+    both, one, other = candidate(100, "a", "b"), candidate(200, "a"), candidate(300, "b")
+    scores = FakeScores({(): 10.0, ("a", "b"): 3.0, ("a",): 2.0, ("b",): 5.0}, 0.0)
+    kept, checks = drop_on_validation(scores, both, [both, one, other], 0.05)
+    assert kept is one
+    assert [(c.subject, c.passed) for c in checks] == [("b", False)]
+
+
+def test_an_effect_that_does_no_harm_to_other_records_stays():
+    both, one = candidate(100, "a", "b"), candidate(200, "a")
+    scores = FakeScores({(): 10.0, ("a", "b"): 2.05, ("a",): 2.0}, 0.0)
+    assert drop_on_validation(scores, both, [both, one], 0.05)[0] is both

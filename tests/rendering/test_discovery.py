@@ -129,8 +129,8 @@ FINDINGS = [
     (
         Code.STATE_NOISE,
         *("x, i", {"outputs": ["x", "i"]}),
-        "give the noise of x, i (a number or a quiet record): it was estimated from these records and may contain part of the"
-        " missing effect",
+        "give the noise of x, i (a number or a quiet record): these records show only what it is at most,"
+        " and below that an effect may hide",
     ),
     (
         Code.CHECK_NOISE,
