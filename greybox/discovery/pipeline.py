@@ -339,9 +339,17 @@ def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSe
         problem = replace(selection.problem, noise=noise, model=selection.baseline.model)
         previous = selection
         # Beside another effect one that is nothing alone may be much: single effects put none out of the running.
+        leading = _leading_candidates(selection)
         is_full = any(step.kind is StepKind.ADD for step in selection.steps)
-        candidates = _leading_candidates(selection) if is_full else selection.candidates
-        selection = StepwiseSelection(problem, candidates, selection.scales, policy, on_message, selection.fits)
+        selection = StepwiseSelection(
+            problem,
+            leading if is_full else selection.candidates,
+            selection.scales,
+            policy,
+            on_message,
+            selection.fits,
+            {e.name for e in leading},
+        )
         before, selected = selected, selection.select()
         if problem.executor.is_late:  # cut short: what the round before had found stands
             return previous, before

@@ -6,7 +6,7 @@ decided on the way is kept as steps, each with its checks.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
@@ -90,6 +90,8 @@ class StepwiseSelection:
         Called with a line about each step.
     seeds
         Fits of the same sets of effects under another noise model, where there are any.
+    firsts
+        Names of the effects that are tried alone; None for all. Every candidate may come second.
     measure_autocorrelation, correct_shape
         How a fit's residual is tested for structure, and its effects for a shape that is not quite theirs.
     """
@@ -100,6 +102,7 @@ class StepwiseSelection:
     policy: DiscoveryPolicy
     on_message: MessageCallback
     seeds: Mapping[Key, CandidateFit] = field(default_factory=dict)
+    firsts: Collection[str] | None = None
     measure_autocorrelation: Callable[[CandidateFit, int], float] = excess_autocorrelation
     correct_shape: Callable[[Any, CandidateFit, Scales, DiscoveryPolicy], CandidateFit | None] = fit_shape_correction
     baseline: CandidateFit = field(init=False)
@@ -140,12 +143,13 @@ class StepwiseSelection:
     def select_first(self) -> CandidateFit:
         """The best model with a single effect, whether or not the data demand it."""
         if not self.single_effects:
-            self._screen([e for e in self.candidates if not self._candidate_parents(e)])
+            alone = [e for e in self.candidates if self.firsts is None or e.name in self.firsts]
+            self._screen([e for e in alone if not self._candidate_parents(e)])
             for _ in range(self.budget.generations):  # children of parents that did well, and theirs
                 ranked = sorted(self.single_effects, key=lambda fit: fit.criterion)
                 leading = {fit.effects[0] for fit in ranked[: self.budget.refit_top]}
                 done = {fit.effects[0] for fit in self.single_effects}
-                self._screen([e for e in self.candidates if e.name not in done and set(e.parents) & leading])
+                self._screen([e for e in alone if e.name not in done and set(e.parents) & leading])
             self._refit_leading()
         if not self.single_effects:
             return self.baseline
