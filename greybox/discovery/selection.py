@@ -430,9 +430,8 @@ class StepwiseSelection:
         prepared = [(key, self._prepare(fit, effect, partial(self._screening_job, fit, effect))) for key, effect in new]
         jobs = [(key, job) for key, job in prepared if job is not None]
         for (key, job), extended in zip(jobs, self.problem.refit_all([job for _, job in jobs]), strict=True):
-            if (
-                extended is None or extended.cost > fit.cost
-            ):  # it contains the smaller model: from there it cannot do worse
+            # It contains the smaller model: from there it cannot do worse.
+            if extended is None or extended.cost > fit.cost:
                 extended = self._refit_from_absent(fit, job) or extended
             if extended is not None:
                 self.fits[key] = extended
