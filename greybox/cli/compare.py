@@ -121,6 +121,7 @@ def compare(
             validation,
             records,
             skip=study.skip,
+            beginning=study.beginning,
             steps=[k for k in study.predict if k],
             options=options,
             findings=findings,

@@ -107,6 +107,7 @@ def fit(
         "quiet": quiet,
         "validation": validation,
         "skip": study.skip,
+        "beginning": study.beginning,
         "options": fit_options(study),
     }
     with open_workers(workers, cluster) as executor:
@@ -145,7 +146,7 @@ def fit(
         exit_with_error(
             f"interrupted; the best point so far is in {saved} (no figures, no report{older})", ExitCode.INTERRUPTED
         )
-    _draw(result, tests, saved, study.skip, quiet=silent or json, page=not no_report, pictures=figures)
+    _draw(result, tests, saved, study.uncounted, quiet=silent or json, page=not no_report, pictures=figures)
     if not result.success:
         exit_with_error(f"no success: {result.solver.status_message}", ExitCode.UNSUCCESSFUL)
 
@@ -166,7 +167,7 @@ def _answer(
     tables: dict[str, Any] = {
         "tests": tests,
         "misfits": _misfits(result, result.traces, 0),
-        "validation_misfits": _misfits(result, result.validation.traces, study.skip),
+        "validation_misfits": _misfits(result, result.validation.traces, study.uncounted),
     }
     if short:
         return FitAnswer(result, **tables)
@@ -265,7 +266,7 @@ def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict
         return {}
     tables = {"scores": score(result, steps=steps)}
     if validation:
-        tables["validation_scores"] = score(result, validation, steps=steps, skip=study.skip)
+        tables["validation_scores"] = score(result, validation, steps=steps, skip=study.uncounted)
     return tables
 
 

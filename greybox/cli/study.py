@@ -304,7 +304,7 @@ class Study:
         Count(0),
         "--beginning",
         "records.beginning",
-        (DISCOVER,),
+        (*_FITS, DISCOVER),
         "Number of rows at the start of each validation record from which its initial state is estimated; they are ignored as"
         " --skip ignores rows. 0: those of --skip, or the first 50, which then count.",
         metavar="N",
@@ -482,6 +482,11 @@ class Study:
         """How a message names a field: by its option, or by its place in the study file it came from."""
         spec = SPECS[name]
         return f"{self.file}, {spec.place}" if self.file is not None and name in self.from_file else spec.flag
+
+    @property
+    def uncounted(self) -> int:
+        """Rows at the start of each validation record that the errors leave out."""
+        return max(self.skip, self.beginning)
 
     @property
     def folder(self) -> Path | None:

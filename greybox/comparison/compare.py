@@ -54,6 +54,7 @@ def compare(
     *,
     training: Experiment | Sequence[Experiment] = (),
     skip: int = 0,
+    beginning: int = 0,
     steps: Sequence[int] = (),
     options: FitOptions | None = None,
     units: Mapping[str, str] | None = None,
@@ -73,6 +74,8 @@ def compare(
     skip
         Rows at the start of each validation record that do not count. The initial state of each is estimated from these (0: from
         the first 50), for every model in the same way.
+    beginning
+        Rows from which the initial state is estimated instead, not counted either.
     steps
         Further samples ahead at which predictions are compared.
     options
@@ -105,6 +108,7 @@ def compare(
         _as_tuple(experiments),
         _as_tuple(training),
         skip=skip,
+        beginning=beginning,
         steps=steps,
         options=options,
         units=units,
@@ -118,6 +122,7 @@ def compare_named(
     training: Sequence[Experiment],
     *,
     skip: int = 0,
+    beginning: int = 0,
     steps: Sequence[int] = (),
     options: FitOptions | None = None,
     units: Mapping[str, str] | None = None,
@@ -135,6 +140,7 @@ def compare_named(
     training = training or (tuple(t.experiment for t in fits[0].traces) if fits else ())
     if not validation and not training:
         raise DataError("no record to compare on; give experiments, or the training records")
+    skip = max(skip, beginning)
     shortest = min((e.rows for e in validation), default=skip + policy.fewest_rows)
     if skip < 0 or shortest - skip < policy.fewest_rows:
         raise DataError(f"skip: {skip} rows, but the shortest record has {shortest}; leave out fewer rows")
@@ -146,6 +152,7 @@ def compare_named(
         tuple(validation),
         tuple(training),
         skip,
+        beginning,
         tuple(sorted({int(k) for k in steps} - {1})),
         options,
         at_rest,
@@ -179,6 +186,7 @@ class _Setup:
     validation: tuple[Experiment, ...]
     training: tuple[Experiment, ...]
     skip: int
+    beginning: int
     steps: tuple[int, ...]
     options: FitOptions | None
     at_rest: bool
@@ -196,6 +204,7 @@ def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> Com
             group,
             training=training,
             skip=0 if training else setup.skip,
+            beginning=setup.beginning,
             options=options,
             filter_predictor=filter_predictor,
             steps=setup.steps,
@@ -244,6 +253,7 @@ def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
                 group,
                 training=training,
                 skip=setup.skip,
+                beginning=setup.beginning,
                 at_rest=setup.at_rest,
                 steps=setup.steps,
                 policy=setup.policy,

@@ -29,14 +29,15 @@ def run_black_box(
     *,
     training: bool,
     skip: int,
+    beginning: int = 0,
     at_rest: bool,
     steps: Sequence[int] = (),
     policy: ComparisonPolicy = DEFAULT_COMPARISON,
 ) -> list[ComparisonRun]:
     """Free run and one-step prediction of ``model`` over each record that has its output, and predictions ``steps`` samples ahead.
 
-    The initial state comes from all rows of a ``training`` record, and from the first ``skip`` (or ``policy.initial_rows``) of
-    another; with ``at_rest`` everything was zero before.
+    The initial state comes from all rows of a ``training`` record, and from the first ``beginning`` (or ``skip``, or
+    ``policy.initial_rows``) of another; with ``at_rest`` everything was zero before.
     """
     runs = []
     for experiment in experiments:
@@ -44,7 +45,7 @@ def run_black_box(
             continue
         record = match_sampling_time(experiment, model.output, model.sampling_time, model.label)
         ratio = record.rows / experiment.rows
-        rows = None if training else max(1, round(ratio * (skip or policy.initial_rows)))
+        rows = None if training else max(1, round(ratio * (beginning or skip or policy.initial_rows)))
         initial = "zero" if at_rest else "estimated"
         free_run = model.simulate(record, initial=initial, rows=rows)[model.output]
         one_step, *ahead = (model.predict(record, k, initial=initial, rows=rows)[model.output] for k in (1, *steps))
@@ -91,21 +92,26 @@ def run_grey_box(
     *,
     training: bool,
     skip: int,
+    beginning: int = 0,
     options: FitOptions,
     filter_predictor: Predictor | None = None,
     steps: Sequence[int] = (),
 ) -> list[ComparisonRun]:
     """Free run and one-step prediction of a physical model over each record.
 
-    A record that a fit was made of has the initial state of that fit; another one a state estimated from its first ``skip`` (or 50)
-    rows. Predictions, also ``steps`` samples ahead, are those of ``filter_predictor`` (`choose_predictor`); without it an
-    autoregression forecasts the free-run error, as the fit's own residual suggests.
+    A record that a fit was made of has the initial state of that fit; another one a state estimated from its first ``beginning``
+    (or ``skip``, or 50) rows. Predictions, also ``steps`` samples ahead, are those of ``filter_predictor`` (`choose_predictor`);
+    without it an autoregression forecasts the free-run error, as the fit's own residual suggests.
     """
     fitted_traces = {t.fingerprint: t for t in model.traces} if isinstance(model, Fit) and has_free_runs(model) else {}
     plant = model.model if isinstance(model, Fit) else model
     noise = model.noise.std if isinstance(model, Fit) else None
     others = [e for e in experiments if not (training and e.fingerprint in fitted_traces)]
-    validated = iter(validate(plant, others, noise=noise, skip=skip, options=options).traces) if others else iter(())
+    validated: Iterator[Trace] = iter(())
+    if others:
+        validated = iter(
+            validate(plant, others, noise=noise, skip=skip, initial_rows=beginning, options=options).traces
+        )
     traces = [
         fitted_traces[e.fingerprint] if training and e.fingerprint in fitted_traces else next(validated)
         for e in experiments

@@ -59,6 +59,7 @@ def fit(
     colour: ColourTreatment | str = ColourTreatment.KNOWN,
     validation: Experiment | Sequence[Experiment] = (),
     skip: int = 0,
+    beginning: int = 0,
     per_experiment: Sequence[str] = (),
     initial: Sequence[Mapping[str, float]] = (),
     options: FitOptions | None = None,
@@ -94,6 +95,8 @@ def fit(
         Records that are only judged, see `validate`.
     skip
         Rows at the beginning of each validation record that the errors leave out.
+    beginning
+        Rows from which the initial state of each validation record is estimated, not counted either; 0 for as many as `validate` takes.
     per_experiment
         Parameters of which each experiment has a value of its own, ``per_experiment=["B"]``. `FitConstraints.per_experiment` has them
         all, `Fit.parameters` and the fitted model their mean, which a validation uses.
@@ -151,7 +154,14 @@ def fit(
         optimum = SimulationOptimum(model, solution, options.policy)
     result = assemble_fit(optimum, options)
     if judges and result.success:
-        judged = validate(result.model, judges, noise=result.noise.std, skip=skip, options=options)
+        judged = validate(
+            result.model,
+            judges,
+            noise=result.noise.std,
+            skip=max(skip, beginning),
+            initial_rows=beginning,
+            options=options,
+        )
         issues = find_validation_issues(result.misfit, judged.misfit, options.policy)
         result = replace(result, validation=judged, findings=(*result.findings, *issues))
     if raise_on_failure and not result.success:

@@ -73,6 +73,7 @@ def multistart(
     colour: ColourTreatment | str = ColourTreatment.KNOWN,
     validation: Experiment | Sequence[Experiment] = (),
     skip: int = 0,
+    beginning: int = 0,
     options: FitOptions | None = None,
     executor: Executor | None = None,
     workers: int = 0,
@@ -94,7 +95,7 @@ def multistart(
         Seed of the draws.
     factor
         Random starts lie between value / factor and value x factor.
-    noise, quiet, colour, validation, skip, options
+    noise, quiet, colour, validation, skip, beginning, options
         As in `greybox.fit`.
     executor
         Where the starts run; None for processes of this machine.
@@ -188,6 +189,7 @@ def multistart(
         colour=colour,
         validation=validation,
         skip=skip,
+        beginning=beginning,
         options=options,
     )
     policy = options.policy.multistart
