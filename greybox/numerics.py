@@ -199,4 +199,4 @@ ROWS_AT_A_TIME = 100_000
 long record is in memory a few times only."""
 
 NUMBERS_AT_A_TIME = 4_000_000
-"""Numbers that one Fourier transform of several columns may hold: a limit of memory, not of accuracy."""
+"""Numbers that one Fourier transform of several columns, or one call of the interpreted kernel, may hold: a limit of memory alone."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import sys
 import tempfile
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import BinaryIO
 from xml.etree import ElementTree as ET
 
-from greybox.errors import ModelError
+from greybox.errors import ModelError, OutputError
 from greybox.export.c_core import read_template, write_initialisers, write_step
 from greybox.export.discrete_step import DiscreteStep, SteppedSignals, find_delay_parameters, make_discrete_step
 from greybox.export.identifiers import to_identifier, to_identifiers
@@ -21,7 +22,7 @@ from greybox.export.plant import Plant, to_plant
 from greybox.export.texts import to_line
 from greybox.expressions.c import c_literal
 from greybox.files import write_file
-from greybox.kernel.c_compiler import CompilerError, find_compiler, run_compiler, summarise_errors
+from greybox.kernel.c_compiler import CompilerError, NoCompilerError, find_compiler, run_compiler, summarise_errors
 from greybox.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
 from greybox.result import Fit
@@ -68,7 +69,9 @@ def to_fmu(
     ModelError
         Where no sampling time is known.
     CompilerError
-        Where a binary is wanted and the C compiler is missing or fails.
+        Where a binary is wanted and there is no C compiler.
+    OutputError
+        Where the binary cannot be compiled, or the file cannot be written.
 
     Examples
     --------
@@ -92,9 +95,7 @@ def to_fmu(
     }
     if binary and platform is not None:
         folder, suffix = platform
-        with tempfile.TemporaryDirectory() as folder_path:
-            library = compile_shared_library(text, Path(folder_path) / f"{name}{suffix}")
-            contents[f"binaries/{folder}/{name}{suffix}"] = library.read_bytes()
+        contents[f"binaries/{folder}/{name}{suffix}"] = _compile_binary(text, f"{name}{suffix}", target)
 
     def write_archive(file: BinaryIO) -> None:
         with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -233,6 +234,20 @@ def _to_boolean(value: bool) -> str:
 
 
 # ---- The binary ----
+
+
+def _compile_binary(text: str, name: str, target: Path) -> bytes:
+    """The library of that ``name``. Raises NoCompilerError, and OutputError with the FMU's name where it cannot be made."""
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            return compile_shared_library(text, Path(folder) / name).read_bytes()
+    except NoCompilerError:
+        raise
+    except CompilerError as error:
+        raise OutputError(errno.EIO, f"its library cannot be compiled: {error}", str(target)) from error
+    except OSError as error:
+        reason = f"its library cannot be made in {tempfile.gettempdir()}: {error.strerror or error}"
+        raise OutputError(error.errno or errno.EIO, reason, str(target)) from error
 
 
 def compile_shared_library(text: str, target: Path) -> Path:

@@ -19,6 +19,7 @@ import os
 import platform
 import shlex
 import shutil
+import signal
 import stat
 import subprocess
 import sys
@@ -375,19 +376,37 @@ _hanging: set[str] = set()
 
 def _run(command: Sequence[str], timeout: float = CACHE_POLICY.compile_seconds) -> subprocess.CompletedProcess[str]:
     try:
-        return subprocess.run(
+        process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
-            capture_output=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
             text=True,
             errors="replace",
-            timeout=timeout,
-            check=False,
+            start_new_session=True,
         )
-    except subprocess.TimeoutExpired:
-        raise
     except (OSError, subprocess.SubprocessError, ValueError) as error:
         raise CompilerError(f"C compiler {' '.join(command[:3])} cannot be run: {error}") from error
+    try:
+        output, errors = process.communicate(timeout=timeout)
+    except (
+        BaseException
+    ):  # too slow, or interrupted: `cc` is the parent of the programs that compile, which must end with it
+        _kill_group(process)
+        raise
+    return subprocess.CompletedProcess(command, process.returncode, output, errors)
+
+
+def _kill_group(process: subprocess.Popen[str]) -> None:
+    """End a process that leads a session of its own, and all that it has started."""
+    with contextlib.suppress(OSError):
+        if hasattr(os, "killpg"):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.kill()
+    for stream in (process.stdout, process.stderr):
+        if stream is not None:
+            stream.close()
+    process.wait()
 
 
 def summarise_errors(run: subprocess.CompletedProcess[str]) -> str:

@@ -16,6 +16,7 @@ from greybox.kernel.interface import GaussNewtonSums, check_sums
 from greybox.kernel.record import Record
 from greybox.kernel.simplify import simplify_tape
 from greybox.kernel.tape import Tape, read_tape
+from greybox.numerics import NUMBERS_AT_A_TIME
 
 
 class RecordChunk(NamedTuple):
@@ -35,7 +36,8 @@ class InterpretedKernel:
 
     name = "interpreted"
     chunk_sizes = (1000, 100)
-    """Samples in one call of the virtual machine, of a long record and of its rest; memory does not grow beyond one chunk."""
+    """Samples in one call of the virtual machine, of a long record and of its rest, but for wide models fewer: memory does not grow
+    beyond one chunk."""
 
     def __init__(self, step: Step, reason: str = "asked for") -> None:
         self.step = step
@@ -126,9 +128,11 @@ class InterpretedKernel:
         sizes, directions = self.sizes, arguments.directions
         used_dq, used_dp = (arguments.dq != 0).any(axis=0), arguments.dp != 0
         state = np.concatenate([arguments.x0, arguments.dx0.ravel()])
+        widest = (sizes.nx + sizes.ny + sizes.nq + sizes.np) * (1 + directions)
+        most = max(1, NUMBERS_AT_A_TIME // max(widest, 1))
         start = 0
         while start < n:
-            size = self.chunk_sizes[0] if n - start >= self.chunk_sizes[0] else self.chunk_sizes[1]
+            size = min(self.chunk_sizes[0] if n - start >= self.chunk_sizes[0] else self.chunk_sizes[1], most)
             count = min(size, n - start)
             samples = np.minimum(np.arange(start, start + size), n - 1)
             after = np.minimum(samples + 1, len(record.u) - 1)

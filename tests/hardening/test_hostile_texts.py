@@ -9,9 +9,11 @@ import pytest
 from tests.export import test_hostile_texts as languages
 from tests.export.test_hostile_texts import plain  # noqa: F401
 from tests.reports.test_hostile_pages import KINDS, browser, browsing, opened, pages, poison, write_page  # noqa: F401
-from tests.support.hostile import CODE, MARKUP
+from tests.support.hostile import CODE, MARKUP, RARER_MARKUP
 from tests.support.reliability import note_row
 
+TEXTS = (*MARKUP, *RARER_MARKUP, *CODE)
+ELEMENTS = "img, iframe, object, embed, base, [onerror], [onload], [ontoggle], [onfocus]"
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 
 
@@ -19,26 +21,26 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 def test_each_text_in_every_field_of_every_page(browser, pages, tmp_path):  # noqa: F811
     fields = opened_pages = 0
     faults = []
-    for kind, text in itertools.product(KINDS, [*MARKUP, *CODE]):
+    for kind, text in itertools.product(KINDS, TEXTS):
         count = itertools.count()
         page = poison(pages[kind], (f"{text}{next(count)}" for _ in itertools.count()))
         file = write_page(page, tmp_path / "page.html")
         with opened(browser, file) as shown:
-            if shown.evaluate("window.hurt") is not None or shown.locator("img, iframe, [onerror], [onload]").count():
+            if shown.evaluate("window.hurt") is not None or shown.locator(ELEMENTS).count():
                 faults.append((kind, text))
         fields, opened_pages = fields + next(count), opened_pages + 1
     note_row(
         "hostile texts in every field of every kind of page, opened in Chromium",
         opened_pages,
         len(faults),
-        f"{fields} fields with {len(MARKUP) + len(CODE)} texts; none executed, none became markup, no error in the console",
+        f"{fields} fields with {len(TEXTS)} texts; none executed, none became markup, no error in the console",
     )
     assert not faults
 
 
 def test_each_text_in_every_language(plain, tmp_path):  # noqa: F811
     tried = 0
-    for number, text in enumerate([*CODE, *MARKUP]):
+    for number, text in enumerate(TEXTS):
         for check in (
             languages.test_c_defines_what_it_defines_without_the_text,
             languages.test_modelica_has_the_same_lines,
@@ -55,5 +57,5 @@ def test_each_text_in_every_language(plain, tmp_path):  # noqa: F811
         "hostile texts in every text of a fit, in C (compiled as C99 and C11), Modelica, Python and XML",
         tried,
         0,
-        f"{len(CODE) + len(MARKUP)} texts; the files compile or parse and define what they define without them",
+        f"{len(TEXTS)} texts; the files compile or parse and define what they define without them",
     )

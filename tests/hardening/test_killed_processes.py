@@ -34,7 +34,7 @@ COMMANDS = {
     + EFFECTS
     + " --workers 2",
 }
-USUAL_TRIALS = 12
+USUAL_TRIALS = 52
 END_SECONDS = 5.0
 MARK = "GREYBOX_TRIAL"
 

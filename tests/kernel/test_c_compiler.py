@@ -400,3 +400,19 @@ def test_a_compiler_that_hangs_is_asked_once(monkeypatch, tmp_path):
         assert make_kernel(halving(0.6875)).name == "interpreted"
     assert make_kernel(halving(0.8125)).name == "interpreted"
     assert (tmp_path / "slow-cc.count").read_text() == "1"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a group of processes of POSIX")
+def test_what_a_slow_compiler_has_started_ends_with_it(tmp_path):
+    """A compiler is the parent of the programs that compile."""
+    wrapper = tmp_path / "cc"
+    wrapper.write_text(f"#!/bin/sh\nsleep 60 & echo $! > {tmp_path}/pid\nwait\n")
+    wrapper.chmod(0o700)
+    with pytest.raises(CompilerError, match="took more than"):
+        compiling.run_compiler([str(wrapper)], 0.5)
+    compiling._hanging.clear()
+    pid = int((tmp_path / "pid").read_text())
+    deadline = time.monotonic() + 5
+    while (stat := Path(f"/proc/{pid}/stat")).exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z":
+        assert time.monotonic() < deadline
+        time.sleep(0.05)

@@ -21,6 +21,17 @@ MARKUP = (
 )
 """Texts that run a script in a page that does not escape them: ``window.hurt`` is set then."""
 
+RARER_MARKUP = (
+    """<details open ontoggle=window.hurt=1>x</details><object data="data:text/html,<script>parent.hurt=1</script>"></object>""",
+    """<style>@import "data:text/css,*{}";</style><link rel=stylesheet href=data:text/css,x onload=window.hurt=1>""",
+    """<base href=//x.invalid/><form action=javascript:window.hurt=1><button autofocus onfocus=window.hurt=1>x</button></form>""",
+    r"""\u003cscript\u003ewindow.hurt=1\u003c/script\u003e\x3cimg src=x onerror=window.hurt=1\x3e""",
+    """&#60;script&#62;window.hurt=1&#60;/script&#62;&lt;img src=x onerror=window.hurt=1&gt;""",
+    """`);window.hurt=1;//');window.hurt=1;//");window.hurt=1;//</script >""",
+    """<template><img src=x onerror=window.hurt=1></template><noscript><p title="</noscript><img src=x onerror=window.hurt=1>">""",
+)
+"""The same by roads that fewer pages leave open; for the slow study."""
+
 CODE = (
     "*/ int hurt(void){return 1;} /*",
     "x\n*/ void __attribute__((constructor)) hurt(void){} /*",

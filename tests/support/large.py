@@ -6,9 +6,10 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
+from greybox import Balance, Experiment, Fit, FitOptions, Input, Model, Output, Parameter, State, fit, read_csv
 
 PERIOD = 1e-3
 LAG = 0.05
@@ -37,8 +38,9 @@ def rod(states: int) -> Model:
     )
 
 
-def curve(constants: int) -> Model:
-    """A lag driven by a curve of its input, of as many free constants."""
+def curve(constants: int, free: int) -> Model:
+    """A lag driven by a curve of its input, of as many constants, the first of which are free and the others at their value."""
+    heights = np.sin(6 * np.arange(constants) / constants)
 
     def drive(u, p):
         return sum(getattr(p, f"c{k}") * ca.exp(-(((u - k / constants) * constants) ** 2)) for k in range(constants))
@@ -49,7 +51,10 @@ def curve(constants: int) -> Model:
         [Input("u", "1")],
         [Output("x", "m")],
         [Parameter("T", "s", LAG, (1e-3, 10.0), fixed=True)]
-        + [Parameter(f"c{k}", "m", 0.5, (-10.0, 10.0)) for k in range(constants)],
+        + [
+            Parameter(f"c{k}", "m", 0.5 if k < free else float(heights[k]), (-10.0, 10.0), fixed=k >= free)
+            for k in range(constants)
+        ],
         lambda x, u, p: [Balance("lag", "m", p.T, "x", drive=drive(u.u, p), own=-x.x)],
     )
 
@@ -105,3 +110,59 @@ def write_lag_file(path: Path, rows: int) -> Path:
             last = min(first + 100_000, rows)
             file.write("".join(f"{k / 1000:.3f},{drive[k]:.5f},{answer[k]:.6f}\n" for k in range(first, last)))
     return path
+
+
+def _simulate_rod(states: int, conductance: float, drive: np.ndarray) -> np.ndarray:
+    """The temperature (N,) that is measured, for a heat capacity of one, from the matrix exponential."""
+    rates = np.zeros((states + 1, states + 1))
+    for k in range(states):
+        rates[k, k] = -conductance * (2 if k + 1 < states else 1)
+        rates[k, k - 1 if k else states] = conductance
+        if k + 1 < states:
+            rates[k, k + 1] = conductance
+    step = expm(rates * PERIOD)[:states]
+    x, course = np.zeros(states), []
+    for value in drive:
+        course.append(x[states // 10])
+        x = step @ np.append(x, value)
+    return np.array(course)
+
+
+def _fit_rod(states: int) -> tuple[Fit, str, float]:
+    rng, conductance = np.random.default_rng(1), 200.0
+    drive = np.repeat(rng.normal(size=20), 20)
+    answer = _simulate_rod(states, conductance, drive) + 1e-4 * rng.normal(size=len(drive))
+    record = Experiment("rod", PERIOD * np.arange(len(drive)), {"heat": drive}, {f"T{states // 10}": answer})
+    return fit(rod(states), record, options=FitOptions(at_rest=True)), "G", conductance
+
+
+def _fit_curve(constants: int) -> tuple[Fit, str, float]:
+    rng, k = np.random.default_rng(1), np.arange(constants)
+    heights = np.sin(6 * k / constants)
+    drive = rng.uniform(size=20 * constants)
+    target = np.exp(-((np.subtract.outer(drive, k / constants) * constants) ** 2)) @ heights
+    share = np.exp(-PERIOD / LAG)
+    answer = lfilter([0, 1 - share], [1, -share], target) + 1e-4 * rng.normal(size=len(drive))
+    record = Experiment("curve", PERIOD * np.arange(len(drive)), {"u": drive}, {"x": answer})
+    return fit(curve(constants, constants // 10), record, options=FitOptions(at_rest=True)), "c7", float(heights[7])
+
+
+def solve(task: str, size: str) -> tuple[float, float, float]:
+    """A constant as it is estimated, as it is, and its standard deviation; of a task that only reads the rows, as they are."""
+    if task == "read":
+        rows = read_csv(size, lag()).rows
+        return rows, rows, 1.0
+    if task == "rows":
+        estimate, name, truth = fit(lag(), read_csv(size, lag())), "T", LAG
+    elif task == "records":
+        estimate, name, truth = fit(lag(), [lag_record(200, k) for k in range(int(size))]), "T", LAG
+    elif task == "long_sum":
+        terms = int(size)
+        gain = float(np.sum(np.sin(np.arange(terms)) / terms + 1 / terms))
+        record = lag_record(2000, 1)
+        scaled = Experiment("sum", record.time, {"u": record.inputs["u"] / gain}, record.outputs)
+        estimate, name, truth = fit(long_sum(terms), scaled), "T", LAG
+    else:
+        estimate, name, truth = {"rod": _fit_rod, "curve": _fit_curve}[task](int(size))
+    constant = estimate.parameters[name]
+    return constant.value, truth, constant.std or np.inf
