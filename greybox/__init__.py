@@ -1,10 +1,12 @@
 """greybox: from measured data of an actuator to physical parameters with honest intervals.
 
 The verbs of the first week stand here: `read_csv`, `simulate`, `fit`, `validate`, `residual_tests`, `compare`, `discover`,
-`linearise`, `report`. A model is a list of named balances; ``model + effect`` is a new model.
+`linearise`, `report`,
+`design`. A model is a list of named balances; ``model + effect`` is a new model.
 
 Everything else is in a namespace: ``gb.signals`` (test signals), ``gb.effects`` (the catalogue), ``gb.blackbox``, ``gb.discovery``,
-``gb.identifiability``, ``gb.uncertainty`` (profile likelihood, bootstrap), ``gb.residuals``, ``gb.export``, ``gb.errors``.
+``gb.experiment_design``, ``gb.identifiability``, ``gb.uncertainty`` (profile likelihood, bootstrap), ``gb.residuals``,
+``gb.export``, ``gb.errors``.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
         errors,
         estimation,
         experiment,
+        experiment_design,
         export,
         identifiability,
         plots,
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
     from greybox.errors import GreyboxError
     from greybox.estimation import FitOptions, fit, multistart, predict, smooth, validate
     from greybox.experiment import Experiment, read_csv, read_experiments
+    from greybox.experiment_design import SignalLimit, design
     from greybox.export import linearise
     from greybox.model import Balance, Characteristic, DryFriction, Effect, Model
     from greybox.model.signals import Input, Output, Parameter, State
@@ -62,6 +66,10 @@ _NAMES = {
         "Experiment",
         "read_csv",
         "read_experiments",
+    ),
+    "experiment_design": (
+        "SignalLimit",
+        "design",
     ),
     "export": ("linearise",),
     "model": (
@@ -93,6 +101,7 @@ _NAMESPACES = (
     "errors",
     "estimation",
     "experiment",
+    "experiment_design",
     "export",
     "identifiability",
     "plots",
@@ -118,10 +127,12 @@ __all__ = [
     "Model",
     "Output",
     "Parameter",
+    "SignalLimit",
     "State",
     "blackbox",
     "compare",
     "comparison",
+    "design",
     "discover",
     "discovery",
     "effect",
@@ -129,6 +140,7 @@ __all__ = [
     "errors",
     "estimation",
     "experiment",
+    "experiment_design",
     "export",
     "fit",
     "identifiability",

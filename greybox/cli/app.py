@@ -10,6 +10,7 @@ import typer
 from greybox.cli.check import check
 from greybox.cli.compare import compare
 from greybox.cli.demo import demo
+from greybox.cli.design import design
 from greybox.cli.discover import discover
 from greybox.cli.effects import effects
 from greybox.cli.exits import exit_on_error
@@ -63,6 +64,15 @@ app.command(
         "greybox discover emps train.csv --validate test.csv --effects coulomb_friction,constant_load",
     ),
 )(exit_on_error(discover))
+app.command(
+    cls=PlainCommand,
+    short_help="Design the next record within what the rig allows.",
+    epilog=format_examples(
+        "greybox design results/rig-fit/fit.json --limit u=-3:3 --limit x=-1e-4:1e-4 --duration 1",
+        "greybox design results/rig-discover/discovery.json train.csv --goal discrimination --limit u=-3:3",
+        "greybox design my/rig.py --noise x=2e-7 --limit u=-1:1 --rate u=100 --duration 0.5 --sampling-time 2.5e-4",
+    ),
+)(exit_on_error(design))
 app.command(
     cls=PlainCommand,
     short_help="Export a fitted model for controller design, or as code.",

@@ -136,9 +136,21 @@ class PageText(StrEnum):
     SIMULATION_RANGES = "page_simulation_ranges"
     SIMULATION_PARAMETERS = "page_simulation_parameters"
 
+    DESIGN_TITLE = "page_design_title"
+    DESIGN_QUESTION = "page_design_question"
+    DESIGN_RECORD = "page_design_record"
+    DESIGN_CONSTANTS = "page_design_constants"
+    DESIGN_SEPARATION = "page_design_separation"
+    DESIGN_DETECTION = "page_design_detection"
+    DESIGN_LIMITS = "page_design_limits"
+    DESIGN_ALTERNATIVES = "page_design_alternatives"
+    DESIGN_SCALE = "page_design_scale"
+
 
 SECTIONS: Mapping[str, str] = {
+    "section_alternatives": "Alternatives",
     "section_behaviour": "Behaviour",
+    "section_brings": "What it brings",
     "section_candidates": "Candidates",
     "section_data": "Data",
     "section_errors": "Errors",
@@ -148,6 +160,8 @@ SECTIONS: Mapping[str, str] = {
     "section_fit": "The fit",
     "section_further": "Further effects",
     "section_gap": "Error before and after",
+    "section_input": "The input",
+    "section_limits": "Limits",
     "section_localisation": "Localisation of the missing effect",
     "section_matrices": "Matrices",
     "section_misfit": "Measured and simulated",
@@ -398,6 +412,19 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.SIMULATION_NOISE: "The written outputs contain added white noise: {sizes}.",
     PageText.SIMULATION_RANGES: "Ranges of the signals",
     PageText.SIMULATION_PARAMETERS: "Parameters of this run",
+    # The page of a design
+    PageText.DESIGN_TITLE: "The next record of {subject}",
+    PageText.DESIGN_QUESTION: "Which record of {subject} should be taken next, within what the rig allows?",
+    PageText.DESIGN_RECORD: lambda f: (
+        f"Play the {f.values['kind']} input of input.csv: {f.values['duration']:g} s, a row every {f.values['sampling_time']:g} s. It"
+        " begins and ends at rest."
+    ),
+    PageText.DESIGN_CONSTANTS: "Standard deviation of each parameter now, and with this record",
+    PageText.DESIGN_SEPARATION: "Cost by which the wrong explanation of each pair would lose, after a refit",
+    PageText.DESIGN_DETECTION: "Smallest amount of each effect that is seen now, and with this record",
+    PageText.DESIGN_LIMITS: "Limits, and what is predicted under every explanation with a margin for what is not known",
+    PageText.DESIGN_ALTERNATIVES: "What could be done instead",
+    PageText.DESIGN_SCALE: "Twice as much means intervals half as wide, explanations twice as far apart, or half the amount seen.",
     **SECTIONS,
 }
 

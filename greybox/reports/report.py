@@ -16,6 +16,7 @@ PAGES = {
     "ModelCheck": "check_page",
     "Comparison": "comparison_page",
     "Demo": "demo_page",
+    "Design": "design_page",
     "Discovery": "discovery_page",
     "Export": "export_page",
     "Linearisation": "linearisation_page",

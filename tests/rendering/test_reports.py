@@ -237,6 +237,27 @@ GOLDEN = [
     (phrase(T.SIMULATION_NOISE, sizes="x 2e-07 m"), "The written outputs contain added white noise: x 2e-07 m."),
     (phrase(T.SIMULATION_RANGES), "Ranges of the signals"),
     (phrase(T.SIMULATION_PARAMETERS), "Parameters of this run"),
+    (phrase(T.DESIGN_TITLE, "rig"), "The next record of rig"),
+    (
+        phrase(T.DESIGN_QUESTION, "rig"),
+        "Which record of rig should be taken next, within what the rig allows?",
+    ),
+    (
+        phrase(T.DESIGN_RECORD, kind="PRBS", duration=0.5, sampling_time=0.001),
+        "Play the PRBS input of input.csv: 0.5 s, a row every 0.001 s. It begins and ends at rest.",
+    ),
+    (phrase(T.DESIGN_CONSTANTS), "Standard deviation of each parameter now, and with this record"),
+    (phrase(T.DESIGN_SEPARATION), "Cost by which the wrong explanation of each pair would lose, after a refit"),
+    (phrase(T.DESIGN_DETECTION), "Smallest amount of each effect that is seen now, and with this record"),
+    (
+        phrase(T.DESIGN_LIMITS),
+        "Limits, and what is predicted under every explanation with a margin for what is not known",
+    ),
+    (phrase(T.DESIGN_ALTERNATIVES), "What could be done instead"),
+    (
+        phrase(T.DESIGN_SCALE),
+        "Twice as much means intervals half as wide, explanations twice as far apart, or half the amount seen.",
+    ),
 ]
 
 

@@ -33,6 +33,7 @@ ROWS = [
     {"blackbox", "check", "uncertainty"},
     {"residuals", "comparison", "export"},
     {"discovery"},
+    {"experiment_design"},
     {"rendering"},
     {"plots", "reports", "project", "demo"},
     {"cli"},
