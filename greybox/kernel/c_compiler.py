@@ -40,6 +40,7 @@ from greybox.kernel.policy import CACHE_POLICY, CachePolicy
 FLAGS = (
     "-O3",
     "-march=native",
+    "-ffp-contract=off",
     "-fno-math-errno",
     "-fno-trapping-math",
     "-fno-tree-slp-vectorize",

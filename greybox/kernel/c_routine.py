@@ -14,9 +14,11 @@ import casadi as ca
 
 from greybox.expressions.c import c_instruction, c_literal, c_type
 from greybox.expressions.operations import OPERATIONS, operation_name
+from greybox.kernel.fused import FMA, FMS, FNMA, order_terms
 from greybox.kernel.policy import CODE_POLICY
 from greybox.kernel.tape import Node, Tangent, Tape, UnsupportedOperationError
 
+FUSED = {FMA: "FMA({0}, {1}, {2})", FMS: "FMA({0}, {1}, -{2})", FNMA: "FMA(-{0}, {1}, {2})"}
 CALL = re.compile(r"\b(?!sqrt|fabs|floor|ceil|copysign)[a-z]\w*\(")
 
 
@@ -116,7 +118,8 @@ class CRoutine:
         return f"t{k}" if node.varying else f"c->t{k}"
 
     def _expression(self, node: Node) -> str:
-        instruction = c_instruction(node.op, [self._value(a) for a in node.args])
+        operands = [self._value(a) for a in node.args]
+        instruction = FUSED[node.op].format(*operands) if node.op in FUSED else c_instruction(node.op, operands)
         if instruction:
             return instruction
         raise UnsupportedOperationError(
@@ -135,10 +138,13 @@ class CRoutine:
             sides = ", ".join("zero" if k is None else self._lane(k, block) for _, k in tangent.terms)
             return f"pick({self._value(tangent.condition)} != 0, {sides})"
         text = ""
-        for (coefficient, k), given in zip(tangent.terms, tangent.signs or (1.0,) * len(tangent.terms), strict=True):
-            assert k is not None  # only a choice has a side without tangent
-            plain = coefficient is None or self.tape.nodes[coefficient].number in (1, -1)
-            negative = (given < 0) != (coefficient is not None and self.tape.nodes[coefficient].number == -1)
-            factor = "" if plain or coefficient is None else f"{self._value(coefficient)} * "
-            text += (" - " if negative else " + " if text else "") + factor + self._lane(k, block)
-        return text.strip()
+        for sign, coefficient, k in order_terms(tangent):
+            number = None if coefficient is None else self.tape.nodes[coefficient].number
+            minus = "-" if (sign < 0) != (number == -1) else ""
+            lane = self._lane(k, block)
+            if coefficient is None or number in (1, -1):
+                text = f"{text} {minus or '+'} {lane}" if text else minus + lane
+            else:
+                product = f"{minus}{self._value(coefficient)}"
+                text = f"FMA_LANES({product}, {lane}, {text})" if text else f"{product} * {lane}"
+        return text

@@ -20,6 +20,7 @@ from greybox.integrators.step import Step
 from greybox.kernel.arguments import KernelArguments, StepSizes, chain_coefficients, check_arguments
 from greybox.kernel.c_compiler import choose_vector_width, load_library
 from greybox.kernel.c_routine import CRoutine
+from greybox.kernel.fused import fuse_products
 from greybox.kernel.interface import GaussNewtonSums, check_sums
 from greybox.kernel.record import Record
 from greybox.kernel.simplify import simplify_tape
@@ -73,7 +74,7 @@ class CompiledKernel:
         of_step, of_outputs = ({}, {}) if free is None else ({3: free}, {2: free})
         advance = read_tape(self.step.advance, active=(0, 3), varying=(0, 1, 2), elements=of_step)
         outputs = read_tape(self.step.outputs, active=(0, 2), varying=(0, 1), elements=of_outputs)
-        return simplify_tape(advance), simplify_tape(outputs)
+        return fuse_products(simplify_tape(advance)), fuse_products(simplify_tape(outputs))
 
     def source(
         self, width: int = 0, blocks: int = 0, first_order: bool = True, free: frozenset[int] | None = None
@@ -94,7 +95,7 @@ class CompiledKernel:
         parts.append(CRoutine("outputs", outputs, OUTPUTS, (0, 2), blocks).text())
         parts.append(_template("sums.c" if blocks else "simulate.c"))
         if blocks and self.step.generator is not None:
-            tape = simplify_tape(read_tape(self.step.generator, active=(0,), varying=(0,)))
+            tape = fuse_products(simplify_tape(read_tape(self.step.generator, active=(0,), varying=(0,))))
             parts += [CRoutine("generator", tape, ("p",), (0,), blocks).text(), _template("exact_hold.c")]
         return "\n".join(parts)
 

@@ -10,10 +10,10 @@ INLINE void add_products(const v *e, double r, v *g, v (*gn)[NB])
     double lane[W * NB];
     memcpy(lane, e, sizeof lane);
     for (int b = 0; b < NB; b++)
-        g[b] += r * e[b];
+        g[b] = FMA_LANES(r, e[b], g[b]);
     for (int i = 0; i < W * NB; i++)
         for (int b = i / W; b < NB; b++)
-            gn[i][b] += lane[i] * e[b];
+            gn[i][b] = FMA_LANES(lane[i], e[b], gn[i][b]);
 }
 
 EXPORT long sums(long n, int first_order, int substeps, const double *u, const double *measured, const double *h, const int *row,
@@ -46,7 +46,7 @@ EXPORT long sums(long n, int first_order, int substeps, const double *u, const d
                 continue;
             for (int b = 0; b < NB; b++)
                 e[b] = -weight[i] * dy[i * NB + b];
-            sq[i] += r * r;
+            sq[i] = FMA(r, r, sq[i]);
             count[i] += 1;
             if (sums)
                 add_products(e, r, g, gn);
