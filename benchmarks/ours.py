@@ -109,11 +109,12 @@ def whole_call(case: Case) -> Callable[[], Fit]:
 @contextmanager
 def no_compiler():
     """Everything interpreted."""
+    before = os.environ.get("GREYBOX_KERNEL", "")
     os.environ["GREYBOX_KERNEL"] = "interpreted"
     try:
         yield
     finally:
-        del os.environ["GREYBOX_KERNEL"]
+        os.environ["GREYBOX_KERNEL"] = before
 
 
 def without_compiler(case: Case, unit: float) -> float:

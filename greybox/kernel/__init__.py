@@ -12,6 +12,7 @@ from greybox.integrators.step import Step
 from greybox.kernel.c_compiler import CompilerError, GreyboxWarning, NoCompilerError
 from greybox.kernel.compiled import CompiledKernel
 from greybox.kernel.fallback import FallbackKernel
+from greybox.kernel.gradual import GradualKernel
 from greybox.kernel.interface import GaussNewtonSums, Kernel
 from greybox.kernel.interpreted import InterpretedKernel
 from greybox.kernel.record import Record
@@ -79,12 +80,14 @@ def make_kernel(step: Step, free: Collection[int] | None = None) -> Kernel:
 
 @lru_cache(maxsize=64)  # for the next fit with the same step
 def _make_compiled(step: Step, free: tuple[int, ...] | None) -> CompiledKernel:
-    return CompiledKernel(step, free)
+    kernel = CompiledKernel(step, free)
+    kernel.compile_simulation()
+    return kernel
 
 
 @lru_cache(maxsize=64)
 def _make_fallback(step: Step, free: tuple[int, ...] | None) -> FallbackKernel:
-    return FallbackKernel(_make_compiled(step, free), _warn_once)
+    return FallbackKernel(GradualKernel(step, free, _warn_once), _warn_once)
 
 
 def _warn_once(error: CompilerError | UnsupportedOperationError) -> None:

@@ -38,7 +38,6 @@ from greybox.kernel.policy import CACHE_POLICY, CachePolicy
 # Without errno and traps the compiler may use vector instructions; no -ffast-math, so that NaN and infinity keep their
 # meaning. Packing scalars into vectors by itself (slp) only lengthens the recursion that everything waits for.
 FLAGS = (
-    "-O3",
     "-march=native",
     "-ffp-contract=off",
     "-fno-math-errno",
@@ -47,6 +46,11 @@ FLAGS = (
     "-std=gnu11",
     "-shared",
 )
+FULL = ("-O3",)
+# Half the time of -O3 for code that takes a tenth longer. Without expensive optimisations GCC leaves out the instruction that ends wide
+# vectors before a call of the mathematical library, which then runs several times slower.
+QUICK_GCC = ("-O1", "-fexpensive-optimizations", "-fno-tree-pta", "-fira-region=one")
+QUICK = ("-O1",)
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
@@ -71,15 +75,15 @@ class Compiler:
     timeout: float = CACHE_POLICY.compile_seconds
 
 
-def load_library(source: Callable[[], str], key: str) -> ctypes.CDLL:
+def load_library(source: Callable[[], str], key: str, is_quick: bool = False) -> ctypes.CDLL:
     """The library compiled from the C text that ``source()`` writes, from the cache where it is there already.
 
-    ``key`` says what the text is made from: it is not written where a library of that key is there. Raises CompilerError.
+    ``key`` says what the text is made from: it is not written where a library of that key is there. ``is_quick``: compile in half the
+    time what runs a tenth slower. Raises CompilerError.
     """
     compiler = find_compiler()
-    flags = (*FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
-    cache_key = "\0".join([key, hash_generator(), *flags, *compiler.command, compiler.version, describe_machine()])
-    name = f"{hashlib.sha256(cache_key.encode(errors='backslashreplace')).hexdigest()}{SUFFIX}"
+    flags = _flags(compiler, is_quick)
+    name = _name_of_library(compiler, flags, key)
     try:
         return _load(find_cache_folder() / name, compiler, flags, source)
     except OSError:  # a full or a broken disk: another one may do
@@ -87,13 +91,39 @@ def load_library(source: Callable[[], str], key: str) -> ctypes.CDLL:
             return _load(_temporary_folder() / name, compiler, flags, source)
 
 
-def _load(path: Path, compiler: Compiler, flags: Sequence[str], source: Callable[[], str]) -> ctypes.CDLL:
-    """The library at ``path``, compiled where it is not there. Raises OSError where it cannot be kept, CompilerError."""
+def find_library(key: str, is_quick: bool = False) -> ctypes.CDLL | None:
+    """The library of `load_library` if it was compiled before, else None. Raises CompilerError where there is no compiler."""
+    compiler = find_compiler()
+    with contextlib.suppress(OSError):
+        return _load_cached(find_cache_folder() / _name_of_library(compiler, _flags(compiler, is_quick), key))
+    return None
+
+
+def _flags(compiler: Compiler, is_quick: bool) -> tuple[str, ...]:
+    is_gcc = "Free Software Foundation" in compiler.version
+    level = FULL if not is_quick else QUICK_GCC if is_gcc else QUICK
+    return (*level, *FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
+
+
+def _name_of_library(compiler: Compiler, flags: Sequence[str], key: str) -> str:
+    cache_key = "\0".join([key, hash_generator(), *flags, *compiler.command, compiler.version, describe_machine()])
+    return f"{hashlib.sha256(cache_key.encode(errors='backslashreplace')).hexdigest()}{SUFFIX}"
+
+
+def _load_cached(path: Path) -> ctypes.CDLL | None:
     if _is_intact(path):
         with contextlib.suppress(OSError):  # another process may have cleared it away meanwhile
             library = ctypes.CDLL(str(path))
             os.utime(path)  # used last now
             return library
+    return None
+
+
+def _load(path: Path, compiler: Compiler, flags: Sequence[str], source: Callable[[], str]) -> ctypes.CDLL:
+    """The library at ``path``, compiled where it is not there. Raises OSError where it cannot be kept, CompilerError."""
+    library = _load_cached(path)
+    if library is not None:
+        return library
     _compile(compiler, flags, source(), path)
     _prune_once(path.parent)
     try:

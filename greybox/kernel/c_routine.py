@@ -22,6 +22,15 @@ FUSED = {FMA: "FMA({0}, {1}, {2})", FMS: "FMA({0}, {1}, -{2})", FNMA: "FMA(-{0},
 CALL = re.compile(r"\b(?!sqrt|fabs|floor|ceil|copysign)[a-z]\w*\(")
 
 
+def refuse_unwritable(op: int) -> None:
+    """Raise UnsupportedOperationError for an operation that C does not have."""
+    if op not in (ca.OP_CONST, ca.OP_INPUT, *FUSED) and not (op in OPERATIONS and OPERATIONS[op].c):
+        raise UnsupportedOperationError(
+            f"CasADi operation number {op} ({operation_name(op)}) cannot be written in C;"
+            " write the term without it, or let the interpreted kernel run it"
+        )
+
+
 class CRoutine:
     """The C text of one tape.
 
@@ -120,12 +129,9 @@ class CRoutine:
     def _expression(self, node: Node) -> str:
         operands = [self._value(a) for a in node.args]
         instruction = FUSED[node.op].format(*operands) if node.op in FUSED else c_instruction(node.op, operands)
-        if instruction:
-            return instruction
-        raise UnsupportedOperationError(
-            f"CasADi operation number {node.op} ({operation_name(node.op)}) cannot be written in C;"
-            " write the term without it, or let the interpreted kernel run it"
-        )
+        if not instruction:
+            refuse_unwritable(node.op)
+        return instruction
 
     def _lane(self, k: int, block: int) -> str:
         tangent = self.tape.tangents[k]

@@ -19,7 +19,7 @@ from greybox.integrators.composition import as_coefficients
 from greybox.integrators.step import Step
 from greybox.kernel.arguments import KernelArguments, StepSizes, chain_coefficients, check_arguments
 from greybox.kernel.c_compiler import choose_vector_width, load_library
-from greybox.kernel.c_routine import CRoutine
+from greybox.kernel.c_routine import CRoutine, refuse_unwritable
 from greybox.kernel.fused import fuse_products
 from greybox.kernel.interface import GaussNewtonSums, check_sums
 from greybox.kernel.record import Record
@@ -30,9 +30,29 @@ ADVANCE = ("x", "ua", "ub", "q", "h")
 OUTPUTS = ("x", "u", "p")
 
 
-class KernelLibrary(NamedTuple):
-    """Functions of a compiled library; ``hold`` where the kernel computes the coefficients itself."""
+class LibraryShape(NamedTuple):
+    """What a library of a step has room for."""
 
+    width: int
+    blocks: int
+    """Blocks of ``width`` directions; 0 is a simulation."""
+
+    first_order: bool
+    """Whether it takes any input, or held ones only."""
+
+    free: frozenset[int] | None
+    """The parameters that have tangents, None for all."""
+
+
+SIMULATION = LibraryShape(0, 0, True, None)
+"""The library without tangents."""
+
+
+class KernelFunctions(NamedTuple):
+    """Functions of a compiled library: ``simulate`` of one without tangents, else ``sums``, and ``hold`` where the kernel computes the
+    coefficients itself."""
+
+    simulate: Any
     sums: Any
     hold: Any
 
@@ -40,9 +60,8 @@ class KernelLibrary(NamedTuple):
 class CompiledKernel:
     """Runs a step as compiled C; see `greybox.kernel.interface.Kernel` for the arguments.
 
-    The library for simulation is compiled on construction, the one with tangents when it is first asked for (one for
-    each number of blocks of directions, and for held inputs). ``free`` as in `greybox.kernel.make_kernel`. Raises CompilerError, and
-    UnsupportedOperationError for an operation that C does not have.
+    There is a library for simulation and one with tangents for each number of blocks of directions, and for held inputs; each is compiled
+    when it is first asked for. ``free`` as in `greybox.kernel.make_kernel`. Raises CompilerError where it compiles.
     """
 
     name = "compiled"
@@ -54,21 +73,50 @@ class CompiledKernel:
         self._free = frozenset(free) if free is not None and step.coefficients is as_coefficients else None
         self.description = f"compiled C, {step.label}"
         self.sizes = StepSizes.of(step)
-        self._libraries: dict[tuple[int, int, bool, frozenset[int] | None], KernelLibrary] = {}
-        self._simulate = _declare(self._load_library(0, 0, True, None).simulate, None, (ctypes.c_int, ctypes.c_int), 8)
+        self._functions: dict[LibraryShape, KernelFunctions] = {}
 
-    def _load_library(self, width: int, blocks: int, first_order: bool, free: frozenset[int] | None) -> ctypes.CDLL:
-        """The library of `source`. Writing that takes longer than loading one that was compiled before, so it is known by the functions."""
-        return load_library(
-            lambda: self.source(width, blocks, first_order, free),
-            f"{self._functions} {width} {blocks} {first_order} {self._is_one_step} {free and sorted(free)}",
+    def compile_simulation(self) -> None:
+        """Compile the library of the simulation now. Raises CompilerError, and UnsupportedOperationError for an operation that C lacks."""
+        self._get_functions(SIMULATION)
+
+    def _get_functions(self, shape: LibraryShape) -> KernelFunctions:
+        """The functions of a shape, compiled when first asked for."""
+        if shape not in self._functions:
+            self._functions[shape] = self._load(shape)
+        return self._functions[shape]
+
+    def _load(self, shape: LibraryShape) -> KernelFunctions:
+        return self._declare(load_library(lambda: self.source(shape), self._key(shape)), shape)
+
+    def _key(self, shape: LibraryShape) -> str:
+        """What `source` is made from, which takes longer to write than a library to load."""
+        free = shape.free and sorted(shape.free)
+        return f"{self._statement} {shape.width} {shape.blocks} {shape.first_order} {self._is_one_step} {free}"
+
+    def _declare(self, library: ctypes.CDLL, shape: LibraryShape, leading: tuple[Any, ...] = ()) -> KernelFunctions:
+        """The functions of a library, which take the types ``leading`` first."""
+        numbers = (ctypes.c_int, ctypes.c_int)
+        if not shape.blocks:
+            return KernelFunctions(_declare(library.simulate, None, leading, numbers, 8), None, None)
+        has_hold = self.step.generator is not None
+        return KernelFunctions(
+            None,
+            _declare(library.sums, ctypes.c_long, leading, numbers, 14),
+            _declare(library.hold, None, leading, (), 5) if has_hold else None,
         )
 
     @cached_property
-    def _functions(self) -> str:
+    def _statement(self) -> str:
         """The functions of the step, as CasADi writes them down."""
         known = (self.step.advance, self.step.outputs, self.step.generator)
         return " ".join("" if f is None else f.serialize() for f in known)
+
+    def refuse_unsupported(self) -> None:
+        """Raise UnsupportedOperationError for an operation that has no tangent rule or that C does not have."""
+        for tape in self.read_tapes(LibraryShape(0, 0, True, self._free)).values():
+            for kind, k in tape.order:
+                if kind == "node":
+                    refuse_unwritable(tape.nodes[k].op)
 
     def _read_tapes(self, free: frozenset[int] | None) -> tuple[Tape, Tape]:
         of_step, of_outputs = ({}, {}) if free is None else ({3: free}, {2: free})
@@ -76,27 +124,33 @@ class CompiledKernel:
         outputs = read_tape(self.step.outputs, active=(0, 2), varying=(0, 1), elements=of_outputs)
         return fuse_products(simplify_tape(advance)), fuse_products(simplify_tape(outputs))
 
-    def source(
-        self, width: int = 0, blocks: int = 0, first_order: bool = True, free: frozenset[int] | None = None
-    ) -> str:
-        """The C text with room for ``blocks`` blocks of ``width`` directions; without blocks it is the simulation.
+    def read_tapes(self, shape: LibraryShape) -> dict[str, Tape]:
+        """The tapes of a library by the names of their routines."""
+        advance, outputs = self._read_tapes(shape.free)
+        tapes = {"advance": advance, "outputs": outputs}
+        if shape.blocks and self.step.generator is not None:
+            tapes["generator"] = fuse_products(simplify_tape(read_tape(self.step.generator, active=(0,), varying=(0,))))
+        return tapes
 
-        Without ``first_order`` it is for held inputs only. ``free``: the parameters that have tangents, None for all.
-        """
-        advance, outputs = self._read_tapes(free)
+    def source(self, shape: LibraryShape = SIMULATION) -> str:
+        """The C text of a library."""
+        tapes, blocks = self.read_tapes(shape), shape.blocks
         sizes = {"NX": self.sizes.nx, "NU": self.sizes.nu, "NQ": self.sizes.nq, "NY": self.sizes.ny}
-        parts = ["/* Generated by greybox: one step of a model and the loop over a record. */", _template("kernel.h")]
+        parts = [
+            "/* Generated by greybox: one step of a model and the loop over a record. */",
+            read_template("kernel.h"),
+        ]
         parts += [f"#define {name} {size}" for name, size in sizes.items()]
         if blocks:
-            parts += [f"#define W {width}", f"#define NB {blocks}", _template("lanes.h")]
-            parts.append(f"#define FIRST_ORDER {'first_order' if first_order else 0}")
+            parts += [f"#define W {shape.width}", f"#define NB {blocks}", read_template("lanes.h")]
+            parts.append(f"#define FIRST_ORDER {'first_order' if shape.first_order else 0}")
             parts.append(f"#define SUBSTEPS {1 if self._is_one_step else 'substeps'}")
-        parts.append(CRoutine("advance", advance, ADVANCE, (0, 3), blocks).text())
-        parts.append(CRoutine("outputs", outputs, OUTPUTS, (0, 2), blocks).text())
-        parts.append(_template("sums.c" if blocks else "simulate.c"))
-        if blocks and self.step.generator is not None:
-            tape = fuse_products(simplify_tape(read_tape(self.step.generator, active=(0,), varying=(0,))))
-            parts += [CRoutine("generator", tape, ("p",), (0,), blocks).text(), _template("exact_hold.c")]
+        parts.append(CRoutine("advance", tapes["advance"], ADVANCE, (0, 3), blocks).text())
+        parts.append(CRoutine("outputs", tapes["outputs"], OUTPUTS, (0, 2), blocks).text())
+        parts.append(read_template("sums.c" if blocks else "simulate.c"))
+        if "generator" in tapes:
+            parts.append(CRoutine("generator", tapes["generator"], ("p",), (0,), blocks).text())
+            parts.append(read_template("exact_hold.c"))
         return "\n".join(parts)
 
     def with_substeps(self, substeps: int) -> CompiledKernel:
@@ -105,8 +159,11 @@ class CompiledKernel:
         other.step = replace(self.step, substeps=substeps)
         other.description = f"compiled C, {other.step.label}"
         if self._is_one_step or other._is_one_step:
-            other._libraries = {}  # the number of substeps is a constant there
+            other._forget_functions()  # the number of substeps is a constant there
         return other
+
+    def _forget_functions(self) -> None:
+        self._functions = {}
 
     @property
     def _is_one_step(self) -> bool:
@@ -120,7 +177,7 @@ class CompiledKernel:
         directions, rows = dp.shape[1], len(record.lengths)
         p, dp = (np.ascontiguousarray(a, dtype=np.float64) for a in (p, _pad_directions(dp)))
         q, dq = np.empty((rows, self.sizes.nq)), np.empty((rows, self.sizes.nq, _count_padded(directions)))
-        self._get_library(directions, record.first_order, None).hold(
+        self._get_functions(_choose_shape(directions, record.first_order, None)).hold(
             rows, *map(_get_address, (record.lengths, p, dp, q, dq))
         )
         return q, np.ascontiguousarray(dq[:, :, :directions])
@@ -129,7 +186,7 @@ class CompiledKernel:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
         arguments = check_arguments(self.sizes, record, q, p, x0)
         y, x = np.empty((len(record.y), self.sizes.ny)), np.empty((len(record.y), self.sizes.nx))
-        self._simulate(
+        self._get_functions(SIMULATION).simulate(
             *self._leading_arguments(record, len(y)),
             *map(_get_address, (record.h, arguments.row, arguments.q, arguments.p, arguments.x0, y, x)),
         )
@@ -199,33 +256,30 @@ class CompiledKernel:
             arguments.weight,
         )
         is_free = self._free is not None and self._free.issuperset(np.flatnonzero(arguments.dp.any(axis=1)).tolist())
-        run = self._get_library(arguments.directions, record.first_order, self._free if is_free else None).sums
-        return run(*self._leading_arguments(record, samples), *map(_get_address, (*arrays, *results)))
-
-    def _get_library(self, directions: int, first_order: bool, free: frozenset[int] | None) -> KernelLibrary:
-        """The functions with tangents, compiled when first asked for."""
-        width = choose_vector_width(directions)
-        shape = (width, _count_padded(directions) // width, first_order, free)
-        if shape not in self._libraries:
-            library = self._load_library(*shape)
-            sums = _declare(library.sums, ctypes.c_long, (ctypes.c_int, ctypes.c_int), 14)
-            hold = _declare(library.hold, None, (), 5) if self.step.generator is not None else None
-            self._libraries[shape] = KernelLibrary(sums, hold)
-        return self._libraries[shape]
+        shape = _choose_shape(arguments.directions, record.first_order, self._free if is_free else None)
+        return self._get_functions(shape).sums(
+            *self._leading_arguments(record, samples), *map(_get_address, (*arrays, *results))
+        )
 
     def _leading_arguments(self, record: Record, n: int) -> tuple[Any, ...]:
         return n, record.first_order, self.step.substeps, _get_address(record.u)
 
 
-def _declare(function: Any, result: Any, numbers: tuple[Any, ...], arrays: int) -> Any:
-    """A function ``(length, numbers ..., arrays ...)`` of a library with its types declared."""
-    function.argtypes = (ctypes.c_long, *numbers, *[ctypes.c_void_p] * arrays)
+def _declare(function: Any, result: Any, leading: tuple[Any, ...], numbers: tuple[Any, ...], arrays: int) -> Any:
+    """A function ``(leading ..., length, numbers ..., arrays ...)`` of a library with its types declared."""
+    function.argtypes = (*leading, ctypes.c_long, *numbers, *[ctypes.c_void_p] * arrays)
     function.restype = result
     return function
 
 
-def _template(name: str) -> str:
+def read_template(name: str) -> str:
+    """A C text of this package."""
     return files("greybox.kernel").joinpath(name).read_text(encoding="utf-8")
+
+
+def _choose_shape(directions: int, first_order: bool, free: frozenset[int] | None) -> LibraryShape:
+    width = choose_vector_width(directions)
+    return LibraryShape(width, _count_padded(directions) // width, first_order, free)
 
 
 def _count_padded(directions: int) -> int:

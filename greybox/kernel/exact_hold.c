@@ -10,16 +10,20 @@
 #define SWEEPS 6
 
 /* z = share * a y; a (NX, NX), y and z (NX, COLUMNS), column by column. */
-static void product(double share, const double *a, const v *da, const double *y, const v *dy, double *z, v *dz)
+static void product(CONTEXT double share, const double *a, const v *da, const double *y, const v *dy, double *z, v *dz)
 {
     for (int j = 0; j < COLUMNS; j++)
         for (int i = 0; i < NX; i++) {
             double total = 0;
-            v slope[NB] = {{0}};
+            v slope[NB];
+            for (int b = 0; b < NB; b++)
+                slope[b] = zero;
             for (int k = 0; k < NX; k++) {
-                total += a[k * NX + i] * y[j * NX + k];
-                for (int b = 0; b < NB; b++)
-                    slope[b] += a[k * NX + i] * dy[(j * NX + k) * NB + b] + da[(k * NX + i) * NB + b] * y[j * NX + k];
+                total = FMA(a[k * NX + i], y[j * NX + k], total);
+                for (int b = 0; b < NB; b++) {
+                    slope[b] = FMA_LANES(a[k * NX + i], dy[(j * NX + k) * NB + b], slope[b]);
+                    slope[b] = FMA_LANES(y[j * NX + k], da[(k * NX + i) * NB + b], slope[b]);
+                }
             }
             z[j * NX + i] = share * total;
             for (int b = 0; b < NB; b++)
@@ -28,17 +32,17 @@ static void product(double share, const double *a, const v *da, const double *y,
 }
 
 /* Columns of y from number `to` on += share * columns of z from number `from` on. */
-INLINE void add(double share, int columns, const double *z, const v *dz, int from, double *y, v *dy, int to)
+INLINE void add(CONTEXT double share, int columns, const double *z, const v *dz, int from, double *y, v *dy, int to)
 {
     for (int i = 0; i < columns * NX; i++) {
-        y[to * NX + i] += share * z[from * NX + i];
+        y[to * NX + i] = FMA(share, z[from * NX + i], y[to * NX + i]);
         for (int b = 0; b < NB; b++)
-            dy[(to * NX + i) * NB + b] += share * dz[(from * NX + i) * NB + b];
+            dy[(to * NX + i) * NB + b] = FMA_LANES(share, dz[(from * NX + i) * NB + b], dy[(to * NX + i) * NB + b]);
     }
 }
 
 /* Units of the states, powers of two, in which rows and columns of a h are alike, or small. */
-static void balance(const double *a, double h, double *unit)
+static void balance(CONTEXT const double *a, double h, double *unit)
 {
     for (int i = 0; i < NX; i++)
         unit[i] = 1;
@@ -58,9 +62,9 @@ static void balance(const double *a, double h, double *unit)
 }
 
 /* Rows of q (lengths, NQ) and dq (lengths, NQ, W * NB) for each of the lengths. */
-EXPORT void hold(long lengths, const double *h, const double *p, const vu *dp, double *q, double *dq)
+EXPORT void hold(CONTEXT long lengths, const double *h, const double *p, const vu *dp, double *q, double *dq)
 {
-    struct generator_once once;
+    ROUTINE(generator, once);
     double ab[NX * GIVEN], unit[NX], a[NX * NX], term[NX * COLUMNS], next[NX * COLUMNS], sum[NX * COLUMNS];
     v dab[NX * GIVEN * NB], da[NX * NX * NB], dterm[NX * COLUMNS * NB], dnext[NX * COLUMNS * NB], dsum[NX * COLUMNS * NB];
 
@@ -69,7 +73,7 @@ EXPORT void hold(long lengths, const double *h, const double *p, const vu *dp, d
     for (long l = 0; l < lengths; l++) {
         double norm = 0;
         int squarings = 0;
-        balance(ab, h[l], unit);
+        balance(PASS ab, h[l], unit);
         for (int j = 0; j < NX; j++) {
             double column = 0;
             for (int i = 0; i < NX; i++)
@@ -92,16 +96,16 @@ EXPORT void hold(long lengths, const double *h, const double *p, const vu *dp, d
         for (int i = 0; i < NX; i++)
             sum[i * NX + i] += 1;
         for (int k = 2; k <= TERMS; k++) {
-            product(1.0 / k, a, da, term, dterm, next, dnext);
+            product(PASS 1.0 / k, a, da, term, dterm, next, dnext);
             if (k == 2)
-                add(ramp / 2, NU, term, dterm, NX, next, dnext, GIVEN);
+                add(PASS ramp / 2, NU, term, dterm, NX, next, dnext, GIVEN);
             memcpy(term, next, sizeof next), memcpy(dterm, dnext, sizeof dnext);
-            add(1, COLUMNS, term, dterm, 0, sum, dsum, 0);
+            add(PASS 1, COLUMNS, term, dterm, 0, sum, dsum, 0);
         }
         for (int s = 0; s < squarings; s++, ramp *= 2) {
-            product(1, sum, dsum, sum, dsum, next, dnext);
-            add(1, COLUMNS - NX, sum, dsum, NX, next, dnext, NX);
-            add(ramp, NU, sum, dsum, NX, next, dnext, GIVEN);
+            product(PASS 1, sum, dsum, sum, dsum, next, dnext);
+            add(PASS 1, COLUMNS - NX, sum, dsum, NX, next, dnext, NX);
+            add(PASS ramp, NU, sum, dsum, NX, next, dnext, GIVEN);
             memcpy(sum, next, sizeof next), memcpy(dsum, dnext, sizeof dnext);
         }
         for (int i = 0; i < NQ; i++) {

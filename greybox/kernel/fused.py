@@ -21,17 +21,18 @@ Term = tuple[float, int | None, int]  # sign, coefficient node or None for 1, ta
 
 def fuse_products(tape: Tape) -> Tape:
     """The same function with sums of products fused; node numbers are kept, and nodes that nobody needs any more do not run."""
-    nodes = [_fuse(tape, node) for node in tape.nodes]
-    result = Tape(nodes=nodes, tangents=list(tape.tangents), outputs=list(tape.outputs))
-    needed = _find_needed(result)
-    result.order = [(kind, k) for kind, k in tape.order if kind != "node" or k in needed]
+    result = Tape([_fuse(tape, node) for node in tape.nodes], list(tape.tangents), [], list(tape.outputs))
+    nodes, tangents = find_needed(result)
+    result.order = [(kind, k) for kind, k in tape.order if k in (nodes if kind == "node" else tangents)]
     return result
 
 
 def order_terms(tangent: Tangent) -> list[Term]:
     """The terms of a sum in the order in which they are added up: one without a coefficient first, the others as fused multiply-adds."""
     signs = tangent.signs or (1.0,) * len(tangent.terms)
-    terms = [(sign, coefficient, k) for sign, (coefficient, k) in zip(signs, tangent.terms, strict=True) if k is not None]
+    terms = [
+        (sign, coefficient, k) for sign, (coefficient, k) in zip(signs, tangent.terms, strict=True) if k is not None
+    ]
     first = next((i for i, (sign, coefficient, _) in enumerate(terms) if coefficient is None and sign > 0), 0)
     return [terms[first], *terms[:first], *terms[first + 1 :]]
 
@@ -49,19 +50,27 @@ def _fuse(tape: Tape, node: Node) -> Node:
     return node
 
 
-def _find_needed(tape: Tape) -> set[int]:
-    """The nodes from which an output or a tangent comes."""
-    needed: set[int] = set()
-    waiting = [node for output in tape.outputs for node, _ in output]
-    for tangent in tape.tangents:
-        waiting += [c for c, _ in tangent.terms if c is not None]
-        waiting += [] if tangent.condition is None else [tangent.condition]
+def find_needed(tape: Tape, with_tangents: bool = True) -> tuple[set[int], set[int]]:
+    """The nodes and the tangents from which an output, or its tangent, comes."""
+    nodes: set[int] = set()
+    tangents: set[int] = set()
+    waiting = [k for output in tape.outputs for _, k in output if k is not None] if with_tangents else []
+    sources = [node for output in tape.outputs for node, _ in output]
     while waiting:
         k = waiting.pop()
-        if k not in needed:
-            needed.add(k)
-            waiting += _arguments(tape.nodes[k])
-    return needed
+        if k in tangents:
+            continue
+        tangents.add(k)
+        tangent = tape.tangents[k]
+        waiting += [side for _, side in tangent.terms if side is not None]
+        sources += [c for c, _ in tangent.terms if c is not None]
+        sources += [] if tangent.condition is None else [tangent.condition]
+    while sources:
+        k = sources.pop()
+        if k not in nodes:
+            nodes.add(k)
+            sources += _arguments(tape.nodes[k])
+    return nodes, tangents
 
 
 def _arguments(node: Node) -> Iterable[int]:

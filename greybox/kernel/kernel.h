@@ -7,6 +7,12 @@
 #define EXPORT __attribute__((visibility("default")))
 #endif
 #define INLINE static inline __attribute__((always_inline))
+/* What a loop over a record needs beside its arguments: nothing where sizes and routines are compiled in. */
+#ifndef CONTEXT
+#define CONTEXT
+#define PASS
+#define ROUTINE(name, once) struct name##_once once
+#endif
 #define AT_LEAST_ONE(n) ((n) > 0 ? (n) : 1)
 /* a * b + c, rounded once where the processor has an instruction for it. The compiler fuses nothing by itself. */
 #ifdef __FP_FAST_FMA

@@ -1,4 +1,4 @@
-"""Limits of the cache of compiled kernels."""
+"""Limits of the cache of compiled kernels, how they are laid out, and when one is worth its compilation."""
 
 from __future__ import annotations
 
@@ -32,3 +32,22 @@ class CodePolicy:
 
 
 CODE_POLICY = CodePolicy()
+
+
+@dataclass(frozen=True)
+class GradualPolicy:
+    """When a structure that the tape machine runs has earned a library of its own."""
+
+    earned_seconds: float = 0.1
+    """Seconds that the machine spends on a library's work before the library is compiled, quickly: half of what that takes, on another
+    core if there is one. Most structures of a search never spend so much."""
+    full_seconds: float = 3.0
+    """Seconds in a quickly compiled library before it is compiled with all optimisation, which gains a tenth and takes half a second."""
+    most_instructions: float = 1e8
+    """Instructions of one pass from which the compiler is waited for: the machine would take a quarter of a second, the
+    compiler no longer."""
+    largest_scratch_bytes: int = 200_000
+    """Registers of the machine lie on the stack; a thread may have as little as 512 kB of it. A model of ten states takes 20 kB."""
+
+
+GRADUAL_POLICY = GradualPolicy()

@@ -1,13 +1,13 @@
 /* Simulation without sensitivities. Rows of y (n, NY) and x (n, NX) are written where the pointers are not NULL. */
 
-EXPORT void simulate(long n, int first_order, int substeps, const double *u, const double *h, const int *row,
+EXPORT void simulate(CONTEXT long n, int first_order, int substeps, const double *u, const double *h, const int *row,
                      const double *q, const double *p, const double *x0, double *y_out, double *x_out)
 {
     double x[NX], next[NX], y[NY], ua[AT_LEAST_ONE(NU)], ub[AT_LEAST_ONE(NU)];
     double length = NAN;
     long last = -1;
-    struct advance_once once;
-    struct outputs_once once_outputs;
+    ROUTINE(advance, once);
+    ROUTINE(outputs, once_outputs);
 
     memcpy(x, x0, sizeof x);
     prepare_outputs(&once_outputs, x, u, p);

@@ -5,28 +5,23 @@
    FIRST_ORDER and SUBSTEPS are the arguments of that name, or constants where the caller knows them: a linear model's pass then takes
    a third less time. */
 
-INLINE void add_products(const v *e, double r, v *g, v (*gn)[NB])
-{
-    double lane[W * NB];
-    memcpy(lane, e, sizeof lane);
-    for (int b = 0; b < NB; b++)
-        g[b] = FMA_LANES(r, e[b], g[b]);
-    for (int i = 0; i < W * NB; i++)
-        for (int b = i / W; b < NB; b++)
-            gn[i][b] = FMA_LANES(lane[i], e[b], gn[i][b]);
-}
-
-EXPORT long sums(long n, int first_order, int substeps, const double *u, const double *measured, const double *h, const int *row,
+EXPORT long sums(CONTEXT long n, int first_order, int substeps, const double *u, const double *measured, const double *h, const int *row,
                  const double *q, const vu *dq, const double *p, const vu *dp, const double *x0, const vu *dx0,
                  const double *weight, double *sums, double *residual, double *jacobian)
 {
-    double x[NX], next[NX], y[NY], ua[AT_LEAST_ONE(NU)], ub[AT_LEAST_ONE(NU)], sq[NY] = {0}, count[NY] = {0};
-    v dx[NX * NB], dnext[NX * NB], dy[NY * NB], e[NB], g[NB] = {{0}}, gn[W * NB][NB] = {{{0}}};
+    double x[NX], next[NX], y[NY], ua[AT_LEAST_ONE(NU)], ub[AT_LEAST_ONE(NU)], sq[NY], count[NY], lane[W * NB];
+    v dx[NX * NB], dnext[NX * NB], dy[NY * NB], e[NB], g[NB], gn[W * NB * NB];
     double length = NAN;
     long last = -1;
-    struct advance_once once;
-    struct outputs_once once_outputs;
+    ROUTINE(advance, once);
+    ROUTINE(outputs, once_outputs);
 
+    for (int i = 0; i < NY; i++)
+        sq[i] = count[i] = 0;
+    for (int b = 0; b < NB; b++)
+        g[b] = zero;
+    for (int i = 0; i < W * NB * NB; i++)
+        gn[i] = zero;
     memcpy(x, x0, sizeof x);
     memcpy(dx, dx0, sizeof dx);
     prepare_outputs(&once_outputs, x, (const vu *)dx, u, p, dp);
@@ -48,8 +43,14 @@ EXPORT long sums(long n, int first_order, int substeps, const double *u, const d
                 e[b] = -weight[i] * dy[i * NB + b];
             sq[i] = FMA(r, r, sq[i]);
             count[i] += 1;
-            if (sums)
-                add_products(e, r, g, gn);
+            if (sums) {
+                memcpy(lane, e, sizeof lane);
+                for (int b = 0; b < NB; b++)
+                    g[b] = FMA_LANES(r, e[b], g[b]);
+                for (int j = 0; j < W * NB; j++)
+                    for (int b = j / W; b < NB; b++)
+                        gn[j * NB + b] = FMA_LANES(lane[j], e[b], gn[j * NB + b]);
+            }
             if (residual)
                 residual[k * NY + i] = r;
             if (jacobian)

@@ -15,7 +15,7 @@ import pytest
 
 import greybox.kernel as kernels
 from greybox.integrators.step import Step
-from greybox.kernel import CompilerError, GreyboxWarning, UnsupportedOperationError, make_kernel
+from greybox.kernel import CompiledKernel, CompilerError, GreyboxWarning, UnsupportedOperationError, make_kernel
 from greybox.kernel import c_compiler as compiling
 from greybox.kernel.policy import CachePolicy
 from greybox.kernel.record import Record
@@ -25,16 +25,25 @@ RECORD = Record(np.zeros((4, 1)), np.zeros((4, 1)), np.ones(3), np.zeros(3, np.i
 
 @pytest.fixture(autouse=True)
 def fresh(monkeypatch, tmp_path):
-    """An empty cache and nothing remembered from other tests."""
+    """An empty cache and nothing remembered from other tests; every kernel asks the compiler at once."""
     monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv("GREYBOX_KERNEL", raising=False)
     monkeypatch.setattr(kernels, "_warned", set())
+    monkeypatch.setattr(kernels, "GradualKernel", compile_at_once)
     forget()
     yield
     forget()
 
 
+def compile_at_once(step, free, on_failure):
+    kernel = CompiledKernel(step, free)
+    kernel.compile_simulation()
+    return kernel
+
+
 def forget():
+    kernels._make_compiled.cache_clear()
+    kernels._make_fallback.cache_clear()
     compiling._find_compiler.cache_clear()
     compiling._writable.cache_clear()
 

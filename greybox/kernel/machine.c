@@ -1,0 +1,175 @@
+/* The tape machine: the loops over a record with sizes and instructions as data, so that a model's equations run without being compiled.
+   VALUE_CASES are the operations on values, generated; the numbers of the others are those of tape_machine.py. An instruction is its
+   number, where the result goes, and where the operands are. */
+
+struct routine {
+    long values, tangents, numbers; /* of registers; the first `numbers` registers hold constants, tangent register 0 is zero */
+    const int *once, *each;
+    const double *constants;
+};
+struct machine {
+    long nx, nu, nq, ny, nb;
+    struct routine advance, outputs, generator;
+};
+struct registers {
+    const struct routine *routine;
+    double *r;
+    v *t;
+    int nb;
+};
+
+#define LOAD -4
+#define LOAD_TANGENT -5
+#define STORE -6
+#define STORE_TANGENT -7
+#define PICK -8
+#define SUM_1 -9
+#define SUM_2 -10
+#define SUM_3 -11
+#define SUM_MORE -12
+#define END -13
+
+#define A r[pc[2]]
+#define B r[pc[3]]
+#define C r[pc[4]]
+#define BLOCKS for (int b = 0; b < nb; b++)
+
+INLINE void run(const int *pc, double *r, v *t, const double *const *in, const vu *const *din, double *z, v *dz, const int nb)
+{
+    for (;;)
+        switch (*pc) {
+            VALUE_CASES
+        case LOAD:
+            r[pc[1]] = in[pc[2]][pc[3]], pc += 4;
+            break;
+        case LOAD_TANGENT:
+            BLOCKS t[pc[1] * nb + b] = din[pc[2]][pc[3] * nb + b];
+            pc += 4;
+            break;
+        case STORE:
+            z[pc[1]] = r[pc[2]], pc += 3;
+            break;
+        case STORE_TANGENT:
+            BLOCKS dz[pc[1] * nb + b] = t[pc[2] * nb + b];
+            pc += 3;
+            break;
+        case PICK:
+            BLOCKS t[pc[1] * nb + b] = pick(r[pc[2]] != 0, t[pc[3] * nb + b], t[pc[4] * nb + b]);
+            pc += 5;
+            break;
+        case SUM_1:
+            BLOCKS t[pc[1] * nb + b] = A * t[pc[3] * nb + b];
+            pc += 4;
+            break;
+        case SUM_2:
+            BLOCKS t[pc[1] * nb + b] = FMA_LANES(C, t[pc[5] * nb + b], A * t[pc[3] * nb + b]);
+            pc += 6;
+            break;
+        case SUM_3:
+            BLOCKS t[pc[1] * nb + b] =
+                FMA_LANES(r[pc[6]], t[pc[7] * nb + b], FMA_LANES(C, t[pc[5] * nb + b], A * t[pc[3] * nb + b]));
+            pc += 8;
+            break;
+        case SUM_MORE: {
+            const int *end = pc + 3 + 2 * pc[2];
+            BLOCKS {
+                v sum = r[pc[3]] * t[pc[4] * nb + b];
+                for (const int *term = pc + 5; term < end; term += 2)
+                    sum = FMA_LANES(r[term[0]], t[term[1] * nb + b], sum);
+                t[pc[1] * nb + b] = sum;
+            }
+            pc = end;
+            break;
+        }
+        default:
+            return;
+        }
+}
+
+#undef A
+#undef B
+#undef C
+
+/* The usual numbers of blocks as constants: their loops then vanish. */
+static void execute(const struct registers *c, const int *pc, const double *const *in, const vu *const *din, double *z, v *dz)
+{
+    switch (c->nb) {
+    case 0:
+        run(pc, c->r, c->t, in, din, z, dz, 0);
+        return;
+    case 1:
+        run(pc, c->r, c->t, in, din, z, dz, 1);
+        return;
+    case 2:
+        run(pc, c->r, c->t, in, din, z, dz, 2);
+        return;
+    case 3:
+        run(pc, c->r, c->t, in, din, z, dz, 3);
+        return;
+    case 4:
+        run(pc, c->r, c->t, in, din, z, dz, 4);
+        return;
+    default:
+        run(pc, c->r, c->t, in, din, z, dz, c->nb);
+    }
+}
+
+INLINE struct registers open_registers(const struct routine *routine, double *r, v *t, int nb)
+{
+    memcpy(r, routine->constants, routine->numbers * sizeof *r);
+    for (int b = 0; b < nb; b++)
+        t[b] = zero;
+    return (struct registers){routine, r, t, nb};
+}
+
+#undef CONTEXT
+#undef PASS
+#undef ROUTINE
+#define CONTEXT const struct machine *m,
+#define PASS m,
+#define NX (m->nx)
+#define NU (m->nu)
+#define NQ (m->nq)
+#define NY (m->ny)
+#define NB (m->nb)
+#define FIRST_ORDER first_order
+#define SUBSTEPS substeps
+#define ROUTINE(name, once)                                                                                                              \
+    double once##_values[m->name.values];                                                                                                \
+    v once##_tangents[AT_LEAST_ONE(m->name.tangents * NB)];                                                                              \
+    const struct registers once = open_registers(&m->name, once##_values, once##_tangents, NB)
+
+#define ADVANCE const double *x, const vu *dx, const double *ua, const double *ub, const double *q, const vu *dq, const double *h
+#define ADVANCE_IN (const double *[]){x, ua, ub, q, h}, (const vu *[]){dx, 0, 0, dq, 0}
+#define OUTPUTS const double *x, const vu *dx, const double *u, const double *p, const vu *dp
+#define OUTPUTS_IN (const double *[]){x, u, p}, (const vu *[]){dx, 0, dp}
+
+INLINE void prepare_advance(const struct registers *c, ADVANCE)
+{
+    execute(c, c->routine->once, ADVANCE_IN, 0, 0);
+}
+
+INLINE void advance(const struct registers *c, ADVANCE, double *z, v *dz)
+{
+    execute(c, c->routine->each, ADVANCE_IN, z, dz);
+}
+
+INLINE void prepare_outputs(const struct registers *c, OUTPUTS)
+{
+    execute(c, c->routine->once, OUTPUTS_IN, 0, 0);
+}
+
+INLINE void outputs(const struct registers *c, OUTPUTS, double *z, v *dz)
+{
+    execute(c, c->routine->each, OUTPUTS_IN, z, dz);
+}
+
+INLINE void prepare_generator(const struct registers *c, const double *p, const vu *dp)
+{
+    execute(c, c->routine->once, (const double *[]){p}, (const vu *[]){dp}, 0, 0);
+}
+
+INLINE void generator(const struct registers *c, const double *p, const vu *dp, double *z, v *dz)
+{
+    execute(c, c->routine->each, (const double *[]){p}, (const vu *[]){dp}, z, dz);
+}

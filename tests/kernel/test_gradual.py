@@ -1,0 +1,157 @@
+"""The tape machine against compiled code, to the bit; how a structure earns its libraries; what happens where they cannot be had."""
+
+import time
+import warnings
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.integrators import exact_hold
+from greybox.integrators.rk4 import rk4
+from greybox.kernel import CompiledKernel, gradual
+from greybox.kernel import c_compiler as compiling
+from greybox.kernel.gradual import GradualKernel
+from greybox.kernel.policy import GradualPolicy
+from greybox.kernel.record import Record
+from models.micro_actuator import micro_actuator
+from tests.kernel.test_kernels import OPERATIONS, operation_step
+
+NEVER = GradualPolicy(earned_seconds=np.inf, most_instructions=np.inf)
+AT_ONCE = GradualPolicy(earned_seconds=0.0, full_seconds=0.0)
+
+
+@pytest.fixture(autouse=True)
+def shared_cache(monkeypatch, tmp_path_factory):
+    monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path_factory.getbasetemp() / "gradual"))
+    monkeypatch.setattr(gradual, "_orders", {})
+
+
+@pytest.fixture
+def nothing_cached(monkeypatch):
+    monkeypatch.setattr(gradual, "find_library", lambda *_: None)
+
+
+def make_record(inputs, outputs, first_order=False, rows=60):
+    rng = np.random.default_rng(3)
+    y = rng.normal(size=(rows, outputs))
+    y[rows // 3] = np.nan  # a gap
+    h = np.full(rows - 1, 1e-3)
+    return Record(rng.normal(size=(rows, inputs)), y, h, np.zeros(rows - 1, np.int32), np.array([1e-3]), first_order)
+
+
+def run_all(kernel, record, p, x0, directions):
+    """Every array that a kernel gives."""
+    rng = np.random.default_rng(4)
+    dp, dx0 = rng.normal(size=(len(p), directions)), rng.normal(size=(len(x0), directions))
+    q, dq = kernel.coefficients(record, p, dp)
+    weight = np.full(record.y.shape[1], 0.7)
+    sums = kernel.sums(record, q, dq, p, dp, x0, dx0, weight)
+    residuals = kernel.residuals(record, q, dq, p, dp, x0, dx0, weight)
+    return [q, dq, *kernel.simulate(record, q, p, x0), *residuals, sums.squares, sums.gradient, sums.gauss_newton]
+
+
+def assert_same_bits(step, record, p, x0, directions, free=None):
+    arguments = record, np.asarray(p), np.asarray(x0), directions
+    machine = GradualKernel(step, free, pytest.fail, NEVER)
+    by_machine = run_all(machine, *arguments)
+    assert not machine._functions  # no library has come in its place
+    for a, b in zip(by_machine, run_all(CompiledKernel(step, free), *arguments), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert np.isfinite(by_machine[-1]).all()
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_every_operation_to_the_bit(name, nothing_cached):
+    step = operation_step(OPERATIONS[name])
+    step = type(step)(step.name, step.advance, step.outputs, lambda p, h, which: (p[None], np.eye(1)[None, :, which]))
+    for x0 in ([0.6, 1.7], [1.3, 0.8]):
+        assert_same_bits(step, make_record(1, 2, rows=2), [1.1], x0, 3)
+
+
+@pytest.mark.parametrize(
+    ("effect", "directions"),
+    [("coulomb_friction", 1), ("coulomb_friction", 18), ("quadratic_damping", 5), ("quadratic_damping", 13)],
+)
+def test_a_model_with_an_effect_to_the_bit(effect, directions, nothing_cached):
+    model = micro_actuator + gb.effect(effect)
+    p = np.array(list(model.values.values()))
+    x0 = np.zeros(model.system.x.numel())
+    assert_same_bits(rk4(model.system, 3, None), make_record(1, len(model.outputs), True), p, x0, directions)
+
+
+def test_an_exact_hold_to_the_bit(nothing_cached):
+    p = np.array(list(micro_actuator.values.values()))
+    step = exact_hold(micro_actuator.system)
+    assert_same_bits(step, make_record(1, len(micro_actuator.outputs)), p, np.zeros(step.advance.size1_in(0)), 4)
+
+
+def wait_for(condition):
+    end = time.monotonic() + 60
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.01)
+    assert condition()
+
+
+def count_libraries(folder):
+    return len(list(folder.glob(f"*{compiling.SUFFIX}")))
+
+
+def test_a_structure_earns_first_a_quick_library_and_then_a_full_one(monkeypatch, tmp_path):
+    step, folder = rk4(micro_actuator.system, 2, None), tmp_path / "cache"
+    p, x0 = np.array(list(micro_actuator.values.values())), np.zeros(3)
+    record = make_record(1, len(micro_actuator.outputs))
+    kernel = GradualKernel(step, None, pytest.fail, AT_ONCE)
+    monkeypatch.setenv("GREYBOX_CACHE", str(folder))  # the machine is loaded already
+
+    def simulate():
+        return kernel.simulate(record, p[None], p, x0)[1]
+
+    first = simulate()
+    assert count_libraries(folder) == 0
+    for number in (1, 2):
+        simulate()
+        wait_for(lambda n=number: count_libraries(folder) == n and not gradual._compiler_is_busy.locked())
+        np.testing.assert_array_equal(simulate(), first)
+    assert list(kernel._functions)  # the full library, from now on without detour
+    monkeypatch.setattr(gradual, "_orders", {})  # as a new process would start
+    again = GradualKernel(step, None, pytest.fail, NEVER)
+    np.testing.assert_array_equal(again.simulate(record, p[None], p, x0)[1], first)
+    assert list(again._functions)
+
+
+def test_a_long_pass_waits_for_the_compiler(monkeypatch, tmp_path):
+    step = rk4(micro_actuator.system, 2, None)
+    kernel = GradualKernel(step, None, pytest.fail, GradualPolicy(most_instructions=0.0))
+    monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path / "cache"))
+    run_all(
+        kernel,
+        make_record(1, len(micro_actuator.outputs)),
+        np.array(list(micro_actuator.values.values())),
+        np.zeros(3),
+        2,
+    )
+    assert [shape.blocks for shape in kernel._functions] == [1]
+    assert count_libraries(tmp_path / "cache") == 1
+
+
+def test_a_library_that_fails_leaves_the_machine_at_work(monkeypatch, tmp_path):
+    failures = []
+    step = operation_step(lambda a, b: a * 0.3 + b)
+    kernel = GradualKernel(step, None, failures.append, AT_ONCE)
+    monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path / "cache"))
+
+    def fail(*_):
+        raise compiling.CompilerError("out of ink")
+
+    monkeypatch.setattr(gradual, "load_library", fail)
+    record = make_record(1, 2, rows=4)
+    arguments = record, np.ones((1, 1)), np.zeros(1), np.array([0.5, 0.2])
+    first = kernel.simulate(*arguments)[1]
+    kernel.simulate(*arguments)
+    wait_for(lambda: not gradual._compiler_is_busy.locked())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(3):
+            np.testing.assert_array_equal(kernel.simulate(*arguments)[1], first)
+    assert [str(error) for error in failures] == ["out of ink"]
