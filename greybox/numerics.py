@@ -200,3 +200,12 @@ long record is in memory a few times only."""
 
 NUMBERS_AT_A_TIME = 4_000_000
 """Numbers that one Fourier transform of several columns, or one call of the interpreted kernel, may hold: a limit of memory alone."""
+
+ALGEBRAIC_NEWTON_STEPS = 10
+"""Newton steps to a state whose balance stores nothing: from a start value of the right size the error squares with each."""
+
+ALGEBRAIC_HALVINGS = 4
+"""Halvings of such a step until its residual falls."""
+
+RELATION_MET = 1e-6
+"""A relation is met where its terms add up to less than this share of the largest of them."""

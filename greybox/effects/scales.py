@@ -11,6 +11,7 @@ import numpy as np
 from greybox.effects.policy import START, UNTAILORED_DELAY
 from greybox.errors import DataError
 from greybox.model import Effect, Model
+from greybox.model.algebraic import eliminate
 from greybox.model.sites import PlaceKind, Site, find_sites
 from greybox.numerics import INTEGRATING_POLE
 
@@ -139,15 +140,22 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
         raise DataError(
             f"model {model.title!r}: no row of the simulated states is finite; start from other values of its parameters"
         )
+    arguments = [system.x, system.u, system.p]
     columns = {state.name: x[:, k] for k, state in enumerate(model.all_states)}
+    for a in system.algebraic:
+        columns[a.state.name] = np.asarray(ca.Function("value", arguments, [a.value])(x.T, u.T, p)).ravel()
     peaks = {state.role: _peak(columns[state.name]) for state in reversed(model.all_states) if state.role}
     for site in model.sites:  # roles that units tell
         peaks = {role: _peak(columns[name]) for role, name in site.states.items() if name} | peaks
-    arguments = [system.x, system.u, system.p]
-    every_term = [ca.Function("terms", arguments, [ca.vertcat(*b.terms.values())]) for b in system.balances]
-    balances = {b.name: _peak(np.asarray(f(x.T, u.T, p))) for b, f in zip(system.balances, every_term, strict=True)}
+    rows = {b.name: ca.vertcat(*b.terms.values()) for b in system.balances}
+    rows |= {
+        a.balance.name: eliminate(ca.vertcat(*a.balance.terms.values()), system.algebraic) for a in system.algebraic
+    }
+    every_term = {name: ca.Function("terms", arguments, [row]) for name, row in rows.items()}
+    balances = {name: _peak(np.asarray(terms(x.T, u.T, p))) for name, terms in every_term.items()}
     stored = ca.Function("storage", arguments, [ca.vertcat(*[ca.SX(b.storage) for b in system.balances])])
-    storages = dict(zip(balances, np.asarray(stored(x[0], u[0], p)).ravel().tolist(), strict=True))
+    of_balances = dict(zip(balances, np.asarray(stored(x[0], u[0], p)).ravel().tolist(), strict=False))
+    storages = dict.fromkeys(balances, 0.0) | of_balances
     readings = dict(zip(system.output_names, np.asarray(system.output_function(x.T, u.T, p)), strict=True))
     inputs = dict(zip(system.input_names, u.T, strict=True))
     sites: dict[str, SiteScales] = {}

@@ -26,6 +26,7 @@ class EstimationCode(StrEnum):
     RESIDUAL_CORRELATED = "residual_correlated"
     INNOVATIONS_CORRELATED = "innovations_correlated"
     INTEGRATION_TOO_COARSE = "integration_too_coarse"
+    RELATION_NOT_MET = "relation_not_met"
     STEP_MOVES_PARAMETERS = "step_moves_parameters"
     VALIDATION_ERROR_LARGER = "validation_error_larger"
     # What was asked for.

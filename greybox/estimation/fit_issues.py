@@ -21,6 +21,7 @@ from greybox.experiment.findings import is_sensor_fault
 from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.noise import BoundDirection
+from greybox.numerics import RELATION_MET, TINY
 from greybox.result import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.transcription import DecisionVector
 from greybox.transcription.problem import EstimationProblem
@@ -74,6 +75,7 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     result += _find_correlation(optimum)
     if predicts and optimum.solution.problem.noise.coloured:
         result.append(Finding(EstimationCode.NOISE_COLOUR_IGNORED))
+    result += _find_unmet_relations(optimum)
     outputs = [o.name for o in optimum.problem.model.outputs]
     error = dict(zip(outputs, optimum.solution.integration_error, strict=True))
     coarse = [
@@ -87,6 +89,28 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     if moved:
         result.append(Finding(EstimationCode.STEP_MOVES_PARAMETERS, Severity.WARNING, "", {"shifts": moved}))
     return tuple(result)
+
+
+def _find_unmet_relations(optimum: Optimum) -> list[Finding]:
+    """Balances that store nothing and were not solved: their Newton steps ended elsewhere."""
+    system = optimum.model.system
+    if all(a.is_exact for a in system.algebraic):
+        return []
+    shares = np.zeros(len(system.algebraic))
+    for (_, states), record in zip(optimum.runs, optimum.problem.records, strict=True):
+        rows = min(len(states), len(record.u))
+        inputs = record.u[:rows, : system.u.numel()]
+        sums, largest = system.relations(states[:rows].T, inputs.T, np.asarray(optimum.variables.fixed))
+        worst = np.abs(np.asarray(sums)) / np.maximum(np.asarray(largest), TINY)
+        shares = np.maximum(shares, np.where(np.isfinite(worst), worst, np.inf).max(axis=1))
+    pairs = zip(system.algebraic, shares.tolist(), strict=True)
+    return [
+        Finding(
+            EstimationCode.RELATION_NOT_MET, Severity.WARNING, a.balance.name, {"share": share, "state": a.state.name}
+        )
+        for a, share in pairs
+        if share > RELATION_MET
+    ]
 
 
 def _find_correlation(optimum: Optimum) -> list[Finding]:

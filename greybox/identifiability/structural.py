@@ -171,10 +171,11 @@ def find_unmeasured_states(model: Model) -> list[str]:
     """States of the plant that are not an output: where another sensor could sit."""
     used = {i.name for i in model.inputs} | {o.name for o in model.outputs}
     system = model.system
-    measured = [
-        k for k in range(len(model.states)) if any(ca.is_equal(y, system.x[k]) for y in ca.vertsplit(system.outputs))
-    ]
-    return [s.name for k, s in enumerate(model.states) if s.name not in used and k not in measured]
+    numbers = {s.name: system.state_names.index(s.name) for s in model.states if s.name in system.state_names}
+    measured = {
+        name for name, k in numbers.items() if any(ca.is_equal(y, system.x[k]) for y in ca.vertsplit(system.outputs))
+    }
+    return [name for name in numbers if name not in used | measured]
 
 
 def add_sensors(model: Model, states: Sequence[str]) -> Model:

@@ -20,7 +20,8 @@ class Balance:
     unit
         The unit of every term.
     storage
-        What multiplies the rate: a mass, an inductance, 1.
+        What multiplies the rate: a mass, an inductance, 1. The number 0 makes the balance a relation: its terms add up to zero, and its
+        state is solved for (from `State.start`, where the relation is not linear).
     state
         Name of the state whose rate the balance gives.
     **terms

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import casadi as ca
 
 from greybox.errors import MissingNameError, ModelError, nearest
+from greybox.model.algebraic import AlgebraicState, eliminate, solve_relations, stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.effect_hooks import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
 from greybox.model.process_noise import build_diffusion
@@ -74,12 +75,14 @@ def plant_sites(statement: Statement) -> tuple[Site, ...]:
 def build_system(statement: Statement) -> System:
     """The equations of a model, effects applied in the order in which they were added."""
     effects = place_effects(statement)
-    states = (*statement.states, *(s for e in effects for s in e.states))
+    relations = {b.state for b in _plant_balances(statement) if stores_nothing(b)}
+    dynamic = tuple(s for s in statement.states if s.name not in relations)
+    states = (*dynamic, *(s for e in effects for s in e.states))
     every = (*statement.parameters, *(q for e in effects for q in e.parameters))
     tied = {tie.name for tie in statement.ties}
     parameters = [q for q in every if q.name not in tied]
     x, u, p = (
-        named_symbols("state", states),
+        named_symbols("state", (*statement.states, *(s for e in effects for s in e.states))),
         named_symbols("input", statement.inputs),
         named_symbols("parameter", every),
     )
@@ -88,17 +91,21 @@ def build_system(statement: Statement) -> System:
         for named, group in ((x, states), (u, statement.inputs), (p, parameters))
     )
 
+    plant_symbols = {s.name: x[s.name] for s in statement.states}
     p = apply_ties(statement.ties, p)
-    diffusion = build_diffusion(statement.states, effects, p)
+    diffusion = build_diffusion(dynamic, effects, p)
     x, u, p, before = _transform_signals(statement, effects, x, u, p)
     balances = {b.name: b for b in statement.balances(x, u, p)}
     outputs = {o.name: _output(o, x, u, p) for o in statement.outputs}
-    start = _start(statement, effects, p, outputs, symbols_x, symbols_u)
+    plant = _solve_relations(statement, balances.values(), plant_symbols, p)
+    readings = {name: eliminate(reading, plant) for name, reading in outputs.items()}
+    start = _start(statement, dynamic, effects, p, readings, symbols_x, symbols_u)
     ranges = dict(zip((q.name for q in every), statement.delay_ranges, strict=False))
     equations = _Equations(
         statement,
         [s.name for s in states],
         symbols_x,
+        plant_symbols,
         balances,
         outputs,
         _units_by_word(statement, balances.values()),
@@ -109,12 +116,20 @@ def build_system(statement: Statement) -> System:
         equations.add(effect, *before.get(effect.effect.name, (x, u)), p)
 
     order = equations.states
-    ordered = _order_balances(statement.name, states, balances, {order[s.state]: s.effect for s in equations.updates})
+    every_state = (*statement.states, *(s for e in effects for s in e.states))
+    updated = {order[s.state]: s.effect for s in equations.updates}
+    stated = _order_balances(statement.name, every_state, balances, updated)
+    algebraic = _solve_relations(statement, stated, plant_symbols, p)
+    ordered = tuple(_without_relations(b, algebraic) for b in stated if b.state not in relations)
+    dry = [
+        replace(d, sliding=eliminate(d.sliding, algebraic), static=eliminate(d.static, algebraic))
+        for d in equations.dry
+    ]
     direction = ca.SX.sym("direction", len(equations.dry))
     storages, sums = ca.SX.ones(len(order)), ca.SX.zeros(len(order))
     rows = [order.index(b.state) for b in ordered]
     storages[rows] = ca.vertcat(*[ca.SX(b.storage) for b in ordered])
-    sums[rows] = _sums(ordered, equations.dry, direction)
+    sums[rows] = _sums(ordered, dry, direction)
     rhs = _hold_inside_bounds(sums / storages, symbols_x, states)
     return System(
         x=symbols_x,
@@ -128,15 +143,41 @@ def build_system(statement: Statement) -> System:
         balances=ordered,
         storages=storages,
         rhs=rhs,
-        outputs=ca.vertcat(*outputs.values()),
+        outputs=eliminate(ca.vertcat(*outputs.values()), algebraic),
         start=start,
         diffusion=diffusion,
-        dry=tuple(equations.dry),
-        updates=tuple(equations.updates),
+        dry=tuple(dry),
+        updates=tuple(replace(u, value=eliminate(u.value, algebraic)) for u in equations.updates),
         delays=tuple(equations.delays),
         relaxing=find_relaxing_states(statement.name, states, rhs, symbols_x),
         effects=effects,
+        algebraic=algebraic,
+        stated_balances=stated,
+        stated_outputs=ca.vertcat(*outputs.values()),
     )
+
+
+def _solve_relations(
+    statement: Statement, balances: Iterable[Balance], symbols: Mapping[str, ca.SX], p: NamedValues
+) -> tuple[AlgebraicState, ...]:
+    """The states of balances that store nothing."""
+    states = {s.name: s for s in statement.states}
+    relations = [b for b in balances if b.state in states and stores_nothing(b)]
+    for b in relations:
+        if callable(states[b.state].noise) or states[b.state].noise:
+            raise ModelError(
+                f"model {statement.name!r}: state {b.state!r} has process noise, but its balance {b.name!r} stores nothing and has no"
+                " rate to push; put the noise on another state"
+            )
+    start = _start_values([states[b.state] for b in relations], p)
+    return solve_relations(statement.name, relations, states, symbols, start)
+
+
+def _without_relations(balance: Balance, algebraic: Sequence[AlgebraicState]) -> Balance:
+    if not algebraic:
+        return balance
+    terms = {name: eliminate(ca.SX(term), algebraic) for name, term in balance.terms.items()}
+    return Balance(balance.name, balance.unit, eliminate(ca.SX(balance.storage), algebraic), balance.state, **terms)
 
 
 @dataclass
@@ -146,6 +187,7 @@ class _Equations:
     statement: Statement
     states: list[str]
     x: ca.SX
+    plant_symbols: Mapping[str, ca.SX]
     balances: dict[str, Balance]
     outputs: dict[str, ca.SX]
     units: Mapping[str, str]
@@ -199,7 +241,7 @@ class _Equations:
         if balance is None:
             return {}
         terms = [ca.SX(t) for name, t in balance.terms.items() if name in self.plant_terms[placed.site]]
-        velocity = self.x[self.states.index(balance.state)]
+        velocity = self.plant_symbols[balance.state]
         inputs = ca.vertcat(*[ca.SX(u[i.name]) for i in self.statement.inputs])
         symbols = ca.vertcat(*ca.symvar(inputs))
         sizes = [ca.fabs(t) for t in terms if not ca.depends_on(t, velocity)]
@@ -245,6 +287,7 @@ def _plant_balances(statement: Statement) -> list[Balance]:
 
 def _start(
     statement: Statement,
+    dynamic: Sequence[State],
     effects: Sequence[PlacedEffect],
     p: NamedValues,
     outputs: Mapping[str, ca.SX],
@@ -252,19 +295,19 @@ def _start(
     u: ca.SX,
 ) -> ca.SX:
     """The state at rest: that of the plant, and those of effects, which may speak of the reading and the displacement there at rest."""
-    plant = _start_values(statement.states, p)
+    plant = _start_values(dynamic, p)
     at_rest = ca.vertcat(plant, ca.SX.zeros(u.numel()))
     symbols = ca.vertcat(x[: plant.numel()], u)
-    numbers = {s.name: k for k, s in enumerate(statement.states)}
+    numbers = {s.name: k for k, s in enumerate(dynamic)}
     starts = [plant]
     for placed in effects:
         reading = outputs[placed.site if placed.site in outputs else statement.outputs[0].name]
         known = {"sensor": ca.substitute(ca.SX(reading), symbols, at_rest)}
-        by_role = next((s.name for s in statement.states if s.role == "displacement"), "")
+        by_role = next((s.name for s in dynamic if s.role == "displacement"), "")
         displacement = placed.place.states.get("displacement", by_role)
-        if displacement:
+        if displacement in numbers:
             known["displacement"] = plant[numbers[displacement]]
-        if placed.place.states.get("temperature"):
+        if placed.place.states.get("temperature") in numbers:
             known["temperature"] = plant[numbers[placed.place.states["temperature"]]]
         starts.append(_start_values(placed.states, placed.sees_parameters(p.replaced(known))))
     return ca.vertcat(*starts)

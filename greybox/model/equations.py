@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 
 from greybox.expressions.text import expression_text, signed_text
+from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.model import Model
 from greybox.model.process_noise import intensity_unit
@@ -46,7 +47,7 @@ def equations_text(model: Model, width: int = 110) -> str:
 
 def _write_equations(model: Model, width: int) -> str:
     system = model.system
-    heads = [(b.name, _bracketed(b.unit)) for b in system.balances]
+    heads = [(b.name, _bracketed(b.unit)) for b in system.stated_balances]
     pushed = {
         k: _bracketed(intensity_unit(s)) for k, s in enumerate(model.all_states) if not system.diffusion[k].is_zero()
     }
@@ -63,7 +64,7 @@ def _write_equations(model: Model, width: int) -> str:
         return f"  {name:{name_width}}{unit:{unit_width}}{text}".rstrip()
 
     lines = []
-    for balance, head in zip(system.balances, heads, strict=False):
+    for balance, head in zip(system.stated_balances, heads, strict=False):
         first, *rest = _balance(balance, width - indent)
         lines += [line(*head, first), *(" " * indent + text for text in rest)]
     for d in sticking:
@@ -88,9 +89,8 @@ def _write_equations(model: Model, width: int) -> str:
             for k, i in enumerate(model.inputs)
         ]
         lines += _listed(line, "inputs", inputs, width - indent)
-    measured = [
-        f"{o.name} {_bracketed(o.unit)} = {expression_text(system.outputs[k])}" for k, o in enumerate(model.outputs)
-    ]
+    outputs = system.outputs if system.stated_outputs is None else system.stated_outputs
+    measured = [f"{o.name} {_bracketed(o.unit)} = {expression_text(outputs[k])}" for k, o in enumerate(model.outputs)]
     lines += _listed(line, "outputs", measured, width - indent)
     return "\n".join(lines)
 
@@ -101,7 +101,7 @@ def _bracketed(unit: str) -> str:
 
 def _balance(balance: Balance, width: int) -> list[str]:
     """``M dv/dt = Kf i - B v`` and, below, the names of the terms."""
-    left = f"{_storage(balance)} = "
+    left = "0 = " if stores_nothing(balance) else f"{_storage(balance)} = "
     terms = [(*_term(value, len(balance.terms)), name) for name, value in balance.terms.items()]
     equation, names = left, " " * len(left)
     for k, (negative, text, name) in enumerate(terms):

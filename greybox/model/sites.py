@@ -16,6 +16,7 @@ from enum import StrEnum
 import casadi as ca
 
 from greybox.errors import MissingNameError, ModelError, nearest
+from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.signals import Input, Output, State
 from greybox.units import parse_unit
@@ -105,7 +106,7 @@ def list_sites(
     """Every balance, input and output of a model as a site, in this order."""
     labels = _short_labels([b.name for b in balances], {i.name for i in inputs} | {o.name for o in outputs})
     by_name = {s.name: s for s in states}
-    moving = [b for b in balances if _is_motion(b, by_name[b.state])]
+    moving = [b for b in balances if _is_motion(b, by_name[b.state]) and not stores_nothing(b)]
     sites = []
     for b in balances:
         state = by_name[b.state]
@@ -189,7 +190,7 @@ def _is_motion(balance: Balance, state: State) -> bool:
 
 def _find_displacement(velocity: State, balances: Sequence[Balance]) -> str:
     """The state whose rate is that velocity; empty where there is none."""
-    for b in balances:
+    for b in (b for b in balances if not stores_nothing(b)):
         total = ca.SX(sum(b.terms.values(), ca.SX(0)) / b.storage)
         if total.is_symbolic() and total.name() == velocity.name and b.state != velocity.name:
             return b.state

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from greybox.model.algebraic import AlgebraicState, eliminate
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effect_hooks import InputDelay, StateUpdate
@@ -210,6 +211,9 @@ class System:
     ``updates`` has none (its rate is zero). ``relaxing`` are the numbers of the states whose rate is linear in themselves. With
     ``delays`` the symbol ``u`` is the input as it arrives. ``diffusion`` (nx,) is the intensity of each state's process noise, a function
     of ``p``; no other equation contains it.
+
+    ``algebraic`` are states whose balances store nothing: every equation holds their values in their place. ``stated_balances`` and
+    ``stated_outputs`` are written with the symbols of these states, for people and for the check of units.
     """
 
     x: ca.SX
@@ -231,6 +235,17 @@ class System:
     delays: tuple[InputDelay, ...] = ()
     relaxing: tuple[int, ...] = ()
     effects: tuple[PlacedEffect, ...] = ()
+    algebraic: tuple[AlgebraicState, ...] = ()
+    stated_balances: tuple[Balance, ...] = ()
+    stated_outputs: ca.SX | None = None
+
+    @cached_property
+    def relations(self) -> ca.Function:
+        """``(x, u, p) -> (residual, largest term)`` of each balance that stores nothing."""
+        rows = [eliminate(ca.vertcat(*map(ca.SX, a.balance.terms.values())), self.algebraic) for a in self.algebraic]
+        sums = ca.vertcat(*[ca.sum1(row) for row in rows])
+        largest = ca.vertcat(*[ca.mmax(ca.fabs(row)) for row in rows])
+        return ca.Function("relations", [self.x, self.u, self.p], [sums, largest])
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:

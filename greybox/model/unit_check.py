@@ -10,6 +10,7 @@ import casadi as ca
 from greybox.errors import ModelError, UnitError, nearest
 from greybox.expressions.unit_rules import UnitMismatchError
 from greybox.expressions.units import infer_unit
+from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.process_noise import intensity_unit
 from greybox.model.signals import NamedValues, names_by_role
@@ -44,14 +45,17 @@ class _UnitCheck:
     def __init__(self, statement: Statement, system: System) -> None:
         self.statement, self.system = statement, system
         self.parameters = (*statement.parameters, *(q for placed in system.effects for q in placed.parameters))
-        items: tuple[Item, ...] = (*system.states, *statement.inputs, *self.parameters)
+        relations = tuple(a.state for a in system.algebraic)
+        items: tuple[Item, ...] = (*system.states, *relations, *statement.inputs, *self.parameters)
         self.units = {item.name: item.unit for item in items}
 
     @cached_property
     def symbols(self) -> tuple[NamedValues, NamedValues, NamedValues]:
         """States, inputs and parameters as the symbols of the system, under their names and roles."""
         s, roles = self.system, names_by_role(self.parameters)
-        x = NamedValues("state", _by_name(s.state_names, s.x), names_by_role(s.states))
+        relations = {a.state.name: a.symbol for a in s.algebraic}
+        roles_of_states = names_by_role((*s.states, *(a.state for a in s.algebraic)))
+        x = NamedValues("state", _by_name(s.state_names, s.x) | relations, roles_of_states)
         inputs = self.statement.inputs
         u = NamedValues("input", _by_name(s.input_names, s.u), names_by_role(inputs))
         p = NamedValues("parameter", _by_name(s.parameter_names, s.p), roles)
@@ -64,7 +68,7 @@ class _UnitCheck:
             "input": self.statement.inputs,
             "output": self.statement.outputs,
             "parameter": self.parameters,
-            "balance": self.system.balances,
+            "balance": self.system.stated_balances,
         }
         for kind, items in groups.items():
             for item in items:
@@ -118,9 +122,10 @@ class _UnitCheck:
         """Balances, dry friction, outputs, starts and process noise."""
         system = self.system
         dry = {(d.balance, d.effect): d for d in system.dry}
-        for balance in system.balances:
+        for balance in system.stated_balances:
             place = f"balance {balance.name!r} [{format_unit(balance.unit)}]:"
-            yield from self._storage(place, balance)
+            if not stores_nothing(balance):
+                yield from self._storage(place, balance)
             for term, value in balance.terms.items():
                 friction = dry.get((balance.name, term))
                 if friction is None:
@@ -129,8 +134,9 @@ class _UnitCheck:
                     yield from self._expect(f"{place} sliding friction {term!r}", friction.sliding, balance.unit)
                     if friction.static.element_hash() != friction.sliding.element_hash():
                         yield from self._expect(f"{place} static friction {term!r}", friction.static, balance.unit)
+        outputs = system.outputs if system.stated_outputs is None else system.stated_outputs
         for k, output in enumerate(self.statement.outputs):
-            yield from self._expect(f"output {output.name!r}", system.outputs[k], output.unit)
+            yield from self._expect(f"output {output.name!r}", outputs[k], output.unit)
         for k, state in enumerate(system.states):
             start, noise = system.start[k], system.diffusion[k]
             if not start.is_constant():  # a number is in the unit of its state

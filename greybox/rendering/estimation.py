@@ -257,6 +257,10 @@ register(
         EstimationCode.INTEGRATION_TOO_COARSE: lambda f: (
             f"the integration error exceeds a tenth of the noise in {', '.join(f.values['outputs'])}: increase the number of substeps"
         ),
+        EstimationCode.RELATION_NOT_MET: (
+            "the balance {subject} stores nothing, and its terms miss zero by {share:.2g} of the largest: give {state} a start value of"
+            " the right size, and bounds"
+        ),
         EstimationCode.STEP_MOVES_PARAMETERS: _write_step_shifts,
         EstimationCode.VALIDATION_ERROR_LARGER: (
             "the simulation error in {subject} is {ratio:.1f} times that on the estimation records: a free run accumulates small errors"

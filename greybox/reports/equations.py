@@ -10,6 +10,7 @@ import casadi as ca
 from greybox.expressions.latex import LATEX, expression_latex, symbol_latex
 from greybox.expressions.operations import Binding
 from greybox.model import Balance, Model
+from greybox.model.algebraic import stores_nothing
 from greybox.model.equations import equations_text
 from greybox.reports.page import Equation, EquationList
 from greybox.units import format_unit
@@ -23,11 +24,13 @@ def typeset_equations(model: Model) -> EquationList:
 
 
 def _balances(model: Model) -> Iterator[Equation]:
-    for balance in model.system.balances:
+    for balance in model.system.stated_balances:
         yield Equation(balance.name, format_unit(balance.unit), f"{_storage(balance)} = {_terms(balance)}")
 
 
 def _storage(balance: Balance) -> str:
+    if stores_nothing(balance):
+        return "0"
     rate = rf"\frac{{\mathrm{{d}}{symbol_latex(balance.state)}}}{{\mathrm{{d}}t}}"
     factor = LATEX.write(balance.storage)
     return rate if factor.text == "1" else rf"{factor.within(Binding.NEGATION, LATEX.brackets)}\,{rate}"

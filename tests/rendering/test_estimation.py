@@ -274,6 +274,13 @@ GOLDEN = [
         "12 of 20 starts were not finished within 60 s; repeat the command to continue with them",
     ),
     (
+        "relation_not_met",
+        "node",
+        {"share": 0.0123, "state": "z"},
+        "the balance node stores nothing, and its terms miss zero by 0.012 of the largest: give z a start value of the right size,"
+        " and bounds",
+    ),
+    (
         "starts",
         "",
         {"counts": [3, 2, 1], "ratios": [1.0, 3.4, 9.0], "without_result": 1},
