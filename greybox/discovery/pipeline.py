@@ -400,9 +400,7 @@ def _conclude(
     decided = _decide(judged)
     final = FinalModel(judged.scores, selected, judged.best)
     refinement: Refinement | None = None
-    # A residual within a mere ceiling of the noise may still hold an effect.
-    is_open = bool(selected.effects) and not is_level_known(problem.noise_model)
-    if further or is_open or decided.verdict is Verdict.UNKNOWN:
+    if further or decided.verdict is Verdict.UNKNOWN or _may_hold_more(judged):
         final, refinement = _refine(judged, candidates)
     signals = _estimate_signals(final, policy)
     evidence: tuple[EffectEvidence, ...] = ()
@@ -494,6 +492,14 @@ class FinalModel:
     scores: HoldoutScores
     candidate: CandidateFit
     fit: Fit
+
+
+def _may_hold_more(judged: JudgedSelection) -> bool:
+    """Whether the noise has no more than a ceiling, and what is left below it remembers: white noise does not."""
+    if not judged.selected.effects or is_level_known(judged.selection.problem.noise_model):
+        return False
+    structure = measure_structure(judged.scores, judged.corrected, 1.0, most_correlation=0.0)
+    return structure > judged.selection.policy.noise.white_correlation
 
 
 def _refine(judged: JudgedSelection, candidates: Sequence[Effect]) -> tuple[FinalModel, Refinement | None]:
