@@ -498,7 +498,9 @@ def _may_hold_more(judged: JudgedSelection) -> bool:
     """Whether the noise has no more than a ceiling, and what is left below it remembers: white noise does not."""
     if not judged.selected.effects or is_level_known(judged.selection.problem.noise_model):
         return False
-    structure = measure_structure(judged.scores, judged.corrected, 1.0, most_correlation=0.0)
+    corrected, attempt = judged.corrected, judged.selection.problem.failures.attempt
+    measure = partial(measure_structure, judged.scores, corrected, 1.0, most_correlation=0.0)
+    structure: float = attempt(SearchStage.REFINEMENT, corrected.effects, measure, 0.0)
     return structure > judged.selection.policy.noise.white_correlation
 
 
