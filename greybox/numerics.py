@@ -209,3 +209,6 @@ ALGEBRAIC_HALVINGS = 4
 
 RELATION_MET = 1e-6
 """A relation is met where its terms add up to less than this share of the largest of them."""
+
+RANK_OF_EXACT_RECORDS = 1e-9
+"""Singular values of data matrices below this share of the largest are rounding: records without noise have dependent rows."""

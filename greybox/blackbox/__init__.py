@@ -5,13 +5,14 @@ from greybox.blackbox.best_models import best_black_boxes
 from greybox.blackbox.continuous import ContinuousTransferFunction, to_continuous
 from greybox.blackbox.hammerstein import HammersteinModel, hammerstein
 from greybox.blackbox.monte_carlo_smoothing import MonteCarloSmoothing, monte_carlo_smoothing
-from greybox.blackbox.policy import PredictionErrorPolicy, StructureScanPolicy
+from greybox.blackbox.policy import PredictionErrorPolicy, StructureScanPolicy, SubspacePolicy
 from greybox.blackbox.polynomial import PolynomialModel
 from greybox.blackbox.prediction_error_models import armax, box_jenkins, output_error
 from greybox.blackbox.resample import keep_measured_rows, resample
 from greybox.blackbox.rounding import count_digits_needed, round_coefficients
 from greybox.blackbox.static_nonlinearity import StaticNonlinearity
 from greybox.blackbox.structure_scan import BlackBoxKind, ScannedStructure, StructureScan, scan_structures
+from greybox.blackbox.subspace import StateSpaceModel, SubspaceOutput, subspace
 
 __all__ = [
     "BlackBoxKind",
@@ -21,9 +22,12 @@ __all__ = [
     "PolynomialModel",
     "PredictionErrorPolicy",
     "ScannedStructure",
+    "StateSpaceModel",
     "StaticNonlinearity",
     "StructureScan",
     "StructureScanPolicy",
+    "SubspaceOutput",
+    "SubspacePolicy",
     "armax",
     "arx",
     "best_black_boxes",
@@ -36,5 +40,6 @@ __all__ = [
     "resample",
     "round_coefficients",
     "scan_structures",
+    "subspace",
     "to_continuous",
 ]

@@ -142,3 +142,22 @@ DEFAULT_SEARCH = PredictionErrorPolicy()
 DEFAULT_SCAN = StructureScanPolicy()
 DEFAULT_ROUNDING = RoundingPolicy()
 DEFAULT_SMOOTHING = SmoothingPolicy()
+
+
+@dataclass(frozen=True)
+class SubspacePolicy:
+    """How a state-space model is found by projection."""
+
+    horizon: int = 15
+    """Rows of past and of future: several times the order over the number of outputs."""
+    least_horizon: int = 3
+    """Fewest rows of past and of future that show a state."""
+    columns_per_row: int = 3
+    """Columns of the data matrices for each of their rows, at least: fewer and noise is projected as well."""
+    largest_order: int = 20
+    """Highest order that is chosen by itself."""
+    zero_share: float = 1e-6
+    """A singular value below this share of the first is rounding: records without noise show their order so."""
+
+
+DEFAULT_SUBSPACE = SubspacePolicy()

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from greybox.blackbox.polynomial import PolynomialModel
     from greybox.blackbox.static_nonlinearity import StaticNonlinearity
     from greybox.blackbox.structure_scan import StructureScan
+    from greybox.blackbox.subspace import StateSpaceModel
 
 EXCITATION = {0: "it is constant zero", 1: "a constant or a step", 2: "one sine"}
 
@@ -224,3 +225,18 @@ def _numbers(values: np.ndarray) -> str:
 
 def _notes(findings: tuple[Finding, ...]) -> list[str]:
     return [f"note: {sentence}" for sentence in sentences(findings)]
+
+
+@renders("StateSpaceModel")
+def write_state_space(model: StateSpaceModel) -> str:
+    """Order, signals, poles, and where the singular values fall."""
+    values = ", ".join(f"{v:.3g}" for v in model.singular_values[: model.order + 3])
+    poles = ", ".join(f"{p.real:.5g}" if abs(p.imag) < 1e-12 else f"{p.real:.5g}{p.imag:+.5g}i" for p in model.poles)
+    return "\n".join(
+        [
+            f"{model.weight} of order {model.order}: {', '.join(model.inputs)} to {', '.join(model.outputs)}, every"
+            f" {model.sampling_time:.6g} s, {model.samples} columns",
+            f"  poles (z): {poles}",
+            f"  singular values: {values}",
+        ]
+    )

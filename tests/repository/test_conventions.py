@@ -86,7 +86,17 @@ def test_variables_say_what_they_hold() -> None:
 @cache
 def called_by_users() -> dict[str, object]:
     """The functions at the top of the package and in its namespaces."""
-    spaces = ("blackbox", "discovery", "effects", "estimation", "export", "identifiability", "signals", "uncertainty")
+    spaces = (
+        "blackbox",
+        "discovery",
+        "effects",
+        "estimation",
+        "export",
+        "frequency",
+        "identifiability",
+        "signals",
+        "uncertainty",
+    )
     names = {name: getattr(greybox, name) for name in greybox.__all__}
     for space in spaces:
         module = importlib.import_module(f"greybox.{space}")

@@ -32,7 +32,7 @@ ROWS = [
     {"identifiability"},
     {"blackbox", "check", "uncertainty"},
     {"residuals", "comparison", "export"},
-    {"discovery"},
+    {"discovery", "frequency"},
     {"experiment_design"},
     {"rendering"},
     {"plots", "reports", "project", "demo"},
