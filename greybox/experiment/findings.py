@@ -13,6 +13,7 @@ class RecordCode(StrEnum):
     INPUT_CONSTANT = "input_constant"
     OUTPUT_CONSTANT = "output_constant"
     OUTPUT_GAPS = "output_gaps"
+    OUTPUT_UNWRAPPED = "output_unwrapped"
     SENSOR_FROZEN = "sensor_frozen"
     SENSOR_DEAD = "sensor_dead"
     SENSOR_SPIKES = "sensor_spikes"

@@ -278,6 +278,7 @@ def _read_runs(
     findings = [*_inspect_columns(record.match), *record.findings, *findings]
     if len(runs) > 1:
         findings.append(Finding(RecordCode.ONE_OF_RUNS, values={"runs": len(runs)}))
+    unwrapped = [_unwrap_outputs(y, model) for *_, y in runs]
     return [
         Experiment.from_arrays(
             t,
@@ -287,12 +288,29 @@ def _read_runs(
             hold=hold,
             source=file.name,
             conditions=given | from_file,
-            findings=tuple(findings),
+            findings=(*findings, *jumps),
             allow_constant_input=allow_constant_input,
             policy=policy,
         )
-        for rows, t, u, y in runs
+        for (rows, t, u, _), (y, jumps) in zip(runs, unwrapped, strict=True)
     ]
+
+
+def _unwrap_outputs(outputs: Arrays, model: Model) -> tuple[dict[str, np.ndarray], list[Finding]]:
+    """Readings that start anew after a period, with their jumps taken out."""
+    continuous, findings = dict(outputs), []
+    for o in model.outputs:
+        values = outputs.get(o.name)
+        if not o.wraps or values is None:
+            continue
+        known = np.isfinite(values)
+        continuous[o.name] = values.copy()
+        continuous[o.name][known] = np.unwrap(values[known], period=o.wraps)
+        jumps = int(np.count_nonzero(np.diff(np.round((continuous[o.name] - values)[known] / o.wraps))))
+        if jumps:
+            figures = {"jumps": jumps, "period": o.wraps, "unit": o.unit}
+            findings.append(Finding(RecordCode.OUTPUT_UNWRAPPED, subject=o.name, values=figures))
+    return continuous, findings
 
 
 def _cut_runs(

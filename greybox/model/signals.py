@@ -102,6 +102,9 @@ class Output:
         What the output is physically.
     description
         One line for tables.
+    wraps
+        Period after which the reading starts anew, in ``unit``: 2 pi of an angle in rad, the modulus of a counter. Records that are read
+        for the model have its jumps taken out, so that the reading goes on as the state does. 0: it does not wrap.
 
     Examples
     --------
@@ -113,6 +116,13 @@ class Output:
     equation: Callable[[NamedValues, NamedValues, NamedValues], Expression] | None = None
     role: str = ""
     description: str = ""
+    wraps: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.wraps) and self.wraps >= 0):
+            raise ModelError(
+                f"output {self.name!r}: wraps = {self.wraps:g}: give a period above 0 in {self.unit}, or 0 for none"
+            )
 
 
 @dataclass(frozen=True)

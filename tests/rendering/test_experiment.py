@@ -68,6 +68,11 @@ GOLDEN = {
         "output 'x' is constant at 3e-06: a constant signal carries no information; leave it out",
     ),
     RecordCode.OUTPUT_GAPS: ("x", {"gaps": 1, "rows": 40}, "output 'x' has 1 gap in 40 rows"),
+    RecordCode.OUTPUT_UNWRAPPED: (
+        "a",
+        {"period": 6.28318531, "unit": "rad", "jumps": 12},
+        "output 'a' starts anew every 6.28319 rad: 12 jumps taken out",
+    ),
     RecordCode.SENSOR_FROZEN: (
         "x",
         {"value": 0.731, "rows": 40, "start": 0.6, "stop": 0.99},
