@@ -97,8 +97,8 @@ def family_of(name: str, entries: Sequence[Effect] = CATALOGUE) -> tuple[str, ..
     """
     family = {name}
     while True:
-        children = {e.name for e in entries if family & set(e.parents)}
-        parents = {parent for e in entries if e.name in family for parent in e.parents}
+        children = {e.name for e in entries if family & {*e.parents, *e.approaches}}
+        parents = {simpler for e in entries if e.name in family for simpler in (*e.parents, *e.approaches)}
         larger = family | children | parents
         if larger == family:
             return tuple(e.name for e in entries if e.name in family)

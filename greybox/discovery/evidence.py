@@ -441,21 +441,24 @@ def _measure_change(selected: CandidateFit, effect: Effect, halves: Sequence[Can
 def _is_undetermined(fit: Fit, name: str) -> bool:
     """Whether the records do not determine the effect.
 
-    One of its amplitudes ended at zero, or is free and has no interval; of an effect that has a simpler relative, also a parameter that
-    its bounds stopped: there the one becomes the other. Bounds elsewhere say no such thing (an edge as sharp as the samples can show).
+    One of its amplitudes ended at zero, or is free and has no interval (of an effect without amplitudes: no parameter has one); of an
+    effect that has a simpler relative, also a parameter that its bounds stopped: there the one becomes the other. Bounds elsewhere say
+    no such thing (an edge as sharp as the samples can show).
     """
     bound = next((b for b in fit.model.bound_effects if b.effect.name == name), None)
     if bound is None:
         return False
-    amplitudes = bound.effect.amplitudes or [q.name for q in bound.effect.parameters]
-    for parameter in bound.effect.parameters:
-        estimate = fit.parameters.get(bound.model_names[parameter.name])
-        if estimate is None or estimate.fixed:
-            continue
-        is_absent = estimate.std is None if not estimate.at_bound else estimate.value == 0
-        if (parameter.name in amplitudes and is_absent) or (bound.effect.parents and estimate.at_bound):
-            return True
-    return False
+    free = {
+        q.name: estimate
+        for q in bound.effect.parameters
+        if (estimate := fit.parameters.get(bound.model_names[q.name])) is not None and not estimate.fixed
+    }
+    if bound.effect.parents and any(estimate.at_bound for estimate in free.values()):
+        return True
+    is_absent = {n: e.value == 0 if e.at_bound else e.std is None for n, e in free.items()}
+    if bound.effect.amplitudes:
+        return any(is_absent[n] for n in bound.effect.amplitudes if n in is_absent)
+    return bool(is_absent) and all(is_absent.values())
 
 
 def _other(rival: CandidateFit, selected: CandidateFit) -> str:

@@ -374,7 +374,7 @@ class StepwiseSelection:
     def _simplify(self, best: CandidateFit, among: Sequence[CandidateFit]) -> CandidateFit:
         """The simplest member of a family that does nearly as well as its best."""
         for name in best.effects:
-            for parent in self._effect(name).parents:
+            for parent in self._simpler(name):
                 wanted = {parent if n == name else n for n in best.effects}
                 simpler = next((fit for fit in among if set(fit.effects) == wanted), None)
                 if simpler is None:
@@ -525,7 +525,12 @@ class StepwiseSelection:
         """Whether one model is the other with a parent effect in the place of its child."""
         only_a, only_b = set(a.effects) - set(b.effects), set(b.effects) - set(a.effects)
         pairs = [(x, y) for x in only_a for y in only_b]
-        return any(y in self._effect(x).parents or x in self._effect(y).parents for x, y in pairs)
+        return any(y in self._simpler(x) or x in self._simpler(y) for x, y in pairs)
+
+    def _simpler(self, name: str) -> tuple[str, ...]:
+        """The effects that one contains or approaches."""
+        effect = self._effect(name)
+        return (*effect.parents, *effect.approaches)
 
     def _effect(self, name: str) -> Effect:
         return next(e for e in self.candidates if e.name == name)

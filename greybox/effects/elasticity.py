@@ -182,6 +182,7 @@ bouc_wen_hysteresis = Effect(
         "Vary the frequency over two decades: the loop of Bouc-Wen hysteresis stays, that of creep shrinks; vary the"
         " amplitude: it is a spring at small ones, where a cubic spring and Coulomb friction are not."
     ),
+    approaches=("coulomb_friction",),
     source="R. Bouc 1967; Y. K. Wen 1976, Method for random vibration of hysteretic systems (exponent 1)",
     amplitudes=("alpha",),
     probe=lambda s: {"alpha": s.visible_force / s.displacement},

@@ -95,6 +95,7 @@ def place_effect(entry: Effect, site: str) -> Effect:
         name=f"{entry.name}{AT}{site}",
         site=site,
         parents=tuple(f"{parent}{AT}{site}" for parent in entry.parents),
+        approaches=tuple(f"{simpler}{AT}{site}" for simpler in entry.approaches),
         stands_for=tuple(f"{name}{AT}{site}" for name in entry.stands_for),
     )
 

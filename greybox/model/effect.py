@@ -80,7 +80,10 @@ class Effect:
     equation
         The equation in one line, for tables.
     parents
-        Names of effects that this one contains as a special case.
+        Names of effects that this one contains as a special case; where they are candidates it is tried after them.
+    approaches
+        Names of simpler effects of another kind that this one approaches as its constants grow or vanish. It is tried beside them, and
+        is no rival of theirs.
     stands_for
         Names of effects that together say exactly the same: where all of them are candidates this one is not, as no record could tell.
     parity
@@ -135,6 +138,7 @@ class Effect:
     hold: str = ""
     equation: str = ""
     parents: Sequence[str] = ()
+    approaches: Sequence[str] = ()
     stands_for: Sequence[str] = ()
     parity: str = ""
     tells_apart: str = ""

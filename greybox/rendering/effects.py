@@ -87,6 +87,8 @@ def write_catalogue_page(entries: Sequence[Effect]) -> str:
         lines += [""] if e.parameters else []
         if e.parents:
             lines += [f"Contains {_names(e.parents)}.", ""]
+        if e.approaches:
+            lines += [f"Approaches {_names(e.approaches)} at the end of its range.", ""]
         if e.stands_for:
             lines += [f"Says the same as {_names(e.stands_for, ' with ')}, and is no candidate where these are.", ""]
         lines += [f"Tell it apart: {e.tells_apart}", "", f"Source: {e.source}."]
