@@ -81,9 +81,13 @@ class AutoRegression(Printable):
         behind = _count_samples_behind(measured, self.order)
         result = np.full(values.shape, np.nan)
         for m, (a, variance) in enumerate(self.predictors):
-            rows = np.flatnonzero(measured & (behind == m))
-            predicted = sum((c * values[rows - j - 1] for j, c in enumerate(a)), np.zeros_like(values[rows]))
-            result[rows] = (values[rows] - predicted) / np.sqrt(variance)
+            with_so_many = np.flatnonzero(measured & (behind == m))
+            for first in range(0, len(with_so_many), ROWS_AT_A_TIME):  # a long series is in memory a few times only
+                rows = with_so_many[first : first + ROWS_AT_A_TIME]
+                predicted = np.zeros_like(values[rows])
+                for j, c in enumerate(a):
+                    predicted += c * values[rows - j - 1]
+                result[rows] = (values[rows] - predicted) / np.sqrt(variance)
         return result
 
     def predict(self, values: np.ndarray, steps: int) -> np.ndarray:
@@ -181,6 +185,10 @@ def _trim_gaps(values: np.ndarray) -> np.ndarray:
 
 def _count_samples_behind(measured: np.ndarray, most: int) -> np.ndarray:
     """How many samples in a row, up to ``most``, lie directly before each one."""
+    if measured.all():
+        behind = np.full(len(measured), most)
+        behind[:most] = np.arange(min(most, len(measured)))
+        return behind
     last_gap = np.maximum.accumulate(np.where(measured, -1, np.arange(len(measured))))
     before = np.concatenate([[-1], last_gap[:-1]])
     return np.minimum(np.arange(len(measured)) - before - 1, most)
