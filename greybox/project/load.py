@@ -9,6 +9,7 @@ import importlib.util
 import os
 import sys
 import traceback
+from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
 
@@ -34,7 +35,9 @@ def import_from_project(root: Path, file: Path) -> ModuleType:
     name = f"models.{file.stem}"
     try:
         return importlib.import_module(name)
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a user's file may raise whatever it likes
         raise _model_error(error, file) from error
 
 
@@ -55,17 +58,26 @@ def import_standalone(file: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
+    except BaseException as error:  # a user's file may raise whatever it likes
         del sys.modules[name]
+        if isinstance(error, KeyboardInterrupt):
+            raise
         raise _model_error(error, file) from error
     return module
 
 
 def models_in(module: ModuleType) -> dict[str, Model]:
-    """The models that a module makes, by variable; private names and those it only imports are left out."""
+    """The models that a module makes, by variable; private names and those it only imports are left out.
+
+    Raises ModelError for one that has no content.
+    """
     models = {
         name: value for name, value in vars(module).items() if isinstance(value, Model) and not name.startswith("_")
     }
+    for name, model in models.items():
+        if not all(hasattr(model, each.name) for each in fields(Model)):
+            place = display_path(Path(module.__file__ or module.__name__))
+            raise ModelError(f"{place}: {name} is a model that was never stated; write {name} = Model(...)")
     elsewhere = _only_imported(Path(module.__file__)) if module.__file__ else set()
     return {name: model for name, model in models.items() if name not in elsewhere}
 
@@ -112,7 +124,10 @@ def _model_error(error: BaseException, file: Path) -> ModelError:
         if frames:
             place, line = Path(frames[-1].filename), frames[-1].lineno or 0
     kind = "" if isinstance(error, GreyboxError) else f"{type(error).__name__}: "
-    message = error.msg if isinstance(error, SyntaxError) else str(error)
+    try:
+        message = error.msg if isinstance(error, SyntaxError) else str(error)
+    except Exception:  # its own text fails
+        message = "an error without a text"
     return ModelError(f"{display_path(place)}{f', line {line}' if line else ''}: {kind}{message}")
 
 

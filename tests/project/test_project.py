@@ -129,6 +129,9 @@ def test_a_model_that_is_only_imported_is_not_the_files_own(folder: Path, write:
     assert [f.where for f in list_models().models if f.name == "rig"] == [str(Path("models") / "rig.py")]
 
 
+SPEECHLESS = "class E(Exception):\n    def __str__(self): raise ValueError\n"
+
+
 @pytest.mark.parametrize(
     ("file", "text", "wanted", "message"),
     [
@@ -144,6 +147,21 @@ def test_a_model_that_is_only_imported_is_not_the_files_own(folder: Path, write:
         ("my/rig.py", rig("rig").replace("x.x", "x.y"), "my/rig.py", r"my/rig.py, line 8: no state 'y'"),
         ("my/rig.py", rig("rig").replace("p.k *", "p.m *"), "my/rig.py", r"my/rig.py, line \d+: .*spring.*expected N"),
         ("my/rig.py", "raise SystemExit(3)", "my/rig.py", r"my/rig.py, line 1: SystemExit: 3"),
+        ("my/rig.py", "raise GeneratorExit", "my/rig.py", r"my/rig.py, line 1: GeneratorExit"),
+        ("my/rig.py", "class E(BaseException): pass\nraise E('odd')", "my/rig.py", r"my/rig.py, line 2: E: odd"),
+        ("my/rig.py", SPEECHLESS + "raise E", "my/rig.py", r"my/rig.py, line 3: E: an error without a text"),
+        (
+            "models/rig.py",
+            "import greybox\n" + SPEECHLESS + "raise E",
+            "models/rig.py",
+            r"line 4: E: an error without a text",
+        ),
+        (
+            "my/rig.py",
+            "import greybox\nm = object.__new__(greybox.Model)",
+            "my/rig.py",
+            r"m is a model that was never stated",
+        ),
     ],
 )
 def test_what_cannot_be_used_says_where_and_why(write: Write, file: str, text: str, wanted: str, message: str) -> None:
