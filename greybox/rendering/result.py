@@ -48,7 +48,7 @@ def _write_interval_kind(fit: Fit) -> str:
     if fit.prediction.process_noise and not sandwich:
         return "information matrix of the likelihood; the innovations are white"
     if sandwich and fit.uncertainty.inflation:
-        widest = max(fit.uncertainty.inflation.values(), default=1.0)
+        widest = fit.uncertainty.largest_inflation
         return f"sandwich covariance, which allows for the colour of the residual (up to {widest:.3g} times as wide)"
     if any(e.std is not None for e in fit.parameters.values()):
         return "Gauss-Newton covariance; the residual is white"

@@ -109,7 +109,7 @@ def _interval_note(fit: Fit) -> Text:
     if not any(fit.parameters[name].interval for name in fit.uncertainty.free):
         return ""
     if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
-        return phrase(PageText.INTERVALS_SANDWICH, widening=max(fit.uncertainty.inflation.values()))
+        return phrase(PageText.INTERVALS_SANDWICH, widening=fit.uncertainty.largest_inflation)
     likelihood = bool(fit.prediction.process_noise)
     return phrase(PageText.INTERVALS_LIKELIHOOD if likelihood else PageText.INTERVALS_GAUSS_NEWTON)
 

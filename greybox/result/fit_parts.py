@@ -236,6 +236,11 @@ class FitUncertainty(ReadOnly):
     kind: IntervalKind = IntervalKind.GAUSS_NEWTON
     inflation: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def largest_inflation(self) -> float:
+        """The largest factor of those that are known: none is of a constant that the data leave open. One where no factor is known."""
+        return max((factor for factor in self.inflation.values() if np.isfinite(factor)), default=1.0)
+
 
 @dataclass(frozen=True)
 class FitDiscretisation(ReadOnly):

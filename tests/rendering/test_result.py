@@ -11,7 +11,7 @@ from greybox import Experiment, FitOptions, fit
 from greybox.findings import Finding, Severity
 from greybox.noise import NoiseSource
 from greybox.rendering.tables import format_with_std, make_formatter
-from greybox.result import FitNoise
+from greybox.result import FitNoise, FitUncertainty
 from greybox.result.findings import ResultCode
 from greybox.signals import multisine
 from greybox.simulation import simulate
@@ -81,3 +81,10 @@ def test_the_noise_of_a_fit_says_where_it_is_known_from(noise, text):
 def test_a_finding_of_another_version_is_named_by_its_code():
     finding = Finding(ResultCode.FOREIGN_FINDING, Severity.WARNING, "x", {"code": "sensor_upside_down"})
     assert str(finding) == "x: the file holds a finding that this version has no sentence for (sensor_upside_down)"
+
+
+def test_the_widening_is_that_of_the_constants_that_are_determined():
+    """An open constant has no factor, which must not be printed as one."""
+    factors = {"a": math.nan, "b": 2.0, "c": math.inf}
+    assert FitUncertainty(("a", "b", "c"), np.eye(3), inflation=factors).largest_inflation == 2.0
+    assert FitUncertainty(("a",), np.eye(1), inflation={"a": math.nan}).largest_inflation == 1.0
