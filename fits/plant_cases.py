@@ -120,7 +120,11 @@ SETUPS: Mapping[str, Setup] = {
         ("T",),
         _two_mass_input,
         (*_MOVING, "coulomb_friction_at_load", "quadratic_damping_at_load", *_ON_INPUT, "sensor_drift"),
-        (("coulomb_friction", "input_dead_zone"), ("quadratic_damping_at_load", "input_offset")),
+        (
+            ("coulomb_friction", "input_dead_zone"),
+            ("quadratic_damping_at_load", "input_offset"),
+            ("coulomb_friction", "coulomb_friction_at_load"),
+        ),
         (*_STRANGE, "shaft_play", "cubic_shaft", "power_damping"),
         ("cubic_damping", "soft_saturation"),
     ),

@@ -42,6 +42,11 @@ def infer_unit(value: ca.SX | float, units: Mapping[str, str]) -> Unit | None:
 
     def combine(node: ca.SX, operands: list[Unit | None]) -> Unit | None:
         row = OPERATIONS.get(node.op())
+        if node.op() == ca.OP_CALL:
+            raise UnitMismatchError(
+                "calls a function of its own, such as casadi.interpolant, that no formula stands for; write a table as"
+                " greybox.Characteristic, and other functions as their formulas"
+            )
         if row is None:
             raise UnitMismatchError(
                 f"'{expression_text(node)}' is an operation whose unit is not known; write it with ordinary functions"

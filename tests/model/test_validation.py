@@ -152,3 +152,18 @@ def test_what_is_no_number_is_refused_as_a_value(change, message):
     with pytest.raises(ModelError, match=re.escape(message)):
         change(rig())
     assert rig().fix(M="0.5").parameter("M").value == 0.5
+
+
+def test_a_table_of_casadi_is_refused_with_what_to_write_instead():
+    table = ca.interpolant("table", "linear", [[0.0, 1.0, 2.0]], [0.0, 0.5, 3.0])
+    with pytest.raises(
+        ModelError, match=r"term 'fan': calls a function of its own, such as casadi.interpolant.*greybox.Characteristic"
+    ):
+        Model(
+            "tabled",
+            states=[State("w", "rad/s")],
+            inputs=[Input("T", "N*m")],
+            outputs=[Output("w", "rad/s")],
+            parameters=[Parameter("J", "kg*m^2", 1.0)],
+            balances=lambda x, u, p: [Balance("torque", "N*m", p.J, "w", motor=u.T, fan=-table(x.w))],
+        )
