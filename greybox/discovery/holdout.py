@@ -228,7 +228,8 @@ class HoldoutScores:
 
         Of the free run, or ``adapted`` to the records (`adapt`): the one is what a user sees, the other compares forms.
         """
-        every, charge = self._free_residuals(candidate), dict.fromkeys(self.problem.noise_std, 0.0)
+        every = self._free_residuals(candidate)
+        charge = dict.fromkeys(every, 0.0)
         run = self.adapt(candidate) if adapted else None
         if run is not None:
             every, charge = run.residuals, self.charge(run)
