@@ -200,11 +200,12 @@ def refine_candidate(
         alike = 1 + policy.refinement.alike_share
         least = min(e.candidate.per_sample for e in extensions) ** 0.5
         near = [e for e in extensions if e.candidate.per_sample**0.5 <= alike * least]
-        best, *others = sorted(near, key=lambda e: e.validation_misfit)
+        near = sorted(near, key=lambda e: e.validation_misfit)
+        best = _prefer_simpler(near[0], near, candidates, alike * near[0].validation_misfit)
         also = {
             e.name: 1 - e.validation_misfit / misfit
-            for e in others
-            if e.validation_misfit <= alike * best.validation_misfit
+            for e in near
+            if e is not best and e.validation_misfit <= alike * best.validation_misfit
         }
         share = 1 - best.validation_misfit / misfit
         steps.append(RefinementStep(best.name, best.estimation_share, share, also, replaced))
@@ -212,6 +213,15 @@ def refine_candidate(
             on_message(str(steps[-1]))
         selected, misfit = best.candidate, best.validation_misfit
     return RefinedCandidate(selected, tuple(steps), tuple(checks))
+
+
+def _prefer_simpler(
+    best: _Extension, near: Sequence[_Extension], candidates: Sequence[Effect], limit: float
+) -> _Extension:
+    """The simplest member of the family of ``best`` whose misfit on the validation records is within ``limit``."""
+    parents = next((e.parents for e in candidates if e.name == best.name), ())
+    simpler = next((e for e in near if e.name in parents and e.validation_misfit <= limit), None)
+    return best if simpler is None else _prefer_simpler(simpler, near, candidates, limit)
 
 
 def _judge_extension(

@@ -18,7 +18,7 @@ from greybox.effects import effect
 from greybox.project import find_model
 from greybox.simulation.write import write_csv
 from models.silverbox import silverbox
-from tests.support.fake_candidates import candidate
+from tests.support.fake_candidates import candidate, toy_effect
 
 NOISE = 2e-5  # V
 
@@ -113,3 +113,13 @@ def test_a_further_effect_must_remove_a_share_on_both_records(smaller, larger, a
     assert (extension is not None) is accepted
     assert [check.passed for check in checks] == rules
     assert {check.subject for check in checks} == {"a"}
+
+
+@pytest.mark.parametrize(("of_parent", "chosen"), [(1.08, "coulomb_friction"), (1.2, "stribeck_friction")])
+def test_the_simpler_member_of_a_family_stays_where_it_does_nearly_as_well(of_parent, chosen):
+    family = [toy_effect("coulomb_friction"), toy_effect("stribeck_friction", "coulomb_friction")]
+    near = [
+        refinement._Extension(candidate(1, name), name, misfit, 0.5)
+        for name, misfit in (("stribeck_friction", 1.0), ("coulomb_friction", of_parent))
+    ]
+    assert refinement._prefer_simpler(near[0], near, family, 1.1).name == chosen
