@@ -77,10 +77,10 @@ def read_keys(folder: Path) -> set[str]:
     return keys
 
 
-def run_whole(command: str, record: Path, folder: Path) -> tuple[float, dict[str, Any]]:
+def run_whole(command: str, data: Path, folder: Path) -> tuple[float, dict[str, Any]]:
     """Seconds and answer of a command that nobody disturbs."""
     began = time.monotonic()
-    process = start(command, record, folder, "whole")
+    process = start(command, data, folder, "whole")
     process.communicate()
     assert process.returncode in (0, 1)
     return time.monotonic() - began, read_answer(folder)
@@ -97,9 +97,9 @@ def find_processes_left(trial: str, command: str) -> list[str]:
     return [f"{command}: process {pid} is left" for pid in left]
 
 
-def go_on(command: str, record: Path, folder: Path, before: set[str], answer: dict[str, Any]) -> list[str]:
+def go_on(command: str, data: Path, folder: Path, before: set[str], answer: dict[str, Any]) -> list[str]:
     """Faults of the same command after the kill; ``before``: what was finished by then."""
-    again = start(command, record, folder, "again")
+    again = start(command, data, folder, "again")
     _, err = again.communicate()
     if again.returncode not in (0, 1) or b"Traceback" in err:
         return [f"{command}: {err.decode()[-500:]}"]
