@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import hashlib
 import importlib.metadata
 import importlib.util
@@ -405,11 +406,20 @@ def run_compiler(
 _hanging: set[str] = set()
 
 
+# A shell that ends with all it has started when its input ends: this process holds the other end, and lets go however it dies.
+_LEASH = 'exec 3<&0; { read -r _ <&3; kill -9 0; } & watch=$!; "$@" </dev/null 3<&-; code=$?; kill $watch; exit $code'
+
+
 def _run(command: Sequence[str], timeout: float = CACHE_POLICY.compile_seconds) -> subprocess.CompletedProcess[str]:
+    """Run a program that ends, with the programs that it starts, when this process does: ``cc`` is but the parent of a compiler."""
+    leashed = ["/bin/sh", "-c", _LEASH, "sh", *command] if os.path.exists("/bin/sh") else list(command)
+    leash, hand = os.pipe()
     try:
+        if shutil.which(command[0]) is None:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), command[0])
         process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
+            leashed,
+            stdin=leash,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -417,14 +427,17 @@ def _run(command: Sequence[str], timeout: float = CACHE_POLICY.compile_seconds) 
             start_new_session=True,
         )
     except (OSError, subprocess.SubprocessError, ValueError) as error:
+        os.close(hand)
         raise CompilerError(f"C compiler {' '.join(command[:3])} cannot be run: {error}") from error
+    finally:
+        os.close(leash)
     try:
         output, errors = process.communicate(timeout=timeout)
-    except (
-        BaseException
-    ):  # too slow, or interrupted: `cc` is the parent of the programs that compile, which must end with it
+    except BaseException:  # too slow, or interrupted
         _kill_group(process)
         raise
+    finally:
+        os.close(hand)
     return subprocess.CompletedProcess(command, process.returncode, output, errors)
 
 

@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import stat
+import subprocess
 import sys
 import time
 import warnings
@@ -421,6 +422,27 @@ def test_what_a_slow_compiler_has_started_ends_with_it(tmp_path):
     with pytest.raises(CompilerError, match="took more than"):
         compiling.run_compiler([str(wrapper)], 0.5)
     compiling._hanging.clear()
+    pid = int((tmp_path / "pid").read_text())
+    deadline = time.monotonic() + 5
+    while (stat := Path(f"/proc/{pid}/stat")).exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z":
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a group of processes of POSIX")
+@pytest.mark.parametrize("ending", ["os._exit(0)", "sys.exit(0)", "os.kill(os.getpid(), 9)"])
+def test_a_compiler_ends_with_the_process_that_has_asked(tmp_path, ending):
+    """Also one in the background, and the programs that it has started."""
+    wrapper = tmp_path / "cc"
+    wrapper.write_text(f"#!/bin/sh\nsleep 60 & echo $! > {tmp_path}/pid\nwait\n")
+    wrapper.chmod(0o700)
+    script = (
+        "import os, sys, threading, time\nfrom greybox.kernel import c_compiler\n"
+        f"threading.Thread(target=c_compiler.run_compiler, args=([{str(wrapper)!r}],), daemon=True).start()\n"
+        f"while not os.path.exists({str(tmp_path / 'pid')!r}): time.sleep(0.05)\n"
+        f"time.sleep(0.2)\n{ending}"
+    )
+    subprocess.run([sys.executable, "-c", script], timeout=100, check=False)
     pid = int((tmp_path / "pid").read_text())
     deadline = time.monotonic() + 5
     while (stat := Path(f"/proc/{pid}/stat")).exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z":
