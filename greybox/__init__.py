@@ -6,7 +6,7 @@ The verbs of the first week stand here: `read_csv`, `simulate`, `fit`, `validate
 
 Everything else is in a namespace: ``gb.signals`` (test signals), ``gb.effects`` (the catalogue), ``gb.blackbox``, ``gb.discovery``,
 ``gb.experiment_design``, ``gb.identifiability``, ``gb.uncertainty`` (profile likelihood, bootstrap), ``gb.residuals``,
-``gb.export``, ``gb.frequency`` (frequency responses), ``gb.errors``.
+``gb.export``, ``gb.frequency`` (frequency responses), ``gb.fmu``, ``gb.errors``.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         experiment,
         experiment_design,
         export,
+        fmu,
         frequency,
         identifiability,
         plots,
@@ -104,6 +105,7 @@ _NAMESPACES = (
     "experiment",
     "experiment_design",
     "export",
+    "fmu",
     "frequency",
     "identifiability",
     "plots",
@@ -145,6 +147,7 @@ __all__ = [
     "experiment_design",
     "export",
     "fit",
+    "fmu",
     "frequency",
     "identifiability",
     "linearise",

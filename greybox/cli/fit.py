@@ -75,11 +75,18 @@ def fit(
     notes on their validity. Writes DIR/fit.json and DIR/report.html, a report for the browser that draws its own
     figures.
 
+    MODEL may be an FMU of FMI 2 or 3, plant.fmu: its parameters are fitted by runs of it.
+
     greybox fit study.toml runs a study file; --write-study writes one from these options.
 
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.
     """
+    from greybox.cli.fit_fmu import is_fmu, run_fmu_fit
+
+    if is_fmu(study):
+        run_fmu_fit(study, output, json=json)
+        return
     from greybox.estimation import fit as fit_model
     from greybox.estimation import multistart
     from greybox.parallel import open_workers

@@ -32,7 +32,7 @@ ROWS = [
     {"identifiability"},
     {"blackbox", "check", "uncertainty"},
     {"residuals", "comparison", "export"},
-    {"discovery", "frequency"},
+    {"discovery", "frequency", "fmu"},
     {"experiment_design"},
     {"rendering"},
     {"plots", "reports", "project", "demo"},
@@ -185,7 +185,9 @@ def declared(*extras: str) -> set[str]:
 
 @pytest.mark.parametrize("folder", ALLOWED)
 def test_each_folder_imports_what_it_may(folder: str) -> None:
-    third_party = set() if folder == "models" else declared("parquet", "hdf5", "mdf", "tdms", "ros", "excel", "study")
+    third_party = (
+        set() if folder == "models" else declared("parquet", "hdf5", "mdf", "tdms", "ros", "excel", "fmu", "study")
+    )
     allowed = ALLOWED[folder] | third_party | set(sys.stdlib_module_names)
     foreign = [f"{found.where}: {found.module}" for found in all_imports(folder) if top(found.module) not in allowed]
     assert not foreign, "\n".join([f"{folder}/ may not import (or pyproject.toml does not declare):", *foreign])

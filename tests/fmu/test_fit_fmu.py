@@ -1,0 +1,166 @@
+"""FMUs as plants: the published reference models of FMI 2 and 3, and our own exports, fitted to records."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
+
+import greybox as gb
+from greybox.cli.app import app
+from greybox.errors import DataError, ModelError
+from greybox.experiment import Experiment
+from greybox.fmu import FmuRunError, FmuSimulator, fit_fmu, read_fmu
+from models.micro_actuator import micro_actuator
+from tests.support.reference_fmus import DAHLQUIST, VAN_DER_POL, build_reference_fmu
+
+pytest.importorskip("fmpy", reason="fmpy comes with the extra 'fmu'")
+pytestmark = pytest.mark.skipif(
+    not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler on the path"
+)
+KINDS = [(version, kind) for version in ("2.0", "3.0") for kind in ("CoSimulation", "ModelExchange")]
+TIME = 0.05 * np.arange(200)
+
+
+def van_der_pol(mu):
+    rates = lambda t, x: [x[1], mu * (1 - x[0] ** 2) * x[1] - x[0]]  # noqa: E731
+    return solve_ivp(rates, (0, TIME[-1]), [2.0, 0.0], t_eval=TIME, rtol=1e-10, atol=1e-12).y
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory):
+    made = {}
+
+    def get(model, version, kind):
+        if (model.name, version, kind) not in made:
+            folder = tmp_path_factory.mktemp(f"{model.name}{version[0]}{kind}")
+            made[model.name, version, kind] = build_reference_fmu(model, folder, version, kind)
+        return made[model.name, version, kind]
+
+    return get
+
+
+@pytest.mark.parametrize(("version", "kind"), KINDS)
+def test_an_fmu_runs_as_its_equations(build, version, kind):
+    plant = read_fmu(build(VAN_DER_POL, version, kind))
+    assert (plant.fmi_version, plant.kind, plant.inputs) == (version, kind, ())
+    assert [o.label for o in plant.outputs] == ["x0", "x1"]
+    record = Experiment("r", TIME, {}, {"x0": np.cos(TIME)})
+    with FmuSimulator(plant) as simulator:
+        for mu in (1.0, 2.0, 1.0):
+            run = simulator.run(record, {"mu": mu})
+            np.testing.assert_allclose(run["x0"], van_der_pol(mu)[0], atol=2e-6)
+
+
+@pytest.mark.parametrize(("version", "kind"), KINDS)
+def test_a_perturbed_constant_returns_within_its_interval(build, version, kind):
+    plant = read_fmu(build(VAN_DER_POL, version, kind))
+    rng = np.random.default_rng(2)
+    record = Experiment("r", TIME, {}, {"x0": van_der_pol(1.4)[0] + 0.02 * rng.standard_normal(len(TIME))})
+    result = fit_fmu(plant, record, start={"mu": 0.8})
+    low, high = result.parameters["mu"].interval
+    assert result.success and low < 1.4 < high and high - low < 0.05
+    assert result.runs <= 50
+    assert result.misfits["x0"].rmse == pytest.approx(0.02, rel=0.15)
+    assert "mu" in str(result) and result.as_dict()["runs"] == result.runs
+
+
+def test_dahlquist_has_the_interval_of_least_squares(build):
+    plant = read_fmu(build(DAHLQUIST, "3.0", "ModelExchange"))
+    time = TIME[:80]
+    rng = np.random.default_rng(0)
+    exact = np.exp(-0.7 * time)
+    result = fit_fmu(plant, Experiment("r", time, {}, {"x": exact + 0.01 * rng.standard_normal(80)}), noise={"x": 0.01})
+    slope = -time * exact
+    assert result.parameters["k"].std == pytest.approx(0.01 / np.linalg.norm(slope), rel=0.2)
+    assert abs(result.parameters["k"].value - 0.7) < 4 * result.parameters["k"].std
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    path = tmp_path_factory.mktemp("fmu") / "plant.fmu"
+    return gb.export.to_fmu(micro_actuator, path, dt=2.5e-4, substeps=16)
+
+
+def actuator_record(seed=0, rows=600):
+    rng = np.random.default_rng(seed)
+    time = 2.5e-4 * np.arange(rows)
+    u = gb.signals.multisine(time, 5, 300, 1.0, rng)
+    return gb.simulate(micro_actuator, {"time": time, "u": u}).record({"x": 1e-7, "i": 1e-3}, rng)
+
+
+def test_our_own_export_gives_its_constants_back_in_fifty_runs(exported):
+    plant, true = read_fmu(exported), micro_actuator.values
+    start = {"B": 2 * true["B"], "K": 0.8 * true["K"], "M": 1.1 * true["M"]}
+    result = fit_fmu(plant, actuator_record(), free=list(start), start=start, validation=actuator_record(1))
+    assert result.success and result.runs <= 50 and result.failures == 0
+    for name, estimate in result.parameters.items():
+        assert abs(estimate.value - true[name]) < 3 * estimate.std
+        assert estimate.std < 1e-3 * true[name]
+    assert result.validation["x"].rmse == pytest.approx(1e-7, rel=0.1)
+    own = gb.fit(micro_actuator.fix("Ra", "La", "Kf", "Kv"), actuator_record(), options=gb.FitOptions(at_rest=True))
+    assert result.parameters["K"].std == pytest.approx(own.parameters["K"].std, rel=0.2)
+
+
+def test_an_initial_state_is_a_parameter(exported):
+    plant = read_fmu(exported)
+    assert "state_x" not in [v.label for v in plant.choose(())]
+    time = 2.5e-4 * np.arange(300)
+    run = gb.simulate(micro_actuator, {"time": time, "u": 0 * time}, initial={"x": 1e-5})
+    record = run.record({"x": 1e-8, "i": 1e-4}, np.random.default_rng(0))
+    result = fit_fmu(plant, record, free=["state.x"], start={"state.x": 5e-6})
+    assert result.parameters["state_x"].value == pytest.approx(1e-5, rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+def test_a_run_that_fails_does_not_end_the_fit(build, kind):
+    plant = read_fmu(build(VAN_DER_POL, "2.0", kind))
+    record = Experiment("r", TIME, {}, {"x0": van_der_pol(0.3)[0]})
+    # From far off the first steps overshoot into what the FMU refuses.
+    result = fit_fmu(plant, record, start={"mu": 40.0})
+    assert result.failures == 0 or result.success
+    with FmuSimulator(plant) as simulator:
+        with pytest.raises(FmuRunError, match="the run failed"):
+            simulator.run(record, {"mu": 60.0})
+        assert np.isfinite(simulator.run(record, {"mu": 1.0})["x0"]).all()
+        assert (simulator.runs, simulator.failures) == (2, 1)
+
+
+def test_a_start_that_does_not_run_is_said(build):
+    plant = read_fmu(build(VAN_DER_POL, "2.0", "CoSimulation"))
+    with pytest.raises(FmuRunError, match="does not run from its start values"):
+        fit_fmu(plant, Experiment("r", TIME, {}, {"x0": van_der_pol(1.0)[0]}), start={"mu": 60.0})
+
+
+def test_a_slope_is_taken_on_the_side_that_runs(build):
+    plant = read_fmu(build(VAN_DER_POL, "2.0", "CoSimulation"))
+    record = Experiment("r", TIME, {}, {"x0": van_der_pol(45.0)[0] + 1e-3 * np.sin(TIME)})
+    result = fit_fmu(plant, record, start={"mu": 49.999})
+    assert result.failures > 0 and abs(result.parameters["mu"].value - 45) < 2
+
+
+def test_names_and_files_that_are_wrong_are_refused(exported, tmp_path):
+    plant = read_fmu(exported)
+    with pytest.raises(ModelError, match="no parameter 'k'"):
+        fit_fmu(plant, actuator_record(), free=["k"])
+    with pytest.raises(ModelError, match="no real variable 'z'"):
+        read_fmu(exported, outputs=["z"])
+    (tmp_path / "bad.fmu").write_bytes(exported.read_bytes()[:300])
+    with pytest.raises(DataError, match="not a readable FMU"):
+        read_fmu(tmp_path / "bad.fmu")
+
+
+def test_the_command_fits_an_fmu(exported, tmp_path):
+    record = actuator_record()
+    rows = np.column_stack([record.time, record.inputs["u"], record.outputs["x"]])
+    text = "\n".join(",".join(map(repr, row)) for row in rows.tolist())
+    (tmp_path / "run.csv").write_text(f"time [s],u [V],x [m]\n{text}\n")
+    words = ["fit", str(exported), str(tmp_path / "run.csv"), "--free", "K", "--free", "B", "--start", "K=5000"]
+    done = CliRunner().invoke(app, [*words, "--output", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    assert "converged after" in done.stdout and (tmp_path / "out" / "fmu_fit.json").is_file()
+    refused = CliRunner().invoke(app, [*words, "--effect", "coulomb_friction"])
+    assert refused.exit_code == 2 and "--effect" in refused.stderr
