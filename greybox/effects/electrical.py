@@ -16,7 +16,9 @@ from greybox.model.signals import Expression, NamedValues, State
 
 def _drooping_constants(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     left = 1 - p.a * x.displacement**2
-    return {"force_constant": p.force_constant * left, "back_emf_constant": p.back_emf_constant * left}
+    # One constant may stand for both: in SI units they are the same number.
+    roles = ("force_constant", "back_emf_constant") if "back_emf_constant" in p else ("force_constant",)
+    return {role: p[role] * left for role in roles}
 
 
 def _warm_resistance(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
@@ -30,7 +32,8 @@ def _heat_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balanc
 
 def _amplifier_current(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     """Current from the amplifier when the inductance carries ``x.current`` and ``Re`` the rest."""
-    return (u.drive - p.back_emf_constant * x.velocity + p.Re * x.current) / (p.resistance + p.Re)
+    emf = (p.back_emf_constant if "back_emf_constant" in p else p.force_constant) * x.velocity
+    return (u.drive - emf + p.Re * x.current) / (p.resistance + p.Re)
 
 
 def _current_with_eddies(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:

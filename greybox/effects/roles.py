@@ -125,7 +125,13 @@ ROLES: tuple[SignalRole, ...] = (
     SignalRole("resistance", _PARAMETER, ("ohm",), "resistance of a winding", "winding that warms, eddy currents"),
     SignalRole("inductance", _PARAMETER, ("H",), "inductance of a winding", "saturating inductance"),
     SignalRole("force_constant", _PARAMETER, ("N/A", "N*m/A"), "force or torque per ampere", "droop, eddy currents"),
-    SignalRole("back_emf_constant", _PARAMETER, ("V*s/m", "V*s/rad"), "voltage per velocity", "droop, eddy currents"),
+    SignalRole(
+        "back_emf_constant",
+        _PARAMETER,
+        ("V*s/m", "V*s/rad"),
+        "voltage per velocity, where it is not the force constant itself",
+        "droop, eddy currents",
+    ),
     SignalRole("piston_area", _PARAMETER, ("m^2",), "area of a piston", "volume that changes with the position"),
     SignalRole("total_volume", _PARAMETER, ("m^3",), "volume of both chambers", "choked flow, volume that changes"),
     SignalRole(

@@ -108,6 +108,8 @@ def list_sites(
     by_name = {s.name: s for s in states}
     moving = [b for b in balances if _is_motion(b, by_name[b.state]) and not stores_nothing(b)]
     sites = []
+    drives = [i.name for i in inputs if i.role == DRIVE] or [i.name for i in inputs if _takes(DRIVE, i.role)]
+    driven = {DRIVE: drives[0]} if drives else {}
     for b in balances:
         state = by_name[b.state]
         role = state.role or _role_by_units(b, state)
@@ -124,7 +126,7 @@ def list_sites(
             roles |= {"velocity": state.name, "displacement": displacement}
             units["velocity"] = state.unit
             units["displacement"] = by_name[displacement].unit if displacement else ""
-        sites.append(Site(b.name, PlaceKind.BALANCE, labels[b.name], roles, {}, units))
+        sites.append(Site(b.name, PlaceKind.BALANCE, labels[b.name], roles, driven, units))
     for i in inputs:
         words = (FIRST_INPUT, DRIVE, VALVE)
         sites.append(
