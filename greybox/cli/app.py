@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from greybox.cli.campaign import campaign
 from greybox.cli.check import check
 from greybox.cli.compare import compare
 from greybox.cli.demo import demo
@@ -73,6 +74,14 @@ app.command(
         "greybox design my/rig.py --noise x=2e-7 --limit u=-1:1 --rate u=100 --duration 0.5 --sampling-time 2.5e-4",
     ),
 )(exit_on_error(design))
+app.command(
+    cls=PlainCommand,
+    short_help="Design, measure, fit and discover in turn, in one folder.",
+    epilog=format_examples(
+        "greybox campaign my/rig.py --noise x=2e-7 --limit u=-1:1 --duration 0.5 --sampling-time 2.5e-4 --output rig",
+        "greybox campaign my/rig.py ... --rig 'python play.py {input} {record}'",
+    ),
+)(exit_on_error(campaign))
 app.command(
     cls=PlainCommand,
     short_help="Export a fitted model for controller design, or as code.",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -13,16 +12,16 @@ import typer
 from greybox.cli import completion
 from greybox.cli.exits import print_note
 from greybox.cli.export import load_fit_with_model
+from greybox.cli.limits import parse_limits
 from greybox.cli.options import Json, NoReport, Texts, check_writable
 from greybox.cli.reporting import write_report
 from greybox.cli.study import HoldName
-from greybox.cli.study_values import Numbers, Table, parse_number
+from greybox.cli.study_values import Numbers
 from greybox.errors import DataError, GreyboxError, ModelError
 
 if TYPE_CHECKING:
     from greybox.estimation import FitOptions
     from greybox.experiment import Experiment
-    from greybox.experiment_design import SignalLimit
     from greybox.model import Model
     from greybox.result import Fit
 
@@ -204,7 +203,7 @@ def design(
     folder = check_writable(output or Path("results") / f"{name}-design")
     result = design_record(
         known,
-        limits=parse_limits(limit, rate),
+        limits=parse_limits("--limit", limit, rate),
         duration=duration,
         sampling_time=sampling_time,
         goal=goal.value,
@@ -287,30 +286,6 @@ def read_data(paths: Sequence[Path], model: Model, sampling_time: float | None =
         records = read_experiments(paths, model)
     print_record_notes(records)
     return records
-
-
-def parse_limits(limits: Sequence[str], rates: Sequence[str]) -> dict[str, SignalLimit]:
-    """Limits by signal. Raises GreyboxError."""
-    from greybox.experiment_design import SignalLimit
-
-    pairs = Table(shape="NAME=LOW:HIGH", example="u=-3:3").from_option("--limit", limits)
-    fastest = Numbers(shape="NAME=R", example="u=100").from_option("--rate", rates)
-    result = {}
-    for name in dict.fromkeys([*pairs, *fastest]):
-        text = pairs.get(name, ":")
-        low, colon, high = text.partition(":")
-        if not colon:
-            raise GreyboxError(f"--limit {name}={text}: write it as LOW:HIGH, as in --limit u=-3:3")
-        given = f"--limit {name}={text}"
-        ends = [
-            parse_number(given, end, "--limit u=-3:3") if end else sign * math.inf
-            for end, sign in ((low, -1.0), (high, 1.0))
-        ]
-        try:
-            result[name] = SignalLimit(ends[0], ends[1], fastest.get(name, math.inf))
-        except DataError as error:
-            raise GreyboxError(f"{name}: {error}") from None
-    return result
 
 
 def _options(at_rest: bool) -> FitOptions:

@@ -15,6 +15,7 @@ from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error, print_findings, print_note
 from greybox.cli.findings import CommandCode
 from greybox.cli.inputs import add_effects, check_substeps, layout_of
+from greybox.cli.limits import parse_limits, refuse_broken_limits
 from greybox.cli.options import NoReport, Texts, check_writable, takes_study
 from greybox.cli.policy import COMMANDS
 from greybox.cli.reporting import write_report
@@ -101,6 +102,16 @@ def simulate(
     set_: Values,
     initial: Initial,
     noise: Noise,
+    limit: Annotated[
+        Texts,
+        typer.Option(
+            "--limit",
+            metavar="NAME=LOW:HIGH",
+            default_factory=list,
+            autocompletion=completion.signals,
+            help="Range of an input, output or state: a run that leaves it ends with exit code 1, as a rig's emergency stop would.",
+        ),
+    ],
     seed: Annotated[
         int, typer.Option("--seed", metavar="N", min=0, help="Seed of the noise and of the phases of --multisine.")
     ] = 0,
@@ -116,7 +127,7 @@ def simulate(
     A test signal drives the first input; the other inputs are zero. The simulation starts at the initial state of the model.
     With --output FILE.csv, also writes FILE.html, a report with the run, the states and the equations.
 
-    Exit code 0: done. 1: the simulation overflows, nothing was written. 2: bad input, nothing was written.
+    Exit code 0: done. 1: the simulation overflows or leaves a --limit, nothing was written. 2: bad input, nothing was written.
     """
     import numpy as np
 
@@ -152,6 +163,7 @@ def simulate(
             f"{plant.title}: the simulation overflows {run.overflow:.4g} s after its start; nothing was written",
             ExitCode.UNSUCCESSFUL,
         )
+    refuse_broken_limits(run, parse_limits("--limit", limit))
     replaced = target.exists()
     write_csv(run.record(noise_std, generator), plant, target)
     if replaced:

@@ -1,5 +1,6 @@
-"""The next experiment: which record to take, within what the rig allows."""
+"""The next experiment: which record to take, within what the rig allows, and campaigns of such records."""
 
+from greybox.experiment_design.campaign import Campaign, CampaignPlan, CampaignStatus, CampaignStep, run_campaign
 from greybox.experiment_design.design import answer, design
 from greybox.experiment_design.inputs import (
     Chirp,
@@ -12,7 +13,7 @@ from greybox.experiment_design.inputs import (
     staircase,
 )
 from greybox.experiment_design.limits import LimitPrediction
-from greybox.experiment_design.policy import DesignPolicy
+from greybox.experiment_design.policy import CampaignPolicy, DesignPolicy
 from greybox.experiment_design.problem import CriterionName, DesignProblem, GoalName, SignalLimit
 from greybox.experiment_design.result import Alternative, AlternativeKind, Design, PredictedConstant, PredictedDetection
 from greybox.experiment_design.sampling_times import SamplingTimes, choose_sampling_times, weigh_optimally
@@ -20,6 +21,11 @@ from greybox.experiment_design.sampling_times import SamplingTimes, choose_sampl
 __all__ = [
     "Alternative",
     "AlternativeKind",
+    "Campaign",
+    "CampaignPlan",
+    "CampaignPolicy",
+    "CampaignStatus",
+    "CampaignStep",
     "Chirp",
     "CriterionName",
     "Design",
@@ -40,6 +46,7 @@ __all__ = [
     "compress_multisine",
     "crest_factor",
     "design",
+    "run_campaign",
     "staircase",
     "weigh_optimally",
 ]

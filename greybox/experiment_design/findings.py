@@ -1,4 +1,4 @@
-"""What a design has to say beside their numbers."""
+"""What a design and a campaign have to say beside their numbers."""
 
 from __future__ import annotations
 
@@ -13,3 +13,12 @@ class DesignCode(StrEnum):
     NO_EARLIER_RECORD = "design_no_earlier_record"
     LIMIT_RULES = "design_limit_rules"
     RANGE_FROM_RECORDS = "design_range_from_records"
+
+
+class CampaignCode(StrEnum):
+    """How a campaign stands."""
+
+    MEASURE = "campaign_measure"
+    ONE_LEFT = "campaign_one_left"
+    BUDGET_SPENT = "campaign_budget_spent"
+    LIMIT_BROKEN = "campaign_limit_broken"

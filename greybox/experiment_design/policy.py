@@ -123,3 +123,44 @@ class DesignPolicy:
 
 
 DESIGN_POLICY = DesignPolicy()
+
+
+@dataclass(frozen=True)
+class RigPolicy:
+    """How a rig program is run and its record judged."""
+
+    timeout: float = 600.0
+    """Seconds after which a rig program that has not ended is stopped, beyond the duration of the record."""
+    input_tolerance: float = 0.05
+    """Rms difference between the input that was asked for and the one in the record, as a share of its range: more is another record."""
+    limit_tolerance: float = 0.01
+    """Share of the range of a limit by which a measured signal may pass it, beside three standard deviations of its noise."""
+    noise_deviations: float = 4.0
+    """Standard deviations of the noise by which a measured signal may pass a limit."""
+    message_length: int = 200
+    """Characters of a rig program's own last words that are shown."""
+
+
+@dataclass(frozen=True)
+class CampaignPolicy:
+    """How a campaign goes on and when it ends."""
+
+    experiments: int = 3
+    """Records that may be taken."""
+    first_share: float = 0.5
+    """Share of the way to each limit that the first record may use: nothing is known yet."""
+    unproven_share: float = 0.85
+    """Share that later records may use as long as no discovery has named what is missing, or found nothing: an effect that a small
+    motion hides grows with the amplitude."""
+    rivals: int = 3
+    """Explanations, beside the best one, between which a record is to decide."""
+    model_error: float = 3.0
+    """By how many times the share of the movement that a model leaves unexplained its predictions are widened: an effect that is missing
+    grows with the amplitude."""
+    interval_deviations: float = 1.96
+    """Standard deviations in half a 95 % interval."""
+    rig: RigPolicy = field(default_factory=RigPolicy)
+    """How the rig is run."""
+
+
+CAMPAIGN_POLICY = CampaignPolicy()

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from greybox.experiment_design.findings import DesignCode
+from greybox.experiment_design.findings import CampaignCode, DesignCode
 from greybox.rendering.english import count_noun, join_names
 from greybox.rendering.quantities import change_text, quantity_text
 from greybox.rendering.registry import register, renders, sentence
 from greybox.rendering.tables import format_number, format_table
 
 if TYPE_CHECKING:
-    from greybox.experiment_design import Alternative, Design
+    from greybox.experiment_design import Alternative, Campaign, CampaignStep, Design
     from greybox.experiment_design.result import PredictedConstant, PredictedDetection
     from greybox.findings import Finding
 
@@ -29,8 +30,41 @@ def _not_determined(finding: Finding) -> str:
     return f"no input within these limits determines {join_names(names)}{rest}"
 
 
+def name_explanation(effects: Sequence[str]) -> str:
+    """The effects of an explanation, or that it is the plain model."""
+    return " + ".join(effects) or "the plain model"
+
+
+def _one_left(finding: Finding) -> str:
+    width = finding.values["width"]
+    intervals = f"; its widest 95 % interval is {100 * width:.2g} % to each side" if width is not None else ""
+    return f"one explanation is left: {name_explanation(finding.values['effects'])}{intervals}"
+
+
+def _budget_spent(finding: Finding) -> str:
+    best = name_explanation(finding.values["effects"])
+    others = [name_explanation(a) for a in finding.values["alternatives"]]
+    left = f"{best} or {' or '.join(others)}" if others else f"{best}, verdict {finding.values['verdict'] or 'none'}"
+    return (
+        f"every experiment is spent; left: {left}. Allow more with --experiments, or widen the limits in another folder"
+    )
+
+
+def _limit_broken(finding: Finding) -> str:
+    v = finding.values
+    ends = " to ".join(f"{e:g}" for e in (v["low"], v["high"]) if e is not None)
+    return (
+        f"experiment {v['number']}: the rig took {finding.subject} to {v['value']:.4g}, beyond its limit of {ends}. The record is kept;"
+        " look at the rig, then go on with the same command"
+    )
+
+
 register(
     {
+        CampaignCode.MEASURE: "play {subject} on the rig, write the record to {record}, and run the same command again",
+        CampaignCode.ONE_LEFT: _one_left,
+        CampaignCode.BUDGET_SPENT: _budget_spent,
+        CampaignCode.LIMIT_BROKEN: _limit_broken,
         DesignCode.CONSTANT_NOT_DETERMINED: _not_determined,
         DesignCode.WOULD_NOT_DECIDE: (
             "{subject}: the wrong one would lose by a cost of {cost:.3g} only, and {limit:g} are needed to decide; widen the limits, take"
@@ -127,3 +161,31 @@ def name_alternative(alternative: Alternative) -> str:
 def gain_text(alternative: Alternative) -> str:
     """``1.41 times as much``."""
     return f"{alternative.gain:.3g} times as much"
+
+
+@renders("Campaign")
+def write_campaign(campaign: Campaign) -> str:
+    """The experiments, and what is to be done."""
+    lines = [f"{campaign.plan.model.title}: campaign in {campaign.folder}, {campaign.status.replace('_', ' ')}", ""]
+    lines += format_table(CAMPAIGN_HEAD, [step_row(step) for step in campaign.steps])
+    return "\n".join([*lines, "", *map(sentence, campaign.findings)])
+
+
+CAMPAIGN_HEAD = ["experiment", "for", "input", "verdict", "explanation", "others left", "misfit", "widest interval"]
+
+
+def step_row(step: CampaignStep) -> list[str]:
+    """One experiment as cells below `CAMPAIGN_HEAD`."""
+    others = ", ".join(map(name_explanation, step.alternatives))
+    known = bool(step.widths)
+    width = max(step.widths.values(), default=0.0)
+    return [
+        str(step.number),
+        step.goal,
+        step.kind,
+        step.verdict or "none",
+        name_explanation(step.effects) if known else "not measured",
+        others or "none",
+        f"{step.misfit:.3g} x noise" if known else "",
+        ("open" if width == float("inf") else f"{100 * width:.2g} %") if known else "",
+    ]

@@ -146,6 +146,12 @@ class PageText(StrEnum):
     DESIGN_ALTERNATIVES = "page_design_alternatives"
     DESIGN_SCALE = "page_design_scale"
 
+    CAMPAIGN_TITLE = "page_campaign_title"
+    CAMPAIGN_QUESTION = "page_campaign_question"
+    CAMPAIGN_STEPS = "page_campaign_steps"
+    CAMPAIGN_FILES = "page_campaign_files"
+    CAMPAIGN_STEP = "page_campaign_step"
+
 
 SECTIONS: Mapping[str, str] = {
     "section_alternatives": "Alternatives",
@@ -177,6 +183,7 @@ SECTIONS: Mapping[str, str] = {
     "section_residual": "Tests of the residual",
     "section_run": "The run",
     "section_runs": "Runs",
+    "section_steps": "Experiments",
     "section_structure": "What any record could determine",
     "section_truth": "Parameters and true values",
 }
@@ -425,6 +432,12 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.DESIGN_LIMITS: "Limits, and what is predicted under every explanation with a margin for what is not known",
     PageText.DESIGN_ALTERNATIVES: "What could be done instead",
     PageText.DESIGN_SCALE: "Twice as much means intervals half as wide, explanations twice as far apart, or half the amount seen.",
+    # The page of a campaign
+    PageText.CAMPAIGN_TITLE: "Campaign on {subject}",
+    PageText.CAMPAIGN_QUESTION: "Which effects does the rig of {subject} have, and how precisely are its parameters known?",
+    PageText.CAMPAIGN_STEPS: "The experiments, in their order",
+    PageText.CAMPAIGN_FILES: "Folder {subject} holds input.csv, record.csv and the pages report.html, fit.html and discovery.html.",
+    PageText.CAMPAIGN_STEP: "Experiment {subject}",
     **SECTIONS,
 }
 

@@ -14,6 +14,7 @@ from greybox.reports.page import Page
 PAGES = {
     "Fit": "fit_page",
     "ModelCheck": "check_page",
+    "Campaign": "campaign_page",
     "Comparison": "comparison_page",
     "Demo": "demo_page",
     "Design": "design_page",

@@ -26,6 +26,7 @@ class ResultKind(StrEnum):
     DISCOVERY = "discovery"
     COMPARISON = "comparison"
     DESIGN = "design"
+    CAMPAIGN = "campaign"
     MODEL_CHECK = "model_check"
     LINEAR_MODEL = "linear_model"
     PROFILE = "profile"
@@ -39,6 +40,7 @@ TITLES: Mapping[ResultKind, tuple[str, str]] = {
     ResultKind.DISCOVERY: ("a discovery", "discovery.json that greybox discover has written"),
     ResultKind.COMPARISON: ("a comparison", "compare.json that greybox compare has written"),
     ResultKind.DESIGN: ("a design", "design.json that greybox design has written"),
+    ResultKind.CAMPAIGN: ("a campaign", "campaign.json that greybox campaign has written"),
     ResultKind.MODEL_CHECK: ("a check", "check.json that greybox check has written"),
     ResultKind.LINEAR_MODEL: ("a linear model", "file that greybox export --to json has written"),
     ResultKind.PROFILE: ("a profile", "file that a profile was saved to"),

@@ -1,10 +1,10 @@
-"""Golden texts of a design."""
+"""Golden texts of a design and a campaign."""
 
 from __future__ import annotations
 
 import pytest
 
-from greybox.experiment_design.findings import DesignCode
+from greybox.experiment_design.findings import CampaignCode, DesignCode
 from greybox.experiment_design.result import Alternative, AlternativeKind
 from greybox.findings import Finding
 from greybox.rendering import sentence
@@ -38,6 +38,35 @@ GOLDEN = [
         Finding(DesignCode.RANGE_FROM_RECORDS, subject="u", values={"low": -1.0, "high": 2.0}),
         "input u has no limits of its own: it stays between -1 and 2, as in the records; give --limit to change that",
     ),
+    (
+        Finding(CampaignCode.MEASURE, subject="rig/01/input.csv", values={"record": "rig/01/record.csv"}),
+        "play rig/01/input.csv on the rig, write the record to rig/01/record.csv, and run the same command again",
+    ),
+    (
+        Finding(CampaignCode.ONE_LEFT, values={"effects": ["a", "b"], "width": 0.036}),
+        "one explanation is left: a + b; its widest 95 % interval is 3.6 % to each side",
+    ),
+    (
+        Finding(CampaignCode.ONE_LEFT, values={"effects": [], "width": None}),
+        "one explanation is left: the plain model",
+    ),
+    (
+        Finding(
+            CampaignCode.BUDGET_SPENT, values={"effects": ["a"], "alternatives": [["b"], []], "verdict": "ambiguous"}
+        ),
+        "every experiment is spent; left: a or b or the plain model. Allow more with --experiments, or widen the limits in another"
+        " folder",
+    ),
+    (
+        Finding(CampaignCode.BUDGET_SPENT, values={"effects": [], "alternatives": [], "verdict": ""}),
+        "every experiment is spent; left: the plain model, verdict none. Allow more with --experiments, or widen the limits in another"
+        " folder",
+    ),
+    (
+        Finding(CampaignCode.LIMIT_BROKEN, subject="x", values={"value": 0.31, "low": None, "high": 0.3, "number": 2}),
+        "experiment 2: the rig took x to 0.31, beyond its limit of 0.3. The record is kept; look at the rig, then go on with the"
+        " same command",
+    ),
 ]
 
 
@@ -47,7 +76,7 @@ def test_a_design_says(finding: Finding, text: str) -> None:
 
 
 def test_every_code_is_here() -> None:
-    assert {finding.code for finding, _ in GOLDEN} == set(DesignCode)
+    assert {finding.code for finding, _ in GOLDEN} == {*DesignCode, *CampaignCode}
 
 
 def test_alternatives_are_named() -> None:

@@ -237,6 +237,17 @@ GOLDEN = [
     (phrase(T.SIMULATION_NOISE, sizes="x 2e-07 m"), "The written outputs contain added white noise: x 2e-07 m."),
     (phrase(T.SIMULATION_RANGES), "Ranges of the signals"),
     (phrase(T.SIMULATION_PARAMETERS), "Parameters of this run"),
+    (phrase(T.CAMPAIGN_TITLE, "rig"), "Campaign on rig"),
+    (
+        phrase(T.CAMPAIGN_QUESTION, "rig"),
+        "Which effects does the rig of rig have, and how precisely are its parameters known?",
+    ),
+    (phrase(T.CAMPAIGN_STEPS), "The experiments, in their order"),
+    (
+        phrase(T.CAMPAIGN_FILES, "01"),
+        "Folder 01 holds input.csv, record.csv and the pages report.html, fit.html and discovery.html.",
+    ),
+    (phrase(T.CAMPAIGN_STEP, "2"), "Experiment 2"),
     (phrase(T.DESIGN_TITLE, "rig"), "The next record of rig"),
     (
         phrase(T.DESIGN_QUESTION, "rig"),

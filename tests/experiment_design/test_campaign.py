@@ -1,0 +1,150 @@
+"""A campaign names what a rig hides, keeps its limits, goes on where it was stopped, and says what is wrong with a rig."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import greybox as gb
+from greybox.cli.app import app
+from greybox.errors import DataError
+from greybox.experiment_design import CampaignPlan, CampaignStatus, DesignPolicy, SignalLimit, run_campaign
+from greybox.experiment_design.policy import CAMPAIGN_POLICY
+from greybox.schemas import ResultKind
+from tests.support.result_schema import strict_offences
+
+PROGRAM = Path(__file__).parents[1] / "support" / "rig_program.py"
+POLICY = DesignPolicy()
+QUICK = replace(
+    POLICY,
+    search=replace(POLICY.search, bands=2, iterations=5, rounds=1, starts=1, refined_scenarios=1, crest_iterations=40),
+    margin=replace(POLICY.margin, samples=2),
+)
+MASS = gb.Model(
+    "mass",
+    [gb.State("x", "m", role="displacement"), gb.State("v", "m/s", role="velocity")],
+    [gb.Input("F", "N", role="drive")],
+    [gb.Output("x", "m")],
+    [
+        gb.Parameter("m", "kg", 1.0, (0.1, 10.0), role="mass"),
+        gb.Parameter("d", "N*s/m", 0.5, (1e-3, 10.0)),
+        gb.Parameter("k", "N/m", 10.0, (0.1, 100.0), role="stiffness"),
+    ],
+    lambda x, u, p: [
+        gb.Balance("position", "m/s", 1, "x", velocity=x.v),
+        gb.Balance("force", "N", p.m, "v", drive=u.F, damping=-p.d * x.v, spring=-p.k * x.x),
+    ],
+)
+PLAN = CampaignPlan(
+    MASS,
+    {"F": SignalLimit(-3, 3), "x": SignalLimit(-0.3, 0.3)},
+    20.0,
+    0.05,
+    {"x": 1e-3},
+    effects=("cubic_stiffness", "quadratic_damping"),
+    options=gb.FitOptions(at_rest=True),
+    design_policy=QUICK,
+)
+
+
+def rig(mode: str = "good") -> str:
+    return f"'{sys.executable}' '{PROGRAM}' {mode} {{input}} {{record}} {{number}}"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("campaign")
+    return run_campaign(PLAN, folder, rig=rig(), workers=1)
+
+
+def test_it_names_the_hidden_effect_within_the_limits(finished) -> None:
+    assert finished.status is CampaignStatus.DONE and len(finished.steps) <= 3
+    assert finished.steps[-1].effects == ("cubic_stiffness",) and not finished.steps[-1].alternatives
+    data = json.loads((finished.folder / "campaign.json").read_text())
+    assert strict_offences(data, ResultKind.CAMPAIGN) == [] and data["status"] == "done"
+    for record in finished.folder.glob("*/record.csv"):
+        signals = gb.read_csv(record, MASS)
+        assert np.abs(signals.outputs["x"]).max() < 0.3 + 5e-3 and np.abs(signals.inputs["F"]).max() <= 3
+    page = gb.report(finished, finished.folder / "report.html").read_text(encoding="utf-8")
+    assert "one explanation is left: cubic_stiffness" in page.replace("One", "one")
+
+
+def test_it_goes_on_where_it_was_stopped(tmp_path) -> None:
+    waiting = run_campaign(PLAN, tmp_path)
+    assert waiting.status is CampaignStatus.MEASURING and waiting.findings[0].values["record"].endswith("record.csv")
+    asked = (tmp_path / "01" / "input.csv").read_bytes()
+    with pytest.raises(
+        DataError, match="ended with exit code 3 in experiment 1: the amplifier is off; nothing was kept"
+    ):
+        run_campaign(PLAN, tmp_path, rig=rig("fail"))
+    assert not (tmp_path / "01" / "record.csv").exists()
+    once = replace(PLAN, policy=replace(CAMPAIGN_POLICY, experiments=1))
+    spent = run_campaign(once, tmp_path, rig=rig())
+    assert spent.status is CampaignStatus.BUDGET_SPENT and (tmp_path / "01" / "input.csv").read_bytes() == asked
+    record = (tmp_path / "01" / "record.csv").read_bytes()
+    more = run_campaign(replace(PLAN, policy=replace(CAMPAIGN_POLICY, experiments=2)), tmp_path)
+    assert more.status is CampaignStatus.MEASURING and len(more.steps) == 2
+    assert more.steps[0] == run_campaign(PLAN, tmp_path).steps[0]  # read, not computed again
+    assert (tmp_path / "01" / "record.csv").read_bytes() == record
+    with pytest.raises(DataError, match="begun with another limits"):
+        run_campaign(replace(PLAN, limits={"F": SignalLimit(-2, 2)}), tmp_path)
+
+
+def test_a_rig_that_passes_a_limit_stops_the_campaign_and_the_record_stays(tmp_path) -> None:
+    broken = run_campaign(PLAN, tmp_path, rig=rig("wild"))
+    assert broken.status is CampaignStatus.LIMIT_BROKEN and abs(broken.steps[0].broken["x"]) > 0.3
+    assert (tmp_path / "01" / "record.csv").exists()
+    assert len(run_campaign(PLAN, tmp_path).steps) == 2
+
+
+RIGS = [
+    (rig("hang"), "did not end within"),
+    (rig("silent"), "wrote no record in experiment 1"),
+    (rig("other"), "another record: its input F differs from input.csv by"),
+    ("/nowhere/rig", "'/nowhere/rig': cannot be run"),
+    ("'unfinished", "cannot be read as a command"),
+]
+
+
+def test_what_is_wrong_with_a_rig_is_said_in_one_sentence(tmp_path) -> None:
+    impatient = replace(CAMPAIGN_POLICY, rig=replace(CAMPAIGN_POLICY.rig, timeout=-19.5))
+    run_campaign(PLAN, tmp_path)
+    for command, message in RIGS:
+        hangs = "hang" in command
+        with pytest.raises(gb.GreyboxError, match=message) as caught:
+            run_campaign(replace(PLAN, policy=impatient) if hangs else PLAN, tmp_path, rig=command)
+        assert "\n" not in str(caught.value)
+        (tmp_path / "01" / "record.csv").unlink(missing_ok=True)
+
+
+def test_the_command_waits_for_a_record_and_refuses_what_cannot_be(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    base = ["campaign", "silverbox", "--duration", "0.1", "--sampling-time", "1.5e-3", "--no-report"]
+    for more, message in (
+        (["--limit", "u=-0.1:0.1"], "the noise of no output is known"),
+        (["--limit", "u=-0.1:0.1", "--noise", "y=1e-3", "--width", "-1"], "--width -1"),
+        (["--noise", "y=1e-3"], "input 'u' has no limits"),
+    ):
+        done = CliRunner().invoke(app, [*base, *more])
+        assert done.exit_code == 2 and message in done.stderr and done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+    done = CliRunner().invoke(app, [*base, "--limit", "u=-0.1:0.1", "--noise", "y=1e-3", "--output", "here"])
+    assert done.exit_code == 0, done.output
+    assert "run the same command again" in done.stdout and Path("here/01/input.csv").exists()
+
+
+def test_a_twin_stands_for_a_rig_with_limits(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    played = ["simulate", "silverbox", "--step", "0.1", "--duration", "0.1", "--sampling-time", "1e-3", "--no-report"]
+    stopped = CliRunner().invoke(app, [*played, "--limit", "y=-1e-3:1e-3", "--output", "record.csv"])
+    assert stopped.exit_code == 1 and "leaves its limits of -0.001 to 0.001" in stopped.stderr
+    assert not Path("record.csv").exists()
+    assert CliRunner().invoke(app, [*played, "--limit", "y=-9:9", "--output", "record.csv"]).exit_code == 0
+    unknown = CliRunner().invoke(app, [*played, "--limit", "z=-9:9"])
+    assert unknown.exit_code == 2 and "no such signal" in unknown.stderr
