@@ -11,59 +11,70 @@ import hashlib
 import threading
 import time
 from collections.abc import Callable, Collection
+from enum import Enum
 from typing import Any, NamedTuple
 
 from greybox.integrators.step import Step
 from greybox.kernel.c_compiler import CompilerError, find_library, load_library
 from greybox.kernel.compiled import CompiledKernel, KernelFunctions, LibraryShape
+from greybox.kernel.llvm_routine import has_llvm
 from greybox.kernel.policy import GRADUAL_POLICY, GradualPolicy
 from greybox.kernel.tape_machine import TapeMachine, block_width, load_machine
 
 _compiler_is_busy = threading.Lock()
 
 
-class LibraryOrder:
-    """A library that is there already, or that is compiled in the background once it was earned.
+class CompilerOrder:
+    """What a compiler has made already, or makes in the background once it was earned.
 
     Parameters
     ----------
-    key, is_quick
-        What the library is made from, and how, as for `greybox.kernel.c_compiler.load_library`.
+    result
+        What is there: a library, or a machine whose routines are translated.
     """
 
-    def __init__(self, key: str, is_quick: bool) -> None:
-        self.key, self.is_quick = key, is_quick
-        self.library: ctypes.CDLL | None = find_library(key, is_quick)
+    def __init__(self, result: Any = None) -> None:
+        self.result = result
         self.error: CompilerError | None = None
         self.seconds = 0.0
         """What was spent on its work without it."""
         self._is_placed = False
 
-    def place(self, source: Callable[[], str]) -> None:
-        """Compile in the background, unless another library is being compiled: then the next pass asks again."""
+    def place(self, prepare: Callable[[], Callable[[], Any]]) -> None:
+        """Let another thread run what ``prepare`` gives, unless one is at work already: then the next pass asks again."""
         if self._is_placed or not _compiler_is_busy.acquire(blocking=False):
             return
         self._is_placed = True
-        text = source()
-        threading.Thread(target=self._compile, args=(text,), daemon=True).start()
+        threading.Thread(target=self._run, args=(prepare(),), daemon=True).start()
 
-    def _compile(self, text: str) -> None:
+    def _run(self, make: Callable[[], Any]) -> None:
         try:
-            self.library = load_library(lambda: text, self.key, self.is_quick)
+            self.result = make()
         except CompilerError as error:
             self.error = error
+        except RuntimeError as error:  # what llvmlite raises
+            self.error = CompilerError(f"LLVM cannot translate the equations: {error}")
         finally:
             _compiler_is_busy.release()
 
 
-_orders: dict[tuple[str, bool], LibraryOrder] = {}
+class CompilerKind(Enum):
+    """How code is made, by rising effort."""
+
+    TRANSLATED = "by LLVM, for the loops of the machine"
+    QUICK = "by the C compiler with few optimisations"
+    FULL = "by the C compiler with all of them"
 
 
-def _find_order(key: str, is_quick: bool) -> LibraryOrder:
+_orders: dict[tuple[str, CompilerKind], CompilerOrder] = {}
+
+
+def _find_order(key: str, kind: CompilerKind) -> CompilerOrder:
     """The order of this process for what ``key`` says."""
-    name = hashlib.sha256(key.encode(errors="backslashreplace")).hexdigest(), is_quick
+    name = hashlib.sha256(key.encode(errors="backslashreplace")).hexdigest(), kind
     if name not in _orders:
-        _orders[name] = LibraryOrder(key, is_quick)
+        is_library = kind is not CompilerKind.TRANSLATED
+        _orders[name] = CompilerOrder(find_library(key, kind is CompilerKind.QUICK) if is_library else None)
     return _orders[name]
 
 
@@ -72,11 +83,12 @@ class _Course(NamedTuple):
 
     machine: TapeMachine
     by_machine: KernelFunctions
-    quick: LibraryOrder
+    kind: CompilerKind
     """What the machine works for."""
 
-    full: LibraryOrder
-    """What the quick one works for; the same where there is no quick one."""
+    order: CompilerOrder
+    full: CompilerOrder
+    """What comes after that; the same where nothing does."""
 
 
 class GradualKernel(CompiledKernel):
@@ -122,28 +134,31 @@ class GradualKernel(CompiledKernel):
         if shape in self._functions:
             return self._functions[shape]
         course = self._find_course(shape)
-        if course.full.library is not None:
-            self._functions[shape] = self._declare(course.full.library, shape)
+        if course.full.result is not None:
+            self._functions[shape] = self._declare(course.full.result, shape)
             return self._functions[shape]
-        if course.quick.library is not None:
+        if course.order.result is not None:
             return self._run_quick(shape, course)
         return self._run_by_machine(shape, course)
 
     def _run_quick(self, shape: LibraryShape, course: _Course) -> KernelFunctions:
-        """The functions of the quick library; what they take counts towards the full one."""
+        """What was made with little effort; what it takes counts towards the full library."""
         if course.full.seconds > self._policy.full_seconds:
-            course.full.place(lambda: self.source(shape))
-        functions = self._declare(course.quick.library, shape)  # type: ignore[arg-type]
-        return _count_seconds(functions, course.full)
+            self._place(course.full, CompilerKind.FULL, shape)
+        result = course.order.result
+        if isinstance(result, TapeMachine):
+            return _count_seconds(self._declare_machine(result, shape), course.full, (result.address,))
+        return _count_seconds(self._declare(result, shape), course.full)
 
     def _run_by_machine(self, shape: LibraryShape, course: _Course) -> KernelFunctions:
-        """The functions of the machine; what they take counts towards a library."""
-        order, policy = course.quick, self._policy
+        """The functions of the machine; what they take counts towards compiled code."""
+        order, policy = course.order, self._policy
         if order.error is not None:
             error, order.error = order.error, None
             self._on_failure(error)
-        if order.seconds > policy.earned_seconds:
-            order.place(lambda: self.source(shape))
+        is_translated = course.kind is CompilerKind.TRANSLATED
+        if order.seconds > (policy.translated_seconds if is_translated else policy.earned_seconds):
+            self._place(order, course.kind, shape)
         if course.machine.scratch_bytes > policy.largest_scratch_bytes:
             return self._load(shape)
         functions = _count_seconds(course.by_machine, order, (course.machine.address,))
@@ -156,20 +171,35 @@ class GradualKernel(CompiledKernel):
 
         return functions._replace(sums=sums)
 
+    def _place(self, order: CompilerOrder, kind: CompilerKind, shape: LibraryShape) -> None:
+        def prepare() -> Callable[[], Any]:
+            if kind is CompilerKind.TRANSLATED:
+                tapes = self.read_tapes(shape)
+                return lambda: TapeMachine(self._machine_sizes(shape), tapes, is_translated=True)
+            text, key = self.source(shape), self._key(shape)
+            return lambda: load_library(lambda: text, key, kind is CompilerKind.QUICK)
+
+        order.place(prepare)
+
     def _find_course(self, shape: LibraryShape) -> _Course:
         if shape not in self._courses:
-            sizes = {"nx": self.sizes.nx, "nu": self.sizes.nu, "nq": self.sizes.nq, "ny": self.sizes.ny}
-            blocks = shape.blocks * shape.width // block_width()
-            machine, key = TapeMachine(sizes | {"nb": blocks}, self.read_tapes(shape)), self._key(shape)
-            full = _find_order(key, is_quick=False)
+            machine, key = TapeMachine(self._machine_sizes(shape), self.read_tapes(shape)), self._key(shape)
             # The exact hold is a few lines in a loop: it wants the loop well compiled, and that takes no longer.
-            quick = full if self.step.per_interval else _find_order(key, is_quick=True)
-            by_machine = self._declare(machine.library, shape, (ctypes.c_void_p,))
-            self._courses[shape] = _Course(machine, by_machine, quick, full)
+            few = CompilerKind.FULL if self.step.per_interval else CompilerKind.QUICK
+            kind = CompilerKind.TRANSLATED if has_llvm() else few
+            order, full = _find_order(key, kind), _find_order(key, CompilerKind.FULL)
+            self._courses[shape] = _Course(machine, self._declare_machine(machine, shape), kind, order, full)
         return self._courses[shape]
 
+    def _machine_sizes(self, shape: LibraryShape) -> dict[str, int]:
+        blocks = shape.blocks * shape.width // block_width()
+        return {"nx": self.sizes.nx, "nu": self.sizes.nu, "nq": self.sizes.nq, "ny": self.sizes.ny, "nb": blocks}
 
-def _count_seconds(functions: KernelFunctions, order: LibraryOrder, leading: tuple[int, ...] = ()) -> KernelFunctions:
+    def _declare_machine(self, machine: TapeMachine, shape: LibraryShape) -> KernelFunctions:
+        return self._declare(machine.library, shape, (ctypes.c_void_p,))
+
+
+def _count_seconds(functions: KernelFunctions, order: CompilerOrder, leading: tuple[int, ...] = ()) -> KernelFunctions:
     """``functions`` with the arguments ``leading`` in front, whose seconds count towards ``order``."""
 
     def count(function: Any) -> Any:

@@ -2,10 +2,12 @@
    VALUE_CASES are the operations on values, generated; the numbers of the others are those of tape_machine.py. An instruction is its
    number, where the result goes, and where the operands are. */
 
+typedef void code(double *r, v *t, const double *const *in, const vu *const *din, double *z, v *dz);
 struct routine {
     long values, tangents, numbers; /* of registers; the first `numbers` registers hold constants, tangent register 0 is zero */
     const int *once, *each;
     const double *constants;
+    code *run_once, *run_each; /* machine code in the place of instructions, or NULL */
 };
 struct machine {
     long nx, nu, nq, ny, nb;
@@ -90,9 +92,13 @@ INLINE void run(const int *pc, double *r, v *t, const double *const *in, const v
 #undef B
 #undef C
 
-/* The usual numbers of blocks as constants: their loops then vanish. */
-static void execute(const struct registers *c, const int *pc, const double *const *in, const vu *const *din, double *z, v *dz)
+/* Compiled code, or else the instructions, with the usual numbers of blocks as constants: their loops then vanish. */
+static void execute(const struct registers *c, const int *pc, code *compiled, const double *const *in, const vu *const *din, double *z, v *dz)
 {
+    if (compiled) {
+        compiled(c->r, c->t, in, din, z, dz);
+        return;
+    }
     switch (c->nb) {
     case 0:
         run(pc, c->r, c->t, in, din, z, dz, 0);
@@ -146,30 +152,30 @@ INLINE struct registers open_registers(const struct routine *routine, double *r,
 
 INLINE void prepare_advance(const struct registers *c, ADVANCE)
 {
-    execute(c, c->routine->once, ADVANCE_IN, 0, 0);
+    execute(c, c->routine->once, c->routine->run_once, ADVANCE_IN, 0, 0);
 }
 
 INLINE void advance(const struct registers *c, ADVANCE, double *z, v *dz)
 {
-    execute(c, c->routine->each, ADVANCE_IN, z, dz);
+    execute(c, c->routine->each, c->routine->run_each, ADVANCE_IN, z, dz);
 }
 
 INLINE void prepare_outputs(const struct registers *c, OUTPUTS)
 {
-    execute(c, c->routine->once, OUTPUTS_IN, 0, 0);
+    execute(c, c->routine->once, c->routine->run_once, OUTPUTS_IN, 0, 0);
 }
 
 INLINE void outputs(const struct registers *c, OUTPUTS, double *z, v *dz)
 {
-    execute(c, c->routine->each, OUTPUTS_IN, z, dz);
+    execute(c, c->routine->each, c->routine->run_each, OUTPUTS_IN, z, dz);
 }
 
 INLINE void prepare_generator(const struct registers *c, const double *p, const vu *dp)
 {
-    execute(c, c->routine->once, (const double *[]){p}, (const vu *[]){dp}, 0, 0);
+    execute(c, c->routine->once, c->routine->run_once, (const double *[]){p}, (const vu *[]){dp}, 0, 0);
 }
 
 INLINE void generator(const struct registers *c, const double *p, const vu *dp, double *z, v *dz)
 {
-    execute(c, c->routine->each, (const double *[]){p}, (const vu *[]){dp}, z, dz);
+    execute(c, c->routine->each, c->routine->run_each, (const double *[]){p}, (const vu *[]){dp}, z, dz);
 }

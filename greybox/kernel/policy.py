@@ -41,8 +41,11 @@ class GradualPolicy:
     earned_seconds: float = 0.1
     """Seconds that the machine spends on a library's work before the library is compiled, quickly: half of what that takes, on another
     core if there is one. Most structures of a search never spend so much."""
-    full_seconds: float = 3.0
-    """Seconds in a quickly compiled library before it is compiled with all optimisation, which gains a tenth and takes half a second."""
+    translated_seconds: float = 0.02
+    """The same where LLVM is installed, which takes 30 to 100 ms."""
+    full_seconds: float = 0.5
+    """Seconds in what was compiled quickly before it is compiled with all optimisation, in the background: half a second, for code that
+    takes a tenth to a half less time and is there when the same model comes again."""
     most_instructions: float = 1e8
     """Instructions of one pass from which the compiler is waited for: the machine would take a quarter of a second, the
     compiler no longer."""

@@ -20,6 +20,7 @@ from greybox.expressions.operations import OPERATIONS
 from greybox.kernel.c_compiler import choose_vector_width, load_library
 from greybox.kernel.c_routine import FUSED
 from greybox.kernel.fused import find_needed, order_terms
+from greybox.kernel.llvm_routine import Code, generate
 from greybox.kernel.tape import Tape
 
 LOAD, LOAD_TANGENT, STORE, STORE_TANGENT, PICK, SUM_1, SUM_2, SUM_3, SUM_MORE, END = range(-4, -14, -1)
@@ -48,6 +49,8 @@ class _Routine(ctypes.Structure):
         ("once", ctypes.c_void_p),
         ("each", ctypes.c_void_p),
         ("constants", ctypes.c_void_p),
+        ("run_once", ctypes.c_void_p),
+        ("run_each", ctypes.c_void_p),
     )
 
 
@@ -59,7 +62,7 @@ class _Machine(ctypes.Structure):
 
 
 class TapeMachine:
-    """The programs of a step, as the functions of the machine's library want them.
+    """The routines of a step, as the functions of the machine's library want them.
 
     Parameters
     ----------
@@ -67,32 +70,41 @@ class TapeMachine:
         ``nx``, ``nu``, ``nq``, ``ny``, and ``nb`` the blocks of tangents, 0 for a simulation.
     tapes
         ``advance``, ``outputs`` and, for an exact hold, ``generator``.
+    is_translated
+        Whether LLVM turns the tapes into machine code; else the machine runs their instructions.
     """
 
-    def __init__(self, sizes: Mapping[str, int], tapes: Mapping[str, Tape]) -> None:
+    def __init__(self, sizes: Mapping[str, int], tapes: Mapping[str, Tape], is_translated: bool = False) -> None:
         self.library = load_machine()
-        self._programs = {name: assemble(tape, tangents=sizes["nb"] > 0) for name, tape in tapes.items()}
-        self.scratch_bytes = 8 * sum(
-            p.values + p.tangents * sizes["nb"] * block_width() for p in self._programs.values()
-        )
-        self.instructions = sum(len(p.each) for p in self._programs.values()) // 4
-        self._machine = _Machine(**sizes, **{name: _to_routine(p) for name, p in self._programs.items()})
+        self._blocks = sizes["nb"]
+        make = self._translate if is_translated else self._assemble
+        self._kept: list[Program | Code] = []
+        self.instructions, self.scratch_bytes = 0, 0
+        self._machine = _Machine(**sizes, **{name: make(tape) for name, tape in tapes.items()})
 
     @property
     def address(self) -> int:
         """Of the description that every function takes first."""
         return ctypes.addressof(self._machine)
 
+    def _assemble(self, tape: Tape) -> _Routine:
+        program = assemble(tape, tangents=self._blocks > 0)
+        self._kept.append(program)
+        self.instructions += len(program.each) // 4
+        self.scratch_bytes += 8 * (program.values + program.tangents * self._blocks * block_width())
+        arrays = (program.once, program.each, program.constants)
+        return _Routine(program.values, program.tangents, len(program.constants), *(a.ctypes.data for a in arrays))
 
-def _to_routine(program: Program) -> _Routine:
-    arrays = (program.once, program.each, program.constants)
-    return _Routine(program.values, program.tangents, len(program.constants), *(a.ctypes.data for a in arrays))
+    def _translate(self, tape: Tape) -> _Routine:
+        code = generate(tape, block_width(), self._blocks)
+        self._kept.append(code)
+        return _Routine(code.values, code.tangents, run_once=code.once, run_each=code.each)
 
 
 @lru_cache(maxsize=1)
 def load_machine() -> ctypes.CDLL:
-    """The library, compiled where this machine does not have it yet. Raises CompilerError."""
-    return load_library(source_of_machine, "tape machine")
+    """The library, compiled where this machine does not have it yet: everything waits for it. Raises CompilerError."""
+    return load_library(source_of_machine, "tape machine", is_quick=True)
 
 
 def source_of_machine() -> str:

@@ -27,7 +27,12 @@ def build(request, monkeypatch, tmp_path_factory):
 
 def make_machine(step):
     """The tape machine, which never earns a library."""
-    return GradualKernel(step, None, pytest.fail, GradualPolicy(earned_seconds=np.inf, most_instructions=np.inf))
+    return GradualKernel(
+        step,
+        None,
+        pytest.fail,
+        GradualPolicy(earned_seconds=np.inf, translated_seconds=np.inf, most_instructions=np.inf),
+    )
 
 
 def oscillator(stiffness, damping):

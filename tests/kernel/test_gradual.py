@@ -1,5 +1,6 @@
 """The tape machine against compiled code, to the bit; how a structure earns its libraries; what happens where they cannot be had."""
 
+import functools
 import time
 import warnings
 
@@ -12,24 +13,21 @@ from greybox.integrators.rk4 import rk4
 from greybox.kernel import CompiledKernel, gradual
 from greybox.kernel import c_compiler as compiling
 from greybox.kernel.gradual import GradualKernel
+from greybox.kernel.llvm_routine import has_llvm
 from greybox.kernel.policy import GradualPolicy
 from greybox.kernel.record import Record
+from greybox.kernel.tape_machine import TapeMachine
 from models.micro_actuator import micro_actuator
 from tests.kernel.test_kernels import OPERATIONS, operation_step
 
-NEVER = GradualPolicy(earned_seconds=np.inf, most_instructions=np.inf)
-AT_ONCE = GradualPolicy(earned_seconds=0.0, full_seconds=0.0)
+NEVER = GradualPolicy(earned_seconds=np.inf, translated_seconds=np.inf, most_instructions=np.inf)
+AT_ONCE = GradualPolicy(earned_seconds=0.0, translated_seconds=0.0, full_seconds=0.0)
 
 
 @pytest.fixture(autouse=True)
 def shared_cache(monkeypatch, tmp_path_factory):
     monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path_factory.getbasetemp() / "gradual"))
     monkeypatch.setattr(gradual, "_orders", {})
-
-
-@pytest.fixture
-def nothing_cached(monkeypatch):
-    monkeypatch.setattr(gradual, "find_library", lambda *_: None)
 
 
 def make_record(inputs, outputs, first_order=False, rows=60):
@@ -51,18 +49,28 @@ def run_all(kernel, record, p, x0, directions):
     return [q, dq, *kernel.simulate(record, q, p, x0), *residuals, sums.squares, sums.gradient, sums.gauss_newton]
 
 
-def assert_same_bits(step, record, p, x0, directions, free=None):
+def assert_same_bits(step, record, p, x0, directions):
     arguments = record, np.asarray(p), np.asarray(x0), directions
-    machine = GradualKernel(step, free, pytest.fail, NEVER)
+    machine = GradualKernel(step, None, pytest.fail, NEVER)
     by_machine = run_all(machine, *arguments)
     assert not machine._functions  # no library has come in its place
-    for a, b in zip(by_machine, run_all(CompiledKernel(step, free), *arguments), strict=True):
+    for a, b in zip(by_machine, run_all(CompiledKernel(step), *arguments), strict=True):
         np.testing.assert_array_equal(a, b)
     assert np.isfinite(by_machine[-1]).all()
 
 
+@pytest.fixture(params=["interpreted", "translated by LLVM"])
+def machine(request, monkeypatch):
+    """How the machine runs its routines, with nothing in the cache to take over."""
+    monkeypatch.setattr(gradual, "find_library", lambda *_: None)
+    if request.param != "interpreted":
+        if not has_llvm():
+            pytest.skip("without llvmlite, or a processor without fused multiply-adds")
+        monkeypatch.setattr(gradual, "TapeMachine", functools.partial(TapeMachine, is_translated=True))
+
+
 @pytest.mark.parametrize("name", OPERATIONS)
-def test_every_operation_to_the_bit(name, nothing_cached):
+def test_every_operation_to_the_bit(name, machine):
     step = operation_step(OPERATIONS[name])
     step = type(step)(step.name, step.advance, step.outputs, lambda p, h, which: (p[None], np.eye(1)[None, :, which]))
     for x0 in ([0.6, 1.7], [1.3, 0.8]):
@@ -73,14 +81,14 @@ def test_every_operation_to_the_bit(name, nothing_cached):
     ("effect", "directions"),
     [("coulomb_friction", 1), ("coulomb_friction", 18), ("quadratic_damping", 5), ("quadratic_damping", 13)],
 )
-def test_a_model_with_an_effect_to_the_bit(effect, directions, nothing_cached):
+def test_a_model_with_an_effect_to_the_bit(effect, directions, machine):
     model = micro_actuator + gb.effect(effect)
     p = np.array(list(model.values.values()))
     x0 = np.zeros(model.system.x.numel())
     assert_same_bits(rk4(model.system, 3, None), make_record(1, len(model.outputs), True), p, x0, directions)
 
 
-def test_an_exact_hold_to_the_bit(nothing_cached):
+def test_an_exact_hold_to_the_bit(machine):
     p = np.array(list(micro_actuator.values.values()))
     step = exact_hold(micro_actuator.system)
     assert_same_bits(step, make_record(1, len(micro_actuator.outputs)), p, np.zeros(step.advance.size1_in(0)), 4)
@@ -97,7 +105,11 @@ def count_libraries(folder):
     return len(list(folder.glob(f"*{compiling.SUFFIX}")))
 
 
-def test_a_structure_earns_first_a_quick_library_and_then_a_full_one(monkeypatch, tmp_path):
+@pytest.mark.parametrize("is_translated", [False, True])
+def test_a_structure_earns_first_quick_code_and_then_a_full_library(monkeypatch, tmp_path, is_translated):
+    if is_translated and not has_llvm():
+        pytest.skip("without llvmlite")
+    monkeypatch.setattr(gradual, "has_llvm", lambda: is_translated)
     step, folder = rk4(micro_actuator.system, 2, None), tmp_path / "cache"
     p, x0 = np.array(list(micro_actuator.values.values())), np.zeros(3)
     record = make_record(1, len(micro_actuator.outputs))
@@ -109,10 +121,12 @@ def test_a_structure_earns_first_a_quick_library_and_then_a_full_one(monkeypatch
 
     first = simulate()
     assert count_libraries(folder) == 0
-    for number in (1, 2):
+    (course,) = kernel._courses.values()
+    for order in (course.order, course.full):
         simulate()
-        wait_for(lambda n=number: count_libraries(folder) == n and not gradual._compiler_is_busy.locked())
+        wait_for(lambda order=order: order.result is not None and not gradual._compiler_is_busy.locked())
         np.testing.assert_array_equal(simulate(), first)
+    assert count_libraries(folder) == (1 if is_translated else 2)
     assert list(kernel._functions)  # the full library, from now on without detour
     monkeypatch.setattr(gradual, "_orders", {})  # as a new process would start
     again = GradualKernel(step, None, pytest.fail, NEVER)
@@ -145,6 +159,7 @@ def test_a_library_that_fails_leaves_the_machine_at_work(monkeypatch, tmp_path):
         raise compiling.CompilerError("out of ink")
 
     monkeypatch.setattr(gradual, "load_library", fail)
+    monkeypatch.setattr(gradual, "has_llvm", lambda: False)
     record = make_record(1, 2, rows=4)
     arguments = record, np.ones((1, 1)), np.zeros(1), np.array([0.5, 0.2])
     first = kernel.simulate(*arguments)[1]
