@@ -60,10 +60,14 @@ def _load_llvm() -> ModuleType:
 
 
 def generate(tape: Tape, width: int, blocks: int) -> Code:
-    """The code of a tape of operations that C has, with ``blocks`` blocks of ``width`` tangents, or none."""
+    """The code of a tape of operations that C has, with ``blocks`` blocks of ``width`` tangents, or none. Raises RuntimeError where LLVM
+    cannot."""
     text = _Text(tape, width, blocks)
     llvm = _load_llvm()
     source = f'target triple = "{llvm.get_default_triple()}"\n{text.module()}'
+    missing = sorted(name for name in text.functions if llvm.address_of_symbol(name) is None)
+    if missing:  # LLVM would end the process
+        raise RuntimeError(f"this process has no function {', '.join(missing)}")
     machine = llvm.Target.from_default_triple().create_target_machine(
         cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=2, jit=True
     )
@@ -84,6 +88,7 @@ class _Text:
         self.names: dict[tuple[str, int], Any] = {}
         self.registers: dict[tuple[str, int], int] = {}
         self.declared: set[str] = set()
+        self.functions: set[str] = set()
         self._count = 0
 
     def module(self) -> str:
@@ -106,8 +111,8 @@ class _Text:
             elif kind == "tangent" and k in self.needed_tangents and self.tape.tangents[k].varying == is_each:
                 self._write_tangent(k, is_each)
         if is_each:
-            for i, (node, tangent) in enumerate(self.tape.outputs[0]):
-                self._store("%z", i, "double", self._value(node))
+            for i, (k, tangent) in enumerate(self.tape.outputs[0]):
+                self._store("%z", i, "double", self._value(k))
                 for b in range(self.blocks):
                     lane = "zeroinitializer" if tangent is None else self._lanes(tangent)[b]
                     self._store("%dz", i * self.blocks + b, self.block, lane)
@@ -192,6 +197,7 @@ class _Text:
         call = CALL.fullmatch(OPERATIONS[op].c)
         assert call is not None  # the table has no other forms: a test runs them all
         name = f"@llvm.{call[1]}.f64" if call[1] in INSTRUCTIONS else f"@{call[1]}"
+        self.functions |= set() if call[1] in INSTRUCTIONS else {call[1]}
         self.declared.add(f"double {name}({', '.join(['double'] * len(a))})")
         return self._add(f"call double {name}({', '.join(f'double {x}' for x in a)})")
 
