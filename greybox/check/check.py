@@ -26,6 +26,7 @@ from greybox.identifiability.generic_experiment import simulate_generic_record
 from greybox.identifiability.practical import analyse_problem, list_measured_outputs
 from greybox.kernel.compiled import CompiledKernel
 from greybox.model import Model
+from greybox.model.signals import Input, Parameter, State
 from greybox.model.sites import STORE
 from greybox.noise import NoiseModel
 from greybox.transcription.problem import prepare_problem
@@ -264,7 +265,11 @@ def check(
 
 def _list_roles(model: Model) -> dict[str, dict[str, str]]:
     """The role of each state, input and parameter of the plant; a body's velocity and displacement are found by their balances."""
-    groups = {"states": model.states, "inputs": model.inputs, "parameters": model.parameters}
+    groups: dict[str, Sequence[State | Input | Parameter]] = {
+        "states": model.states,
+        "inputs": model.inputs,
+        "parameters": model.parameters,
+    }
     roles = {group: {item.name: item.role for item in items if item.role} for group, items in groups.items()}
     for site in model.sites:
         roles["states"] = {name: role for role, name in site.states.items() if name and role != STORE} | roles["states"]

@@ -100,7 +100,7 @@ def compare(
     options, seed = fit_options(study), seed_of(study)
     given = {"noise": dict(study.noise), "quiet": quiet, "options": options}
     journal = folder / STARTS_FILE
-    with open_workers(workers, cluster) as executor, show_progress() as show:
+    with open_workers(workers, cluster) as executor, show_progress(silent) as show:
         if study.starts > 1:
             given |= {
                 "starts": study.starts,

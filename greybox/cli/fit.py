@@ -120,7 +120,7 @@ def fit(
     with open_workers(workers, cluster) as executor:
         if study.starts > 1:
             journal = folder / STARTS_FILE
-            with show_progress() as show:
+            with show_progress(silent) as show:
                 many = multistart(
                     model,
                     records,
@@ -137,7 +137,7 @@ def fit(
             if not interrupted and len(many.start_results) == study.starts:
                 journal.unlink(missing_ok=True)
         else:
-            with hold_interrupts() as interrupt, show_fit_progress(model.title, interrupt) as report:
+            with hold_interrupts() as interrupt, show_fit_progress(model.title, interrupt, silent) as report:
                 result = fit_model(model, records, report=report, **given)
             interrupted = interrupt.requested
         with hold_interrupts():

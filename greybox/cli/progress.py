@@ -25,17 +25,20 @@ class ShowProgress(Protocol):
 
 
 class ProgressLine:
-    """What the line says, and the time left by what the work done so far took."""
+    """What the line says, and the time left by what the work done so far took; a ``silent`` one says nothing."""
 
-    def __init__(self) -> None:
+    def __init__(self, silent: bool = False) -> None:
         from rich.console import Console
 
         self.console = Console(stderr=True)
+        self.silent = silent
         self.began = self.written = time.monotonic()
         self.bar: Bar | None = None
 
     def __call__(self, text: str, share: float | None = None) -> None:
         """Show ``text``; with the ``share`` of the work that is done also the bar and the time left."""
+        if self.silent:
+            return
         now = time.monotonic()
         elapsed = now - self.began
         left = time_left(elapsed, share)
@@ -81,9 +84,9 @@ def _bar(console: object) -> Bar:
 
 
 @contextmanager
-def show_progress() -> Iterator[ShowProgress]:
+def show_progress(silent: bool = False) -> Iterator[ShowProgress]:
     """A function that shows a text, and a share done, in place of the last one; the line is gone at the end."""
-    line = ProgressLine()
+    line = ProgressLine(silent)
     try:
         yield line
     finally:
@@ -91,9 +94,9 @@ def show_progress() -> Iterator[ShowProgress]:
 
 
 @contextmanager
-def show_fit_progress(title: str, interrupt: Interrupt) -> Iterator[FitProgressCallback]:
+def show_fit_progress(title: str, interrupt: Interrupt, silent: bool = False) -> Iterator[FitProgressCallback]:
     """A function to report a fit's progress to, which also hands on a waiting Ctrl-C; the line is gone at the end."""
-    with show_progress() as show:
+    with show_progress(silent) as show:
 
         def report(progress: FitProgress) -> None:
             interrupt.pass_on()

@@ -76,6 +76,13 @@ def test_without_a_terminal_a_plain_line_comes_now_and_then(
     assert capsys.readouterr().err.splitlines() == ["refit 10; 12 s so far; about 36 s left", "refit 60; 2 min so far"]
 
 
+def test_a_silent_command_writes_no_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
+    seconds = iter([0.0, 50.0])
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(seconds))
+    ProgressLine(silent=True)("refit 10", 0.25)
+    assert capsys.readouterr().err == ""
+
+
 def _still(console: Console, own=progress._bar):
     """The same line, drawn when asked and not by a clock, which the test has stopped."""
     bar = own(console)
