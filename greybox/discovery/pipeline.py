@@ -619,8 +619,7 @@ def _summarise(
         return (Finding(DiscoveryCode.EFFECTS_ESTABLISHED, subject=name, values=values), *reduced, *remaining)
     probable = {e.effect: e.probability for e in evidence if e.effect in effects and e.grade is Grade.PROBABLE}
     if probable and error.share > 0:
-        others = [e for e in effects if e not in probable]
-        values = {"probabilities": probable, "others": others}
+        values = {"probabilities": probable, "others": [e for e in effects if e not in probable]}
         return (Finding(DiscoveryCode.EFFECTS_PROBABLE, subject=name, values=values), *reduced, *remaining)
     findings = [Finding(DiscoveryCode.UNKNOWN_EFFECT)]
     if name and error.share <= 0:
