@@ -146,7 +146,7 @@ def fit_fmu(
     given |= {name: value for name, value in begin.items() if name not in {v.name for v in unknowns}}
     std = {o.label: _find_noise(o, records, noise, policy) for o in plant.outputs}
     with FmuSimulator(plant, policy) as simulator:
-        search = _Search(simulator, unknowns, given, records, std, policy)
+        search = _FmuSearch(simulator, unknowns, given, records, std, policy)
         z = search.to_unknowns(np.array([begin[v.name] for v in unknowns]))
         search.begin(z)
         low, high = search.bounds
@@ -191,7 +191,7 @@ def fit_fmu(
     )
 
 
-class _Search:
+class _FmuSearch:
     """Residuals of the records as a function of the unknowns, each point run once."""
 
     def __init__(

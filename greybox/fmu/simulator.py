@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import shutil
 import sys
@@ -23,22 +24,27 @@ from greybox.fmu.policy import DEFAULT_FMU_FIT, FmuFitPolicy
 def _silence() -> Iterator[list[BaseException]]:
     """Nothing that an FMU or its solver prints is shown: a failure says it once. Gives the errors that were lost in calls from C."""
     lost: list[BaseException] = []
-    hook, sys.unraisablehook = sys.unraisablehook, lambda found: lost.append(found.exc_value or FmuRunError(str(found)))
+
+    def keep(event: Any) -> None:
+        lost.append(event.exc_value or FmuRunError(str(event)))
+
+    hook, sys.unraisablehook = sys.unraisablehook, keep
     saved = {}
+    nowhere = os.open(os.devnull, os.O_RDWR)
     try:
-        with warnings.catch_warnings(), open(os.devnull, "w") as nowhere:
+        for number in (1, 2):
+            with contextlib.suppress(OSError):
+                saved[number] = os.dup(number)
+                os.dup2(nowhere, number)
+        with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
             warnings.simplefilter("ignore")
-            for number in (1, 2):
-                with contextlib.suppress(OSError):
-                    saved[number] = os.dup(number)
-                    os.dup2(nowhere.fileno(), number)
-            with contextlib.redirect_stdout(nowhere):
-                yield lost
+            yield lost
     finally:
         sys.unraisablehook = hook
         for number, copy in saved.items():
             os.dup2(copy, number)
             os.close(copy)
+        os.close(nowhere)
 
 
 class FmuRunError(GreyboxError):
