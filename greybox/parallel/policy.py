@@ -33,8 +33,9 @@ class ClusterPolicy:
     """Seconds between two calls: a worker that lives for a shorter time is not counted."""
     listen_seconds: float = 4.0
     """Seconds between two looks at the heartbeats of the workers."""
-    frozen_seconds: float = 18.0
-    """Seconds without a heartbeat after which a worker is done without; one beats twice a second in a small cluster."""
+    frozen_seconds: float = 25.0
+    """Seconds without a heartbeat after which a worker is done without; one beats twice a second in a small cluster, and on a machine
+    with far more to do than it can every ten."""
     frozen_seconds_per_worker: float = 0.03
     """The same for each worker of a large cluster: a thousand of them beat every six seconds only."""
     least_losses: int = 6
