@@ -115,7 +115,7 @@ def is_one_of(name: str, data: bytes, old: dict[str, bytes], new: dict[str, byte
 def test_a_full_disk_leaves_the_old_result_or_the_new_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     # The scan over black boxes takes a minute and writes nothing.
-    monkeypatch.setattr("greybox.comparison.black_box_candidates.fit_black_boxes", lambda *_, **__: ([], ()))
+    monkeypatch.setattr("greybox.comparison.black_box_candidates.fit_black_boxes", lambda *_, **__: ((), ()))
     period = 1.6384e-3
     record, other = (
         linear_record(silverbox, multisine(np.random.default_rng(k), 300, period, 5, 200, 0.1), period) for k in (1, 2)
