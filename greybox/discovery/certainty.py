@@ -27,6 +27,7 @@ def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[
     deviations = policy.most_deviations
     curve, curve_t = measures["curve_loss"], measures["curve_t"]
     is_tested = math.isfinite(curve)
+    static = measures.get("static_loss", math.nan)  # of an effect without memory there is none
     change = measures["change"]
     return {
         "share": _clip(measures["share"], 0, 1),
@@ -38,6 +39,8 @@ def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[
         "curve_ratio": _clip(-0.5 * math.log(max(1 + curve, TINY)), 0, 1) if is_tested else 0.0,
         "curve_t": _clip(-curve_t / deviations, 0, 1) if is_tested else 0.0,
         "curve_untested": float(not is_tested),
+        "static_size": _clip(_signed_root(static) / size, -1, 1) if math.isfinite(static) else 1.0,
+        "static_t": _clip(measures.get("static_t", math.nan) / deviations, -1, 1) if math.isfinite(static) else 1.0,
         "remainder": measures["remainder"],
         "structure": measures["structure"],
         "left": _clip(measures["structure"] / size, 0, 1),
@@ -63,6 +66,7 @@ def grade_effect(probability: float, features: Mapping[str, float], has_equal: b
         has_equal
         or features["undetermined"] > 0
         or features["rival_t"] < policy.least_rival
+        or features["static_t"] < policy.least_rival
         or features["curve_size"] > policy.most_form
         or features["remainder"] > policy.most_remainder
         or features["share"] < policy.least_share

@@ -26,7 +26,13 @@ from greybox.discovery.holdout import HoldoutScores, is_level_measured
 from greybox.discovery.policy import DiscoveryPolicy, EvidencePolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.screening import list_extension_starts, rank_extensions
-from greybox.discovery.shape_correction import is_shape_correction, list_shape_corrections
+from greybox.discovery.shape_correction import (
+    has_memory,
+    is_shape_correction,
+    list_shape_corrections,
+    prepare_curve,
+)
+from greybox.discovery.surrogate_effects import CURVE
 from greybox.effects import Scales
 from greybox.model import Effect
 from greybox.noise import fit_autoregression, join_series
@@ -57,8 +63,8 @@ class EffectEvidence(Printable, ReadOnly):
     rival, rival_error
         The best effect of another family in its place, and the rms error with that; "" and NaN where none could be fitted.
     alike
-        Effects of other families that do the same in its place: no record of this kind separates them. The probability is that of one of
-        these being right.
+        Effects of other families that do the same in its place, and `fitted_curve` where a curve without memory does as well as an
+        effect with one: no record of this kind separates them. The probability is that of one of these being right.
     change
         Relative change of its constants from one half of the estimation records to the other; NaN where a half could not be fitted.
     survives_start
@@ -68,7 +74,8 @@ class EffectEvidence(Printable, ReadOnly):
     measures
         What the probability was computed from. Losses are relative differences of mean square errors from that of the model, all outputs
         together, on the validation records and adapted to them (`HoldoutScores.adapt`): without the effect, with its rival, with a
-        flexible curve beside it; ``_t`` are the same in standard errors of the blocks.
+        flexible curve beside it, and of an effect with memory with a curve in its place; ``_t`` are the same in standard errors of the
+        blocks.
     """
 
     effect: str
@@ -178,6 +185,9 @@ def _weigh_effect(
     nearest = min(others, key=lambda k: behind[k][0], default=None)
     rival_loss, rival_t = (loss, loss_t) if nearest is None else behind[nearest]
     curve_loss, curve_t = (np.nan, np.nan) if corrected is None else _compare(form, square_errors(corrected))
+    static = _refit_static_curve(inputs, effect, rest)
+    static_loss, static_t = (np.nan, np.nan) if static is None else _compare(form, square_errors(static))
+    is_static = static_loss < limits.same_error * min(loss, 1.0)
     change = _measure_change(inputs.selected, effect, halves)
     output = max(errors, key=lambda o: _mean(without.get(o)) / max(_mean(errors[o]), TINY))
     share, interval = _share_of_error(errors[output], without.get(output), limits)
@@ -189,6 +199,8 @@ def _weigh_effect(
         "rival_t": rival_t,
         "curve_loss": curve_loss,
         "curve_t": curve_t,
+        "static_loss": static_loss,
+        "static_t": static_t,
         "remainder": _remainder_over_variable(inputs, name),
         "structure": structure,
         "change": change,
@@ -202,7 +214,7 @@ def _weigh_effect(
     return EffectEvidence(
         name,
         probability,
-        grade_effect(probability, features, bool(alike), inputs.policy.certainty),
+        grade_effect(probability, features, bool(alike) or is_static, inputs.policy.certainty),
         output,
         unit,
         float(np.sqrt(_mean(without.get(output)))),
@@ -211,7 +223,7 @@ def _weigh_effect(
         interval,
         "" if nearest is None else _other(rivals[nearest], inputs.selected),
         np.nan if nearest is None else float(np.sqrt(_mean(rival_errors[nearest].get(output)))),
-        tuple(_other(rivals[k], inputs.selected) for k in alike),
+        (*(_other(rivals[k], inputs.selected) for k in alike), *((CURVE,) if is_static else ())),
         change,
         survives_start,
         _helps_on_every_record(inputs, rest, output),
@@ -261,6 +273,16 @@ def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) 
     ]
     fits = [inputs.attempt(job) for job in jobs]
     return [*near, *(fit for fit in fits if fit is not None)]
+
+
+def _refit_static_curve(inputs: EvidenceInputs, effect: Effect, rest: CandidateFit | None) -> CandidateFit | None:
+    """A smooth curve in the place of an effect with memory: where that does as well, the records do not show that there is a memory."""
+    signal = next((s for s in inputs.signals if s.effect == effect.name), None)
+    if rest is None or signal is None or not has_memory(effect):
+        return None
+    prepare = partial(prepare_curve, rest, signal, inputs.policy)
+    job = inputs.problem.failures.attempt(SearchStage.SHAPE_CORRECTION, inputs.selected.effects, prepare, None)
+    return None if job is None else inputs.problem.refit_all([job])[0]
 
 
 def _converge(inputs: EvidenceInputs, fit: CandidateFit) -> CandidateFit:

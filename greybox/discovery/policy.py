@@ -306,7 +306,7 @@ class EvidencePolicy:
 class CertaintyPolicy:
     """How probable it is that an effect is right, and from which probability it may be called so."""
 
-    intercept: float = -1.0
+    intercept: float = -4.0
     """Constant of the logistic function."""
     weights: Mapping[str, float] = field(
         default_factory=lambda: {
@@ -320,8 +320,10 @@ class CertaintyPolicy:
             "curve_t": -2.0,
             "curve_untested": -0.3,
             "remainder": -1.0,
-            "structure": -2.5,
-            "left": -1.0,
+            "static_size": 1.0,
+            "static_t": 2.0,
+            "structure": -1.0,
+            "left": -2.0,
             "change": -0.7,
             "start": 0.5,
             "several": -0.3,
@@ -338,7 +340,8 @@ class CertaintyPolicy:
     probable: float = 0.5
     """Probability from which an effect is probable; below it is a stand-in."""
     least_rival: float = 0.3
-    """The best rival must be behind by this share of `most_deviations`: three standard errors."""
+    """The best rival must be behind by this share of `most_deviations`: three standard errors. So must be, of an effect with memory, a
+    curve in its place."""
     most_form: float = 0.5
     """What a flexible curve beside the effect takes more, over what the effect takes, in rms."""
     most_remainder: float = 0.6

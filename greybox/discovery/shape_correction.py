@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
+
 from greybox.discovery.disturbance_sites import list_disturbance_sites
-from greybox.discovery.effect_signal import estimate_effect_signals
+from greybox.discovery.effect_signal import EffectSignal, estimate_effect_signals
 from greybox.discovery.execution import RefitJob
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
@@ -60,29 +62,41 @@ def _second_branches(
             yield effect.name, RefitJob(model, tuple(starts), 1, policy.budget.correction_iterations)
 
 
+def has_memory(effect: Effect) -> bool:
+    """Whether an effect is no function of what is there at the moment: it has states, delays a signal or moves it between samples."""
+    return bool(effect.states or effect.delay or effect.hold)
+
+
+def prepare_curve(rest: CandidateFit, signal: EffectSignal, policy: DiscoveryPolicy) -> RefitJob:
+    """The refit of ``rest`` with a curve that stands for the whole ``signal`` of an effect that it does not have."""
+    return _prepare_curve(rest, signal, signal.value, policy)
+
+
 def _curves(
     problem: DiscoveryProblem, candidate: CandidateFit, policy: DiscoveryPolicy
 ) -> Iterator[tuple[str, RefitJob]]:
     """A curve at the site of every effect, over the variable that its signal depends on most."""
-    sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
     for signal in estimate_effect_signals(problem, candidate, policy.localisation):
         corrected: Effect | None = next((e for e in candidate.model.effects if e.name == signal.effect), None)
-        if corrected is None or corrected.states or corrected.hold:
-            continue  # what has memory, or moves the input between samples, is no function of a variable
-        site = next(s for s in sites if s.label == signal.site)
-        curve, heights = make_curve_effect(
-            site,
-            signal.dependence,
-            signal.variable,
-            signal.value - signal.modelled,
-            signal.std,
-            policy.surrogate,
-            policy.budget.correction_heights,
-        )
-        model = candidate.model + curve
-        names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
-        starts = (
-            {**candidate.model.values, **{names[n]: v for n, v in heights.items()}},
-            candidate.model.values,
-        )
-        yield corrected.name, RefitJob(model, starts, 1, policy.budget.correction_iterations)
+        if corrected is not None and not (corrected.states or corrected.hold):  # these are no function of a variable
+            yield corrected.name, _prepare_curve(candidate, signal, signal.value - signal.modelled, policy)
+
+
+def _prepare_curve(
+    candidate: CandidateFit, signal: EffectSignal, values: np.ndarray, policy: DiscoveryPolicy
+) -> RefitJob:
+    """``candidate`` with a curve at the site of ``signal`` over its variable, which begins as the regression of ``values`` (K,)."""
+    sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
+    curve, heights = make_curve_effect(
+        next(s for s in sites if s.label == signal.site),
+        signal.dependence,
+        signal.variable,
+        values,
+        signal.std,
+        policy.surrogate,
+        policy.budget.correction_heights,
+    )
+    model = candidate.model + curve
+    names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
+    starts = ({**candidate.model.values, **{names[n]: v for n, v in heights.items()}}, candidate.model.values)
+    return RefitJob(model, starts, 1, policy.budget.correction_iterations)

@@ -6,6 +6,7 @@ text, which a tape is already, so that only LLVM's code generator runs. It fuses
 
 from __future__ import annotations
 
+import ctypes.util
 import importlib.util
 import platform
 import re
@@ -56,6 +57,9 @@ def _load_llvm() -> ModuleType:
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
+    mathematics = ctypes.util.find_library("m")  # a process has not always loaded it where LLVM looks
+    if mathematics is not None:
+        llvm.load_library_permanently(mathematics)
     return llvm
 
 

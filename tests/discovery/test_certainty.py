@@ -40,6 +40,11 @@ def grade(has_equal=False, **changes):
     return grade_effect(probability_of(features, POLICY), features, has_equal, POLICY)
 
 
+def test_a_memory_that_the_records_do_not_show_is_not_established():
+    assert grade(static_loss=5.0, static_t=12.0) is Grade.ESTABLISHED
+    assert grade(static_loss=0.01, static_t=0.5) is not Grade.ESTABLISHED
+
+
 def test_a_clear_effect_is_established():
     assert probability() > 0.95
     assert grade() is Grade.ESTABLISHED
@@ -53,8 +58,12 @@ def test_a_clear_effect_is_established():
         {"structure": 0.98},
         {"change": 1.0},
         {"curve_loss": math.nan, "curve_t": math.nan},
+        {"static_loss": -0.01, "static_t": -2.0},
     ],
-    ids=["a rival does as well", "a curve does better", "more than noise is left", "it moves", "its form is untested"],
+    ids=[
+        *("a rival does as well", "a curve does better", "more than noise is left", "it moves", "its form is untested"),
+        "a curve without memory does as well",
+    ],
 )
 def test_whatever_speaks_against_an_effect_lowers_its_probability(change):
     assert probability(**change) < probability()
