@@ -317,7 +317,7 @@ def _project(
     past_u, past_y, next_u, next_y = (np.hstack([b[k] for b in blocks]) for k in range(4))
     columns = past_u.shape[1]
     # [U_f; W_p; Y_f] = L Q'
-    lower = np.linalg.qr(np.vstack([next_u, past_u, past_y, next_y]).T / np.sqrt(columns), mode="r").T
+    lower = np.asarray(np.linalg.qr(np.vstack([next_u, past_u, past_y, next_y]).T / np.sqrt(columns), mode="r")).T
     m, w = len(next_u), len(past_u) + len(past_y)
     l22, l32, l33 = lower[m : m + w, m : m + w], lower[m + w :, m : m + w], lower[m + w :, m + w :]
     if weight == "n4sid":

@@ -82,7 +82,7 @@ def look_at_files(study: Study, json: bool) -> None:
             sampling_time=study.sampling_time or None,
             reading=layout.get("reading", READING_POLICY),
         )
-        for file in (study.model, *study.estimation)
+        for file in (Path(study.model), *study.estimation)
     ]
     data = [survey.as_dict() for survey in surveys]
     typer.echo(

@@ -166,7 +166,7 @@ def _refine(first: Samples, second: Samples, offset: float, step: float, policy:
     # The edges of a held signal are known to a step of each clock, however well the rest of it fits.
     held = any(is_held(s.values, policy) for s in (first, second))
     if held:
-        std = float(np.hypot(std, np.hypot(*steps) / np.sqrt(12)))
+        std = float(np.sqrt(std**2 + (steps[0] ** 2 + steps[1] ** 2) / 12))
     span = second.time[-1] - second.time[0]
     least = max(steps) if held else policy.drift_significance * float(np.sqrt(covariance[1, 1])) * span
     if abs(drift) * span <= 2 * least:

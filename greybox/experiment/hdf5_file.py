@@ -94,7 +94,7 @@ def read_hdf5_file(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayT
                 place, stamps = places[k]
                 values = np.asarray(file[place], dtype=np.float64)
                 if stamps.place:
-                    time = np.asarray(file[stamps.place], dtype=np.float64)
+                    time: np.ndarray = np.asarray(file[stamps.place], dtype=np.float64)
                     time = np.asarray(convert(time, stamps.unit, "s")) if stamps.unit else time
                 else:
                     time = stamps.start + stamps.step * np.arange(len(values))

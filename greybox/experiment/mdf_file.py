@@ -5,7 +5,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +58,7 @@ def read_mdf(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTable
     return ChannelTable.from_channels(channels, load, policy)
 
 
-def _open(stream: BinaryIO) -> Any:
+def _open(stream: Any) -> Any:
     from asammdf import MDF
 
     try:

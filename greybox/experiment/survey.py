@@ -190,10 +190,10 @@ def _survey_table(file: RecordFile, sampling_time: float | None, policy: RecordP
     for k, column in enumerate(columns):
         if not column.header:
             continue
-        values = arrays.get(k)
-        stamps = time if time is not None and values is not None and len(values) == len(time) else None
+        array = arrays.get(k)
+        row_times = time if time is not None and array is not None and len(array) == len(time) else None
         is_clock = clock is not None and k == clock.position
-        signals.append(_survey_signal(column, "", values, stamps, used, policy, is_clock=is_clock))
+        signals.append(_survey_signal(column, "", array, row_times, used, policy, is_clock=is_clock))
     alike = {
         s.header: arrays[c.position]
         for s, c in zip(signals, (c for c in columns if c.header), strict=True)
@@ -244,12 +244,9 @@ def _survey_channels(file: RecordFile, table: ChannelTable, policy: RecordPolicy
         for other_clock, other in copies[1:]:
             offset = None if other_clock == first_clock else estimate_clock_offset(first, other, CHANNEL_POLICY)
             if offset is not None:
-                values = {
-                    "reference": first_clock,
-                    "signal": name,
-                    **{n: float(v) for n, v in offset._asdict().items()},
-                }
-                findings.append(Finding(RecordCode.CLOCK_OFFSET, Severity.WARNING, other_clock, values))
+                figures = {n: float(v) for n, v in offset._asdict().items()}
+                about = {"reference": first_clock, "signal": name, **figures}
+                findings.append(Finding(RecordCode.CLOCK_OFFSET, Severity.WARNING, other_clock, about))
     return FileSurvey(file.path.name, file.kind.name, tuple(signals), tuple(findings))
 
 

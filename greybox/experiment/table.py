@@ -11,6 +11,7 @@ import numpy as np
 from greybox.errors import DataError, shorten
 from greybox.experiment.policy import ReadingPolicy
 from greybox.experiment.problems import RowLabels, enumerate_first
+from greybox.findings import Finding
 
 _DATE = re.compile(r"\d+[-/.]\d+[-/.]\d+|\d+:\d\d")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
@@ -47,8 +48,11 @@ class DataTable(Protocol):
     def row_labels(self) -> RowLabels:
         """How rows are called in messages."""
 
-    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
-        """Columns (N,) as float64 with NaN for gaps, and problems; with problems the columns are not to be used."""
+    def values(
+        self, positions: Sequence[int]
+    ) -> tuple[dict[int, np.ndarray], list[str]] | tuple[dict[int, np.ndarray], list[str], tuple[Finding, ...]]:
+        """Columns (N,) as float64 with NaN for gaps, and problems; with problems the columns are not to be used. A table that has brought
+        its signals to one time says what it did."""
 
 
 def check_width(columns: int, policy: ReadingPolicy) -> None:

@@ -65,6 +65,7 @@ def to_c(
     UnsupportedOperationError
         For an operation that C does not have.
     """
+    interval: DiscreteStep
     if isinstance(plant, Observer):
         refuse_sampling(dt, substeps)
         source, interval = plant.plant, plant.corrected

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -36,19 +36,19 @@ class SteppedSignals(Protocol):
         """What it is."""
 
     @property
-    def inputs(self) -> tuple[Input, ...]:
+    def inputs(self) -> Sequence[Input]:
         """Inputs."""
 
     @property
-    def outputs(self) -> tuple[Output, ...]:
+    def outputs(self) -> Sequence[Output]:
         """Outputs."""
 
     @property
-    def all_states(self) -> tuple[State, ...]:
+    def all_states(self) -> Sequence[State]:
         """States."""
 
     @property
-    def all_parameters(self) -> tuple[Parameter, ...]:
+    def all_parameters(self) -> Sequence[Parameter]:
         """Constants."""
 
 

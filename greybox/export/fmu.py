@@ -77,6 +77,7 @@ def to_fmu(
     --------
     >>> gb.export.to_fmu(fit, "plant.fmu", dt=1e-3)  # doctest: +SKIP
     """
+    step: DiscreteStep
     if isinstance(plant, Observer):
         refuse_sampling(dt, substeps)
         source, step = plant.plant, plant.predicted

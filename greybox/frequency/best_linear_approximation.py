@@ -156,7 +156,7 @@ def estimate_best_linear_approximation(
                 policy,
             )
         )
-    levels = {}
+    levels: dict[str, float | None] = {}
     fundamental = excited[excited > 0].min()
     rules = (LinearityCheck.EVEN_LINES_ARE_NOISE, LinearityCheck.ODD_LINES_ARE_NOISE)
     for name, parity, rule in zip(("even", "odd"), (0, 1), rules, strict=True):

@@ -176,7 +176,7 @@ def fit_frequency_response(
     else:
         covariance = pseudo_inverse(information)
     fitted_model = _with_values(model, names, values)
-    residual = rows.residual(values)
+    errors = rows.residual(values)
     return FrequencyFit(
         fitted_model,
         _make_estimates(fitted_model, names, covariance),
@@ -184,7 +184,7 @@ def fit_frequency_response(
         covariance,
         group,
         tuple(rows.respond(values)),
-        float(np.sqrt(np.mean(residual**2))) if weighted else float("nan"),
+        float(np.sqrt(np.mean(errors**2))) if weighted else float("nan"),
         weighted,
         status,
         time_fit,

@@ -198,13 +198,13 @@ def read_frequency_response(
     )
     magnitude = next((parts[n] for n in ("magnitude", "mag", "gain") if n in parts), None)
     if "real" in parts and "imag" in parts:
-        response = values.arrays[parts["real"].position] + 1j * values.arrays[parts["imag"].position]
+        response: np.ndarray = values.arrays[parts["real"].position] + 1j * values.arrays[parts["imag"].position]
     elif magnitude is not None and "phase" in parts:
         gain = values.arrays[magnitude.position]
         gain = 10 ** (gain / 20) if magnitude.unit.lower() == "db" else gain
         angle = values.arrays[parts["phase"].position]
         angle = angle if parts["phase"].unit == "rad" else np.deg2rad(angle)
-        response = gain * np.exp(1j * angle)
+        response = np.asarray(gain * np.exp(1j * angle))
     else:
         raise DataError(f"{file.path.name}: give the columns real and imag, or magnitude and phase")
     order = np.argsort(frequency)
