@@ -98,7 +98,10 @@ def build_system(statement: Statement) -> System:
     balances = {b.name: b for b in statement.balances(x, u, p)}
     outputs = {o.name: _output(o, x, u, p) for o in statement.outputs}
     plant = _solve_relations(statement, balances.values(), plant_symbols, p)
-    readings = {name: eliminate(reading, plant) for name, reading in outputs.items()}
+    # At rest, inputs are zero, where a relation that is not linear may have no solution: its state is at its start value there.
+    first = _start_values([a.state for a in plant], p)
+    at_start = [a if a.is_exact else replace(a, value=ca.SX(first[k])) for k, a in enumerate(plant)]
+    readings = {name: eliminate(reading, at_start) for name, reading in outputs.items()}
     start = _start(statement, dynamic, effects, p, readings, symbols_x, symbols_u)
     ranges = dict(zip((q.name for q in every), statement.delay_ranges, strict=False))
     equations = _Equations(

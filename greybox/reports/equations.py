@@ -66,8 +66,10 @@ def _updates(model: Model) -> Iterator[Equation]:
 
 
 def _outputs(model: Model) -> Iterator[Equation]:
+    system = model.system
+    outputs = system.outputs if system.stated_outputs is None else system.stated_outputs
     for k, output in enumerate(model.outputs):
-        value: ca.SX = model.system.outputs[k]
+        value: ca.SX = outputs[k]
         yield Equation(
             f"measured {output.name}",
             format_unit(output.unit),
