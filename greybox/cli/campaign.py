@@ -108,7 +108,7 @@ def campaign(
         read_data(data, plain) if data else (),
         width,
         tuple(effects),
-        hold.value,  # type: ignore[arg-type]
+        hold.value,
         FitOptions(at_rest=at_rest),
         replace(CAMPAIGN_POLICY, experiments=experiments),
     )

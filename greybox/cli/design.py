@@ -196,10 +196,10 @@ def design(
     """
     from greybox.experiment_design import design as design_record
     from greybox.experiment_design.result import design_data
-    from greybox.result import format_json, to_json_data
+    from greybox.result import Fit, format_json, to_json_data
 
     known, plain, rivals = read_source(source, data or [], model, fixed, start, noise, at_rest, sampling_time)
-    name = getattr(known, "model", known).name
+    name = (known.model if isinstance(known, Fit) else known).name
     folder = check_writable(output or Path("results") / f"{name}-design")
     result = design_record(
         known,
@@ -214,7 +214,7 @@ def design(
         effects=effect,
         noise=Numbers(shape="OUTPUT=STD", example="x=2e-7").from_option("--noise", noise),
         sensors=Numbers(shape="OUTPUT=STD", example="x=2e-7").from_option("--sensor", sensor),
-        hold=hold.value,  # type: ignore[arg-type]
+        hold=hold.value,
         options=_options(at_rest) if at_rest or data is None else None,
     )
     written = result.save(folder)

@@ -13,11 +13,17 @@ from greybox.experiment_design.plant import PlantScenario
 class Run(Protocol):
     """What a goal looks at: a run of the compiled kernel, or one that can be differentiated."""
 
-    outputs: np.ndarray
-    """(N, ny)"""
-    slopes: np.ndarray
-    """(N, ny, L), over the noise."""
-    finite: bool
+    @property
+    def outputs(self) -> np.ndarray:
+        """(N, ny)"""
+
+    @property
+    def slopes(self) -> np.ndarray:
+        """(N, ny, L), over the noise."""
+
+    @property
+    def finite(self) -> bool:
+        """Whether the run went through."""
 
 
 Slopes = tuple[np.ndarray, np.ndarray]
@@ -27,8 +33,9 @@ Slopes = tuple[np.ndarray, np.ndarray]
 class Goal(Protocol):
     """A goal; its value is a logarithm: e to a difference is a factor on widths, amounts, or distances in noise."""
 
-    plants: Sequence[PlantScenario]
-    """What has to be run, in this order."""
+    @property
+    def plants(self) -> Sequence[PlantScenario]:
+        """What has to be run, in this order."""
 
     @property
     def explanations(self) -> frozenset[int]:

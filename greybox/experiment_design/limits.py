@@ -60,7 +60,8 @@ class LimitKeeper:
         """Each limit with its predicted range; infinite usage where a run overflows."""
         predictions = {}
         step = self.question.sampling_time
-        units = {s.name: s.unit for s in (*self.question.model.all_states, *self.question.model.outputs)}
+        model = self.question.model
+        units = {s.name: s.unit for s in model.all_states} | {o.name: o.unit for o in model.outputs}
         for i in self.question.model.inputs:
             limit, u, rest = self.question.limits[i.name], inputs[i.name], self.question.rest(i.name)
             rate = float(np.abs(np.diff(u)).max()) / step

@@ -15,6 +15,7 @@ from greybox.kernel import Record
 from greybox.linear_algebra import eliminate
 from greybox.model import Model
 from greybox.noise import NoiseModel
+from greybox.simulation import declared_initial_state
 from greybox.transcription import DecisionVector, to_record
 from greybox.transcription.problem import EstimationProblem, guess_initial_states, prepare_problem
 from greybox.transcription.simulation_error import KernelPoint
@@ -151,7 +152,7 @@ def make_plant(question: DesignProblem, model: Model, number: int = 0, step: flo
         "designed",
         period * np.arange(rows),
         {i.name: np.full(rows, question.rest(i.name)) for i in model.inputs},
-        {name: np.zeros(rows) for name in question.noise},
+        {name: np.full(rows, value) for name, value in _outputs_at_rest(question, model).items()},
         question.hold,
     )
     problem = _lay_out(question, model, template, noise)
@@ -160,6 +161,13 @@ def make_plant(question: DesignProblem, model: Model, number: int = 0, step: flo
     weight = np.where(measured, 1 / np.where(measured, noise.std, 1.0), 0.0)
     earlier = information_of_records(question, model, problem.variables)
     return PlantScenario(model, weight, measured, earlier, problem, template, number)
+
+
+def _outputs_at_rest(question: DesignProblem, model: Model) -> dict[str, float]:
+    """What the sensors show before anything moves: readings that a record may have, where zero may be none (an absolute pressure)."""
+    u, p = [question.rest(i.name) for i in model.inputs], list(model.values.values())
+    y = np.asarray(model.system.output_function(declared_initial_state(model), u, p)).ravel()
+    return {o.name: float(value) for o, value in zip(model.outputs, y, strict=True) if o.name in question.noise}
 
 
 def _lay_out(question: DesignProblem, model: Model, template: Experiment, noise: NoiseModel) -> EstimationProblem:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from greybox.discovery.policy import ProposalPolicy
+
 
 @dataclass(frozen=True)
 class PlayPolicy:
@@ -93,7 +95,7 @@ class GoalPolicy:
     Keeps criteria finite where a constant is not determined."""
     undetermined_share: float = 0.3
     """Share of that spread from which a predicted standard deviation says that the records do not determine a constant."""
-    detection_ratio: float = 3.3
+    detection_ratio: float = ProposalPolicy.detection_ratio
     """Standard deviations of an amplitude that is detected nine times in ten at a false-alarm rate of one per cent."""
     detection_probe: float = 0.02
     """Multiple of an effect's usual amplitude at which its smallest visible amount is asked for: nearly absent."""
@@ -104,7 +106,7 @@ class GoalPolicy:
     """Information that keeps such an amplitude where it is while the other constants are drawn."""
     deciding_cost: float = 20.0
     """Cost by which the wrong one of two explanations must lose, beyond chance, for the record to decide."""
-    new_sensor_noise: float = 0.01
+    new_sensor_noise: float = ProposalPolicy.new_sensor_noise
     """Noise of a sensor that is not installed and not described, as a share of the largest value that it would show."""
 
 

@@ -77,8 +77,8 @@ def read_source(
             raise DataError(
                 f"rival {named[0]!r}: a rival is fitted to records first, and there are none; give records or a fit"
             )
-        models = (source, *(r for r in rivals if isinstance(r, Model)))
-        return KnownPlant(models, (), {}, options or FitOptions(), {})
+        others = (r for r in rivals if isinstance(r, Model))
+        return KnownPlant((source, *others), (), {}, options or FitOptions(), {})
     if isinstance(source, Discovery):
         best, base = source.best, source.base
         names = ["+".join(effects) for effects in source.alternatives]

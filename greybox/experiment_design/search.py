@@ -387,13 +387,16 @@ class _Refinement:
     def _limited(self, plant: PlantScenario, run: SensitivityRun) -> Iterator[tuple[np.ndarray, str, int, float]]:
         """Each limited signal as its distance from rest towards one end, its group and column, and the room to that end."""
         seen = set(self.order)
-        groups = (("outputs", plant.model.outputs, run.outputs), ("states", plant.model.all_states, run.states))
-        for group, named, signals in groups:
-            for j, each in enumerate(named):
-                if each.name in seen or each.name not in self.question.limits:
+        groups = (
+            ("outputs", [o.name for o in plant.model.outputs], run.outputs),
+            ("states", [s.name for s in plant.model.all_states], run.states),
+        )
+        for group, names, signals in groups:
+            for j, name in enumerate(names):
+                if name in seen or name not in self.question.limits:
                     continue
-                seen.add(each.name)
-                limit, rest = self.question.limits[each.name], signals[0, j]
+                seen.add(name)
+                limit, rest = self.question.limits[name], signals[0, j]
                 for sign, end in ((1.0, limit.high - rest), (-1.0, rest - limit.low)):
                     room = end * self.share / self.tightness
                     if np.isfinite(room) and room > 0:

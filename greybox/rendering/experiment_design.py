@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from greybox.experiment_design.findings import CampaignCode, DesignCode
@@ -110,7 +110,7 @@ def write_design(design: Design) -> str:
     return "\n".join(lines)
 
 
-def constant_rows(predicted: dict[str, PredictedConstant]) -> list[list[str]]:
+def constant_rows(predicted: Mapping[str, PredictedConstant]) -> list[list[str]]:
     """Name, value, standard deviation before and after of each constant."""
     return [
         [
@@ -122,7 +122,7 @@ def constant_rows(predicted: dict[str, PredictedConstant]) -> list[list[str]]:
     ]
 
 
-def detection_rows(detection: dict[str, PredictedDetection]) -> list[list[str]]:
+def detection_rows(detection: Mapping[str, PredictedDetection]) -> list[list[str]]:
     """Effect, its amplitude, and the smallest amounts that are seen before and after."""
     return [
         [name, d.parameter, *("nothing" if a is None else f"{a:.2g} {d.unit}".rstrip() for a in (d.before, d.after))]
