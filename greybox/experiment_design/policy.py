@@ -66,17 +66,17 @@ class InputSearchPolicy:
     """Samples that are refined one by one: a longer record repeats them or holds each for several samples."""
     points_per_period: float = 5.0
     """Samples that the refined input has in a period of the highest frequency of the input that it starts from."""
-    starts: int = 2
+    starts: int = 3
     """Inputs, the best of their kinds, that are refined."""
     rounds: int = 4
     """Rounds of the refinement, one where only the ranges of the inputs are limited."""
     violation_growth: float = 10.0
     """Factor on the weight of violated limits from round to round."""
-    iterations: int = 40
+    iterations: int = 120
     """Most iterations of L-BFGS-B in a round."""
     least_iterations: int = 8
     """Fewest of them."""
-    work: float = 4e7
+    work: float = 2e8
     """Samples times substeps times states with their sensitivities that a round may run: some seconds."""
     violation_weight: float = 300.0
     """Weight of the mean square of a violated limit, as a share of its range, in the first round."""
