@@ -60,7 +60,8 @@ def probability_of(features: Mapping[str, float], policy: CertaintyPolicy) -> fl
 def grade_effect(probability: float, features: Mapping[str, float], has_equal: bool, policy: CertaintyPolicy) -> Grade:
     """The grade of an effect: established only where, beside the probability, no single test speaks against it.
 
-    An effect that another one equals (``has_equal``), or of which a parameter is not determined, is probable at most.
+    An effect that another one equals (``has_equal``), of which a parameter is not determined, or whose refit from another start ends
+    elsewhere, is probable at most.
     """
     contradicted = (
         has_equal
@@ -70,6 +71,8 @@ def grade_effect(probability: float, features: Mapping[str, float], has_equal: b
         or features["curve_size"] > policy.most_form
         or features["remainder"] > policy.most_remainder
         or features["share"] < policy.least_share
+        or features["change"] > policy.most_change
+        or features["start"] < 1
         or features["left"] > policy.most_left
         or (features["curve_untested"] > 0 and features["structure"] > policy.most_untested)
     )

@@ -348,6 +348,8 @@ class CertaintyPolicy:
     """What the effect leaves over its own variable, over its signal, in rms."""
     least_share: float = 0.02
     """Share of the error that an effect must take."""
+    most_change: float = 0.75
+    """Relative change of the effect's constants from one half of the records to the other: an imposter is fitted anew to each."""
     most_left: float = 0.3
     """What is left beyond noise, over what the effect takes, in rms: an imposter leaves more of the effect whose place it takes."""
     most_untested: float = 0.3

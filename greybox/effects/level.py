@@ -119,6 +119,7 @@ overflow = Effect(
     ],
     terms=_own_overflow,
     equation="-ko max(h - edge, 0)",
+    approaches=("linear_leak",),
     parity="even",
     tells_apart=(
         "Fill slowly with the reading watched: an edge stops the rise at one level whatever the inflow, and falls at once when the inflow"

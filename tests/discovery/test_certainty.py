@@ -45,6 +45,11 @@ def test_a_memory_that_the_records_do_not_show_is_not_established():
     assert grade(static_loss=0.01, static_t=0.5) is not Grade.ESTABLISHED
 
 
+@pytest.mark.parametrize("change", [{"start": 0.0}, {"change": 1.5}], ids=["another start", "the halves"])
+def test_what_is_not_found_again_is_not_established(change):
+    assert grade(**change) is not Grade.ESTABLISHED
+
+
 def test_a_clear_effect_is_established():
     assert probability() > 0.95
     assert grade() is Grade.ESTABLISHED
