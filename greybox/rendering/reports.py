@@ -84,11 +84,6 @@ class PageText(StrEnum):
 
     DISCOVERY_TITLE = "page_discovery_title"
     DISCOVERY_QUESTION = "page_discovery_question"
-    DISCOVERY_COMPLETE = "page_discovery_complete"
-    DISCOVERY_NAMED = "page_discovery_named"
-    DISCOVERY_AMBIGUOUS = "page_discovery_ambiguous"
-    DISCOVERY_PARTLY = "page_discovery_partly"
-    DISCOVERY_UNKNOWN = "page_discovery_unknown"
     DISCOVERY_EFFECT = "page_discovery_effect"
     DISCOVERY_NEXT = "page_discovery_next"
     DISCOVERY_ERRORS = "page_discovery_errors"
@@ -350,11 +345,6 @@ TEMPLATES: Mapping[str, Template] = {
     # The page of a discovery
     PageText.DISCOVERY_TITLE: "Effects that {subject} lacks",
     PageText.DISCOVERY_QUESTION: "Which effect, if any, does {subject} lack?",
-    PageText.DISCOVERY_COMPLETE: "No effect is missing.",
-    PageText.DISCOVERY_NAMED: "An effect is missing, and the records identify it.",
-    PageText.DISCOVERY_AMBIGUOUS: "An effect is missing; the records are consistent with more than one.",
-    PageText.DISCOVERY_PARTLY: "Effects are missing; some are established, and more than noise is left.",
-    PageText.DISCOVERY_UNKNOWN: "An effect is missing, and no effect of the catalogue is established.",
     PageText.DISCOVERY_EFFECT: _effect,
     PageText.DISCOVERY_NEXT: "Next step: {text}",
     PageText.DISCOVERY_ERRORS: "Rms error of the free run on the validation records",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
-from greybox.discovery import Discovery, HoldoutError, Refinement
+from greybox.discovery import Discovery, Grade, HoldoutError, Refinement, Verdict
 from greybox.plots.discovery import (
     errors_to_judge,
     explained_share,
@@ -18,8 +18,9 @@ from greybox.plots.discovery import (
 )
 from greybox.plots.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.plots.style import PAGE
-from greybox.rendering.discovery import conclusion_text, refinement_text, surrogate_title
+from greybox.rendering.discovery import refinement_text, surrogate_title
 from greybox.rendering.english import phrase
+from greybox.rendering.registry import sentences
 from greybox.rendering.reports import PageText
 from greybox.rendering.result import to_constant_cells
 from greybox.reports.equations import typeset_equations
@@ -43,13 +44,8 @@ from greybox.reports.records import records_section, signal_units
 from greybox.reports.typography import format_number, typeset_number, typeset_unit
 from greybox.result import Fit
 
-ANSWERS = {
-    "complete": (PageText.DISCOVERY_COMPLETE, Tone.GOOD),
-    "named": (PageText.DISCOVERY_NAMED, Tone.GOOD),
-    "ambiguous": (PageText.DISCOVERY_AMBIGUOUS, Tone.CAUTION),
-    "partly": (PageText.DISCOVERY_PARTLY, Tone.CAUTION),
-    "unknown": (PageText.DISCOVERY_UNKNOWN, Tone.CAUTION),
-}
+TONES = {Verdict.COMPLETE: Tone.GOOD, Verdict.NAMED: Tone.GOOD}
+"""How the answer is marked; every other verdict asks for caution."""
 
 
 def build_discovery_page(discovery: Discovery, *, command: str = "") -> Page:
@@ -68,14 +64,13 @@ def build_discovery_page(discovery: Discovery, *, command: str = "") -> Page:
 
 def discovery_verdict(discovery: Discovery) -> Paragraphs:
     """The answer, the summary, the effects with their parameters, the next steps and the findings."""
-    answer, tone = ANSWERS[discovery.verdict]
-    items: list[Text] = [phrase(answer), *statements([conclusion_text(discovery)])]
+    items: list[Text] = [*statements(sentences(discovery.conclusion))]
     for effect in discovery.effects if discovery.verdict != "complete" else []:
         values = [
             f"{name} = {format_number(c['value'])}{_std(c['std'])} {typeset_unit(c['unit'])}".rstrip()
             for name, c in effect["parameters"].items()
         ]
-        look_alike = discovery.verdict == "unknown"
+        look_alike = effect["grade"] == Grade.STAND_IN
         items.append(
             phrase(
                 PageText.DISCOVERY_EFFECT, effect["name"], site=effect["site"], parameters=values, look_alike=look_alike
@@ -83,6 +78,7 @@ def discovery_verdict(discovery: Discovery) -> Paragraphs:
         )
         items += statements(str(e) for e in discovery.evidence if e.effect == effect["name"])
     items += [phrase(PageText.DISCOVERY_NEXT, text=str(step)) for step in discovery.next_steps]
+    tone = TONES.get(discovery.verdict, Tone.CAUTION)
     return Paragraphs([*items, *statements(discovery.findings)], tone)
 
 
@@ -178,7 +174,8 @@ def extended_model(discovery: Discovery) -> tuple[str, Fit, Mapping[str, Holdout
 
 def extended_name(discovery: Discovery) -> str:
     """What to call the best model of the catalogue."""
-    return "nearest look-alike" if discovery.verdict == "unknown" else "extended model"
+    is_look_alike = all(e["grade"] == Grade.STAND_IN for e in discovery.effects)
+    return "nearest look-alike" if discovery.verdict == Verdict.UNKNOWN and is_look_alike else "extended model"
 
 
 def _refinement(refinement: Refinement) -> Iterator[Block]:

@@ -145,11 +145,6 @@ GOLDEN = [
     (phrase(T.COMPARISON_SKIP, rows=20), "The comparison omits the first 20 rows of each record."),
     (phrase(T.DISCOVERY_TITLE, "rig"), "Effects that rig lacks"),
     (phrase(T.DISCOVERY_QUESTION, "rig"), "Which effect, if any, does rig lack?"),
-    (phrase(T.DISCOVERY_COMPLETE), "No effect is missing."),
-    (phrase(T.DISCOVERY_NAMED), "An effect is missing, and the records identify it."),
-    (phrase(T.DISCOVERY_AMBIGUOUS), "An effect is missing; the records are consistent with more than one."),
-    (phrase(T.DISCOVERY_PARTLY), "Effects are missing; some are established, and more than noise is left."),
-    (phrase(T.DISCOVERY_UNKNOWN), "An effect is missing, and no effect of the catalogue is established."),
     (
         phrase(T.DISCOVERY_EFFECT, "creep", site="force", parameters=["K3 = 5", "c = 1 s"], look_alike=False),
         "creep (force): K3 = 5 and c = 1 s.",
