@@ -98,7 +98,7 @@ def test_what_is_injected_all_the_same_does_not_run(browser, pages, tmp_path):
     (tmp_path / "page.html").write_text(html)
     page = browser.new_page()
     page.goto((tmp_path / "page.html").as_uri())
-    page.wait_for_function("window.greyboxReady === true", timeout=20_000)
+    page.wait_for_function("window.greyboxReady === true", timeout=60_000)
     page.click("#link >> nth=0", force=True)
     page.evaluate(
         "() => { const s = document.createElement('script'); s.textContent = 'window.hurt=1'; document.body.append(s); }"

@@ -41,7 +41,7 @@ def opened(browser, path: Path, **context) -> Iterator:
     page.on("console", lambda message: wrong.append(message.text) if message.type in ("error", "warning") else None)
     page.on("request", lambda r: None if r.url.startswith(("file:", "data:", "blob:")) else wrong.append(r.url))
     page.goto(path.as_uri())
-    page.wait_for_function("window.greyboxReady === true", timeout=20_000)
+    page.wait_for_function("window.greyboxReady === true", timeout=60_000)
     yield page
     page.close()
     assert not wrong
