@@ -328,7 +328,7 @@ def test_compare_takes_the_options_of_fit():
 
     commands = get_command(app).commands
     fit, compare = ({name for p in commands[c].params for name in p.opts} for c in ("fit", "compare"))
-    # Options about the intervals of parameters, which are not compared.
+    # Options about the intervals of parameters, which are not compared, and the time for the starts of one model.
     assert fit - compare == {"--profile", "--bootstrap", "--time"}
 
 
