@@ -32,6 +32,7 @@ from greybox.discovery.shape_correction import (
     list_shape_corrections,
     prepare_curve,
 )
+from greybox.discovery.starting_points import count_shapes
 from greybox.discovery.surrogate_effects import CURVE
 from greybox.effects import Scales
 from greybox.model import Effect
@@ -335,10 +336,14 @@ def _states_at(candidate: CandidateFit, rows: Sequence[int]) -> dict[str, tuple[
 
 
 def _ends_in_the_same_place(inputs: EvidenceInputs) -> bool:
-    """Whether a refit from other constants of the effects finds the same cost, and no lower one."""
-    selected, factor = inputs.selected, inputs.limits.displacement
+    """Whether a refit from other constants of the effects finds the same cost, and no lower one.
+
+    An effect of many shapes (a sharp resonance) stays where it is: from another shape no refit comes back, whatever its name.
+    """
+    selected, factor, budget = inputs.selected, inputs.limits.displacement, inputs.policy.budget
     values = dict(selected.model.values)
-    for bound in selected.model.bound_effects:
+    moving = [b for b in selected.model.bound_effects if count_shapes(b.effect, inputs.scales) <= budget.many_shapes]
+    for bound in moving:
         for name in (q.name for q in bound.effect.parameters):
             in_model = bound.model_names[name]
             parameter = selected.model.parameter(in_model)
@@ -347,7 +352,7 @@ def _ends_in_the_same_place(inputs: EvidenceInputs) -> bool:
                 moved = values[in_model] * (factor if name in bound.effect.amplitudes else 1 / factor)
                 values[in_model] = float(np.clip(moved, low, high))
     again = inputs.attempt(
-        partial(inputs.problem.refit_best, selected.model, [values], 1, inputs.policy.budget.refit_iterations, selected)
+        partial(inputs.problem.refit_best, selected.model, [values], 1, budget.refit_iterations, selected)
     )
     if again is None:
         return False
