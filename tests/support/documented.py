@@ -152,6 +152,8 @@ def _in(folder: Path) -> Iterator[None]:
     """Inside ``folder``, with search path, modules of a project and styles as they were before."""
     here, path = Path.cwd(), list(sys.path)
     before = {name: module for name, module in sys.modules.items() if name.split(".")[0] == "models"}
+    for name in before:  # a page begins as a new process does, whatever project the test before it had
+        del sys.modules[name]
     os.chdir(folder)
     try:
         with mpl.rc_context():
