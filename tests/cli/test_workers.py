@@ -78,7 +78,7 @@ def test_workers_give_the_fit_that_one_process_gives(record, tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_request_to_end_keeps_what_is_finished_and_the_same_command_goes_on(record, tmp_path, number):
     out = tmp_path / "out"
-    words = f"fit micro_actuator {record} --fix M --fix Ra --starts 200 --workers 1 --no-report -q --output {out}"
+    words = f"fit micro_actuator {record} --fix M --fix Ra --starts 5000 --workers 1 --no-report -q --output {out}"
     # Under nohup, or behind a shell's &, the tests themselves may have been told to ignore a signal, and a child would be told the same.
     process = subprocess.Popen(
         [*COMMAND, *words.split()],
