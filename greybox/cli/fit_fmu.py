@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_format
 from pathlib import Path
 
 import typer
@@ -12,7 +11,6 @@ from greybox.cli.inputs import layout_of, print_record_notes
 from greybox.cli.options import check_writable
 from greybox.cli.study import FIT, Study, fields_of
 from greybox.errors import GreyboxError
-from greybox.files import write_file
 
 SIGNALS = "hold columns headers sampling_time read_limit interpolation split_holes free_decay"
 USED = frozenset(["model", "estimation", "validation", "fixed", "start", "free", "noise", *SIGNALS.split()])
@@ -29,6 +27,7 @@ def run_fmu_fit(study: Study, output: Path | None, *, json: bool) -> None:
     from greybox.experiment import read_experiments
     from greybox.fmu import fit_fmu, read_fmu
     from greybox.rendering.cli import written
+    from greybox.result import format_json
 
     specs = fields_of(FIT)
     idle = [
@@ -66,8 +65,7 @@ def run_fmu_fit(study: Study, output: Path | None, *, json: bool) -> None:
         noise=dict(study.noise) or None,
         validation=validation,
     )
-    text = json_format.dumps(result.as_dict(), indent=2)
-    saved = write_file(folder / "fmu_fit.json", text + "\n")
-    typer.echo(text if json else f"{result}\n\n{written([saved])}")
+    saved = result.save(folder / "fmu_fit.json")
+    typer.echo(format_json(result.as_dict()) if json else f"{result}\n\n{written([saved])}")
     if not result.success:
         raise typer.Exit(ExitCode.UNSUCCESSFUL)

@@ -20,8 +20,6 @@ from greybox.units import unit_converter
 from greybox.values import Printable
 
 REAL = ("Real", "Float64", "Float32")
-LARGEST = 1e300
-"""Bounds beyond it are none."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +163,7 @@ def read_fmu(
     settable = [v for v in scalars if _is_settable(v)]
     groups = ([v for v in scalars if v.causality == "input"], [v for v in scalars if v.name in measured], settable)
     labels = iter(to_identifiers([v.name for group in groups for v in group]))
-    inputs, chosen, parameters = (tuple(_to_variable(v, next(labels)) for v in group) for group in groups)
+    inputs, chosen, parameters = (tuple(_to_variable(v, next(labels), policy) for v in group) for group in groups)
     kind = "CoSimulation" if description.coSimulation is not None else "ModelExchange"
     return FmuPlant(file, description.modelName, str(description.fmiVersion), kind, inputs, chosen, parameters)
 
@@ -179,13 +177,13 @@ def _is_settable(variable: Any) -> bool:
     )
 
 
-def _to_variable(variable: Any, label: str) -> FmuVariable:
+def _to_variable(variable: Any, label: str, policy: FmuFitPolicy) -> FmuVariable:
     def number(text: Any, otherwise: float) -> float:
         try:
             value = float(text)
         except (TypeError, ValueError):
             return otherwise
-        return value if abs(value) < LARGEST else otherwise
+        return value if abs(value) < policy.endless else otherwise
 
     declared = getattr(variable, "declaredType", None)
     unit = variable.unit or getattr(declared, "unit", None) or "1"

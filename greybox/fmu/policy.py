@@ -14,17 +14,34 @@ class FmuFitPolicy:
     relative_tolerance: float = 1e-8
     """Relative tolerance asked of the FMU's solver."""
     iterations: int = 30
-    """Most steps that gain."""
+    """Most steps that gain, from one set of slopes by differences."""
     converged: float = 1e-4
     """Predicted decrease of the cost, over its noise (cost over degrees of freedom), from which nothing visible is left to gain."""
     exact: float = 1e-12
     """Share of the cost at the start that is a solver's scatter: exact data end here."""
     failed_cost: float = 100.0
     """Cost of a run that fails, over that of the start: bounded, so that the search turns back and goes on."""
+    shares: tuple[float, ...] = (0.15, 0.4)
+    """Shares of the records that are fitted before the whole: over a short part a start that is far off is not out of step yet, and a run
+    costs little."""
+    least_rows: int = 50
+    """Rows of a record that the first part has at least."""
+    almost_whole: float = 0.8
+    """Share of the rows from which a part is not worth a search of its own."""
+    secant_share: float = 0.25
+    """Share of the promised decrease that a step must gain for slopes to follow by the secant update (Fletcher's lower ratio)."""
+    initial_damping: float = 1e-3
+    """Damping of the first step, as a share of the curvature: an undamped one may leave a start that is far off for another oscillation."""
+    rejections: int = 5
+    """Steps in a row that gain nothing before slopes are taken by differences again."""
+    rounds: int = 12
+    """Most times that the search goes on from slopes by differences."""
     most_free: int = 12
     """Most parameters that are fitted unless they are named: each costs a run an iteration."""
     largest_unpacked: int = 1_000_000_000
     """Bytes that an FMU unpacks to at most."""
+    endless: float = 1e300
+    """Bounds of a variable beyond it are none: tools write the largest number there."""
     least_std: float = 1e-9
     """Smallest noise of an output, over its movement, by which errors are weighted: simulated records have none."""
 

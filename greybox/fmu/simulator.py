@@ -64,7 +64,7 @@ class FmuSimulator:
 
     def __init__(self, plant: FmuPlant, policy: FmuFitPolicy = DEFAULT_FMU_FIT) -> None:
         self.plant, self.policy = plant, policy
-        self.runs = self.failures = 0
+        self.runs = self.failures = self.rows = 0
         self._folder: str | None = None
         self._description: Any = None
         self._instance: Any = None
@@ -109,6 +109,7 @@ class FmuSimulator:
         time = experiment.time - experiment.time[0]
         step = experiment.sampling_time or float(np.median(np.diff(time)))
         self.runs += 1
+        self.rows += experiment.rows
         try:
             with _silence() as lost:
                 if self._instance is None:

@@ -41,7 +41,8 @@ def write_fit(result: FmuFit) -> str:
             [name, format_with_std(e.value, e.std or 0.0), format_unit(e.unit) or "-", f"{low:.5g} .. {high:.5g}", note]
         )
     failed = f", {result.failures} of them failed" if result.failures else ""
-    lines = [f"{result.plant.title}: {result.status} after {result.runs} runs{failed}", ""]
+    cost = f"{result.runs} runs{failed}, in all as long as {result.equivalents:.3g} of all records"
+    lines = [f"{result.plant.title}: {result.status} after {cost}", ""]
     lines += format_table(["parameter", "value", "unit", "95 % interval", ""], rows)
     for title, misfits in (("estimation", result.misfits), ("validation", result.validation)):
         if misfits:

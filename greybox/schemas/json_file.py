@@ -29,6 +29,7 @@ class ResultKind(StrEnum):
     CAMPAIGN = "campaign"
     MODEL_CHECK = "model_check"
     LINEAR_MODEL = "linear_model"
+    FMU_FIT = "fmu_fit"
     PROFILE = "profile"
     BOOTSTRAP = "bootstrap"
     REFIT = "refit"
@@ -43,6 +44,7 @@ TITLES: Mapping[ResultKind, tuple[str, str]] = {
     ResultKind.CAMPAIGN: ("a campaign", "campaign.json that greybox campaign has written"),
     ResultKind.MODEL_CHECK: ("a check", "check.json that greybox check has written"),
     ResultKind.LINEAR_MODEL: ("a linear model", "file that greybox export --to json has written"),
+    ResultKind.FMU_FIT: ("a fit of an FMU", "fmu_fit.json that greybox fit has written"),
     ResultKind.PROFILE: ("a profile", "file that a profile was saved to"),
     ResultKind.BOOTSTRAP: ("a bootstrap", "file that a bootstrap was saved to"),
     ResultKind.REFIT: ("a journal entry", "journal.jsonl that greybox discover has written"),

@@ -14,8 +14,10 @@ from greybox.cli.app import app
 from greybox.errors import DataError, ModelError
 from greybox.experiment import Experiment
 from greybox.fmu import FmuRunError, FmuSimulator, fit_fmu, read_fmu
+from greybox.schemas import ResultKind, read_json
 from models.micro_actuator import micro_actuator
 from tests.support.reference_fmus import DAHLQUIST, VAN_DER_POL, build_reference_fmu
+from tests.support.result_schema import strict_offences
 
 pytest.importorskip("fmpy", reason="fmpy comes with the extra 'fmu'")
 pytestmark = pytest.mark.skipif(
@@ -63,7 +65,7 @@ def test_a_perturbed_constant_returns_within_its_interval(build, version, kind):
     result = fit_fmu(plant, record, start={"mu": 0.8})
     low, high = result.parameters["mu"].interval
     assert result.success and low < 1.4 < high and high - low < 0.05
-    assert result.runs <= 50
+    assert result.equivalents <= 50
     assert result.misfits["x0"].rmse == pytest.approx(0.02, rel=0.15)
     assert "mu" in str(result) and result.as_dict()["runs"] == result.runs
 
@@ -92,11 +94,12 @@ def actuator_record(seed=0, rows=600):
     return gb.simulate(micro_actuator, {"time": time, "u": u}).record({"x": 1e-7, "i": 1e-3}, rng)
 
 
-def test_our_own_export_gives_its_constants_back_in_fifty_runs(exported):
+@pytest.mark.parametrize("factors", [(2, 0.8, 1.2), (0.5, 1.2, 0.8), (3, 0.6, 1.4)])
+def test_our_own_export_gives_its_constants_back_in_fifty_simulations(exported, factors):
     plant, true = read_fmu(exported), micro_actuator.values
-    start = {"B": 2 * true["B"], "K": 0.8 * true["K"], "M": 1.1 * true["M"]}
+    start = {name: factor * true[name] for name, factor in zip("BKM", factors, strict=True)}
     result = fit_fmu(plant, actuator_record(), free=list(start), start=start, validation=actuator_record(1))
-    assert result.success and result.runs <= 50 and result.failures == 0
+    assert result.success and result.equivalents <= 50 and result.failures == 0
     for name, estimate in result.parameters.items():
         assert abs(estimate.value - true[name]) < 3 * estimate.std
         assert estimate.std < 1e-3 * true[name]
@@ -161,6 +164,8 @@ def test_the_command_fits_an_fmu(exported, tmp_path):
     words = ["fit", str(exported), str(tmp_path / "run.csv"), "--free", "K", "--free", "B", "--start", "K=5000"]
     done = CliRunner().invoke(app, [*words, "--output", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
-    assert "converged after" in done.stdout and (tmp_path / "out" / "fmu_fit.json").is_file()
+    assert "converged after" in done.stdout
+    data = read_json(tmp_path / "out" / "fmu_fit.json", ResultKind.FMU_FIT)
+    assert strict_offences(data, ResultKind.FMU_FIT) == [] and set(data["parameters"]) == {"K", "B"}
     refused = CliRunner().invoke(app, [*words, "--effect", "coulomb_friction"])
     assert refused.exit_code == 2 and "--effect" in refused.stderr
