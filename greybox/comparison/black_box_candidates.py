@@ -7,7 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from greybox.blackbox import best_black_boxes, keep_measured_rows, monte_carlo_smoothing, resample
+from greybox.blackbox import (
+    StateSpaceModel,
+    SubspaceOutput,
+    best_black_boxes,
+    keep_measured_rows,
+    monte_carlo_smoothing,
+    resample,
+    subspace,
+)
+from greybox.blackbox.subspace import WEIGHTS
 from greybox.comparison.compare import NamedModel
 from greybox.comparison.findings import ComparisonFinding
 from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
@@ -19,6 +28,7 @@ from greybox.findings import Finding, Severity
 from greybox.numerics import SAME_SAMPLING_TIME
 
 SMOOTHING = "monte_carlo_smoothing"
+STATE_SPACE = "subspace"
 
 BlackBoxProgress = Callable[[str, int, int], None]
 
@@ -35,7 +45,8 @@ def fit_black_boxes(
 ) -> tuple[tuple[NamedModel, ...], tuple[Finding, ...]]:
     """Fit the best ARX, ARMAX, output-error, Box-Jenkins and Hammerstein model of each output, and smooth a step response.
 
-    Models of one kind for several outputs are compared together. Records of irregular time are resampled at their usual step, and
+    Where there are several inputs or outputs a state-space model of all of them is identified as well, by subspace projection. Models of
+    one kind for several outputs are compared together. Records of irregular time are resampled at their usual step, and
     an output measured in few of the rows has its models on those rows.
 
     Parameters
@@ -85,6 +96,13 @@ def fit_black_boxes(
             name = kind.replace(" ", "_").replace("-", "_")
             models.setdefault(name, []).append(scan.best)
             seconds[name] = seconds.get(name, 0.0) + scan.seconds
+    if len(outputs) + len(inputs) > 2:
+        began = time.perf_counter()
+        boxes, failed = _identify_state_space(regular, outputs, inputs)
+        findings += failed
+        if boxes:
+            models[STATE_SPACE] = list(boxes)
+            seconds[STATE_SPACE] = time.perf_counter() - began
     for output in outputs:
         began = time.perf_counter()
         smoothing, failed = _smooth_step(regular, output, inputs, units or {}, policy)
@@ -150,6 +168,28 @@ def _begins_at_rest(records: Sequence[Experiment], output: str, policy: Comparis
         if len(y) and abs(y[0]) > policy.rest_share * np.ptp(y):
             return False
     return True
+
+
+def _identify_state_space(
+    records: Sequence[Experiment], outputs: Sequence[str], inputs: Sequence[str]
+) -> tuple[tuple[SubspaceOutput, ...], list[Finding]]:
+    """One model of every input and output: with the weights, N4SID's or CVA's, whose free run follows the records better."""
+    try:
+        models = [subspace(records, outputs=outputs, inputs=inputs, weight=weight) for weight in WEIGHTS]
+    except DataError as error:
+        values = {"reason": str(error)}
+        return (), [Finding(ComparisonFinding.NO_STATE_SPACE, Severity.NOTE, "", values)]
+    return min(models, key=lambda model: _measure_error(model, records)).boxes(), []
+
+
+def _measure_error(model: StateSpaceModel, records: Sequence[Experiment]) -> float:
+    """Mean square of the free run's error over that of the outputs' movement; infinite for a run that overflows."""
+    total = 0.0
+    for box in model.boxes():
+        y = np.concatenate([r.outputs[box.output] for r in records])
+        run = np.concatenate([box.simulate(r)[box.output] for r in records])
+        total += float(np.nanmean((y - run) ** 2) / max(float(np.nanvar(y)), np.finfo(float).tiny))
+    return total if np.isfinite(total) else np.inf
 
 
 def _smooth_step(

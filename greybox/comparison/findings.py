@@ -24,6 +24,8 @@ class ComparisonFinding(StrEnum):
     """What the one-step predictions of this model are made with."""
     NO_BLACK_BOX = "compared_no_black_box"
     """No black box could be fitted to an output."""
+    NO_STATE_SPACE = "compared_no_state_space"
+    """No state-space model of all inputs and outputs could be identified."""
     RECORD_RESAMPLED = "compared_record_resampled"
     """A record was resampled for the black boxes."""
     MEASURED_ROWS_ONLY = "compared_measured_rows_only"

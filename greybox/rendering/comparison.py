@@ -72,6 +72,7 @@ register(
         ComparisonFinding.FIT_FAILED: lambda finding: f"the fit failed: {status_text(finding.values['status'])}",
         ComparisonFinding.PREDICTION_FILTER: "predictions are corrected by {filter}",
         ComparisonFinding.NO_BLACK_BOX: "{reason}",
+        ComparisonFinding.NO_STATE_SPACE: "no state-space model of all inputs and outputs ({reason})",
         ComparisonFinding.RECORD_RESAMPLED: (
             "{subject}: resampled to {sampling_time:.6g} s for the black boxes, which need a uniform sampling time"
         ),

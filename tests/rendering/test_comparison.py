@@ -56,6 +56,10 @@ SENTENCES = {
         Finding(Code.MEASURED_ROWS_ONLY, subject="T", values={"sampling_time": 1.0}),
         "T: the black boxes use only the measured rows, every 1 s",
     ),
+    Code.NO_STATE_SPACE: (
+        Finding(Code.NO_STATE_SPACE, values={"reason": "60 rows are too few"}),
+        "no state-space model of all inputs and outputs (60 rows are too few)",
+    ),
     Code.NO_SMOOTHING: (
         Finding(Code.NO_SMOOTHING, subject="x", values={"reason": "no resonance"}),
         "x: no Monte-Carlo smoothing (no resonance)",
