@@ -1,8 +1,7 @@
 """greybox: from measured data of an actuator to physical parameters with honest intervals.
 
 The verbs of the first week stand here: `read_csv`, `simulate`, `fit`, `validate`, `residual_tests`, `compare`, `discover`,
-`linearise`, `report`,
-`design`. A model is a list of named balances; ``model + effect`` is a new model.
+`detect_changes`, `linearise`, `report`, `design`. A model is a list of named balances; ``model + effect`` is a new model.
 
 Everything else is in a namespace: ``gb.signals`` (test signals), ``gb.effects`` (the catalogue), ``gb.blackbox``, ``gb.discovery``,
 ``gb.experiment_design``, ``gb.identifiability``, ``gb.uncertainty`` (profile likelihood, bootstrap), ``gb.residuals``,
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from greybox import (
         blackbox,
+        change_detection,
         discovery,
         effects,
         errors,
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         simulation,
         uncertainty,
     )
+    from greybox.change_detection import detect_changes
     from greybox.comparison import compare
     from greybox.discovery import discover
     from greybox.effects import effect
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
 
 # Where each name lives. Loaded when first asked for: stating a model should not load a solver.
 _NAMES = {
+    "change_detection": ("detect_changes",),
     "comparison": ("compare",),
     "discovery": ("discover",),
     "effects": ("effect",),
@@ -97,6 +99,7 @@ _NAMES = {
 }
 _NAMESPACES = (
     "blackbox",
+    "change_detection",
     "comparison",
     "discovery",
     "effects",
@@ -134,9 +137,11 @@ __all__ = [
     "SignalLimit",
     "State",
     "blackbox",
+    "change_detection",
     "compare",
     "comparison",
     "design",
+    "detect_changes",
     "discover",
     "discovery",
     "effect",

@@ -212,3 +212,12 @@ RELATION_MET = 1e-6
 
 RANK_OF_EXACT_RECORDS = 1e-9
 """Singular values of data matrices below this share of the largest are rounding: records without noise have dependent rows."""
+
+NEARLY_NORMAL = 1e6
+"""Degrees of freedom from which Student's distribution is the normal one to all digits that matter."""
+
+BISECTIONS = 100
+"""Halvings of an interval that find a root to the last digit."""
+
+MEDIAN_OF_RANGE = 0.9539
+"""Median of the absolute difference of two standard normal numbers."""

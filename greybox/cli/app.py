@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from greybox.cli.campaign import campaign
+from greybox.cli.changed import changed
 from greybox.cli.check import check
 from greybox.cli.compare import compare
 from greybox.cli.demo import demo
@@ -82,6 +83,16 @@ app.command(
         "greybox campaign my/rig.py ... --rig 'python play.py {input} {record}'",
     ),
 )(exit_on_error(campaign))
+app.command(
+    cls=PlainCommand,
+    short_help="Tell what has changed in a machine since its fit.",
+    epilog=format_examples(
+        "greybox changed results/rig-fit/fit.json today.csv",
+        "greybox changed results/rig-fit/fit.json today.csv --validate today2.csv --model my/rig.py",
+        "greybox changed results/rig-fit/fit.json machines/* --population",
+        "greybox changed results/rig-fit/fit.json months/ --chart",
+    ),
+)(exit_on_error(changed))
 app.command(
     cls=PlainCommand,
     short_help="Export a fitted model for controller design, or as code.",

@@ -45,6 +45,9 @@ class FigureText(StrEnum):
     GAIN = "figure_gain"
     PHASE = "figure_phase"
     POLES = "figure_poles"
+    CHANGES = "figure_changes"
+    MACHINES = "figure_machines"
+    COURSE = "figure_course"
 
     FIT_HEADING = "figure_fit_heading"
     RESIDUAL_TESTS_HEADING = "figure_residual_tests_heading"
@@ -72,6 +75,7 @@ class FigureText(StrEnum):
     RESIDUAL_BEFORE_AFTER = "described_residual_before_after"
     SPECTRUM_PEAK = "described_spectrum_peak"
     INTERVAL_WIDTHS = "described_interval_widths"
+    CHANGES_LISTED = "described_changes"
     CORRELATED = "described_correlated_parameters"
     NO_CORRELATION = "described_no_correlation"
     ERROR_BEFORE_AFTER = "described_error_before_after"
@@ -167,6 +171,11 @@ TEMPLATES: Mapping[str, Template] = {
     ),
     FigureText.RUNS_BEFORE_AFTER: "Record {subject}: measured outputs and the free runs of both models.",
     FigureText.RESIDUAL_TESTS: "Tests of the residual of {subject}.",
+    FigureText.CHANGES: "Change of each constant since the fit, with 95 % intervals that hold together. Zero is as before.",
+    FigureText.MACHINES: (
+        "Each machine with its 95 % interval. The line is the mean of those that belong together, the band holds 95 % of such machines."
+    ),
+    FigureText.COURSE: "Each record with its 95 % interval, in the order of time; record 0 is the fit.",
     FigureText.INTERVALS: "Half width of each 95 % interval: smaller is better.",
     FigureText.EXPECTED_INTERVALS: "Expected half width of each 95 % interval: smaller is better.",
     FigureText.CORRELATION: (
@@ -244,6 +253,9 @@ TEMPLATES: Mapping[str, Template] = {
     FigureText.SPECTRUM_PEAK: "The residual of {subject} is strongest at {frequency:.4g} Hz",
     FigureText.INTERVAL_WIDTHS: lambda f: "; ".join(
         f"{name} ± {percent:.3g} %" for name, percent in f.values["percent"].items()
+    ),
+    FigureText.CHANGES_LISTED: lambda f: "; ".join(
+        f"{name} {percent:+.3g} %" for name, percent in f.values["percent"].items()
     ),
     FigureText.CORRELATED: lambda f: (
         f"{f.values['first']} and {f.values['second']} have a correlation of {f.values['correlation']:.3f}: the records determine their"

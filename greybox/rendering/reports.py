@@ -141,6 +141,14 @@ class PageText(StrEnum):
     DESIGN_ALTERNATIVES = "page_design_alternatives"
     DESIGN_SCALE = "page_design_scale"
 
+    CHANGED_TITLE = "page_changed_title"
+    CHANGED_QUESTION = "page_changed_question"
+    CHANGED_CONSTANTS = "page_changed_constants"
+    CHANGED_NOTE = "page_changed_note"
+    CHANGED_POPULATION = "page_changed_population"
+    CHANGED_MACHINES = "page_changed_machines"
+    CHANGED_POINTS = "page_changed_points"
+
     CAMPAIGN_TITLE = "page_campaign_title"
     CAMPAIGN_QUESTION = "page_campaign_question"
     CAMPAIGN_STEPS = "page_campaign_steps"
@@ -151,6 +159,8 @@ class PageText(StrEnum):
 SECTIONS: Mapping[str, str] = {
     "section_alternatives": "Alternatives",
     "section_behaviour": "Behaviour",
+    "section_changes": "What changed",
+    "section_checks": "Checks",
     "section_brings": "What it brings",
     "section_candidates": "Candidates",
     "section_data": "Data",
@@ -180,6 +190,7 @@ SECTIONS: Mapping[str, str] = {
     "section_runs": "Runs",
     "section_steps": "Experiments",
     "section_structure": "What any record could determine",
+    "section_today": "Records and model of today",
     "section_truth": "Parameters and true values",
 }
 """Titles of sections: ``section_`` and the name of the section."""
@@ -422,6 +433,16 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.DESIGN_LIMITS: "Limits, and what is predicted under every explanation with a margin for what is not known",
     PageText.DESIGN_ALTERNATIVES: "What could be done instead",
     PageText.DESIGN_SCALE: "Twice as much means intervals half as wide, explanations twice as far apart, or half the amount seen.",
+    # The page of a change detection
+    PageText.CHANGED_TITLE: "{subject}: {verdict}",
+    PageText.CHANGED_QUESTION: lambda f: (
+        f"Is {f.subject} what it was when it was fitted to {count_noun(f.values['records'], 'record')}?"
+    ),
+    PageText.CHANGED_CONSTANTS: "The constants in the fit and today",
+    PageText.CHANGED_NOTE: "The intervals are those of the change and hold together; p is corrected for looking at all constants.",
+    PageText.CHANGED_POPULATION: "What the machines have in common",
+    PageText.CHANGED_MACHINES: "The machines, each with the standard deviation that its records leave",
+    PageText.CHANGED_POINTS: "Where constants jump; p is corrected for all constants",
     # The page of a campaign
     PageText.CAMPAIGN_TITLE: "Campaign on {subject}",
     PageText.CAMPAIGN_QUESTION: "Which effects does the rig of {subject} have, and how precisely are its parameters known?",

@@ -15,6 +15,7 @@ PAGES = {
     "Fit": "fit_page",
     "ModelCheck": "check_page",
     "Campaign": "campaign_page",
+    "ChangeDetection": "changed_page",
     "Comparison": "comparison_page",
     "Demo": "demo_page",
     "Design": "design_page",

@@ -27,6 +27,7 @@ class ResultKind(StrEnum):
     COMPARISON = "comparison"
     DESIGN = "design"
     CAMPAIGN = "campaign"
+    CHANGE = "change"
     MODEL_CHECK = "model_check"
     LINEAR_MODEL = "linear_model"
     FMU_FIT = "fmu_fit"
@@ -42,6 +43,7 @@ TITLES: Mapping[ResultKind, tuple[str, str]] = {
     ResultKind.COMPARISON: ("a comparison", "compare.json that greybox compare has written"),
     ResultKind.DESIGN: ("a design", "design.json that greybox design has written"),
     ResultKind.CAMPAIGN: ("a campaign", "campaign.json that greybox campaign has written"),
+    ResultKind.CHANGE: ("a change detection", "changed.json that greybox changed has written"),
     ResultKind.MODEL_CHECK: ("a check", "check.json that greybox check has written"),
     ResultKind.LINEAR_MODEL: ("a linear model", "file that greybox export --to json has written"),
     ResultKind.FMU_FIT: ("a fit of an FMU", "fmu_fit.json that greybox fit has written"),

@@ -77,6 +77,16 @@ GOLDEN = [
     (phrase(T.PHASE), "Phase over frequency."),
     (phrase(T.POLES, sampled=True), "Poles in the complex plane. Modes decay inside the unit circle."),
     (phrase(T.POLES, sampled=False), "Poles in the complex plane. Modes decay left of the imaginary axis."),
+    (
+        phrase(T.CHANGES),
+        "Change of each constant since the fit, with 95 % intervals that hold together. Zero is as before.",
+    ),
+    (
+        phrase(T.MACHINES),
+        "Each machine with its 95 % interval. The line is the mean of those that belong together, the band holds 95 % of such machines.",
+    ),
+    (phrase(T.COURSE), "Each record with its 95 % interval, in the order of time; record 0 is the fit."),
+    (phrase(T.CHANGES_LISTED, percent={"K": 2.0, "B": -0.31}), "K +2 %; B -0.31 %"),
     (phrase(T.FIT_HEADING, "a", model="rig", validation=True), "rig: free run over validation record a"),
     (phrase(T.RESIDUAL_TESTS_HEADING, "x", model="rig"), "rig: residual of x"),
     (phrase(T.RESIDUAL_TESTS_HEADING, "x", model=""), "Residual of x"),

@@ -243,6 +243,16 @@ GOLDEN = [
         "Folder 01 holds input.csv, record.csv and the pages report.html, fit.html and discovery.html.",
     ),
     (phrase(T.CAMPAIGN_STEP, "2"), "Experiment 2"),
+    (phrase(T.CHANGED_TITLE, "rig", verdict="changed"), "rig: changed"),
+    (phrase(T.CHANGED_QUESTION, "rig", records=2), "Is rig what it was when it was fitted to 2 records?"),
+    (phrase(T.CHANGED_CONSTANTS), "The constants in the fit and today"),
+    (
+        phrase(T.CHANGED_NOTE),
+        "The intervals are those of the change and hold together; p is corrected for looking at all constants.",
+    ),
+    (phrase(T.CHANGED_POPULATION), "What the machines have in common"),
+    (phrase(T.CHANGED_MACHINES), "The machines, each with the standard deviation that its records leave"),
+    (phrase(T.CHANGED_POINTS), "Where constants jump; p is corrected for all constants"),
     (phrase(T.DESIGN_TITLE, "rig"), "The next record of rig"),
     (
         phrase(T.DESIGN_QUESTION, "rig"),

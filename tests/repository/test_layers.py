@@ -33,7 +33,7 @@ ROWS = [
     {"blackbox", "check", "uncertainty"},
     {"residuals", "comparison", "export"},
     {"discovery", "frequency", "fmu"},
-    {"experiment_design"},
+    {"experiment_design", "change_detection"},
     {"rendering"},
     {"plots", "reports", "project", "demo"},
     {"cli"},

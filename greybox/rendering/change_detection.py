@@ -1,0 +1,253 @@
+"""What is said of a change: the answer first, then each constant before and after."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from greybox.change_detection.findings import ChangeCode, ChangeRule
+from greybox.rendering.english import count_noun, join_names
+from greybox.rendering.registry import register, renders, sentence
+from greybox.rendering.tables import format_number, format_table, make_formatter
+
+if TYPE_CHECKING:
+    from greybox.change_detection import ChangeDetection, ConstantChange, MachineReport
+    from greybox.findings import Check, Finding
+
+
+def _with_unit(value: float, unit: str, digits: int = 4) -> str:
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def _share_of(change: float, before: float, unit: str) -> str:
+    """``12 %`` of the value before; in its unit where that is zero."""
+    return f"{100 * abs(change / before):.2g} %" if before else _with_unit(abs(change), unit, 2)
+
+
+def _nothing_changed(finding: Finding) -> str:
+    v = finding.values
+    seen = _share_of(v["smallest"], v["before"], v["unit"])
+    each = "each constant is" if len(v["constants"]) > 1 else f"{v['constants'][0]} is"
+    return (
+        f"nothing has changed: {each} what it was, within what the records can tell; a change of {seen} in {v['widest']}, the least"
+        f" certain, would have been seen. One healthy machine in {1 / v['rate']:.0f} is called changed"
+    )
+
+
+def _constant_moved(finding: Finding) -> str:
+    v = finding.values
+    way = "risen" if v["after"] > v["before"] else "fallen"
+    between = sorted((v["low"], v["high"]), key=abs)
+    by = f"{_share_of(v['after'] - v['before'], v['before'], v['unit'])}"
+    ends = " to ".join(_share_of(e, v["before"], v["unit"]) for e in between)
+    return (
+        f"{finding.subject} has {way} by {by}, from {_with_unit(v['before'], '')} to {_with_unit(v['after'], v['unit'])}"
+        f" (95 % interval of the change: {ends})"
+    )
+
+
+def _combination_moved(finding: Finding) -> str:
+    names = list(finding.values["combination"])
+    return (
+        f"the constants have changed, and the records do not tell which: {join_names(names)} together, none of them clearly by itself"
+        f" (p = {finding.values['p']:.1g}); a record that moves the machine more, or differently, will tell"
+    )
+
+
+def _effect_appeared(finding: Finding) -> str:
+    parameters = ", ".join(
+        f"{name} = {_with_unit(p['value'], p['unit'], 3)}" for name, p in finding.values["parameters"].items()
+    )
+    described = f" ({parameters})" if parameters else ""
+    return (
+        f"an effect has appeared: {finding.subject} in {finding.values['site']}{described}, {finding.values['grade']}; what is said of"
+        " the constants holds with it"
+    )
+
+
+def _unexplained(finding: Finding) -> str:
+    return (
+        f"the model no longer describes output {finding.subject}: its residual is {finding.values['ratio']:.2f} times what the fit left,"
+        " or no longer random, and no change of constants explains it. No effect of the catalogue is established; greybox discover with"
+        " more records of today goes on from here"
+    )
+
+
+def _noise_grew(finding: Finding) -> str:
+    return (
+        f"the noise of output {finding.subject} has grown to {finding.values['ratio']:.2f} times what it was, and is as random as"
+        " before: look at the sensor and its wiring"
+    )
+
+
+def _not_seen(finding: Finding) -> str:
+    share, limit = finding.values["share"], 100 * finding.values["limit"]
+    how = (
+        "the records do not determine it"
+        if share is None or not math.isfinite(share)
+        else f"only a change of {100 * share:.0f} % or more would show"
+    )
+    return f"{finding.subject}: {how} (limit {limit:.0f} %); take a record that excites it, greybox design says which"
+
+
+def _cannot_tell(finding: Finding) -> str:
+    names = finding.values["constants"]
+    return f"the records cannot tell: {join_names(names) or 'the constants'} could have changed by half unnoticed. Nothing else has changed"
+
+
+def _machine_falls_out(finding: Finding) -> str:
+    v = finding.values
+    return (
+        f"{finding.subject} falls out: {v['constant']} is {_with_unit(v['value'], v['unit'])}, and {_with_unit(v['mean'], v['unit'])}"
+        f" in the others, which differ by {spread_text(v['spread'], v['unit'], v['relative'])} (standard deviation; p = {v['p']:.1g})"
+    )
+
+
+def _machines_alike(finding: Finding) -> str:
+    v = finding.values
+    spreads = ", ".join(f"{name} by {spread_text(*spread)}" for name, spread in v["spreads"].items())
+    which = "all" if not v["outside"] else "the other"
+    return f"{which} {v['machines']} machines belong together; from one to the next they differ in {spreads} (standard deviation)"
+
+
+def _change_point(finding: Finding) -> str:
+    v = finding.values
+    way = "rises" if v["after"] > v["before"] else "falls"
+    return (
+        f"{finding.subject} {way} with record {v['number']} ({v['record']}) by"
+        f" {_share_of(v['after'] - v['before'], v['before'], v['unit'])}, from {_with_unit(v['before'], '')} to"
+        f" {_with_unit(v['after'], v['unit'])} (p = {v['p']:.1g})"
+    )
+
+
+def _check_text(meaning: str) -> Callable[[Check], str]:
+    def write(check: Check) -> str:
+        p = p_text(check.value)
+        outcome = "passed" if check.passed else "failed"
+        return f"{meaning.format(subject=check.subject)}: p {p if '<' in p else f'= {p}'}, limit {check.limit:.2g}, {outcome}"
+
+    return write
+
+
+register(
+    {
+        ChangeCode.NOTHING_CHANGED: _nothing_changed,
+        ChangeCode.CONSTANT_MOVED: _constant_moved,
+        ChangeCode.COMBINATION_MOVED: _combination_moved,
+        ChangeCode.EFFECT_APPEARED: _effect_appeared,
+        ChangeCode.NOISE_GREW: _noise_grew,
+        ChangeCode.UNEXPLAINED: _unexplained,
+        ChangeCode.CANNOT_TELL: _cannot_tell,
+        ChangeCode.FIT_FAILED: (
+            "the records cannot tell: the model could not be fitted to them ({status}). Look at the record first, with greybox check"
+        ),
+        ChangeCode.CONSTANT_NOT_SEEN: _not_seen,
+        ChangeCode.CONSTANT_AT_BOUND: (
+            "{subject} was stopped by its bound at {value:.4g}: it is not compared; widen its bounds in the model and fit again"
+        ),
+        ChangeCode.MODEL_LACKS_SOMETHING: (
+            "the fit left more than noise: its constants depend on what the input does, so compare records with the same input only, or"
+            " find what the model lacks with greybox discover; the size of the residual was not compared"
+        ),
+        ChangeCode.SPLIT_FOR_VALIDATION: (
+            "{subject} is the only record of today: an effect was looked for in its first half and judged on its second; a further record,"
+            " with --validate, is the better judge"
+        ),
+        ChangeCode.SAME_RECORD: "{subject} is one of the records of the fit itself: it is no record of today",
+        ChangeCode.MACHINE_FALLS_OUT: _machine_falls_out,
+        ChangeCode.MACHINE_NOT_FITTED: "{subject} is left out: the model could not be fitted to its records ({status})",
+        ChangeCode.RECORD_NOT_FITTED: "record {subject} is left out: the model could not be fitted to it ({status})",
+        ChangeCode.MACHINES_ALIKE: _machines_alike,
+        ChangeCode.CHANGE_POINT: _change_point,
+        ChangeCode.NO_CHANGE_POINT: lambda f: (
+            f"no change point in {count_noun(f.values['records'], 'record')}: what differs between them is chance"
+        ),
+        ChangeRule.CONSTANTS_AS_BEFORE: _check_text("the constants are as before"),
+        ChangeRule.RESIDUAL_AS_LARGE: _check_text("the residual of {subject} is as large as before"),
+        ChangeRule.RESIDUAL_AS_WHITE: _check_text("the residual of {subject} is as white as before"),
+    }
+)
+
+
+@renders("ChangeDetection")
+def write_change_detection(change: ChangeDetection) -> str:
+    """The verdict, the answer, each constant, what a reader should know."""
+    lines = [f"{change.reference.model.title}: {change.verdict}", ""]
+    lines += [f"  {sentence(f)}" for f in change.conclusion]
+    if change.constants:
+        lines += ["", *format_table(CONSTANT_HEAD, [constant_row(n, c) for n, c in change.constants.items()])]
+    if change.population:
+        lines += ["", *format_table(POPULATION_HEAD, population_rows(change))]
+    if change.machines:
+        names = list(change.population)
+        lines += [
+            "",
+            *format_table(["machine", *names, "falls out in"], [machine_row(m, names) for m in change.machines]),
+        ]
+    if change.findings:
+        lines += ["", *(f"{f.severity}: {sentence(f)}" for f in change.findings)]
+    return "\n".join(lines)
+
+
+CONSTANT_HEAD = ["parameter", "before", "today", "change", "95 % interval", "p", ""]
+POPULATION_HEAD = ["parameter", "mean", "95 % interval", "from machine to machine"]
+
+
+def constant_row(name: str, change: ConstantChange) -> list[str]:
+    """One constant as cells below `CONSTANT_HEAD`."""
+    difference = change.after - change.before
+    unit = change.unit
+    if change.interval is None:
+        return [name, _with_unit(change.before, unit), "not determined", "", "", "", ""]
+    write = make_formatter(change.before, (change.interval[1] - change.interval[0]) / 4)
+    return [
+        name,
+        *(f"{write(value)} {unit}".rstrip() for value in (change.before, change.after)),
+        _signed(difference, change.before, change.unit),
+        " to ".join(_signed(e, change.before, change.unit) for e in change.interval),
+        p_text(change.p),
+        "changed" if change.moved else "",
+    ]
+
+
+def p_text(p: float | None) -> str:
+    """A p-value with two digits; what lies below 1e-4 is only that."""
+    return "" if p is None else f"{p:.2g}" if p >= 1e-4 else "< 0.0001"
+
+
+def population_rows(change: ChangeDetection) -> list[list[str]]:
+    """Mean, interval and spread of each constant."""
+    return [
+        [
+            name,
+            _with_unit(c.mean, c.unit),
+            " to ".join(format_number(e, 4) for e in c.interval),
+            spread_text(c.spread, c.unit, c.relative),
+        ]
+        for name, c in change.population.items()
+    ]
+
+
+def spread_text(spread: float, unit: str, relative: bool) -> str:
+    """``2.1 %``, or in the unit."""
+    return f"{100 * spread:.2g} %" if relative else _with_unit(spread, unit, 2)
+
+
+def machine_row(machine: MachineReport, names: list[str]) -> list[str]:
+    """One machine: each constant with its standard deviation, and where it falls out."""
+    return [
+        machine.name,
+        *(_machine_cell(machine.constants.get(name)) for name in names),
+        ", ".join(machine.outlying) or "",
+    ]
+
+
+def _machine_cell(constant: Mapping[str, Any] | None) -> str:
+    if constant is None or constant["std"] is None:
+        return "open"
+    return f"{constant['value']:.4g} +- {constant['std']:.2g}"
+
+
+def _signed(change: float, before: float, unit: str) -> str:
+    return f"{100 * change / abs(before):+.2g} %" if before else f"{change:+.3g} {unit}".rstrip()

@@ -1,0 +1,84 @@
+"""The page of a change detection: the answer, what convinces of it, the constants, how to repeat it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from greybox.change_detection import ChangeDetection, ChangeVerdict
+from greybox.findings import Severity
+from greybox.plots.change_detection import plot_changes, plot_course, plot_population
+from greybox.plots.records import plot_residual, plot_run
+from greybox.rendering.change_detection import (
+    CONSTANT_HEAD,
+    POPULATION_HEAD,
+    constant_row,
+    machine_row,
+    population_rows,
+)
+from greybox.rendering.english import phrase
+from greybox.rendering.reports import PageText
+from greybox.reports.page import Block, BulletList, FigureBlock, Page, PageTable, Paragraphs, Section, Tone
+from greybox.reports.provenance import provenance_section
+from greybox.reports.records import records_section, signal_units
+
+TONES = {
+    ChangeVerdict.UNCHANGED: Tone.GOOD,
+    ChangeVerdict.CHANGED: Tone.BAD,
+    ChangeVerdict.CANNOT_TELL: Tone.CAUTION,
+}
+
+
+def build_changed_page(change: ChangeDetection, *, command: str = "") -> Page:
+    """The page of a change detection; ``command`` is what was typed."""
+    title = change.reference.model.title
+    first = [f for f in change.findings if f.severity is not Severity.NOTE]
+    notes = [f for f in change.findings if f.severity is Severity.NOTE]
+    sections = [Section("changes", [*_evidence(change), *([BulletList(notes)] if notes else [])])]
+    if change.checks:
+        sections.append(
+            Section("checks", [BulletList([phrase(PageText.STATEMENT, text=str(check)) for check in change.checks])])
+        )
+    if change.today is not None:
+        sections.append(Section("today", list(_today(change))))
+        sections.append(records_section([*change.today.traces], [], change.today))
+    sections.append(provenance_section(command))
+    question = phrase(PageText.CHANGED_QUESTION, title, records=len(change.reference.traces))
+    verdict = Paragraphs([*change.conclusion, *first], TONES[change.verdict])
+    return Page(
+        phrase(PageText.CHANGED_TITLE, title, verdict=str(change.verdict)), question, verdict, sections, "changed"
+    )
+
+
+def _evidence(change: ChangeDetection) -> Iterator[Block]:
+    """The figure that convinces, then its numbers."""
+    for figure in (plot_changes(change), plot_population(change), plot_course(change)):
+        if figure is not None:
+            yield FigureBlock(figure)
+    if change.constants:
+        rows = [constant_row(name, c) for name, c in change.constants.items()]
+        yield PageTable(
+            phrase(PageText.CHANGED_CONSTANTS), [*CONSTANT_HEAD[:-1], "verdict"], rows, phrase(PageText.CHANGED_NOTE)
+        )
+    if change.population:
+        yield PageTable(phrase(PageText.CHANGED_POPULATION), POPULATION_HEAD, population_rows(change))
+        names = list(change.population)
+        rows = [machine_row(m, names) for m in change.machines]
+        yield PageTable(phrase(PageText.CHANGED_MACHINES), ["machine", *names, "falls out in"], rows)
+    if change.change_points:
+        rows = [
+            [c.constant, str(c.number), c.record, f"{c.before:.4g}", f"{c.after:.4g} {c.unit}".rstrip(), f"{c.p:.2g}"]
+            for c in change.change_points
+        ]
+        head = ["parameter", "number", "first record after it", "before", "after", "p"]
+        yield PageTable(phrase(PageText.CHANGED_POINTS), head, rows)
+
+
+def _today(change: ChangeDetection) -> Iterator[Block]:
+    """Today's records and the model that was fitted to them."""
+    fit = change.today
+    if fit is None:
+        return
+    units = signal_units(fit.model)
+    for k, trace in enumerate(fit.traces):
+        yield FigureBlock(plot_run(trace, units, f"run{k}"), group=f"record{k}")
+        yield FigureBlock(plot_residual(trace, units, fit.noise.std, f"residual{k}"), group=f"record{k}")

@@ -1,0 +1,176 @@
+"""Golden texts of a change detection."""
+
+from __future__ import annotations
+
+import pytest
+
+from greybox.change_detection import ConstantChange
+from greybox.change_detection.findings import ChangeCode, ChangeRule
+from greybox.findings import Check, Finding
+from greybox.rendering import sentence
+from greybox.rendering.change_detection import constant_row, p_text, spread_text
+
+C = ChangeCode
+MOVED = {"before": 5.0, "after": 4.5, "unit": "N/m", "low": -0.6, "high": -0.4}
+GOLDEN = [
+    (
+        Finding(
+            C.NOTHING_CHANGED,
+            values={
+                "constants": ["K", "B"],
+                "widest": "B",
+                "rate": 0.01,
+                "smallest": 0.02,
+                "before": 0.5,
+                "unit": "N s/m",
+            },
+        ),
+        "nothing has changed: each constant is what it was, within what the records can tell; a change of 4 % in B, the least certain,"
+        " would have been seen. One healthy machine in 100 is called changed",
+    ),
+    (
+        Finding(
+            C.NOTHING_CHANGED,
+            values={"constants": ["c"], "widest": "c", "rate": 0.01, "smallest": 0.02, "before": 0.0, "unit": "N"},
+        ),
+        "nothing has changed: c is what it was, within what the records can tell; a change of 0.02 N in c, the least certain, would have"
+        " been seen. One healthy machine in 100 is called changed",
+    ),
+    (
+        Finding(C.CONSTANT_MOVED, subject="K", values=MOVED),
+        "K has fallen by 10 %, from 5 to 4.5 N/m (95 % interval of the change: 8 % to 12 %)",
+    ),
+    (
+        Finding(C.COMBINATION_MOVED, values={"combination": {"K": 1.0, "M": -0.7}, "p": 0.0004}),
+        "the constants have changed, and the records do not tell which: K and M together, none of them clearly by itself (p = 0.0004); a"
+        " record that moves the machine more, or differently, will tell",
+    ),
+    (
+        Finding(
+            C.EFFECT_APPEARED,
+            subject="coulomb_friction",
+            values={"site": "force", "grade": "established", "parameters": {"F": {"value": 0.5, "unit": "N"}}},
+        ),
+        "an effect has appeared: coulomb_friction in force (F = 0.5 N), established; what is said of the constants holds with it",
+    ),
+    (
+        Finding(C.NOISE_GREW, subject="x", values={"ratio": 2.0}),
+        "the noise of output x has grown to 2.00 times what it was, and is as random as before: look at the sensor and its wiring",
+    ),
+    (
+        Finding(C.UNEXPLAINED, subject="x", values={"ratio": 1.5}),
+        "the model no longer describes output x: its residual is 1.50 times what the fit left, or no longer random, and no change of"
+        " constants explains it. No effect of the catalogue is established; greybox discover with more records of today goes on from here",
+    ),
+    (
+        Finding(C.CANNOT_TELL, values={"constants": ["B"]}),
+        "the records cannot tell: B could have changed by half unnoticed. Nothing else has changed",
+    ),
+    (
+        Finding(C.FIT_FAILED, values={"status": "it overflowed"}),
+        "the records cannot tell: the model could not be fitted to them (it overflowed). Look at the record first, with greybox check",
+    ),
+    (
+        Finding(C.CONSTANT_NOT_SEEN, subject="B", values={"share": None, "limit": 0.5}),
+        "B: the records do not determine it (limit 50 %); take a record that excites it, greybox design says which",
+    ),
+    (
+        Finding(C.CONSTANT_NOT_SEEN, subject="B", values={"share": 0.8, "limit": 0.5}),
+        "B: only a change of 80 % or more would show (limit 50 %); take a record that excites it, greybox design says which",
+    ),
+    (
+        Finding(C.CONSTANT_AT_BOUND, subject="B", values={"value": 0.0}),
+        "B was stopped by its bound at 0: it is not compared; widen its bounds in the model and fit again",
+    ),
+    (
+        Finding(C.MODEL_LACKS_SOMETHING),
+        "the fit left more than noise: its constants depend on what the input does, so compare records with the same input only, or find"
+        " what the model lacks with greybox discover; the size of the residual was not compared",
+    ),
+    (
+        Finding(C.SPLIT_FOR_VALIDATION, subject="today"),
+        "today is the only record of today: an effect was looked for in its first half and judged on its second; a further record, with"
+        " --validate, is the better judge",
+    ),
+    (
+        Finding(C.SAME_RECORD, subject="a.csv"),
+        "a.csv is one of the records of the fit itself: it is no record of today",
+    ),
+    (
+        Finding(
+            C.MACHINE_FALLS_OUT,
+            subject="m7",
+            values={
+                "constant": "K",
+                "value": 4.0,
+                "unit": "N/m",
+                "mean": 5.0,
+                "spread": 0.02,
+                "relative": True,
+                "p": 1e-5,
+            },
+        ),
+        "m7 falls out: K is 4 N/m, and 5 N/m in the others, which differ by 2 % (standard deviation; p = 1e-05)",
+    ),
+    (
+        Finding(C.MACHINE_NOT_FITTED, subject="m7", values={"status": "it overflowed"}),
+        "m7 is left out: the model could not be fitted to its records (it overflowed)",
+    ),
+    (
+        Finding(C.MACHINES_ALIKE, values={"machines": 8, "outside": 1, "spreads": {"K": [0.02, "N/m", True]}}),
+        "the other 8 machines belong together; from one to the next they differ in K by 2 % (standard deviation)",
+    ),
+    (
+        Finding(
+            C.CHANGE_POINT,
+            subject="K",
+            values={"record": "day 9", "number": 9, "before": 5.0, "after": 5.5, "unit": "N/m", "p": 0.0002},
+        ),
+        "K rises with record 9 (day 9) by 10 %, from 5 to 5.5 N/m (p = 0.0002)",
+    ),
+    (
+        Finding(C.RECORD_NOT_FITTED, subject="day 3", values={"status": "it overflowed"}),
+        "record day 3 is left out: the model could not be fitted to it (it overflowed)",
+    ),
+    (
+        Finding(C.NO_CHANGE_POINT, values={"records": 12}),
+        "no change point in 12 records: what differs between them is chance",
+    ),
+    (
+        Check.at_least(ChangeRule.CONSTANTS_AS_BEFORE, 0.2, 0.007),
+        "the constants are as before: p = 0.2, limit 0.007, passed",
+    ),
+    (
+        Check.at_least(ChangeRule.RESIDUAL_AS_LARGE, 1e-9, 0.001, "x"),
+        "the residual of x is as large as before: p < 0.0001, limit 0.001, failed",
+    ),
+    (
+        Check.at_least(ChangeRule.RESIDUAL_AS_WHITE, 0.5, 0.001, "x"),
+        "the residual of x is as white as before: p = 0.5, limit 0.001, passed",
+    ),
+]
+
+
+@pytest.mark.parametrize(("item", "text"), GOLDEN)
+def test_a_change_detection_says(item: Finding | Check, text: str) -> None:
+    assert sentence(item) == text
+
+
+def test_every_code_is_here() -> None:
+    codes = {item.code if isinstance(item, Finding) else item.rule for item, _ in GOLDEN}
+    assert codes == {*ChangeCode, *ChangeRule}
+
+
+def test_a_constant_as_a_row() -> None:
+    change = ConstantChange(5.0, 4.5, "N/m", (-0.6, -0.4), 1e-7, True, 0.1)
+    assert constant_row("K", change) == [
+        "K",
+        "5.000 N/m",
+        "4.500 N/m",
+        "-10 %",
+        "-12 % to -8 %",
+        "< 0.0001",
+        "changed",
+    ]
+    assert constant_row("K", ConstantChange(5.0, 4.5, "N/m", None, None, False, None))[2] == "not determined"
+    assert (p_text(None), p_text(0.031), spread_text(0.5, "N", False)) == ("", "0.031", "0.5 N")
