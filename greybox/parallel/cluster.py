@@ -40,7 +40,7 @@ class DaskHealth:
     def __init__(self, client: Any, policy: ClusterPolicy = CLUSTER_POLICY) -> None:
         self._client, self._policy = client, policy
         now = time.monotonic()
-        self._looked = self._answered = self._staffed = self._listened = now
+        self._looked = self._answered = self._staffed = self._listened = self._worked = now
         self._heartbeats: dict[str, tuple[Any, float]] = {}
         self._finished = 0
         self._present: set[str] = set()
@@ -52,7 +52,7 @@ class DaskHealth:
         if self._client.status in ("closed", "closing"):
             return "the connection to its scheduler is closed"
         if finished > self._finished:
-            self._finished, self._lost = finished, 0
+            self._finished, self._lost, self._worked = finished, 0, now
         if now - self._looked < policy.look_seconds:
             return ""
         present = self._ask() if self._client.status == "running" else None
@@ -70,7 +70,10 @@ class DaskHealth:
             self._remove_frozen(now)
         if now - self._staffed > policy.empty_seconds:
             return f"it has had no worker for {now - self._staffed:.0f} s"
-        if self._lost > max(policy.least_losses, policy.losses_per_worker * self._most_present):
+        idle = now - self._worked > policy.fruitless_seconds
+        if self._lost > max(policy.least_losses, policy.losses_per_worker * self._most_present) or (
+            idle and self._lost > self._most_present
+        ):
             return f"{self._lost} workers have died one after another without finishing a job"
         return ""
 

@@ -156,7 +156,8 @@ class _Book:
             self.submit(executor, group, health)
             if suspects and self.results[group[0]] is None:
                 alone = "process died, also when it ran alone (out of memory?)"
-                reason = alone if isinstance(executor, LocalPool) else "died, or the executor broke"
+                broken = "died again and again, also when it ran alone, or the executor broke"
+                reason = alone if isinstance(executor, LocalPool) else broken
                 self.enter(group[0], JobResult(error=f"its worker {reason}: {self.losses[group[0]]}"))
 
     def submit(self, executor: Executor, group: Sequence[int], health: WorkersHealth) -> None:
@@ -191,8 +192,10 @@ class _Book:
             result = unpack(future.result())
         except Exception as error:  # jobs return their exceptions: this one is the executor's
             self.lose(k, error)
-            if type(error).__name__ == "KilledWorker":  # Dask has tried it several times
-                self.enter(k, JobResult(error=f"its worker died again and again ({self.losses[k]})"))
+            if (
+                type(error).__name__ == "KilledWorker"
+            ):  # Dask tried it several times, but counts the deaths by its neighbours
+                self.tries[k] = RETRY_POLICY.tries  # as well: it is tried alone
             return
         if isinstance(result, _OtherVersion):
             fault = f"a worker has {result.version}, and this process {describe_version()}; install the same version on both"

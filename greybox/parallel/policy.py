@@ -25,8 +25,9 @@ class ClusterPolicy:
     """Seconds in which a scheduler must answer the first call."""
     silence_seconds: float = 20.0
     """Seconds without an answer of the scheduler after which it is lost. A scheduler that is busy answers within a few."""
-    empty_seconds: float = 30.0
-    """Seconds without any worker: a worker that is started anew takes three to ten."""
+    empty_seconds: float = 40.0
+    """Seconds without any worker: a worker that is started anew takes three to ten, and thirty on a machine with far more to do than
+    it can."""
     call_seconds: float = 5.0
     """Seconds that one call of the scheduler may take."""
     look_seconds: float = 1.0
@@ -42,6 +43,9 @@ class ClusterPolicy:
     """Workers that may die one after another while no job is finished: one bad job kills four before Dask gives it up."""
     losses_per_worker: int = 3
     """The same for each worker of a large cluster, which may lose many at once when a machine goes."""
+    fruitless_seconds: float = 40.0
+    """Seconds without a finished job after which a cluster that has lost more workers than it ever had at a time is given up: where
+    workers begin slowly and die, their number alone would take minutes to tell."""
     close_seconds: float = 5.0
     """Seconds that closing may take."""
 
