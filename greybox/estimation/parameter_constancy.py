@@ -170,9 +170,11 @@ def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel, policy: 
 
     Where the residual clearly exceeds the noise it is white noise of the size that is known.
     """
-    residual = np.concatenate([r for r, _ in rows])
-    counts = np.isfinite(residual).sum(axis=0)
-    ratio = np.sqrt(np.nansum(residual**2, axis=0) / np.maximum(counts, 1))
+    squares = np.concatenate([np.square(r) for r, _ in rows])
+    counts = np.isfinite(squares).sum(axis=0)
+    squares[np.isnan(squares)] = 0.0  # in its place: a long record is in memory a few times only
+    ratio = np.sqrt(squares.sum(axis=0) / np.maximum(counts, 1))
+    del squares
     models, variance = list(colour.models), [max(v, policy.constancy.least_noise_ratio**2) for v in colour.variance]
     for j, name in enumerate(noise.outputs):
         if ratio[j] > policy.excess.certain_ratio(noise, name):

@@ -70,14 +70,18 @@ def estimate_residual_colour(
     for j in range(outputs):
         series = join_series([r[:, j] for r, _ in rows])
         count = int(np.isfinite(series).sum())
-        square = float(np.nansum(series**2)) / max(count, 1) * total / max(total - unknowns, 1)
-        models.append(
-            fit_autoregression(series, policy=noise_policy) if count >= policy.least_samples else AutoRegression()
-        )
+        squares = np.square(series)
+        squares[np.isnan(squares)] = 0.0  # in its place: a long record is in memory a few times only
+        square = float(squares.sum()) / max(count, 1) * total / max(total - unknowns, 1)
+        del squares
         variances.append(
             max(square, 1.0 if variance_floor is None else float(variance_floor[j])) if noise_given else square
         )
         counts.append(count)
+        is_enough = count >= policy.least_samples
+        models.append(
+            fit_autoregression(series, overwrite_input=True, policy=noise_policy) if is_enough else AutoRegression()
+        )
     return ResidualColour(tuple(models), tuple(variances), tuple(counts), unknowns)
 
 

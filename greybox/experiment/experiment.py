@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any, Literal
@@ -298,6 +298,13 @@ class Experiment(Printable):
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
         values |= {n: dict(values[n]) for n in ("inputs", "outputs", "conditions")}
         return _restore, (values, self.sampling_time)
+
+
+def stack_signals(signals: Sequence[np.ndarray], rows: int) -> np.ndarray:
+    """Signals (N,) as columns (N, n); a single one is not copied."""
+    if len(signals) == 1:
+        return signals[0][:, None]
+    return np.columnstack(signals) if signals else np.zeros((rows, 0))
 
 
 def collect_record_findings(experiments: Iterable[Experiment]) -> tuple[Finding, ...]:

@@ -25,6 +25,7 @@ from greybox.kernel.interface import GaussNewtonSums, check_sums
 from greybox.kernel.record import Record
 from greybox.kernel.simplify import simplify_tape
 from greybox.kernel.tape import Tape, read_tape
+from greybox.numerics import ROWS_AT_A_TIME
 
 ADVANCE = ("x", "ua", "ub", "q", "h")
 OUTPUTS = ("x", "u", "p")
@@ -237,7 +238,8 @@ class CompiledKernel:
             np.full((samples, self.sizes.ny, _count_padded(arguments.directions)), np.nan),
         )
         self._run_pass(record, samples, arguments, (None, r, jacobian))
-        return r, np.ascontiguousarray(jacobian[:, :, : arguments.directions])
+        _drop_padding(jacobian, arguments.directions)
+        return r, jacobian
 
     def _run_pass(
         self, record: Record, samples: int, arguments: KernelArguments, results: tuple[np.ndarray | None, ...]
@@ -296,6 +298,23 @@ def _pad_directions(array: np.ndarray) -> np.ndarray:
     padded = np.zeros((*array.shape[:-1], _count_padded(directions)))
     padded[..., :directions] = array
     return padded
+
+
+def _drop_padding(array: np.ndarray, directions: int) -> None:
+    """Shorten the last axis of an array that owns its memory, where it is: the slopes of a long record are in memory once.
+
+    Rows move towards the beginning, one lot after another, and none reaches a lot that is still to be moved.
+    """
+    rows, padded = array.size // array.shape[-1], array.shape[-1]
+    if directions == padded:
+        return
+    numbers = array.reshape(-1)
+    for first in range(0, rows, ROWS_AT_A_TIME):
+        last = min(first + ROWS_AT_A_TIME, rows)
+        kept = numbers[first * padded : last * padded].reshape(-1, padded)[:, :directions].copy()
+        numbers[first * directions : last * directions] = kept.reshape(-1)
+    del numbers
+    array.resize((*array.shape[:-1], directions), refcheck=False)  # no view of it is left
 
 
 def _get_address(array: np.ndarray | None) -> int | None:

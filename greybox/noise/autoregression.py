@@ -116,7 +116,12 @@ def join_series(parts: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def fit_autoregression(
-    values: np.ndarray, *, max_order: int | None = None, copies: float = 1.0, policy: NoisePolicy = NOISE_POLICY
+    values: np.ndarray,
+    *,
+    max_order: int | None = None,
+    copies: float = 1.0,
+    overwrite_input: bool = False,
+    policy: NoisePolicy = NOISE_POLICY,
 ) -> AutoRegression:
     """Fit an autoregression by Burg's method, its order chosen by Schwarz's criterion (BIC).
 
@@ -131,6 +136,8 @@ def fit_autoregression(
     copies
         How many times over the series holds the same information (deviations from the mean of two repeats are each other's mirror
         image: 2).
+    overwrite_input
+        Whether ``values`` may be written to: a long series is then in memory once less.
     policy
         Highest order and samples for each order.
 
@@ -146,7 +153,9 @@ def fit_autoregression(
     0
     """
     max_order = policy.max_order if max_order is None else max_order
-    forward = _trim_gaps(np.asarray(values, float)).copy()
+    forward = _trim_gaps(np.asarray(values, float))
+    if not overwrite_input:
+        forward = forward.copy()
     backward = forward.copy()
     is_whole = bool(np.isfinite(forward).all())
     count = np.isfinite(forward).sum() / copies

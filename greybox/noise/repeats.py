@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.experiment import Experiment
+from greybox.experiment.experiment import stack_signals
 from greybox.noise.policy import NOISE_POLICY, NoisePolicy
-from greybox.numerics import PERIOD_CLOSURE
+from greybox.numerics import PERIOD_CLOSURE, ROWS_AT_A_TIME
 
 
 def find_period(inputs: np.ndarray, policy: NoisePolicy = NOISE_POLICY) -> int | None:
@@ -19,18 +20,25 @@ def find_period(inputs: np.ndarray, policy: NoisePolicy = NOISE_POLICY) -> int |
     if not moving.size:
         return None
     # sum over t of (u[t + lag] - u[t])^2 for all lags at once
+    product = np.zeros(max(0, rows // 2 + 1 - policy.min_period_rows))
+    for column in moving.T:  # one after another, and nothing kept of them: a long record is in memory a few times only
+        product += _correlate_with_itself(column)[policy.min_period_rows : rows // 2 + 1]
     power = np.concatenate([[0.0], np.cumsum((moving**2).sum(axis=1))])
     lags = np.arange(policy.min_period_rows, rows // 2 + 1)
-    product = np.zeros(len(lags))
-    for column in moving.T:  # one after another, and nothing kept of them: a long record is in memory a few times only
-        squares = np.square(np.abs(np.fft.rfft(column, 2 * rows)))
-        product += np.fft.irfft(squares, 2 * rows)[lags]
-        del squares
     difference = power[rows - lags] + power[rows] - power[lags] - 2 * product
     for lag in lags[difference < PERIOD_CLOSURE * power[rows]]:
         if np.abs(moving[lag:] - moving[:-lag]).max() <= policy.same_input:
             return int(lag)
     return None
+
+
+def _correlate_with_itself(values: np.ndarray) -> np.ndarray:
+    """Sum of the products of ``values`` (N,) with themselves, each lag (2 N,) later."""
+    spectrum = np.fft.rfft(values, 2 * len(values))
+    for first in range(0, len(spectrum), ROWS_AT_A_TIME):
+        part = spectrum[first : first + ROWS_AT_A_TIME]
+        part[:] = np.square(np.abs(part))
+    return np.fft.irfft(spectrum, 2 * len(values))
 
 
 def deviations_between_periods(
@@ -43,8 +51,7 @@ def deviations_between_periods(
     """
     if not experiment.regular or output not in experiment.outputs:
         return []
-    driven = np.column_stack([experiment.inputs[n] for n in inputs]) if inputs else np.zeros((experiment.rows, 0))
-    rows = find_period(driven, policy)
+    rows = find_period(stack_signals([experiment.inputs[n] for n in inputs], experiment.rows), policy)
     if rows is None:
         return []
     count = experiment.rows // rows

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
+from greybox.experiment.experiment import stack_signals
 from greybox.experiment.time_gaps import refuse_unknown_input
 from greybox.kernel.record import Record
 from greybox.model import Model
@@ -62,21 +63,14 @@ def to_record(model: Model, experiment: Experiment, policy: BandLimitedPolicy = 
             f" {nearest(next(iter(experiment.outputs)), names)}"
         )
     rows = experiment.rows
-    u = _stack_signals([experiment.inputs[i.name] for i in model.inputs], rows)
+    u = stack_signals([experiment.inputs[i.name] for i in model.inputs], rows)
     measured = (experiment.outputs.get(name) for name in names)
-    y = _stack_signals([np.full(rows, np.nan) if values is None else values for values in measured], rows)
+    y = stack_signals([np.full(rows, np.nan) if values is None else values for values in measured], rows)
     hold = next((e.hold for e in reversed(model.effects) if e.hold), experiment.hold)
     if hold == "band-limited":
         return _to_finer_record(experiment, u, y, policy)
     lengths, row = _group_intervals(experiment.intervals)
     return Record(u, y, lengths[row], row, lengths, hold == "first")
-
-
-def _stack_signals(signals: Sequence[np.ndarray], rows: int) -> np.ndarray:
-    """Signals (N,) as columns (N, n); a single one is not copied."""
-    if len(signals) == 1:
-        return signals[0][:, None]
-    return np.column_stack(signals) if signals else np.zeros((rows, 0))
 
 
 def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray, policy: BandLimitedPolicy) -> Record:
