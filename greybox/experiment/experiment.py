@@ -304,7 +304,7 @@ def stack_signals(signals: Sequence[np.ndarray], rows: int) -> np.ndarray:
     """Signals (N,) as columns (N, n); a single one is not copied."""
     if len(signals) == 1:
         return signals[0][:, None]
-    return np.columnstack(signals) if signals else np.zeros((rows, 0))
+    return np.column_stack(signals) if signals else np.zeros((rows, 0))
 
 
 def collect_record_findings(experiments: Iterable[Experiment]) -> tuple[Finding, ...]:
