@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.special import fdtrc, stdtr, stdtrit
+from scipy.special import chdtrc, fdtrc, stdtr, stdtrit
 
 from greybox.change_detection.fitted_constants import FittedConstants
 from greybox.change_detection.policy import ChangeTestPolicy
@@ -134,37 +135,49 @@ class _NullDistribution:
         rank = max(round(float(np.trace(inverse @ correlation))), 1)
         return cls(z, inverse, rank, degrees, policy)
 
+    @cached_property
+    def largest(self) -> np.ndarray:
+        """The largest of the standardised differences of each draw (draws,)."""
+        return np.abs(self.z).max(axis=1)
+
+    @cached_property
+    def ordered(self) -> np.ndarray:
+        """Draws (draws,) by their ``largest``, ascending."""
+        return np.argsort(self.largest)
+
     def quantile(self, level: float) -> float:
         """What the largest of the standardised differences stays below with this probability."""
-        return float(np.quantile(np.abs(self.z).max(axis=1), level))
+        return float(self.largest[self.ordered[min(int(level * len(self.largest)), len(self.largest) - 1)]])
 
     def step_down(self, z: np.ndarray) -> np.ndarray:
         """p-values (k,) of each, corrected for the looks that are left when it has its turn."""
         p, left, worst = np.ones(len(z)), np.ones(len(z), bool), 0.0
         for k in np.argsort(-z):
-            exceeding = int((np.abs(self.z[:, left]).max(axis=1) >= z[k]).sum())
+            largest = self.largest if left.all() else np.abs(self.z[:, left]).max(axis=1)
+            exceeding = int((largest >= z[k]).sum())
             worst = max(worst, self._share(exceeding, float(left.sum()) * self._tail(z[k])))
             p[k], left[k] = worst, False
         return p
 
     def joint_p_value(self, z: np.ndarray) -> float:
         """Probability that one of the two statistics is as unlikely as the less likely one at hand."""
-        largest, forms = np.abs(self.z).max(axis=1), self._form(self.z)
-        ordered = np.sort(largest)
-        of_largest = 1 - np.searchsorted(ordered, largest) / len(largest)
+        count = len(self.largest)
+        of_largest = np.empty(count)
+        of_largest[self.ordered] = 1 - np.arange(count) / count
         seen = float(np.abs(z).max(initial=0.0))
-        of_form = float(self._form_tail(self._form(z[None])[0]))
-        p_largest = self._share(int((largest >= seen).sum()), len(z) * self._tail(seen))
+        of_form = float(self._form_tail(self._form(z[None]))[0])
+        p_largest = self._share(int((self.largest >= seen).sum()), len(z) * self._tail(seen))
         smallest = min(p_largest, of_form)
-        exceeding = int((np.minimum(of_largest, self._form_tail(forms)) <= smallest).sum())
+        exceeding = int((np.minimum(of_largest, self._form_tail(self._form(self.z))) <= smallest).sum())
         return self._share(exceeding, 2 * smallest)
 
     def _form(self, z: np.ndarray) -> np.ndarray:
-        return np.einsum("ti,ij,tj->t", z, self.inverse, z)
+        return ((z @ self.inverse) * z).sum(axis=1)
 
-    def _form_tail(self, form: np.ndarray | float) -> np.ndarray | float:
-        degrees = min(self.degrees, NEARLY_NORMAL)
-        return fdtrc(self.rank, degrees, np.asarray(form) / self.rank)
+    def _form_tail(self, form: np.ndarray) -> np.ndarray:
+        if self.degrees >= NEARLY_NORMAL:
+            return chdtrc(self.rank, form)
+        return fdtrc(self.rank, self.degrees, form / self.rank)
 
     def _tail(self, z: float) -> float:
         return 2 * float(stdtr(min(self.degrees, NEARLY_NORMAL), -z))

@@ -12,7 +12,7 @@ class ChangeTestPolicy:
     false_alarm_rate: float = 0.01
     """Share of healthy comparisons that are called changed, over everything that is looked at."""
 
-    residual_share: float = 0.3
+    residual_share: float = 0.2
     """Share of this rate that goes to the tests of the residual (has it grown, is it no longer white); the rest goes to the constants."""
 
     draws: int = 40_000
