@@ -20,6 +20,7 @@ from greybox.cli.export import export
 from greybox.cli.fit import fit
 from greybox.cli.init import init
 from greybox.cli.models import models
+from greybox.cli.schema import schema
 from greybox.cli.simulate import simulate
 from greybox.cli.usage_errors import CommandGroup, PlainCommand
 
@@ -132,6 +133,11 @@ app.command(
     short_help="Create a project with example files.",
     epilog=format_examples("greybox init my_rig", "cd my_rig && greybox models"),
 )(exit_on_error(init))
+app.command(
+    cls=PlainCommand,
+    short_help="Print the JSON Schema of what a command prints with --json.",
+    epilog=format_examples("greybox schema fit", "greybox schema changed > changed.schema.json"),
+)(exit_on_error(schema))
 app.command(
     cls=PlainCommand,
     short_help="Run every step on a simulated actuator.",

@@ -32,6 +32,13 @@ def models(incomplete: str) -> list[Offer]:
     return _beginning([*offers, *(offer for offer in near if offer[0].endswith(("/", ".py")))], incomplete)
 
 
+def commands(incomplete: str) -> list[Offer]:
+    """Commands that print JSON."""
+    from greybox.schemas import PRINTED
+
+    return _beginning(((name, "") for name in PRINTED), incomplete)
+
+
 def effects(incomplete: str) -> list[Offer]:
     """Effects of the catalogue; after a comma or plus the next one."""
     from greybox.effects import CATALOGUE

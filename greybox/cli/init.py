@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json as json_format
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from greybox.cli.options import Json
 
 
 def init(
@@ -22,10 +25,15 @@ def init(
         ),
     ] = "",
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
+    json: Json = False,
 ) -> None:
     """Create a project in DIR with example files: models/, fits/ and a notebook, or one plant to start from."""
     from greybox.project import write_project
 
     files = write_project(directory, plant=plant, force=force)
     command = "python twin.py && greybox fit study.toml" if plant else "greybox models"
+    if json:
+        data = {"folder": str(directory), "files": list(map(str, files)), "next": f"cd {directory} && {command}"}
+        typer.echo(json_format.dumps(data, indent=2))
+        return
     typer.echo(f"{len(files)} files written to {directory}; next: cd {directory} && {command}")

@@ -4,23 +4,69 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from jsonschema import Draft202012Validator
 from typer.testing import CliRunner
 
 from greybox import FitOptions, fit, simulate
 from greybox.cli.app import app
+from greybox.schemas import PRINTED, schema_of_command
 from models.micro_actuator import micro_actuator
 
-TALKING = {"models", "init"}  # these compute nothing
 
-
-def test_every_command_that_computes_has_it() -> None:
+def test_every_command_has_it_and_a_schema() -> None:
     commands = {c.callback.__name__: c.callback for c in app.registered_commands}
-    assert set(commands) > TALKING
-    assert {n for n, c in commands.items() if "json" not in inspect.signature(c).parameters} == TALKING
+    printing = {name for name, c in commands.items() if "json" in inspect.signature(c).parameters}
+    assert printing == set(commands) == set(PRINTED)
+
+
+@pytest.mark.parametrize("command", PRINTED)
+def test_the_schema_of_a_command_is_whole_in_itself(command: str) -> None:
+    done = run("schema", command)
+    schema = json.loads(done.stdout)
+    Draft202012Validator.check_schema(schema)
+    references = set(re.findall(r"#/\$defs/(\w+)", done.stdout))
+    assert references == set(schema["$defs"])
+    assert accepts("schema", schema)
+
+
+def test_what_commands_that_compute_nothing_print_is_as_their_schema_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for command in (
+        ["models"],
+        ["models", "micro_actuator"],
+        ["effects"],
+        ["effects", "silverbox"],
+        ["init", "rig", "--plant", "stage"],
+        ["check", "silverbox", "--output", "check", "--no-report"],
+    ):
+        done = run(*command, "--json")
+        assert done.exit_code == 0 and accepts(command[0], json.loads(done.stdout)), command
+
+
+def test_a_schema_refuses_what_another_command_prints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    printed = json.loads(run("models", "--json").stdout)
+    assert not any(accepts(command, printed) for command in PRINTED if command != "models")
+
+
+def test_the_schema_of_an_unknown_command_is_refused() -> None:
+    done = run("schema", "fitt")
+    assert done.exit_code == 2 and "did you mean 'fit'" in done.stderr and done.stderr.count("\n") == 1
+
+
+def run(*arguments: str):
+    return CliRunner().invoke(app, list(arguments))
+
+
+def accepts(command: str, printed: object) -> bool:
+    return Draft202012Validator(schema_of_command(command)).is_valid(printed)
 
 
 def test_a_simulation_says_what_it_has_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -30,7 +76,7 @@ def test_a_simulation_says_what_it_has_written(tmp_path: Path, monkeypatch: pyte
     assert done.exit_code == 0, done.output
     printed = json.loads(done.stdout)
     assert (printed["file"], printed["rows"], printed["outputs"]) == (str(Path("out/a.csv")), 200, ["x", "i"])
-    assert Path(printed["file"]).exists() and Path(printed["report"]).exists()
+    assert accepts("simulate", printed) and Path(printed["file"]).exists() and Path(printed["report"]).exists()
 
 
 def test_an_export_says_its_matrices_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,6 +88,7 @@ def test_an_export_says_its_matrices_and_files(tmp_path: Path, monkeypatch: pyte
     done = CliRunner().invoke(app, ["export", "fit.json", "--to", "mat", "--json"])
     assert done.exit_code == 0, done.output
     printed = json.loads(done.stdout)
+    assert accepts("export", printed)
     assert np.shape(printed["linear"]["A"]) == (3, 3) and printed["linear"]["state_names"] == ["x", "v", "i"]
     assert [Path(file).suffix for file in printed["files"]] == [".mat"] and Path(printed["report"]).exists()
     done = CliRunner().invoke(app, ["export", "fit.json", "--to", "python", "--json", "--no-report"])
