@@ -6,7 +6,7 @@
   PRBS, steps and a multisine at their own largest amplitudes under the same limits; and the spread of the estimates of as many
   simulated and fitted experiments as ``--fits`` says over the predicted width.
 - discrimination: pairs of effects on the twin of the actuator that a first, cautious record does not part. How many further records part
-  them, designed ones and PRBS ones of the same limits.
+  them: designed ones, and PRBS and random levels of the same limits. Pairs are drawn until as many as ``--cases`` says are ambiguous.
 - campaign: twins with one hidden effect behind a rig program (this module with ``--rig``), plain model and loose limits.
 - time: 10 s at 1 kHz with three explanations.
 
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import json
 import sys
 import time
@@ -29,7 +30,7 @@ import numpy as np
 import greybox as gb
 from fits.hidden_cases import FAMILY, PERIOD, make
 from fits.rig_twins import simulate as simulate_rig
-from greybox.experiment_design import CampaignPlan, DesignProblem, GoalName, Prbs, SignalLimit, run_campaign
+from greybox.experiment_design import CampaignPlan, DesignProblem, GoalName, Prbs, SignalLimit, Steps, run_campaign
 from greybox.experiment_design.limits import LimitKeeper, fit_into_limits
 from greybox.experiment_design.plant import list_plants
 from greybox.experiment_design.rivals import fit_rival
@@ -89,6 +90,7 @@ PAIRS = (
     "input_saturation",
     "force_constant_droop",
 )
+WAYS = ("designed", "PRBS", "random")
 CAUTIOUS = 0.3  # share of the limits that the first record of a pair uses
 
 
@@ -139,7 +141,7 @@ def study_pair(seed: int) -> dict[str, Any]:
     if costs is None or abs(costs[0]) >= 20:
         return answer
     answer["alike"] = True
-    for way in ("designed", "PRBS"):
+    for way in WAYS:
         records, answer[way] = [first], None
         for number in (1, 2):
             plain = gb.fit(model, records, noise=noise, options=REST)
@@ -150,8 +152,11 @@ def study_pair(seed: int) -> dict[str, Any]:
             if way == "designed":
                 u = gb.experiment_design.answer(question).experiment.inputs["u"]
             else:
+                hold = 0.004 / number
+                levels = np.random.default_rng([seed, number]).uniform(-1, 1, round(question.duration / hold))
+                shape = Prbs(hold, 12) if way == "PRBS" else Steps(tuple(levels.tolist()), question.duration)
                 keeper = LimitKeeper(question, *list_plants(question))
-                u = fit_into_limits(keeper, {"u": Prbs(0.004 / number, 12)})[1]["u"]
+                u = fit_into_limits(keeper, {"u": shape})[1]["u"]
             records.append(measure(u, number))
             costs = lead(model, records, noise, right, wrong)
             if costs is not None and costs[0] >= 20:
@@ -248,36 +253,39 @@ def cases(part: str, count: int, first: int, fits: int, folder: Path) -> Iterato
             yield f"precision-{name.replace(' ', '_')}", lambda name=name: study_precision(name, fits)
     elif part == "time":
         yield "time", study_time
+    elif part == "campaign":
+        for seed in range(first, first + (count or 30)):
+            yield f"campaign-{seed:04d}", lambda seed=seed: study_campaign(seed, folder)
     else:
-        for seed in range(first, first + (count or 40)):
-            answer = (
-                (lambda seed=seed: study_pair(seed))
-                if part == "discrimination"
-                else (lambda seed=seed: study_campaign(seed, folder))
-            )
-            yield f"{part}-{seed:04d}", answer
+        for seed in itertools.count(first):
+            if sum(row["alike"] for _, row in rows_of(folder, "discrimination")) >= (count or 40):
+                return
+            yield f"discrimination-{seed:04d}", lambda seed=seed: study_pair(seed)
+
+
+def rows_of(folder: Path, part: str) -> list[tuple[str, dict[str, Any]]]:
+    """What is there of a part: the name of each case, and its row."""
+    return [(p.stem, json.loads(p.read_text(encoding="utf-8"))) for p in sorted(folder.glob(f"{part}*.json"))]
 
 
 def table(folder: Path) -> Iterator[str]:
     """What the folder holds, part by part."""
-    read = {p.stem: json.loads(p.read_text(encoding="utf-8")) for p in sorted(folder.glob("*.json"))}
-    for name, row in read.items():
-        if name.startswith("precision"):
-            spread = np.array(list(row["spread"].values()), float)
-            confirmed = f"spread over predicted {np.sqrt(np.nanmean(spread**2)):.3f} ({row['fits']} fits)"
-            yield f"{name}: width {row['width']:.2f} of the best other kind; {confirmed}; {row['seconds']:.0f} s"
-    pairs = [r for n, r in read.items() if n.startswith("discrimination") and r["alike"]]
-    for way in ("designed", "PRBS"):
+    for name, row in rows_of(folder, "precision"):
+        spread = np.array(list(row["spread"].values()), float)
+        confirmed = f"spread over predicted {np.sqrt(np.nanmean(spread**2)):.3f} ({row['fits']} fits)"
+        yield f"{name}: width {row['width']:.2f} of the best other kind; {confirmed}; {row['seconds']:.0f} s"
+    pairs = [row for _, row in rows_of(folder, "discrimination") if row["alike"]]
+    for way in WAYS:
         parted = sum(r[way] is not None for r in pairs)
         if pairs:
             yield f"discrimination, {way}: {parted} of {len(pairs)} pairs parted by at most 2 further records"
-    campaigns = [r for n, r in read.items() if n.startswith("campaign-")]
+    campaigns = [row for _, row in rows_of(folder, "campaign")]
     if campaigns:
         right = sum(r["right"] and r["alone"] for r in campaigns)
         reach = max(r["reach"] for r in campaigns)
         yield f"campaign: {right} of {len(campaigns)} right and alone; position at most {reach:.3f} of its limit"
-    if "time" in read:
-        yield f"time: {read['time']['wall']:.0f} s, {read['time']['cpu']:.0f} s of one core"
+    for _, row in rows_of(folder, "time"):
+        yield f"time: {row['wall']:.0f} s, {row['cpu']:.0f} s of one core"
 
 
 def main() -> None:

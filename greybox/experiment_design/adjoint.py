@@ -24,6 +24,8 @@ class SensitivityRun:
         The plant.
     inputs
         By name, each (N,), held over each sampling interval.
+    sensitive
+        Whether it carries sensitivities; without them it is cheaper, and ``slopes`` is empty.
 
     Attributes
     ----------
@@ -31,17 +33,17 @@ class SensitivityRun:
         As of `greybox.experiment_design.plant.PlantRun`, with zeros in place of NaN.
     """
 
-    def __init__(self, plant: PlantScenario, inputs: Mapping[str, np.ndarray]) -> None:
+    def __init__(self, plant: PlantScenario, inputs: Mapping[str, np.ndarray], sensitive: bool = True) -> None:
         point, step = plant.point, plant.problem.step
         self.plant, self.substeps = plant, step.substeps
-        self.nx, self.directions = point.dx0.shape
+        self.nx, self.directions = len(point.x0), point.dx0.shape[1] if sensitive else 0
         self._loops = make_loops(step, self.directions)
         self._u = np.ascontiguousarray(np.array([inputs[i.name] for i in plant.model.inputs], float).T)
         rows = len(self._u)
         h = float(plant.template.sampling_time or 0.0) / step.substeps
-        self._constants = np.concatenate([point.q[0], point.dq[0].ravel(order="F"), [h]])
-        self._parameters = np.concatenate([point.p, point.dp.ravel(order="F")])
-        start = np.concatenate([point.x0, point.dx0.ravel(order="F")])
+        self._constants = np.concatenate([point.q[0], point.dq[0][:, : self.directions].ravel(order="F"), [h]])
+        self._parameters = np.concatenate([point.p, point.dp[:, : self.directions].ravel(order="F")])
+        start = np.concatenate([point.x0, point.dx0[:, : self.directions].ravel(order="F")])
         self._fine_u = np.repeat(self._u[:-1], step.substeps, axis=0)
         self._fine = self._loops.forward(start, self._fine_u, self._constants)
         self._samples = np.ascontiguousarray(self._fine[:: step.substeps])

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.experiment_design.goals import Goal
+from greybox.experiment_design.goals import Goal, GoalMaker
 from greybox.experiment_design.limits import LimitKeeper
 from greybox.experiment_design.play import play
 from greybox.experiment_design.problem import DesignProblem
 from greybox.experiment_design.result import Alternative, AlternativeKind
-from greybox.experiment_design.search import GoalMaker, TriedInput, evaluate, kinds_of
+from greybox.experiment_design.search import TriedInput, evaluate, kinds_of
 from greybox.numerics import TINY
 
 

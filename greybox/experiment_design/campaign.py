@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from greybox.discovery import Discovery, Verdict, discover
-from greybox.effects import effect
+from greybox.effects import applicable_effects, effect
 from greybox.errors import DataError
 from greybox.estimation import FitOptions, fit
 from greybox.experiment import Experiment
@@ -255,7 +255,7 @@ def run_campaign(
     records = list(plan.records)
     knowledge = _learn(plan, records, place / "before", show, workers) if records else Knowledge()
     for number in range(1, plan.policy.experiments + 1):
-        if records and _is_done(plan, knowledge):
+        if records and _is_done(plan, knowledge, steps):
             return _save(plan, place, CampaignStatus.DONE, steps, _ending(CampaignCode.ONE_LEFT, knowledge))
         step_folder = place / f"{number:02d}"
         goal, kind = _prepare(plan, knowledge, records, step_folder, number, show, say)
@@ -382,20 +382,18 @@ def _prepare(
 
 
 def design_next(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Experiment]) -> Design:
-    """The next record of a campaign: discrimination while explanations are left, else precision.
+    """The next record of a campaign.
 
-    Every explanation that is left keeps the limits. Before the first record only a part of the way to them is used; afterwards less,
-    the more of the movement the best explanation leaves unexplained.
+    It is to tell explanations apart while several are left; to show what may hide while no effect is established, though something is
+    missing or nothing seems to be; else to narrow intervals. Every explanation that is left keeps the limits.
     """
     policy = plan.policy
     models: list[Model] = [plan.model if knowledge.best is None else knowledge.best.model]
     if knowledge.plain is not None:
         for names in knowledge.alternatives[: policy.rivals]:
             models.append(fit_rival(knowledge.plain, "+".join(names) or "none"))
-    goal = GoalName.DISCRIMINATION if len(models) > 1 else GoalName.PRECISION
-    settled = knowledge.verdict in (Verdict.COMPLETE, Verdict.NAMED)
-    share = policy.first_share if not records else 1.0 if settled else policy.unproven_share
-    share /= 1 + policy.model_error * knowledge.unexplained
+    hidden = _hidden_effects(plan) if knowledge.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN) else ()
+    goal = GoalName.DISCRIMINATION if len(models) > 1 else GoalName.DETECTION if hidden else GoalName.PRECISION
     question = DesignProblem(
         tuple(models),
         dict(plan.limits),
@@ -404,11 +402,50 @@ def design_next(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Expe
         dict(plan.noise),
         tuple(records),
         goal,
+        effects=hidden if goal is GoalName.DETECTION else (),
+        shares=choose_shares(plan, knowledge, records),
         hold=plan.hold,
         options=plan.options,
         policy=plan.design_policy,
     )
-    return answer(question, share=share)
+    return answer(question)
+
+
+def _hidden_effects(plan: CampaignPlan) -> tuple[str, ...]:
+    """The effects that may hide: those that are tried and have a place in the model."""
+    possible = [e.name for e in applicable_effects(plan.model)]
+    return tuple(name for name in possible if not plan.effects or name in plan.effects)
+
+
+def choose_shares(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Experiment]) -> dict[str, float]:
+    """Share of the way to each limit that the next record may use.
+
+    Before the first record only a part; afterwards less, the more of the movement the best explanation leaves unexplained; and while it
+    is contradicted (its misfit is above chance) not far beyond where the rig has been.
+    """
+    policy = plan.policy
+    settled = knowledge.verdict in (Verdict.COMPLETE, Verdict.NAMED)
+    share = policy.first_share if not records else 1.0 if settled else policy.unproven_share
+    share /= 1 + policy.model_error * knowledge.unexplained
+    shares = dict.fromkeys(plan.limits, share)
+    if not knowledge.misfit > policy.contradiction:
+        return shares
+    for name, limit in plan.limits.items():
+        reached = [_reached_share(r.inputs[name], limit, 0.0) for r in records if name in r.inputs]
+        reached += [
+            _reached_share(r.outputs[name], limit, plan.noise.get(name, 0.0)) for r in records if name in r.outputs
+        ]
+        if reached:
+            shares[name] = min(share, policy.growth * max(reached))
+    return shares
+
+
+def _reached_share(values: np.ndarray, limit: SignalLimit, noise: float) -> float:
+    """Share of the way from where it began to its limits that a measured signal went, its noise left out."""
+    known = values[np.isfinite(values)]
+    rest = float(known[0])
+    ways = ((float(known.max()) - rest, limit.high - rest), (rest - float(known.min()), rest - limit.low))
+    return max((max(moved - noise, 0.0) / room for moved, room in ways if np.isfinite(room) and room > 0), default=1.0)
 
 
 def _learn(
@@ -452,8 +489,14 @@ def _explanation(discovery: Discovery) -> tuple[str, ...]:
     return tuple(e["name"] for e in discovery.effects)
 
 
-def _is_done(plan: CampaignPlan, knowledge: Knowledge) -> bool:
-    """Whether one explanation is left, and its constants are as wanted."""
+def _is_done(plan: CampaignPlan, knowledge: Knowledge, steps: Sequence[CampaignStep] | None = None) -> bool:
+    """Whether one explanation is left, and its constants are as wanted.
+
+    The plain model is left when one of the ``steps`` looked for what may hide, too; None: no more records can be taken.
+    """
+    looked = steps is None or any(step.goal == GoalName.DETECTION for step in steps)
+    if knowledge.verdict == Verdict.COMPLETE and not looked and _hidden_effects(plan):
+        return False
     settled = knowledge.verdict in (Verdict.COMPLETE, Verdict.NAMED) and not knowledge.alternatives
     return settled and (plan.width is None or all(w <= plan.width for w in knowledge.widths.values()))
 

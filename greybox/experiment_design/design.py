@@ -128,23 +128,21 @@ def design(
         tuple(effects),
         dict(sensors or {}),
         known.inflation,
-        hold,
-        known.options,
-        policy,
+        hold=hold,
+        options=known.options,
+        policy=policy,
     )
     found_ranges = [Finding(DesignCode.RANGE_FROM_RECORDS, subject=n, values=_range(merged[n])) for n in filled]
     return replace(answer(question, extra=found_ranges), seconds=time.perf_counter() - began)
 
 
-def answer(question: DesignProblem, *, share: float = 1.0, extra: Sequence[Finding] = ()) -> Design:
+def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
     """The design that answers a question.
 
     Parameters
     ----------
     question
         Models, limits, earlier records, goal.
-    share
-        Share of the way to each limit that may be used.
     extra
         Findings to put first.
 
@@ -165,7 +163,7 @@ def answer(question: DesignProblem, *, share: float = 1.0, extra: Sequence[Findi
     if question.goal is GoalName.DETECTION:
         _, bands = find_bands(question)
         shape = {name: flat_multisine(bands[-1], question.policy.search) for name in question.driven}
-        _, inputs, _ = fit_into_limits(keeper, shape, share)
+        _, inputs, _ = fit_into_limits(keeper, shape)
         hidden = list_hidden_effects(question, plants[0], inputs)
 
     def make_goal(count: int, step: float | None) -> Goal:
@@ -175,7 +173,7 @@ def answer(question: DesignProblem, *, share: float = 1.0, extra: Sequence[Findi
             return make_discrimination(question, count, step)
         return make_detection(question, hidden, count, step)
 
-    tried = search_inputs(question, keeper, make_goal, share)
+    tried = search_inputs(question, keeper, make_goal)
     best = tried[0]
     if not np.isfinite(best.value):
         raise DataError(

@@ -54,7 +54,6 @@ class Detection:
     prior_spread: float
     least_prior: float
     ratio: float
-    explanations: frozenset[int] = frozenset()
 
     def value(self, runs: Sequence[Run], scale: float = 1.0) -> float:
         """Minus the mean logarithm of the standard deviations of the amplitudes."""

@@ -45,11 +45,6 @@ class Discrimination:
     pairs: Sequence[RivalPair]
     prior_spread: float
 
-    @property
-    def explanations(self) -> frozenset[int]:
-        """All of them."""
-        return frozenset(plant.number for plant in self.plants)
-
     def separations(self, runs: Sequence[Run], scale: float = 1.0) -> list[float]:
         """The cost by which the rival of each pair would lose."""
         return [self._compare(pair, runs, scale)[0] for pair in self.pairs]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -37,15 +37,15 @@ class Goal(Protocol):
     def plants(self) -> Sequence[PlantScenario]:
         """What has to be run, in this order."""
 
-    @property
-    def explanations(self) -> frozenset[int]:
-        """Numbers of the explanations of the question whose limits these plants show as well."""
-
     def value(self, runs: Sequence[Run], scale: float = 1.0) -> float:
         """The value that ``runs`` bring, each counted ``scale`` times; larger is better, minus infinity where a run overflows."""
 
     def slopes(self, runs: Sequence[Run], scale: float = 1.0) -> list[Slopes]:
         """Its slopes along each run."""
+
+
+GoalMaker = Callable[[int, float | None], Goal]
+"""``(draws, step) -> Goal``: the goal with so many draws of the constants, at a sampling time (None: that of the question)."""
 
 
 def information_of(run: Run, scale: float) -> np.ndarray:

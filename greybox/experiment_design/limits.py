@@ -106,6 +106,12 @@ class LimitKeeper:
                 ranges[name] = min(low, before[0]), max(high, before[1]), before[2]
         return ranges
 
+    def load(self, predictions: Mapping[str, LimitPrediction]) -> tuple[float, str]:
+        """The signal that comes closest to what it may use of its limit: how much of that it uses, and its name."""
+        loads = {name: p.usage / self.question.share(name) for name, p in predictions.items()}
+        name = max(loads, key=lambda n: loads[n])
+        return loads[name], name
+
 
 def largest_usage(predictions: Mapping[str, LimitPrediction]) -> tuple[float, str]:
     """The limit that rules: how much of it is used, and its name."""
@@ -114,7 +120,7 @@ def largest_usage(predictions: Mapping[str, LimitPrediction]) -> tuple[float, st
 
 
 def fit_into_limits(
-    keeper: LimitKeeper, shapes: Mapping[str, InputShape], share: float = 1.0
+    keeper: LimitKeeper, shapes: Mapping[str, InputShape]
 ) -> tuple[float, dict[str, np.ndarray], dict[str, LimitPrediction]]:
     """The largest amplitude (a share of the range) at which all limits hold, the inputs there, and what is predicted.
 
@@ -129,18 +135,18 @@ def fit_into_limits(
     for _ in range(policy.tries):
         inputs = play(keeper.question, shapes, amplitude)
         predictions = keeper.predict(inputs)
-        usage, ruling = largest_usage(predictions)
-        if usage <= share * (1 + 1e-9):
+        load, ruling = keeper.load(predictions)
+        if load <= 1 + 1e-9:
             low, kept = amplitude, (amplitude, inputs, predictions)
-            if amplitude == 1.0 or usage >= (1 - policy.reserve) * share:
+            if amplitude == 1.0 or load >= 1 - policy.reserve:
                 break
-            grown = min(amplitude * share / max(usage, 0.1), high)
+            grown = min(amplitude / max(load, 0.1), high)
             amplitude = grown if grown < high else (low + high) / 2
             if high - low < policy.reserve * high:
                 break
         else:
             high = amplitude
-            shrunk = amplitude * 0.3 if not math.isfinite(usage) else 0.99 * amplitude * share / usage
+            shrunk = amplitude * 0.3 if not math.isfinite(load) else 0.99 * amplitude / load
             amplitude = max(shrunk, (low + high) / 2) if kept else shrunk
         if amplitude < policy.least_amplitude:
             break

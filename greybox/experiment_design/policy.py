@@ -66,11 +66,11 @@ class InputSearchPolicy:
     """Samples that are refined one by one: a longer record repeats them or holds each for several samples."""
     points_per_period: float = 5.0
     """Samples that the refined input has in a period of the highest frequency of the input that it starts from."""
-    starts: int = 3
-    """Inputs, the best of their kinds, that are refined."""
+    starts: int = 6
+    """Inputs, the best of their kinds, that are refined: each ends at a best input of its own, by up to a factor of two apart."""
     rounds: int = 4
     """Rounds of the refinement, one where only the ranges of the inputs are limited."""
-    violation_growth: float = 10.0
+    violation_growth: float = 3.0
     """Factor on the weight of violated limits from round to round."""
     iterations: int = 120
     """Most iterations of L-BFGS-B in a round."""
@@ -78,10 +78,11 @@ class InputSearchPolicy:
     """Fewest of them."""
     work: float = 2e8
     """Samples times substeps times states with their sensitivities that a round may run: some seconds."""
-    violation_weight: float = 300.0
-    """Weight of the mean square of a violated limit, as a share of its range, in the first round."""
-    refined_scenarios: int = 2
-    """Drawn constants that the refinement looks at beside the best ones; all are checked afterwards."""
+    violation_weight: float = 600.0
+    """Weight of half the mean square of what limits are passed by, as a share of the room to them, in the first round; multipliers make
+    the limits exact afterwards."""
+    refined_scenarios: int = 4
+    """Drawn constants that the refinement looks at beside the best ones: with two it made inputs for these two."""
     seed: int = 1
     """Seed of random phases, levels and constants: the same question has the same answer."""
 
@@ -154,6 +155,10 @@ class CampaignPolicy:
     unproven_share: float = 0.85
     """Share that later records may use as long as no discovery has named what is missing, or found nothing: an effect that a small
     motion hides grows with the amplitude."""
+    contradiction: float = 1.5
+    """Misfit over noise from which the best explanation is contradicted: what it predicts far from where the rig has been says little."""
+    growth: float = 1.5
+    """By how many times a record may then go beyond what the rig has done so far, input by input and signal by signal."""
     rivals: int = 3
     """Explanations, beside the best one, between which a record is to decide."""
     model_error: float = 3.0

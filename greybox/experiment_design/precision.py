@@ -38,7 +38,6 @@ class Precision:
     chosen: np.ndarray
     criterion: CriterionName
     prior_spread: float
-    explanations: frozenset[int] = frozenset({0})
 
     def value(self, runs: Sequence[Run], scale: float = 1.0) -> float:
         """Mean over the plants of minus the logarithm of the typical relative standard deviation."""

@@ -92,6 +92,8 @@ class DesignProblem(ReadOnly):
         Standard deviation of sensors that could be added, by output of the model.
     inflation
         Constant -> how many times wider its interval is than white noise would make it, as a fit to the earlier records found.
+    shares
+        Signal -> share of the way from rest to its limit that this record may use; all of it where left out.
     hold
         What the generator does between samples.
     options
@@ -117,6 +119,7 @@ class DesignProblem(ReadOnly):
     effects: tuple[str, ...] = ()
     sensors: Mapping[str, float] = field(default_factory=dict)
     inflation: Mapping[str, float] = field(default_factory=dict)
+    shares: Mapping[str, float] = field(default_factory=dict)
     hold: Hold = "zero"
     options: FitOptions = field(default_factory=FitOptions)
     policy: DesignPolicy = DESIGN_POLICY
@@ -144,6 +147,10 @@ class DesignProblem(ReadOnly):
     def driven(self) -> tuple[str, ...]:
         """The inputs that may move."""
         return tuple(i.name for i in self.model.inputs if self.limits[i.name].low < self.limits[i.name].high)
+
+    def share(self, name: str) -> float:
+        """Share of the way to the limit of a signal that may be used."""
+        return self.shares.get(name, 1.0)
 
     def rest(self, name: str) -> float:
         """Where an input is at rest: zero, or the end of its range next to it."""

@@ -15,6 +15,7 @@ import greybox as gb
 from greybox.cli.app import app
 from greybox.errors import DataError
 from greybox.experiment_design import CampaignPlan, CampaignStatus, DesignPolicy, SignalLimit, run_campaign
+from greybox.experiment_design.campaign import Knowledge, choose_shares
 from greybox.experiment_design.policy import CAMPAIGN_POLICY
 from greybox.schemas import ResultKind
 from tests.support.result_schema import strict_offences
@@ -94,6 +95,24 @@ def test_it_goes_on_where_it_was_stopped(tmp_path) -> None:
     assert (tmp_path / "01" / "record.csv").read_bytes() == record
     with pytest.raises(DataError, match="begun with another limits"):
         run_campaign(replace(PLAN, limits={"F": SignalLimit(-2, 2)}), tmp_path)
+
+
+def test_the_plain_model_is_left_only_after_a_record_that_looks_for_what_hides(tmp_path) -> None:
+    plain = run_campaign(PLAN, tmp_path, rig=rig("plain"), workers=1)
+    assert plain.status is CampaignStatus.DONE and plain.steps[-1].verdict == "complete"
+    assert [step.goal for step in plain.steps] == ["precision", "precision", "detection"]
+
+
+def test_a_contradicted_model_is_not_trusted_far_from_where_the_rig_has_been(finished) -> None:
+    record = gb.read_csv(finished.folder / "01" / "record.csv", MASS)
+    plain = gb.fit(MASS, record, noise={"x": 1e-3}, options=PLAN.options)
+    assert plain.misfit["x"].noise_ratio > CAMPAIGN_POLICY.contradiction
+    shares = choose_shares(PLAN, Knowledge(plain, plain), [record])
+    moved = np.abs(record.outputs["x"]).max() / 0.3, np.abs(record.inputs["F"]).max() / 3
+    assert shares["x"] == pytest.approx(min(1.5 * moved[0], CAMPAIGN_POLICY.unproven_share), rel=0.05)
+    assert shares["F"] == pytest.approx(min(1.5 * moved[1], CAMPAIGN_POLICY.unproven_share), rel=0.05)
+    tolerant = replace(PLAN, policy=replace(CAMPAIGN_POLICY, contradiction=1e9))
+    assert set(choose_shares(tolerant, Knowledge(plain, plain), [record]).values()) != set(shares.values())
 
 
 def test_a_rig_that_passes_a_limit_stops_the_campaign_and_the_record_stays(tmp_path) -> None:

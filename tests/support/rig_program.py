@@ -21,6 +21,8 @@ t, force = np.array(rows, float).T
 if mode == "other":
     force = force[::-1]
 strength = 12.0 if mode == "wild" else 1.0  # an amplifier with another gain
+if mode == "plain":
+    HARDENING = 0.0
 
 
 def rate(state, u):
