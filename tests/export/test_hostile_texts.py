@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shutil
@@ -114,6 +115,45 @@ def test_the_description_of_an_fmu_is_xml_with_the_same_elements(plain, text):
         plant = to_plant(fit)
         step = make_discrete_step(plant, None, method="rk4")
         root = ET.fromstring(write_description(plant, step, "plant", "{0}").encode())
+        trees.append([(element.tag, sorted(element.attrib)) for element in root.iter()])
+    assert trees[0] == trees[1]
+
+
+def observe(fit: Fit) -> gb.export.Observer:
+    """An observer of a fit."""
+    return gb.export.design_observer(fit, noise={"x": 2e-7, "i": 5e-3}, process_noise={"v": 1e-3})
+
+
+@pytest.mark.skipif(CC is None, reason="no C compiler to look with")
+@pytest.mark.parametrize("text", TEXTS)
+def test_the_c_of_an_observer_defines_what_it_defines_without_the_text(plain, tmp_path, text):
+    symbols = []
+    for k, fit in enumerate((plain, carry(plain, text))):
+        source, _ = gb.export.to_c(observe(fit), tmp_path / str(k) / "observer.c")
+        subprocess.run([CC, "-std=c99", "-w", "-fsyntax-only", source], check=True, capture_output=True)
+        written = source.read_text(encoding="utf-8") + source.with_suffix(".h").read_text(encoding="utf-8")
+        assert written.count("/*") == written.count("*/")
+        symbols.append(re.sub(r"/\*.*?\*/", "", written, flags=re.DOTALL))
+    assert symbols[0] == symbols[1] and "hurt" not in symbols[0]
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_the_class_of_an_observer_imports_and_runs_nothing_of_the_text(plain, tmp_path, text):
+    files = [
+        gb.export.to_python(observe(fit), tmp_path / f"{k}.py") for k, fit in enumerate((plain, carry(plain, text)))
+    ]
+    trees = [ast.parse(file.read_bytes()) for file in files]
+    for tree in trees:
+        del tree.body[0]  # its docstring, which holds the text
+    assert ast.dump(trees[0]) == ast.dump(trees[1])
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_the_description_of_an_observer_is_xml_with_the_same_elements(plain, text):
+    trees = []
+    for fit in (plain, carry(plain, text)):
+        observer = observe(fit)
+        root = ET.fromstring(write_description(observer.plant, observer.predicted, "plant", "{0}").encode())
         trees.append([(element.tag, sorted(element.attrib)) for element in root.iter()])
     assert trees[0] == trees[1]
 

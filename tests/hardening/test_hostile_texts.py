@@ -46,15 +46,18 @@ def test_each_text_in_every_language(plain, tmp_path):  # noqa: F811
             languages.test_modelica_has_the_same_lines,
             languages.test_modelica_is_read_by_another_program,
             languages.test_python_files_import_and_run_nothing_of_the_text,
+            languages.test_the_c_of_an_observer_defines_what_it_defines_without_the_text,
+            languages.test_the_class_of_an_observer_imports_and_runs_nothing_of_the_text,
         ):
-            folder = tmp_path / f"{number}-{check.__name__[:20]}"
+            folder = tmp_path / f"{number}-{check.__name__}"
             folder.mkdir()
             check(plain, folder, text)
             tried += 1
         languages.test_the_description_of_an_fmu_is_xml_with_the_same_elements(plain, text)
-        tried += 1
+        languages.test_the_description_of_an_observer_is_xml_with_the_same_elements(plain, text)
+        tried += 2
     note_row(
-        "hostile texts in every text of a fit, in C (compiled as C99 and C11), Modelica, Python and XML",
+        "hostile texts in every text of a fit, in C (compiled as C99 and C11), Modelica, Python and XML of plants and observers",
         tried,
         0,
         f"{len(TEXTS)} texts; the files compile or parse and define what they define without them",

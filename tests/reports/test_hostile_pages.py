@@ -13,17 +13,33 @@ import pytest
 import greybox as gb
 from greybox.check import check
 from greybox.comparison import compare
+from greybox.experiment_design import Campaign, CampaignPlan, CampaignStatus, SignalLimit
+from greybox.experiment_design.campaign import CampaignStep
+from greybox.experiment_design.findings import CampaignCode
+from greybox.findings import Finding
 from greybox.reports import build_page, write_page
 from greybox.reports.export_page import Export
 from greybox.reports.html import mathml, render_page
 from greybox.reports.page import Page
 from models.micro_actuator import micro_actuator
+from tests.experiment_design.test_design import QUICK
 from tests.reports.test_pages_in_browser import BROWSER, opened
 from tests.support.hostile import CODE, MARKUP, poison
 
 browsing = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed to open reports with")
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no browser to look with")
-KINDS = ("check", "comparison", "discovery", "export", "fit", "linearisation", "simulation")
+KINDS = (
+    "campaign",
+    "changed",
+    "check",
+    "comparison",
+    "design",
+    "discovery",
+    "export",
+    "fit",
+    "linearisation",
+    "simulation",
+)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +74,14 @@ def pages(tmp_path_factory) -> dict[str, Page]:
     linear = gb.linearise(discovery.best)
     exported = tmp_path_factory.mktemp("export") / "plant.json"
     exported.write_text("{}")
+    limits = {"u": SignalLimit(-4, 4)}
+    plan = CampaignPlan(known, limits, 0.1, 5e-4, noise, tuple(made))
+    step = CampaignStep(1, "precision", "multisine", "named", ("cubic_stiffness",), (("play",),), {"K": 0.01}, 1.0)
+    todo = Finding(CampaignCode.MEASURE, subject="01/input.csv", values={"record": "01/record.csv"})
     values = {
+        "campaign": (Campaign(CampaignStatus.MEASURING, plan, exported.parent, (step,), (todo,)), {}),
+        "changed": (gb.detect_changes(discovery.best, runs[1].record(noise, np.random.default_rng(5)), search_effects=False), {}),
+        "design": (gb.design(discovery.best, limits=limits, policy=QUICK), {}),
         "check": (check(micro_actuator), {}),
         "comparison": (compare(fits, made[1], training=made[0]), {"fits": fits}),
         "discovery": (discovery, {}),
