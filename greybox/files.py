@@ -172,6 +172,36 @@ def locked(file: IO[bytes]) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_UN)
 
 
+@contextlib.contextmanager
+def hold_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO | None]:
+    """A file that this process alone holds until the block ends; None where another does.
+
+    A program that inherits the open file holds it as long as it runs, also when this process was killed. The file stays, empty.
+    Without effect where the system has no such locks.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be made.
+    """
+    target = Path(path)
+    with contextlib.ExitStack() as stack:
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            file = stack.enter_context(open(target, "ab"))
+        except OSError as error:
+            raise OutputError(error.errno, error.strerror or str(error), str(target)) from error
+        if sys.platform != "win32":
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                yield None
+                return
+            except OSError:  # some network folders have no locks
+                pass
+        yield file
+
+
 def _fill(file: BinaryIO, content: str | bytes | Iterable[str] | Callable[[BinaryIO], object]) -> None:
     if callable(content):
         content(file)

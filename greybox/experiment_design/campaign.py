@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from greybox.experiment_design.problem import DesignProblem, GoalName, SignalLim
 from greybox.experiment_design.result import Design, save_design
 from greybox.experiment_design.rig import find_broken_limits, read_record, run_rig
 from greybox.experiment_design.rivals import fit_explanation, fit_rival
-from greybox.files import write_file
+from greybox.files import hold_file, write_file
 from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.result import Fit, format_json, to_json_data
@@ -246,9 +246,27 @@ def run_campaign(
     Raises
     ------
     DataError
-        For a folder with another campaign, a rig that fails, and a record of another input.
+        For a folder with another campaign or one that is at work, a rig that fails, and a record of another input.
     """
     place = Path(folder)
+    with hold_file(place / "campaign.lock") as held:
+        if held is None:
+            raise DataError(
+                f"{place}: a campaign, or the rig that it started, is at work here; wait until it has ended, or give another folder"
+            )
+        return _carry_on(plan, place, rig, held, on_step, on_message, workers)
+
+
+def _carry_on(
+    plan: CampaignPlan,
+    place: Path,
+    rig: str,
+    held: BinaryIO,
+    on_step: StepCallback | None,
+    on_message: Callable[[str], None] | None,
+    workers: int,
+) -> Campaign:
+    """`run_campaign` in a folder that nobody else works in: the rig holds the file ``held`` as well."""
     before = _read_steps(plan, place)
     say, show = on_message or (lambda _: None), on_step or (lambda *_: None)
     steps: list[CampaignStep] = []
@@ -270,7 +288,7 @@ def run_campaign(
                 return _save(plan, place, CampaignStatus.MEASURING, steps, finding)
             _save(plan, place, CampaignStatus.MEASURING, steps, None)
             say(f"experiment {number}: the rig plays {step_folder / 'input.csv'}")
-            run_rig(rig, step_folder / "input.csv", target, number, plan.duration, plan.policy.rig)
+            run_rig(rig, step_folder / "input.csv", target, number, plan.duration, plan.policy.rig, held)
             fresh = True
         else:
             fresh = False

@@ -8,9 +8,11 @@ import os
 import shlex
 import signal
 import subprocess
+import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -25,7 +27,15 @@ PLACES = ("{input}", "{record}", "{number}")
 """What a command may hold: the file to read, the file to write, and the number of the experiment."""
 
 
-def run_rig(command: str, asked: Path, target: Path, number: int, duration: float, policy: RigPolicy) -> None:
+def run_rig(
+    command: str,
+    asked: Path,
+    target: Path,
+    number: int,
+    duration: float,
+    policy: RigPolicy,
+    held: BinaryIO | None = None,
+) -> None:
     """Run a rig program once; its record becomes ``target`` when it is whole.
 
     Parameters
@@ -41,6 +51,9 @@ def run_rig(command: str, asked: Path, target: Path, number: int, duration: floa
         Of the record in seconds; a program may take that and the policy's time.
     policy
         How long to wait.
+    held
+        A file of `greybox.files.hold_file` that the program holds as long as it runs: where this process is killed, nobody starts a second
+        program beside the one that still moves the rig.
 
     Raises
     ------
@@ -54,7 +67,7 @@ def run_rig(command: str, asked: Path, target: Path, number: int, duration: floa
             words += ["{input}", "{record}"]
         values = dict(zip(PLACES, (str(asked.absolute()), str(part), str(number)), strict=True))
         typed = [_fill(word, values) for word in words]
-        code, output = _run(typed, policy.timeout + duration, number)
+        code, output = _run(typed, policy.timeout + duration, number, held)
         last = shorten(output.strip().splitlines()[-1] if output.strip() else "", policy.message_length)
         if code != 0:
             reason = f": {last}" if last else ""
@@ -132,7 +145,7 @@ def _fill(word: str, values: Mapping[str, str]) -> str:
     return word
 
 
-def _run(words: list[str], seconds: float, number: int) -> tuple[int, str]:
+def _run(words: list[str], seconds: float, number: int, held: BinaryIO | None) -> tuple[int, str]:
     """Exit code and output of a program, which is ended with all that it started where it takes too long, or on Ctrl-C."""
     try:
         process = subprocess.Popen(
@@ -143,6 +156,7 @@ def _run(words: list[str], seconds: float, number: int) -> tuple[int, str]:
             text=True,
             errors="replace",
             start_new_session=True,
+            pass_fds=() if held is None or sys.platform == "win32" else (held.fileno(),),
         )
     except OSError as error:
         raise DataError(

@@ -7,6 +7,7 @@ import io
 import os
 import shutil
 import sys
+import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
 from types import TracebackType
@@ -14,7 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from greybox.errors import GreyboxError
+from greybox.errors import GreyboxError, OutputError, shorten
 from greybox.experiment import Experiment
 from greybox.fmu.description import FmuPlant
 from greybox.fmu.policy import DEFAULT_FMU_FIT, FmuFitPolicy
@@ -72,8 +73,19 @@ class FmuSimulator:
     def __enter__(self) -> Self:
         from fmpy import extract, read_model_description
 
-        self._folder = extract(str(self.plant.path))
-        self._description = read_model_description(self._folder, validate=False)
+        self._folder = tempfile.mkdtemp(prefix="greybox-fmu-")
+        try:
+            extract(str(self.plant.path), unzipdir=self._folder)
+            self._description = read_model_description(self._folder, validate=False)
+        except BaseException as error:
+            self._discard()
+            shutil.rmtree(self._folder, ignore_errors=True)
+            if not isinstance(error, Exception):
+                raise
+            if isinstance(error, OSError):  # a disk that is full
+                raise OutputError(error.errno, error.strerror or str(error), self._folder) from error
+            reason = shorten(str(error) or type(error).__name__)
+            raise FmuRunError(f"{self.plant.path.name}: cannot be unpacked ({reason}); export it again") from error
         return self
 
     def __exit__(

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import shlex
+import signal
+import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +22,7 @@ from greybox.errors import DataError
 from greybox.experiment_design import CampaignPlan, CampaignStatus, DesignPolicy, SignalLimit, run_campaign
 from greybox.experiment_design.campaign import Knowledge, choose_shares
 from greybox.experiment_design.policy import CAMPAIGN_POLICY
+from greybox.files import hold_file
 from greybox.schemas import ResultKind
 from tests.support.result_schema import strict_offences
 
@@ -167,3 +173,40 @@ def test_a_twin_stands_for_a_rig_with_limits(tmp_path, monkeypatch) -> None:
     assert CliRunner().invoke(app, [*played, "--limit", "y=-9:9", "--output", "record.csv"]).exit_code == 0
     unknown = CliRunner().invoke(app, [*played, "--limit", "z=-9:9"])
     assert unknown.exit_code == 2 and "no such signal" in unknown.stderr
+
+
+def test_a_folder_in_which_a_campaign_is_at_work_is_refused(tmp_path) -> None:
+    with hold_file(tmp_path / "campaign.lock"), pytest.raises(DataError, match="at work here"):
+        run_campaign(PLAN, tmp_path, rig=rig())
+    assert [path.name for path in tmp_path.iterdir()] == ["campaign.lock"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="locks and signals of POSIX")
+def test_a_rig_that_outlives_its_campaign_keeps_the_folder(tmp_path) -> None:
+    program = "import os, pathlib, time; pathlib.Path('pid').write_text(str(os.getpid())); time.sleep(60)"
+    script = f"""
+import os, pathlib
+from greybox.experiment_design.policy import CAMPAIGN_POLICY
+from greybox.experiment_design.rig import run_rig
+from greybox.files import hold_file
+os.chdir({str(tmp_path)!r})
+with hold_file("campaign.lock") as held:
+    run_rig({f"{sys.executable} -c {shlex.quote(program)} {{input}}"!r}, pathlib.Path("a"), pathlib.Path("b"), 1, 9.0, CAMPAIGN_POLICY.rig, held)
+"""
+    campaign = subprocess.Popen([sys.executable, "-c", script])
+    note, deadline = tmp_path / "pid", time.monotonic() + 60
+    while not (note.exists() and note.read_text()) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    campaign.kill()
+    campaign.wait()
+    try:
+        with hold_file(tmp_path / "campaign.lock") as held:
+            assert held is None
+    finally:
+        os.kill(int(note.read_text()), signal.SIGKILL)
+    while time.monotonic() < deadline:
+        with hold_file(tmp_path / "campaign.lock") as held:
+            if held is not None:
+                return
+        time.sleep(0.05)
+    pytest.fail("the lock outlived the rig")

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
+import tempfile
+import zipfile
 
 import numpy as np
 import pytest
@@ -11,7 +15,7 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.cli.app import app
-from greybox.errors import DataError, ModelError
+from greybox.errors import DataError, ModelError, OutputError
 from greybox.experiment import Experiment
 from greybox.fmu import FmuRunError, FmuSimulator, fit_fmu, read_fmu
 from greybox.schemas import ResultKind, read_json
@@ -169,3 +173,16 @@ def test_the_command_fits_an_fmu(exported, tmp_path):
     assert strict_offences(data, ResultKind.FMU_FIT) == [] and set(data["parameters"]) == {"K", "B"}
     refused = CliRunner().invoke(app, [*words, "--effect", "coulomb_friction"])
     assert refused.exit_code == 2 and "--effect" in refused.stderr
+
+
+def test_an_fmu_that_cannot_be_unpacked_is_said_and_leaves_no_folder(exported, tmp_path, monkeypatch) -> None:
+    plant = read_fmu(exported)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(zipfile.ZipFile, "extractall", fail_on_a_full_disk)
+    with pytest.raises(OutputError, match="No space"), FmuSimulator(plant):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def fail_on_a_full_disk(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -80,7 +80,10 @@ def pages(tmp_path_factory) -> dict[str, Page]:
     todo = Finding(CampaignCode.MEASURE, subject="01/input.csv", values={"record": "01/record.csv"})
     values = {
         "campaign": (Campaign(CampaignStatus.MEASURING, plan, exported.parent, (step,), (todo,)), {}),
-        "changed": (gb.detect_changes(discovery.best, runs[1].record(noise, np.random.default_rng(5)), search_effects=False), {}),
+        "changed": (
+            gb.detect_changes(discovery.best, runs[1].record(noise, np.random.default_rng(5)), search_effects=False),
+            {},
+        ),
         "design": (gb.design(discovery.best, limits=limits, policy=QUICK), {}),
         "check": (check(micro_actuator), {}),
         "comparison": (compare(fits, made[1], training=made[0]), {"fits": fits}),
