@@ -184,6 +184,7 @@ def test_a_folder_in_which_a_campaign_is_at_work_is_refused(tmp_path) -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="locks and signals of POSIX")
 def test_a_rig_that_outlives_its_campaign_keeps_the_folder(tmp_path) -> None:
     program = "import os, pathlib, time; pathlib.Path('pid').write_text(str(os.getpid())); time.sleep(60)"
+    command = f"{sys.executable} -c {shlex.quote(program)} {{input}}"
     script = f"""
 import os, pathlib
 from greybox.experiment_design.policy import CAMPAIGN_POLICY
@@ -191,7 +192,7 @@ from greybox.experiment_design.rig import run_rig
 from greybox.files import hold_file
 os.chdir({str(tmp_path)!r})
 with hold_file("campaign.lock") as held:
-    run_rig({f"{sys.executable} -c {shlex.quote(program)} {{input}}"!r}, pathlib.Path("a"), pathlib.Path("b"), 1, 9.0, CAMPAIGN_POLICY.rig, held)
+    run_rig({command!r}, pathlib.Path("a"), pathlib.Path("b"), 1, 9.0, CAMPAIGN_POLICY.rig, held)
 """
     campaign = subprocess.Popen([sys.executable, "-c", script])
     note, deadline = tmp_path / "pid", time.monotonic() + 60
