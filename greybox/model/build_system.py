@@ -245,7 +245,7 @@ class _Equations:
             return {}
         terms = [ca.SX(t) for name, t in balance.terms.items() if name in self.plant_terms[placed.site]]
         velocity = self.plant_symbols[balance.state]
-        inputs = ca.vertcat(*[ca.SX(u[i.name]) for i in self.statement.inputs])
+        inputs = ca.SX(ca.vertcat(*[ca.SX(u[i.name]) for i in self.statement.inputs]))
         symbols = ca.vertcat(*ca.symvar(inputs))
         sizes = [ca.fabs(t) for t in terms if not ca.depends_on(t, velocity)]
         driven = [t for t in terms if symbols.numel() and ca.depends_on(t, symbols)]

@@ -1,0 +1,271 @@
+"""Which of thousands of terms are worth a refit: ranked by a regression in the observer, the best run through it once more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.discovery.failures import SearchStage
+from greybox.discovery.laws.observer import ObservedRecord, Observer, ObserverRun, observe_records
+from greybox.discovery.laws.policy import LawPolicy
+from greybox.discovery.laws.terms import LawTerm, list_terms
+from greybox.discovery.problem import DiscoveryProblem
+from greybox.model import Model
+from greybox.numerics import TINY
+
+COLUMNS = 1000  # terms that are propagated at once: what fits into the cache and into memory
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedFit:
+    """A model fitted in the observer: ``values`` of its constants, first states by name (one a record), minus twice the log-likelihood."""
+
+    model: Model
+    values: Mapping[str, float]
+    initial: Mapping[str, tuple[float, ...]]
+    objective: float
+    intensity: float
+    observer: Observer
+    records: Sequence[ObservedRecord]
+    runs: Sequence[ObserverRun]
+    prior: np.ndarray
+    """Mean and standard deviation (np, 2) of the constants before the records were seen."""
+
+
+@dataclass(frozen=True)
+class TermStart:
+    """A term with start values of its constants, and what it promises: the decrease of minus twice the log-likelihood."""
+
+    term: LawTerm
+    amplitude: float
+    shape: float
+    lag: float
+    bounds: tuple[float, float]
+    decrease: float
+
+
+def list_law_sites(model: Model) -> list[tuple[str, str]]:
+    """Name and unit of each balance of the plant that is no definition (``dx/dt = v``)."""
+    system, plant = model.system, {s.name for s in model.states}
+    return [
+        (b.name, b.unit)
+        for b in system.balances
+        if b.state in plant and not system.rhs[system.state_names.index(b.state)].is_symbolic()
+    ]
+
+
+def fit_in_observer(
+    problem: DiscoveryProblem,
+    model: Model,
+    nominal: Mapping[str, float],
+    initial: Mapping[str, Sequence[float]],
+    intensities: Sequence[float],
+    steps: int,
+    policy: LawPolicy,
+) -> ObservedFit | None:
+    """The free constants of a model as the observer's innovations ask for; None where it cannot be run.
+
+    ``nominal``: constants that are known to about `LawPolicy.constant_spread`; the others may be anything.
+    """
+    names = [q.name for q in model.free_parameters]
+    substeps = max(1, min(problem.prepare(model).step.substeps, policy.most_substeps))
+    observer = Observer(model, names, [name for name, _ in list_law_sites(model)], substeps)
+    records = observe_records(problem, model, initial, policy.most_rows)
+    noise = problem.noise_model.std
+    bounds = np.array([model.parameter(n).bounds for n in names]).reshape(-1, 2)
+    mean = np.array([model.values[n] for n in names])
+    known = np.array([n in nominal for n in names], bool)
+    mean[known] = [nominal[n] for n in names if n in nominal]
+    spread = np.where(known, policy.constant_spread * np.abs(mean), policy.unknown_spread * np.maximum(np.abs(mean), 1.0))
+    spread = np.where(spread > 0, spread, policy.unknown_spread)
+    start = np.array([model.values[n] for n in names])
+
+    def run(z: np.ndarray, intensity: float) -> tuple[float, list[ObserverRun]]:
+        p = np.array(list(model.values.values()))
+        p[observer.columns] = z
+        runs = [observer.run(r, p, noise, intensity) for r in records]
+        if any(r is None for r in runs):
+            return np.inf, []
+        return sum(r.likelihood for r in runs) + float(np.sum(((z - mean) / spread) ** 2)), runs
+
+    z = start
+    best = min(((*run(z, q), q) for q in intensities), key=lambda one: one[0])
+    if not np.isfinite(best[0]):
+        return None
+    for _ in range(steps):
+        objective, runs, intensity = best
+        slopes = np.concatenate([r.slopes_of_constants().reshape(-1, len(names)) for r in runs])
+        errors = np.concatenate([r.e.ravel() for r in runs])
+        scaled = np.vstack([slopes * spread, np.eye(len(names))])
+        target = np.concatenate([errors, (z - mean) / spread])
+        move = -spread * np.linalg.lstsq(scaled, target, rcond=None)[0]
+        for share in (1.0, 0.3, 0.1):
+            tried = np.clip(z + share * move, bounds[:, 0], bounds[:, 1])
+            new = (*run(tried, intensity), intensity)
+            if new[0] < objective:
+                break
+        else:
+            break
+        z, best = tried, new
+        k = list(intensities).index(intensity)
+        for other in intensities[max(k - 1, 0) : k + 2]:
+            if other != intensity:
+                best = min(best, (*run(z, other), other), key=lambda one: one[0])
+        if objective - best[0] < policy.settled_decrease:
+            break
+    objective, runs, intensity = best
+    firsts = np.array([r.first_state() for r in runs])
+    states = dict(zip(model.system.state_names, map(tuple, firsts.T.tolist()), strict=True))
+    values = {**model.values, **dict(zip(names, map(float, z), strict=True))}
+    prior = np.column_stack([mean, spread])
+    return ObservedFit(model, values, states, objective, intensity, observer, records, runs, prior)
+
+
+def rank_terms(observed: ObservedFit, policy: LawPolicy) -> list[TermStart]:
+    """Every term that the model may have, with what it promises beside its complexity; best first."""
+    model, runs, records = observed.model, observed.runs, observed.records
+    names = [*model.system.state_names, *(i.name for i in model.inputs)]
+    along = [np.column_stack([run.x, record.u]) for run, record in zip(runs, records, strict=True)]
+    everywhere = dict(zip(names, np.concatenate(along).T, strict=True))
+    sites = list_law_sites(model)
+    free = _Projection.of(observed)
+    starts: dict[LawTerm, TermStart] = {}
+    terms = list_terms(model, sites, everywhere, policy)
+    index = {name: k for k, (name, _) in enumerate(sites)}
+    signals = _Signals(everywhere, [len(a) for a in along], [r.h for r in records])
+    for site in index:
+        columns = [
+            (term, shape, lag)
+            for term in terms
+            if term.site == site
+            for shape in term.shape_starts(everywhere, policy)
+            for lag in ([q * records[0].duration for q in policy.lag_places] if term.has_memory else [0.0])
+        ]
+        for first in range(0, len(columns), COLUMNS):
+            chunk = columns[first : first + COLUMNS]
+            values = [signals.of(*column) for column in chunk]
+            slopes = [
+                run.slopes_of_signals(np.column_stack([v[k] for v in values]), index[site]).reshape(-1, len(chunk))
+                for k, run in enumerate(runs)
+            ]
+            for (term, shape, lag), (decrease, amplitude) in zip(chunk, free.regress(np.concatenate(slopes)), strict=True):
+                if decrease > (starts[term].decrease if term in starts else 0.0):
+                    bounds = term.shape_bounds(everywhere)
+                    starts[term] = TermStart(term, amplitude, shape, lag, bounds, decrease)
+    return sorted(starts.values(), key=lambda s: policy.complexity_cost * s.term.complexity - s.decrease)
+
+
+def choose_terms(ranked: Sequence[TermStart], count: int, policy: LawPolicy) -> list[TermStart]:
+    """The leading terms; a third of the places is for simple ones, that a complicated one of the same shape would hide."""
+    simple = [s for s in ranked if s.term.complexity <= policy.simple_complexity][: count // 3]
+    rest = [s for s in ranked if s not in simple][: count - len(simple)]
+    return sorted((*simple, *rest), key=ranked.index)
+
+
+def observe_terms(
+    problem: DiscoveryProblem,
+    observed: ObservedFit,
+    nominal: Mapping[str, float],
+    starts: Sequence[TermStart],
+    name: str,
+    policy: LawPolicy,
+) -> list[tuple[TermStart, ObservedFit]]:
+    """Each term in the model and run through the observer; those that can be, best first."""
+    fits: list[tuple[TermStart, ObservedFit]] = []
+    model = observed.model.start(**observed.values)
+    for start in starts:
+
+        def fit(start: TermStart = start) -> ObservedFit | None:
+            effect = start.term.to_effect(
+                name, start.amplitude, start.shape, start.lag, start.bounds, observed.records[0].duration
+            )
+            return fit_in_observer(
+                problem,
+                model + effect,
+                nominal,
+                observed.initial,
+                policy.finer_intensities,
+                policy.term_steps,
+                policy,
+            )
+
+        one = problem.failures.attempt(SearchStage.SCREENING, (name,), fit, None)
+        if one is not None:
+            fits.append((start, one))
+    return sorted(fits, key=lambda one: one[1].objective + policy.complexity_cost * one[0].term.complexity)
+
+
+class _Signals:
+    """Terms along all records: a list of arrays, one a record."""
+
+    def __init__(self, everywhere: Mapping[str, np.ndarray], rows: Sequence[int], intervals: Sequence[np.ndarray]) -> None:
+        self._values, self._cuts, self._intervals = everywhere, np.cumsum(rows)[:-1], intervals
+        self._kept: dict[tuple[object, ...], np.ndarray] = {}
+
+    def of(self, term: LawTerm, shape: float, lag: float) -> list[np.ndarray]:
+        key = (term.product, shape)
+        if key not in self._kept:
+            self._kept[key] = np.nan_to_num(term.evaluate(self._values, shape), posinf=0.0, neginf=0.0)
+        parts = np.split(self._kept[key], self._cuts)
+        return [_through_lag(part, h, lag) for part, h in zip(parts, self._intervals, strict=True)] if lag else parts
+
+
+def _through_lag(w: np.ndarray, h: np.ndarray, lag: float) -> np.ndarray:
+    late = np.empty_like(w)
+    late[0] = 0.0
+    for k, share in enumerate(1 - np.exp(-h / lag)):
+        late[k + 1] = late[k] + share * (0.5 * (w[k] + w[k + 1]) - late[k])
+    return late
+
+
+@dataclass(frozen=True, eq=False)
+class _Projection:
+    """What the plain model's constants and first states can do to the innovations, and what they leave of them."""
+
+    basis: np.ndarray
+    rest: np.ndarray
+
+    @classmethod
+    def of(cls, observed: ObservedFit) -> _Projection:
+        names, records, runs = observed.observer.names, observed.records, observed.runs
+        mean, spread = observed.prior.T
+        z = np.array([observed.values[n] for n in names])
+        constants = np.concatenate([r.slopes_of_constants().reshape(-1, len(names)) for r in runs]) * spread
+        starts = [
+            run.slopes_of_start().reshape(-1, len(record.spread)) * record.spread
+            for run, record in zip(runs, records, strict=True)
+        ]
+        columns = np.hstack([constants, _block_diagonal(starts)])
+        errors = np.concatenate([r.e.ravel() for r in runs])
+        free = columns.shape[1]
+        known = np.concatenate([(z - mean) / spread, np.zeros(free - len(names))])
+        basis, _ = np.linalg.qr(np.vstack([columns, np.eye(free)]))
+        target = np.concatenate([errors, known])
+        return cls(basis, target - basis @ (basis.T @ target))
+
+    def regress(self, slopes: np.ndarray) -> list[tuple[float, float]]:
+        """For each column of slopes (R, L) the decrease of the squares that its signal promises, and its amplitude."""
+        rows = len(slopes)
+        upper = self.basis[:rows]
+        inner = upper.T @ slopes
+        left = np.sum(slopes**2, axis=0) - np.sum(inner**2, axis=0)
+        push = self.rest[:rows] @ slopes  # the rest is orthogonal to the basis
+        size = np.sum(slopes**2, axis=0)
+        # A signal that the constants of the plain model make as well is no term of its own.
+        possible = left > 1e-6 * np.maximum(size, TINY)
+        safe = np.where(possible, left, 1.0)
+        decrease = np.where(possible, push**2 / safe, 0.0)
+        amplitude = np.where(possible, -push / safe, 0.0)
+        return list(zip(decrease.tolist(), amplitude.tolist(), strict=True))
+
+
+def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
+    rows, columns = sum(len(b) for b in blocks), sum(b.shape[1] for b in blocks)
+    whole = np.zeros((rows, columns))
+    r = c = 0
+    for b in blocks:
+        whole[r : r + len(b), c : c + b.shape[1]] = b
+        r, c = r + len(b), c + b.shape[1]
+    return whole

@@ -1,0 +1,3 @@
+class Law: pass
+class LawSearch: pass
+def search_laws(): pass

@@ -1,0 +1,346 @@
+"""The terms that a balance may lack, as formulas in the model's names, simplest first.
+
+A term is an amplitude times a product of factors: powers of variables, at most one function of a variable with a constant of its own
+(a saturation, a threshold, a ratio), trigonometric functions of what is an angle or has no unit. The amplitude has the unit that makes the
+term one of its balance; constants of shape have the unit of their variable. Each product is written in one way only, so no two terms of the
+list are equal up to algebra.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from greybox.discovery.laws.policy import LawPolicy
+from greybox.effects.formula import formula_effect
+from greybox.expressions.formula import evaluate_formula
+from greybox.model import Effect, Model
+from greybox.model.signals import Parameter
+from greybox.units import ONE, parse_unit
+
+LAW = "law"
+"""Name of the effect that a law is; a second one is ``law_2``."""
+CONSTANT = "1"
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A function of one variable, or of the difference of two, in a product.
+
+    Parameters
+    ----------
+    text
+        The formula; ``{c}`` stands for the constant of shape.
+    variables
+        The names in it.
+    complexity
+        How much it adds to a term's complexity.
+    power
+        By which power of the variable's unit its own unit is known.
+    shape_power
+        The same of the constant of shape; None for a factor without one.
+    is_threshold
+        Whether that constant is a place in the range of the variable, not a scale.
+    signed
+        Whether the constant may be negative.
+    """
+
+    text: str
+    variables: tuple[str, ...]
+    complexity: int
+    power: float
+    shape_power: float | None = None
+    is_threshold: bool = False
+    signed: bool = False
+
+
+@dataclass(frozen=True)
+class ConstantNames:
+    """What the constants of a law are called: its amplitude, its constant of shape, its time constant."""
+
+    amplitude: str = "k"
+    shape: str = "c"
+    lag: str = "T"
+
+    @classmethod
+    def beside(cls, variables: Iterable[str]) -> ConstantNames:
+        """Names that no variable has."""
+        taken = set(variables)
+        return cls(*(n if n not in taken else f"{n}_law" for n in ("k", "c", "T")))
+
+
+@dataclass(frozen=True)
+class LawTerm:
+    """A product of factors at a balance, times an amplitude, with memory where ``has_memory``.
+
+    ``units`` are those of the variables by name, ``site_unit`` that of the balance, ``constants`` what its constants are called.
+    """
+
+    site: str
+    factors: tuple[Factor, ...]
+    units: tuple[tuple[str, str], ...]
+    site_unit: str
+    constants: ConstantNames
+    has_memory: bool = False
+
+    @cached_property
+    def complexity(self) -> int:
+        """Variables, functions and constants that it takes to write it down; 1 is a constant."""
+        return 1 + sum(f.complexity for f in self.factors) + 2 * self.has_memory
+
+    @cached_property
+    def shape(self) -> Factor | None:
+        """The factor that has a constant of its own."""
+        return next((f for f in self.factors if f.shape_power is not None), None)
+
+    @cached_property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the variables in it."""
+        return tuple(dict.fromkeys(v for f in self.factors for v in f.variables))
+
+    @cached_property
+    def product(self) -> str:
+        """The formula without its amplitude."""
+        return "*".join(f.text.format(c=self.constants.shape) for f in self.factors) or CONSTANT
+
+    @property
+    def formula(self) -> str:
+        """The formula: ``k*x**2*tanh(v/c)``."""
+        name = self.constants.amplitude
+        return name if not self.factors else f"{name}*{self.product}"
+
+    @cached_property
+    def product_unit(self) -> str:
+        """Unit of the product as text."""
+        return _unit_text([(dict(self.units)[f.variables[0]], f.power) for f in self.factors if f.power])
+
+    @property
+    def amplitude_unit(self) -> str:
+        """Unit of the amplitude: that of the balance over that of the product."""
+        if not parse_unit(self.product_unit).dimensions and parse_unit(self.product_unit) == ONE:
+            return self.site_unit
+        return f"{_bracketed(self.site_unit)}/{_bracketed(self.product_unit)}"
+
+    @property
+    def shape_unit(self) -> str:
+        """Unit of the constant of shape."""
+        if self.shape is None:
+            return "1"
+        return _unit_text([(dict(self.units)[self.shape.variables[0]], self.shape.shape_power or 0.0)])
+
+    def evaluate(self, values: Mapping[str, np.ndarray], shape: float) -> np.ndarray:
+        """The product (K,) along variables (K,) by name."""
+        names = list(values)
+        symbols = {name: ca.SX.sym(name) for name in (*names, self.constants.shape)}
+        expression = evaluate_formula("law", self.product, _Symbols(symbols))
+        function = ca.Function("term", [ca.vertcat(*symbols.values())], [expression])
+        rows = np.vstack([*(values[n] for n in names), np.full(len(values[names[0]]), shape)])
+        return np.asarray(function(rows).full()).ravel()
+
+    def shape_starts(self, values: Mapping[str, np.ndarray], policy: LawPolicy) -> tuple[float, ...]:
+        """Where its constant of shape is tried; one number without meaning where it has none."""
+        if self.shape is None:
+            return (1.0,)
+        v = values[self.shape.variables[0]]
+        if self.shape.is_threshold:
+            return tuple(float(np.quantile(v, q)) for q in policy.threshold_places)
+        size = float(np.sqrt(np.mean(v**2))) or 1.0
+        scales = tuple((p * size) ** (self.shape.shape_power or 0.0) for p in policy.shape_places)
+        return (*scales, *(-s for s in scales)) if self.shape.signed else scales
+
+    def shape_bounds(self, values: Mapping[str, np.ndarray]) -> tuple[float, float]:
+        """Within what its constant of shape makes a difference on the records."""
+        if self.shape is None:
+            return (-np.inf, np.inf)
+        v = values[self.shape.variables[0]]
+        if self.shape.is_threshold:
+            return (float(v.min()), float(v.max()))
+        size = float(np.sqrt(np.mean(v**2))) or 1.0
+        power = self.shape.shape_power or 0.0
+        low, high = sorted(((1e-3 * size) ** power, (1e3 * size) ** power))
+        return (-high, high) if self.shape.signed else (low, high)
+
+    def to_effect(
+        self, name: str, amplitude: float, shape: float, lag: float, bounds: tuple[float, float], duration: float
+    ) -> Effect:
+        """The term as an effect with these start values; ``duration`` of the record in seconds bounds its memory."""
+        parameters = [Parameter(self.constants.amplitude, self.amplitude_unit, amplitude, description="amplitude of the law")]
+        if self.shape is not None:
+            start = float(np.clip(shape, *bounds))
+            parameters.append(Parameter(self.constants.shape, self.shape_unit, start, bounds, description="its constant of shape"))
+        if self.has_memory:
+            limits = (1e-4 * duration, 10 * duration)
+            parameters.append(Parameter(self.constants.lag, "s", float(np.clip(lag, *limits)), limits, description="its time constant"))
+        lag_unit = self.product_unit if self.has_memory else None
+        return formula_effect(
+            name,
+            self.site,
+            self.formula,
+            parameters,
+            amplitude=self.constants.amplitude,
+            lag=self.constants.lag,
+            lag_unit=lag_unit,
+            source="law of the records",
+        )
+
+
+class _Symbols(dict):
+    """Symbols by name, as a formula asks for them."""
+
+    @property
+    def names(self) -> list[str]:
+        """Every name."""
+        return list(self)
+
+
+def list_terms(
+    model: Model, sites: Sequence[tuple[str, str]], values: Mapping[str, np.ndarray], policy: LawPolicy
+) -> list[LawTerm]:
+    """The terms that may act at balances, simplest first.
+
+    Parameters
+    ----------
+    model
+        The plain model: its states and inputs are the variables.
+    sites
+        Name and unit of each balance.
+    values
+        Variable -> what it was along the records (K,): signs and ranges decide which functions have a meaning.
+    policy
+        Degrees and powers.
+    """
+    units = {s.name: s.unit for s in model.all_states} | {i.name: i.unit for i in model.inputs}
+    names = [n for n in units if n in values and float(np.ptp(values[n])) > 0]
+    products = list(_list_products(names, units, values, policy))
+    texts, constants = tuple(units.items()), ConstantNames.beside(units)
+    terms = [LawTerm(site, factors, texts, unit, constants) for site, unit in sites for factors in products]
+    memory = [replace(t, has_memory=True) for t in terms if 1 < t.complexity <= 1 + policy.memory_complexity]
+    return sorted((*terms, *memory), key=lambda t: t.complexity)
+
+
+def _list_products(
+    names: Sequence[str], units: Mapping[str, str], values: Mapping[str, np.ndarray], policy: LawPolicy
+) -> Iterator[tuple[Factor, ...]]:
+    monomials = list(_list_monomials(names, policy))
+    yield ()
+    yield from monomials
+    yield from ((_power(n, p),) for n in names for p in range(policy.most_degree + 1, policy.most_power + 1))
+    short = [(), *(m for m in monomials if _degree(m) == 1)]
+    plain = {n: _list_plain_functions(n, units[n], values[n], policy) for n in names}
+    shaped = {n: _list_shaped_functions(n, values[n]) for n in names}
+    for n in names:
+        for function in (*plain[n], *shaped[n]):
+            for m in short if function.shape_power is not None else (*short, *(m for m in monomials if _degree(m) == 2)):
+                if not _is_repeated(function, m):
+                    yield (*m, function)
+    angles = [f for n in names for f in plain[n] if f.text.startswith(("sin", "cos"))]
+    for one, other in itertools.combinations(angles, 2):
+        yield (one, other)
+    for one in angles:
+        if one.text.startswith("sin"):
+            yield (one, replace(one, text=one.text))  # its square
+    alike = [(a, b) for a, b in itertools.combinations(names, 2) if parse_unit(units[a]) == parse_unit(units[b])]
+    for a, b in alike:
+        difference = Factor(f"({a} - {b})", (a, b), 2, 1)
+        yield (difference,)
+        yield from ((_power(n, 1), difference) for n in names if n not in (a, b))
+        yield (Factor(f"({a} - {b})**3", (a, b), 4, 3),)
+        yield (Factor(f"abs({a} - {b})*({a} - {b})", (a, b), 4, 2),)
+        if _is_number(units[a]):
+            yield (Factor(f"sin({a} - {b})", (a, b), 3, 0),)
+
+
+def _list_monomials(names: Sequence[str], policy: LawPolicy) -> Iterator[tuple[Factor, ...]]:
+    for degree in range(1, policy.most_degree + 1):
+        for chosen in itertools.combinations_with_replacement(names, degree):
+            powers = {n: chosen.count(n) for n in dict.fromkeys(chosen)}
+            yield tuple(_power(n, p) for n, p in powers.items())
+
+
+def _power(name: str, power: int) -> Factor:
+    return Factor(name if power == 1 else f"{name}**{power}", (name,), power, power)
+
+
+def _list_plain_functions(name: str, unit: str, v: np.ndarray, policy: LawPolicy) -> list[Factor]:
+    """Functions of a variable without a constant."""
+    functions = []
+    if v.min() < 0 < v.max():
+        functions += [
+            Factor(f"abs({name})", (name,), 2, 1),
+            Factor(f"abs({name})*{name}", (name,), 3, 2),
+            Factor(f"sign({name})", (name,), 2, 0),
+            Factor(f"sign({name})*sqrt(abs({name}))", (name,), 4, 0.5),
+        ]
+    elif v.min() >= 0:
+        functions.append(Factor(f"sqrt({name})", (name,), 2, 0.5))
+    if np.abs(v).min() > policy.least_reciprocal * np.abs(v).max():
+        functions += [Factor(f"(1/{name})", (name,), 2, -1), Factor(f"(1/{name}**2)", (name,), 3, -2)]
+    if _is_number(unit):
+        functions += [Factor(f"sin({name})", (name,), 2, 0), Factor(f"cos({name})", (name,), 2, 0)]
+    return functions
+
+
+def _list_shaped_functions(name: str, v: np.ndarray) -> list[Factor]:
+    """Functions of a variable with one constant."""
+    n, variables = name, (name,)
+    functions = [
+        Factor(f"exp({{c}}*{n})", variables, 4, 0, -1, signed=True),
+        Factor(f"sin({n}/{{c}})", variables, 4, 0, 1),
+        Factor(f"cos({n}/{{c}})", variables, 4, 0, 1),
+        Factor(f"max(0, {n} - {{c}})", variables, 4, 1, 1, is_threshold=True),
+        Factor(f"max(0, {{c}} - {n})", variables, 4, 1, 1, is_threshold=True),
+        Factor(f"({n}**2/({{c}}**2 + {n}**2))", variables, 5, 0, 1),
+        Factor(f"({n}/({{c}}**2 + {n}**2))", variables, 5, -1, 1),
+        Factor(f"(1/(1 + ({n}/{{c}})**2))", variables, 5, 0, 1),
+        Factor(f"({n}**4/({{c}}**4 + {n}**4))", variables, 6, 0, 1),
+        Factor(f"(1/(1 + ({n}/{{c}})**4))", variables, 6, 0, 1),
+    ]
+    if v.min() >= 0:
+        return [
+            Factor(f"({n}/({{c}} + {n}))", variables, 4, 0, 1),
+            Factor(f"(1/({{c}} + {n}))", variables, 4, -1, 1),
+            Factor(f"log(1 + {n}/{{c}})", variables, 5, 0, 1),
+            *functions,
+        ]
+    return [
+        Factor(f"tanh({n}/{{c}})", variables, 4, 0, 1),
+        Factor(f"({n}/({{c}} + abs({n})))", variables, 5, 0, 1),
+        *functions,
+    ]
+
+
+def _is_repeated(function: Factor, monomial: Sequence[Factor]) -> bool:
+    """Whether the product is written in another way already: ``x*(1/x)``, ``x*abs(x)``, ``x*1/(c + x)``."""
+    own = next((m for m in monomial if m.variables == function.variables), None)
+    if own is None:
+        return False
+    text = function.text
+    return text.startswith(("(1/", "abs(", "sign(", "max(")) or (text.startswith("(") and "**2 + " in text and function.power < 0)
+
+
+def _degree(monomial: Sequence[Factor]) -> int:
+    return sum(f.complexity for f in monomial)
+
+
+def _is_number(unit: str) -> bool:
+    """Whether a quantity of the unit is the argument of a sine: a number or an angle."""
+    return unit.strip() in ("", "-", "1") or parse_unit(unit) == parse_unit("rad")
+
+
+def _bracketed(unit: str) -> str:
+    return unit if unit.replace("^", "").isalnum() else f"({unit})"
+
+
+def _unit_text(powers: Sequence[tuple[str, float]]) -> str:
+    """``m^2*(m/s)`` of ``[("m", 2), ("m/s", 1)]``; powers of one unit are collected."""
+    total: dict[str, float] = {}
+    for unit, power in powers:
+        if unit.strip() not in ("", "-", "1"):
+            total[unit] = total.get(unit, 0.0) + power
+    parts = [_bracketed(u) if p == 1 else f"{_bracketed(u)}^{p:g}" for u, p in total.items() if p]
+    return "*".join(parts) or "1"
