@@ -29,6 +29,7 @@ class DiscoveryRule(StrEnum):
     VALIDATION_DECREASE = "validation_decrease"
     REFINED_ERROR = "refined_error"
     ESTABLISHED = "established"
+    LAW_CURVE = "law_curve"
 
 
 class DiscoveryCode(StrEnum):
@@ -48,6 +49,13 @@ class DiscoveryCode(StrEnum):
     HARDLY_VISIBLE = "hardly_visible"
     MISSING_SIGNAL = "missing_signal"
     SURROGATE_FITTED = "surrogate_fitted"
+    LAW_ESTABLISHED = "law_established"
+    LAW_PROBABLE = "law_probable"
+    LAW_STAND_IN = "law_stand_in"
+    LAWS_TIED = "laws_tied"
+    LAW_LIKENESS = "law_likeness"
+    LAW_RANGE = "law_range"
+    NO_LAW = "no_law"
     # What a reader should know.
     LEARNT_FROM_VALIDATION = "learnt_from_validation"
     TIME_OVER = "time_over"
@@ -83,6 +91,7 @@ class DiscoveryCode(StrEnum):
     MEASURE_MORE = "measure_more"
     # Steps of the search, as they are reported while it runs.
     BASELINE_FITTED = "baseline_fitted"
+    LAW_TERMS_RANKED = "law_terms_ranked"
     NOISE_WHITE = "noise_white"
     NOISE_FROM_RESIDUAL = "noise_from_residual"
     FIRST_EFFECT = "first_effect"

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from greybox.discovery.laws.policy import LawPolicy
+
 
 @dataclass(frozen=True)
 class SelectionPolicy:
@@ -386,3 +388,5 @@ class DiscoveryPolicy:
     """How probable it is that an effect is right."""
     refinement: RefinementPolicy = field(default_factory=RefinementPolicy)
     """When a further, small effect is accepted on measured records (`refine`)."""
+    laws: LawPolicy = field(default_factory=LawPolicy)
+    """How an equation is looked for where the catalogue has no effect (``laws=True``)."""

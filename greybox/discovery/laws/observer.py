@@ -4,7 +4,7 @@ A free run of a model without one of its terms soon is somewhere else, and a ter
 filter follows the records; its innovations ``e`` are what the model did not foresee from one row to the next, and their slopes along the
 constants, and along a signal at any balance, are those of a linear recursion with the filter's gains:
 
-    s- = A s+ + B,    s+ = (I - K C) s-,    de = -(C s- + D).
+    s- = A s+ + B,    de = -(C s- + D),    s+ = s- - K (C s- + D).
 
 So a term is ranked by a linear regression of the innovations on its signal, with the constants of the plain model beside it, and states
 that no sensor sees are as good as the others. (L. Ljung 1979, Asymptotic behavior of the extended Kalman filter as a parameter estimator.)
@@ -20,6 +20,7 @@ import numpy as np
 
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.model import Model
+from greybox.model.system import System
 from greybox.numerics import TINY
 
 
@@ -47,172 +48,187 @@ class ObservedRecord:
 
 @dataclass(frozen=True, eq=False)
 class ObserverRun:
-    """A run of the observer over one record.
+    """A run of the observer over one record; outputs are taken in one after the other, so that innovations are scalars.
 
-    ``x`` and ``foreseen`` (N, nx) states with and before their correction, ``e`` (N, ny) innovations over their standard deviation, zero where nothing was measured; ``a``
-    (N-1, nx, nx), ``b`` (N-1, nx, np), ``g`` (N-1, nx, sites), ``c`` (N, ny, nx), ``d`` (N, ny, np) and ``gain`` (N, nx, ny) as in the module's
-    text, ``root`` (N, ny, ny) what turns innovations into whitened ones; ``likelihood`` is minus twice its logarithm.
+    ``x`` (N, nx) corrected states, ``e`` (N, ny) innovations over their standard deviation, zero where nothing was measured, ``slopes``
+    (N, ny, np) theirs along the constants, ``start`` (nx,) the first state as all rows show it; ``likelihood`` is minus twice its logarithm.
     """
 
     x: np.ndarray
-    foreseen: np.ndarray
     e: np.ndarray
-    a: np.ndarray
-    b: np.ndarray
-    g: np.ndarray
-    c: np.ndarray
-    d: np.ndarray
-    gain: np.ndarray
-    root: np.ndarray
-    predicted: np.ndarray
-    corrected: np.ndarray
+    slopes: np.ndarray
+    start: np.ndarray
     likelihood: float
 
-    def slopes_of_constants(self) -> np.ndarray:
-        """Of the whitened innovations along the constants (N, ny, np)."""
-        return self._propagate(np.zeros((self.x.shape[1], self.b.shape[2])), lambda k: self.b[k], self.d)
+
+@dataclass(frozen=True, eq=False)
+class ObserverTape:
+    """What the observer's recursion was made of along a run: with it the slopes along any signal follow.
+
+    ``a`` (N, nx, nx), ``g`` (N, nx, sites), ``c`` and ``gain`` (N, ny, nx), ``weight`` (N, ny), one over the deviation of each innovation.
+    """
+
+    a: np.ndarray
+    g: np.ndarray
+    c: np.ndarray
+    gain: np.ndarray
+    weight: np.ndarray
 
     def slopes_of_start(self) -> np.ndarray:
-        """Of the whitened innovations along the first state (N, ny, nx)."""
-        nx = self.x.shape[1]
-        return self._propagate(np.eye(nx), lambda k: 0.0, np.zeros((len(self.x), self.e.shape[1], nx)))
+        """Of the innovations along the first state (N, ny, nx)."""
+        return self._propagate(np.eye(self.a.shape[1]), None, 0)
 
     def slopes_of_signals(self, signals: np.ndarray, site: int) -> np.ndarray:
-        """Of the whitened innovations along signals (N, L) at balance number ``site`` (N, ny, L)."""
+        """Of the innovations along signals (N, L) at balance number ``site`` (N, ny, L)."""
         middle = 0.5 * (signals[1:] + signals[:-1])
-        size = signals.shape[1]
-        none = np.zeros((1, self.e.shape[1], size))
-        return self._propagate(
-            np.zeros((self.x.shape[1], size)),
-            lambda k: self.g[k, :, site, None] * middle[k],
-            np.broadcast_to(none, (len(self.x), *none.shape[1:])),
-        )
+        return self._propagate(np.zeros((self.a.shape[1], signals.shape[1])), middle, site)
 
-    def _propagate(self, s: np.ndarray, source, direct: np.ndarray) -> np.ndarray:
-        rows, ny = self.e.shape
+    def _propagate(self, s: np.ndarray, middle: np.ndarray | None, site: int) -> np.ndarray:
+        rows, ny = self.weight.shape
         slopes = np.empty((rows, ny, s.shape[1]))
         for k in range(rows):
-            of_output = self.c[k] @ s + direct[k]
-            slopes[k] = -(self.root[k] @ of_output)
-            s = s - self.gain[k] @ of_output
+            for j in range(ny):
+                of_output = self.c[k, j] @ s
+                slopes[k, j] = -self.weight[k, j] * of_output
+                s = s - self.gain[k, j, :, None] * of_output
             if k < rows - 1:
-                s = self.a[k] @ s + source(k)
+                s = self.a[k] @ s
+                if middle is not None:
+                    s += self.g[k, :, site, None] * middle[k]
         return slopes
-
-    def first_state(self) -> np.ndarray:
-        """The first state (nx,) as all rows show it: the smoother's (Rauch, Tung, Striebel 1965)."""
-        x = self.x[-1]
-        for k in range(len(self.x) - 2, -1, -1):
-            cross = self.corrected[k] @ self.a[k].T
-            foreseen = self.predicted[k + 1]
-            gain = np.linalg.lstsq(foreseen.T, cross.T, rcond=None)[0].T
-            x = self.x[k] + gain @ (x - self.foreseen[k + 1])
-        return x
 
 
 class Observer:
-    """An extended Kalman filter of a model, made once for it."""
+    """An extended Kalman filter of a model, made once for it; rows are gone through inside CasADi."""
 
     def __init__(self, model: Model, names: Sequence[str], sites: Sequence[str], substeps: int) -> None:
         system = model.system
-        self.model, self.names, self.sites, self.substeps = model, tuple(names), tuple(sites), substeps
+        self.names, self.sites = tuple(names), tuple(sites)
         self.columns = [system.parameter_names.index(n) for n in names]
-        states = [next(b.state for b in system.balances if b.name == s) for s in sites]
-        rows = [system.state_names.index(s) for s in states]
         x, u, p = system.x, system.u, system.p
+        nx, ny, count = x.numel(), system.outputs.numel(), len(names)
         u1, h, w = ca.SX.sym("u1", u.numel()), ca.SX.sym("h"), ca.SX.sym("w", len(sites))
-        force = ca.SX.zeros(x.numel())
-        for k, row in enumerate(rows):
-            force[row] += w[k] / system.storages[row]
-        rate = ca.Function("rate", [x, u, p, w], [system.explicit + force])
-        z, step = x, h / substeps
-        for k in range(substeps):
-            ua, um, ub = (u + (u1 - u) * (k + s) / substeps for s in (0, 0.5, 1))
-            k1 = rate(z, ua, p, w)
-            k2 = rate(z + step / 2 * k1, um, p, w)
-            k3 = rate(z + step / 2 * k2, um, p, w)
-            k4 = rate(z + step * k3, ub, p, w)
-            z = z + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        free = ca.vertcat(*[p[c] for c in self.columns]) if self.columns else ca.SX.zeros(0)
+        after = _integrate(system, sites, x, u, u1, p, h, w, substeps)
+        free = ca.vertcat(*[p[c] for c in self.columns]) if count else ca.SX(0, 1)
         no_push = ca.DM.zeros(len(sites))
-        parts = [z, ca.jacobian(z, x), ca.jacobian(z, free), ca.jacobian(z, w)]
-        parts = [ca.densify(ca.substitute(part, w, no_push)) for part in parts]
-        self._advance = _Buffered(ca.Function("advance", [x, u, u1, p, h], parts))
+        slopes = [ca.substitute(part, w, no_push) for part in (after, ca.jacobian(after, x), ca.jacobian(after, free), ca.jacobian(after, w))]
+        advance = ca.Function("advance", [x, u, u1, p, h], [ca.densify(part) for part in slopes])
         y = system.outputs
-        reading = [ca.densify(part) for part in (y, ca.jacobian(y, x), ca.jacobian(y, free))]
-        self._read = _Buffered(ca.Function("read", [x, u, p], reading))
-        self._storages = ca.Function("storages", [x, u, p], [system.storages])
-        self.low = np.array([s.bounds[0] for s in system.states])
-        self.high = np.array([s.bounds[1] for s in system.states])
+        read = ca.Function("read", [x, u, p], [ca.densify(q) for q in (y, ca.jacobian(y, x), ca.jacobian(y, free))])
+        low, high = (np.array([s.bounds[k] for s in system.states]) for k in (0, 1))
+
+        # One row: the readings in, then to the next row.
+        z, cov, s = ca.SX.sym("z", nx), ca.SX.sym("P", nx, nx), ca.SX.sym("S", nx, count)
+        reading, seen, variance, push = (ca.SX.sym(n, m) for n, m in (("y", ny), ("seen", ny), ("r", ny), ("q", nx)))
+        predicted, of_x, of_p = read(z, u, p)
+        corrected, p_now, s_now = z, cov, s
+        e, weight, log, gains, e_slopes = [], [], 0, [], []
+        for j in range(ny):
+            c = of_x[j, :]
+            spread = ca.mtimes([c, p_now, c.T]) + variance[j]
+            error = reading[j] - predicted[j] - ca.mtimes(c, corrected - z)
+            gain = seen[j] * ca.mtimes(p_now, c.T) / spread
+            of_output = ca.mtimes(c, s_now) + of_p[j, :]
+            e.append(seen[j] * error / ca.sqrt(spread))
+            weight.append(seen[j] / ca.sqrt(spread))
+            e_slopes.append(-weight[-1] * of_output)
+            log += seen[j] * ca.log(spread)
+            corrected = corrected + gain * error
+            keep = ca.SX.eye(nx) - ca.mtimes(gain, c)
+            p_now = ca.mtimes([keep, p_now, keep.T]) + ca.mtimes(gain, gain.T) * variance[j]
+            s_now = s_now - ca.mtimes(gain, of_output)
+            gains.append(gain.T)
+        limited = [
+            ca.fmin(ca.fmax(corrected[k], low[k]), high[k]) if np.isfinite(low[k]) or np.isfinite(high[k]) else corrected[k]
+            for k in range(nx)
+        ]
+        corrected = ca.vertcat(*limited)
+        foreseen, a, b, g = advance(corrected, u, u1, p, h)
+        p_next = ca.mtimes([a, p_now, a.T]) + ca.diag(push * h)
+        s_next = ca.mtimes(a, s_now) + b
+        state = ca.vertcat(z, ca.vec(cov), ca.vec(s))
+        following = ca.vertcat(foreseen, ca.vec(p_next), ca.vec(s_next))
+        given = [state, ca.vertcat(reading, seen, u, u1, h), ca.vertcat(p, variance, push)]
+        results = [corrected, ca.vertcat(*e), log, ca.vec(ca.vertcat(*e_slopes))]
+        tape = [corrected, ca.vec(p_now), ca.vec(cov), z, ca.vec(a), ca.vec(g), ca.vec(of_x), ca.vec(ca.vertcat(*gains)), ca.vertcat(*weight)]
+        self._row = ca.Function("row", given, [following, *map(ca.densify, results)])
+        self._tape = ca.Function("tape", given, [following, *map(ca.densify, tape)])
+        self._sizes = nx, ny, count
+        self._runs: dict[tuple[str, int], ca.Function] = {}
 
     def run(self, record: ObservedRecord, p: np.ndarray, noise: np.ndarray, intensity: float) -> ObserverRun | None:
         """Over one record, with process noise that moves each state by ``intensity`` times its scale over the record; None where it fails."""
-        rows, ny = record.y.shape
-        nx, count = len(record.start), len(self.columns)
-        x, cov = record.start.copy(), np.diag(record.spread**2)
-        push = (intensity * record.scale) ** 2 / record.duration
-        xs, before, es = np.empty((rows, nx)), np.empty((rows, nx)), np.zeros((rows, ny))
-        a, b, g = np.empty((rows - 1, nx, nx)), np.empty((rows - 1, nx, count)), np.empty((rows - 1, nx, len(self.sites)))
-        c, d, gains = np.empty((rows, ny, nx)), np.empty((rows, ny, count)), np.zeros((rows, nx, ny))
-        roots, predicted, corrected = np.zeros((rows, ny, ny)), np.empty((rows, nx, nx)), np.empty((rows, nx, nx))
-        likelihood, eye = 0.0, np.eye(nx)
-        for k in range(rows):
-            if not (np.isfinite(x).all() and np.isfinite(cov).all()):
-                return None
-            predicted[k], before[k] = cov, x
-            y, c[k], d[k] = self._read(x, record.u[k], p)
-            seen = np.isfinite(record.y[k])
-            if seen.any():
-                ck = c[k][seen]
-                spread = ck @ cov @ ck.T + np.diag(noise[seen] ** 2)
-                error = record.y[k][seen] - y.ravel()[seen]
-                try:
-                    root = np.linalg.inv(np.linalg.cholesky(spread))
-                except np.linalg.LinAlgError:
-                    return None
-                gain = cov @ ck.T @ root.T @ root
-                x = x + gain @ error
-                keep = eye - gain @ ck
-                cov = keep @ cov @ keep.T + (gain * noise[seen] ** 2) @ gain.T
-                white = root @ error
-                where = np.flatnonzero(seen)
-                es[k, where] = white
-                roots[k][np.ix_(where, where)] = root
-                gains[k][:, where] = gain
-                likelihood += float(white @ white) - 2 * float(np.log(np.diag(root)).sum())
-            x = np.clip(x, self.low, self.high)
-            xs[k], corrected[k] = x, cov
-            if k < rows - 1:
-                after = record.u[k] if record.holds else record.u[k + 1]
-                foreseen, a[k], b[k], g[k] = self._advance(x, record.u[k], after, p, record.h[k : k + 1])
-                x = foreseen.ravel().copy()
-                cov = a[k] @ cov @ a[k].T + np.diag(push * record.h[k])
-        if not np.isfinite(likelihood):
+        nx, ny, count = self._sizes
+        x, e, log, slopes = self._over("row", record, p, noise, intensity)
+        likelihood = float(np.sum(e**2) + np.sum(log))
+        if not (np.isfinite(likelihood) and np.isfinite(slopes).all()):
             return None
-        return ObserverRun(xs, before, es, a, b, g, c, d, gains, roots, predicted, corrected, likelihood)
+        rows = x.shape[1]
+        return ObserverRun(
+            x.T, e.T, slopes.T.reshape(rows, count, ny).transpose(0, 2, 1), x[:, 0].copy(), likelihood
+        )
+
+    def tape(self, record: ObservedRecord, p: np.ndarray, noise: np.ndarray, intensity: float) -> tuple[ObserverTape, np.ndarray]:
+        """The same run with all that its recursion was made of, and the first state (nx,) as all rows show it."""
+        nx, ny, _ = self._sizes
+        x, corrected, predicted, foreseen, a, g, c, gain, weight = self._over("tape", record, p, noise, intensity)
+        rows = x.shape[1]
+
+        def square(values: np.ndarray, columns: int) -> np.ndarray:
+            return values.T.reshape(rows, columns, -1).transpose(0, 2, 1)
+
+        tape = ObserverTape(square(a, nx), square(g, len(self.sites)), square(c, nx), square(gain, nx), weight.T)
+        # The smoother of Rauch, Tung and Striebel (1965), back to the first row.
+        late = x[:, -1]
+        now, before = square(corrected, nx), square(predicted, nx)
+        for k in range(rows - 2, -1, -1):
+            gains = np.linalg.lstsq(before[k + 1], tape.a[k] @ now[k], rcond=None)[0].T
+            late = x[:, k] + gains @ (late - foreseen[:, k + 1])
+        return tape, late
+
+    def _over(
+        self, which: str, record: ObservedRecord, p: np.ndarray, noise: np.ndarray, intensity: float
+    ) -> list[np.ndarray]:
+        nx, _, count = self._sizes
+        rows = len(record.y)
+        key = which, rows
+        if key not in self._runs:
+            self._runs[key] = (self._row if which == "row" else self._tape).mapaccum(rows)
+        after = record.u if record.holds else np.vstack([record.u[1:], record.u[-1:]])
+        seen = np.isfinite(record.y)
+        given = np.hstack([np.nan_to_num(record.y), seen, record.u, after, np.append(record.h, 0.0)[:, None]]).T
+        push = (intensity * record.scale) ** 2 / record.duration
+        first = np.concatenate([record.start, np.diag(record.spread**2).ravel(), np.zeros(nx * count)])
+        fixed = np.concatenate([p, noise**2, push])
+        return [np.asarray(r) for r in self._runs[key](first, given, np.tile(fixed[:, None], rows))[1:]]
 
 
-class _Buffered:
-    """A CasADi function of dense arguments that is called without copies between its own memory and arrays."""
-
-    def __init__(self, function: ca.Function) -> None:
-        self._buffer, self._evaluate = function.buffer()
-        self._function = function
-        self._arguments = [np.zeros(function.nnz_in(i)) for i in range(function.n_in())]
-        flat = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-        self._results = [r.reshape(function.size_out(i), order="F") for i, r in enumerate(flat)]
-        for i, each in enumerate(self._arguments):
-            if each.size:
-                self._buffer.set_arg(i, memoryview(each))
-        for i, each in enumerate(flat):
-            if each.size:
-                self._buffer.set_res(i, memoryview(each))
-
-    def __call__(self, *values: np.ndarray) -> list[np.ndarray]:
-        for own, value in zip(self._arguments, values, strict=True):
-            own[:] = value
-        self._evaluate()
-        return self._results
+def _integrate(
+    system: System,
+    sites: Sequence[str],
+    x: ca.SX,
+    u: ca.SX,
+    u1: ca.SX,
+    p: ca.SX,
+    h: ca.SX,
+    w: ca.SX,
+    substeps: int,
+) -> ca.SX:
+    """The state after ``h`` seconds by Runge-Kutta steps, with signals ``w`` held at the sites."""
+    force = ca.SX.zeros(x.numel())
+    for k, site in enumerate(sites):
+        row = system.state_names.index(next(b.state for b in system.balances if b.name == site))
+        force[row] += w[k] / system.storages[row]
+    rate = ca.Function("rate", [x, u, p, w], [system.explicit + force])
+    z, step = x, h / substeps
+    for k in range(substeps):
+        ua, um, ub = (u + (u1 - u) * (k + s) / substeps for s in (0, 0.5, 1))
+        k1 = rate(z, ua, p, w)
+        k2 = rate(z + step / 2 * k1, um, p, w)
+        k3 = rate(z + step / 2 * k2, um, p, w)
+        k4 = rate(z + step * k3, ub, p, w)
+        z = z + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return z
 
 
 def observe_records(problem: DiscoveryProblem, model: Model, initial: Mapping[str, Sequence[float]], most_rows: int) -> list[ObservedRecord]:

@@ -44,15 +44,17 @@ class LawPolicy:
     """The same with a term in the model."""
     most_rows: int = 600
     """Rows of a record that the observer runs over; of longer records every second, third... row."""
-    observed_terms: int = 30
+    observed_terms: int = 20
     """Terms that are run through the observer after the linear ranking: those that promise most."""
-    refitted_terms: int = 12
+    leading_decrease: float = 100.0
+    """Of these a term is refitted only if its objective there (minus twice the log-likelihood) is within this of the best."""
+    refitted_terms: int = 6
     """Terms that are refitted by simulation after that."""
     refit_iterations: int = 40
     """Iterations of such a refit."""
     starting_laws: int = 2
     """Single terms beside which a second one is looked for."""
-    second_terms: int = 6
+    second_terms: int = 4
     """Second terms that are refitted beside each of these."""
     finished_laws: int = 6
     """Laws that are refitted to the end and judged on the validation records."""

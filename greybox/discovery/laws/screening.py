@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.discovery.failures import SearchStage
-from greybox.discovery.laws.observer import ObservedRecord, Observer, ObserverRun, observe_records
+from greybox.discovery.laws.observer import ObservedRecord, Observer, ObserverRun, ObserverTape, observe_records
 from greybox.discovery.laws.policy import LawPolicy
 from greybox.discovery.laws.terms import LawTerm, list_terms
 from greybox.discovery.problem import DiscoveryProblem
@@ -27,9 +27,9 @@ class ObservedFit:
     initial: Mapping[str, tuple[float, ...]]
     objective: float
     intensity: float
-    observer: Observer
     records: Sequence[ObservedRecord]
     runs: Sequence[ObserverRun]
+    tapes: Sequence[ObserverTape]
     prior: np.ndarray
     """Mean and standard deviation (np, 2) of the constants before the records were seen."""
 
@@ -91,36 +91,61 @@ def fit_in_observer(
         return sum(r.likelihood for r in runs) + float(np.sum(((z - mean) / spread) ** 2)), runs
 
     z = start
-    best = min(((*run(z, q), q) for q in intensities), key=lambda one: one[0])
+    best = _descend({}, len(intensities) // 2, lambda k: (*run(z, intensities[k]), k), len(intensities))
     if not np.isfinite(best[0]):
         return None
     for _ in range(steps):
-        objective, runs, intensity = best
-        slopes = np.concatenate([r.slopes_of_constants().reshape(-1, len(names)) for r in runs])
+        objective, runs, at = best
+        slopes = np.concatenate([r.slopes.reshape(-1, len(names)) for r in runs])
         errors = np.concatenate([r.e.ravel() for r in runs])
         scaled = np.vstack([slopes * spread, np.eye(len(names))])
         target = np.concatenate([errors, (z - mean) / spread])
         move = -spread * np.linalg.lstsq(scaled, target, rcond=None)[0]
         for share in (1.0, 0.3, 0.1):
             tried = np.clip(z + share * move, bounds[:, 0], bounds[:, 1])
-            new = (*run(tried, intensity), intensity)
+            new = (*run(tried, intensities[at]), at)
             if new[0] < objective:
                 break
         else:
             break
-        z, best = tried, new
-        k = list(intensities).index(intensity)
-        for other in intensities[max(k - 1, 0) : k + 2]:
-            if other != intensity:
-                best = min(best, (*run(z, other), other), key=lambda one: one[0])
+        z = tried
+        best = _descend({at: new}, at, lambda k, z=z: (*run(z, intensities[k]), k), len(intensities))
         if objective - best[0] < policy.settled_decrease:
             break
-    objective, runs, intensity = best
-    firsts = np.array([r.first_state() for r in runs])
+    objective, runs, at = best
+    p = np.array(list(model.values.values()))
+    p[observer.columns] = z
+    taped = [observer.tape(r, p, noise, intensities[at]) for r in records]
+    firsts = np.array([start for _, start in taped])
     states = dict(zip(model.system.state_names, map(tuple, firsts.T.tolist()), strict=True))
     values = {**model.values, **dict(zip(names, map(float, z), strict=True))}
     prior = np.column_stack([mean, spread])
-    return ObservedFit(model, values, states, objective, intensity, observer, records, runs, prior)
+    return ObservedFit(model, values, states, objective, intensities[at], records, runs, [tape for tape, _ in taped], prior)
+
+
+def _descend(
+    known: dict[int, tuple[float, list[ObserverRun], int]],
+    at: int,
+    evaluate: Callable[[int], tuple[float, list[ObserverRun], int]],
+    count: int,
+) -> tuple[float, list[ObserverRun], int]:
+    """The least of a row of ``count`` values downhill from number ``at``."""
+
+    def value(k: int) -> float:
+        if not 0 <= k < count:
+            return np.inf
+        if k not in known:
+            known[k] = evaluate(k)
+        return known[k][0]
+
+    value(at)
+    if not np.isfinite(value(at)):
+        at = min(range(count), key=value)
+    while True:
+        lowest = min((at, at - 1, at + 1), key=value)
+        if lowest == at:
+            return known[at]
+        at = lowest
 
 
 def rank_terms(observed: ObservedFit, policy: LawPolicy) -> list[TermStart]:
@@ -147,8 +172,8 @@ def rank_terms(observed: ObservedFit, policy: LawPolicy) -> list[TermStart]:
             chunk = columns[first : first + COLUMNS]
             values = [signals.of(*column) for column in chunk]
             slopes = [
-                run.slopes_of_signals(np.column_stack([v[k] for v in values]), index[site]).reshape(-1, len(chunk))
-                for k, run in enumerate(runs)
+                tape.slopes_of_signals(np.column_stack([v[k] for v in values]), index[site]).reshape(-1, len(chunk))
+                for k, tape in enumerate(observed.tapes)
             ]
             for (term, shape, lag), (decrease, amplitude) in zip(chunk, free.regress(np.concatenate(slopes)), strict=True):
                 if decrease > (starts[term].decrease if term in starts else 0.0):
@@ -229,13 +254,13 @@ class _Projection:
 
     @classmethod
     def of(cls, observed: ObservedFit) -> _Projection:
-        names, records, runs = observed.observer.names, observed.records, observed.runs
+        names, records, runs = [q.name for q in observed.model.free_parameters], observed.records, observed.runs
         mean, spread = observed.prior.T
         z = np.array([observed.values[n] for n in names])
-        constants = np.concatenate([r.slopes_of_constants().reshape(-1, len(names)) for r in runs]) * spread
+        constants = np.concatenate([r.slopes.reshape(-1, len(names)) for r in runs]) * spread
         starts = [
-            run.slopes_of_start().reshape(-1, len(record.spread)) * record.spread
-            for run, record in zip(runs, records, strict=True)
+            tape.slopes_of_start().reshape(-1, len(record.spread)) * record.spread
+            for tape, record in zip(observed.tapes, records, strict=True)
         ]
         columns = np.hstack([constants, _block_diagonal(starts)])
         errors = np.concatenate([r.e.ravel() for r in runs])

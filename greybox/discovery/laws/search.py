@@ -1,3 +1,405 @@
-class Law: pass
-class LawSearch: pass
-def search_laws(): pass
+"""From terms to a law: the leading terms refitted by simulation, judged on the validation records, and set against a free curve.
+
+A law is accepted where the model with it follows the validation records, no law that is simpler or as simple does so as well, and a free
+curve in the place of one of its factors does not do better. Else the answer is the set of laws that do equally well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from greybox.discovery.certainty import Grade
+from greybox.discovery.decision import clean_cost_limit, make_check
+from greybox.discovery.execution import RefitJob
+from greybox.discovery.failures import SearchStage
+from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
+from greybox.discovery.holdout import HoldoutScores, validate_candidate
+from greybox.discovery.laws.curve import curve_effects
+from greybox.discovery.laws.equation import write_equation
+from greybox.discovery.laws.likeness import Likeness, find_likeness
+from greybox.discovery.laws.policy import LawPolicy
+from greybox.discovery.laws.screening import (
+    ObservedFit,
+    TermStart,
+    choose_terms,
+    fit_in_observer,
+    observe_terms,
+    rank_terms,
+)
+from greybox.discovery.laws.terms import LAW, LawTerm
+from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.findings import Check, Finding
+from greybox.model import Model
+from greybox.result import Fit
+from greybox.values import Printable, ReadOnly
+
+
+@dataclass(frozen=True)
+class LawFit:
+    """A law of one or two terms, fitted, and its rms error over noise on the validation records (infinite: not run there)."""
+
+    terms: tuple[LawTerm, ...]
+    candidate: CandidateFit
+    score: float = math.inf
+
+    @property
+    def complexity(self) -> int:
+        """Of its terms together."""
+        return sum(term.complexity for term in self.terms)
+
+    def criterion(self, policy: LawPolicy) -> float:
+        """Schwarz's criterion with a cost for complexity."""
+        return self.candidate.criterion + policy.complexity_cost * self.complexity
+
+
+@dataclass(frozen=True, eq=False)
+class Law(ReadOnly):
+    """One term of the answer as an equation.
+
+    Parameters
+    ----------
+    name, site
+        The effect in the model that it is, and the balance that it acts on.
+    equation
+        The term with its constants as numbers, in the names of the model, as SymPy reads it.
+    formula
+        The same with its constants by name.
+    unit
+        Unit of the balance.
+    grade
+        What may be said of it.
+    seen
+        Variable -> least and largest value in the records: beyond that range the law is a guess.
+    likeness
+        What it behaves as, where that has a name.
+    """
+
+    name: str
+    site: str
+    equation: str
+    formula: str
+    unit: str
+    grade: Grade
+    seen: Mapping[str, tuple[float, float]]
+    likeness: Likeness | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LawSearch(ReadOnly):
+    """What a search for laws ended with.
+
+    Parameters
+    ----------
+    laws
+        The terms of the law; none where nothing is missing or no equation explains it.
+    alternatives
+        Equations that explain the records as well: for each law the text of its terms.
+    plain, fit
+        The plain model and the model with the law as fits, validated; ``fit`` is None without a law.
+    candidate, baseline
+        Both as candidates.
+    is_clean
+        Whether only noise is left with the law.
+    checks
+        What the decision rests on.
+    tried
+        How many terms were ranked.
+    """
+
+    laws: tuple[Law, ...]
+    alternatives: tuple[tuple[str, ...], ...]
+    baseline: CandidateFit
+    candidate: CandidateFit | None
+    fit: Fit | None
+    is_clean: bool
+    checks: tuple[Check, ...] = ()
+    tried: int = 0
+
+    @property
+    def grade(self) -> Grade | None:
+        """That of the law; None without one."""
+        return self.laws[0].grade if self.laws else None
+
+
+@dataclass
+class _Search:
+    problem: DiscoveryProblem
+    scores: HoldoutScores
+    policy: DiscoveryPolicy
+    nominal: Mapping[str, float]
+    on_message: Callable[[str], None]
+    fits: list[LawFit] = field(default_factory=list)
+    tried: int = 0
+
+    @property
+    def limits(self) -> LawPolicy:
+        return self.policy.laws
+
+    def is_clean(self, candidate: CandidateFit) -> bool:
+        return candidate.per_sample <= clean_cost_limit(candidate.count, self.policy.selection)
+
+    # Terms beside a model
+
+    def find_terms(self, observed: ObservedFit, terms: tuple[LawTerm, ...], observe: int, refit: int) -> None:
+        """The laws that have one term more than the observed model, refitted."""
+        limits, name = self.limits, LAW if not terms else f"{LAW}_{len(terms) + 1}"
+        ranked = rank_terms(observed, limits)
+        self.tried += len(ranked)
+        observations = observe_terms(
+            self.problem, observed, self.nominal, choose_terms(ranked, observe, limits), name, limits
+        )
+        if not observations:
+            return
+        least = observations[0][1].objective
+        leading = [o for o in observations if o[1].objective - least < limits.leading_decrease][:refit]
+        for start, one in leading or observations[:1]:
+            fit = self.refit(one, limits.refit_iterations)
+            if fit is not None:
+                self.fits.append(LawFit((*terms, start.term), fit))
+
+    def refit(self, observed: ObservedFit, iterations: int) -> CandidateFit | None:
+        job = RefitJob(observed.model, (observed.values,), 1, iterations, observed.initial)
+        return self.problem.refit_all([job])[0]
+
+    # Judging
+
+    def ranked(self) -> list[LawFit]:
+        return sorted(self.fits, key=lambda law: law.criterion(self.limits))
+
+    def finish_leading(self) -> None:
+        """The leading laws refitted to the end and run over the validation records."""
+        best: dict[tuple[LawTerm, ...], LawFit] = {}
+        for law in self.ranked():
+            best.setdefault(tuple(sorted(law.terms, key=str)), law)
+        leading = list(best.values())[: self.limits.finished_laws]
+        finished = []
+        for law in leading:
+            fit = law.candidate
+            if fit.promised_decrease > self.limits.settled_decrease:
+                again = self.problem.refit_best(
+                    fit.model, [fit.model.values], 1, self.limits.finish_iterations, like=fit
+                )
+                fit = again if again is not None and again.cost < fit.cost else fit
+            finished.append(replace(law, candidate=fit, score=self.scores.score(fit)))
+        self.fits = finished
+
+
+def search_laws(
+    problem: DiscoveryProblem,
+    scores: HoldoutScores,
+    baseline: CandidateFit,
+    policy: DiscoveryPolicy,
+    on_message: Callable[[str], None],
+) -> LawSearch:
+    """The equation that a model lacks.
+
+    Parameters
+    ----------
+    problem
+        The estimation records; its model has the constants as the user gave them.
+    scores
+        The validation records.
+    baseline
+        The model without the law, fitted.
+    policy
+        The decision numbers.
+    on_message
+        Called with a line about each step.
+    """
+    limits = policy.laws
+    search = _Search(problem, scores, policy, _free_values(problem.model), on_message)
+    observed = _observe_plain(search, baseline)
+    if observed is not None:
+        again = search.refit(observed, limits.finish_iterations)
+        if again is not None and again.cost < baseline.cost:
+            baseline = again
+    if observed is None or not _lacks_something(search, baseline):
+        return LawSearch((), (), baseline, None, None, search.is_clean(baseline))
+    search.find_terms(observed, (), limits.observed_terms, limits.refitted_terms)
+    pass  # on_message(str(Finding(DiscoveryCode.LAW_TERMS_RANKED, values={"terms": search.tried})))
+    ranked = search.ranked()
+    if not any(search.is_clean(law.candidate) for law in ranked):
+        for law in ranked[: limits.starting_laws]:
+            beside = _observe_law(search, law)
+            if beside is not None:
+                search.find_terms(beside, law.terms, limits.observed_terms // 2, limits.second_terms)
+    search.finish_leading()
+    return _judge(search, _retest_baseline(search, baseline))
+
+
+def _free_values(model: Model) -> dict[str, float]:
+    return {q.name: q.value for q in model.free_parameters}
+
+
+def _observe_plain(search: _Search, baseline: CandidateFit) -> ObservedFit | None:
+    """The plain model in the observer, from the constants that it came with: those of its fit have swallowed the missing term."""
+    limits = search.limits
+    # An effect that the model has already keeps its fitted constants.
+    values = {**baseline.model.values, **search.nominal}
+    fit = partial(
+        fit_in_observer,
+        search.problem,
+        baseline.model.start(**values),
+        search.nominal,
+        {},
+        limits.intensities,
+        limits.observer_steps,
+        limits,
+    )
+    return search.problem.failures.attempt(SearchStage.SCREENING, baseline.effects, fit, None)
+
+
+def _observe_law(search: _Search, law: LawFit) -> ObservedFit | None:
+    limits, fit = search.limits, law.candidate
+    columns = fit.variables.initial.guess.T.tolist()
+    initial = dict(zip(fit.model.system.state_names, map(tuple, columns), strict=True))
+    return search.problem.failures.attempt(
+        SearchStage.SCREENING,
+        fit.effects,
+        partial(
+            fit_in_observer,
+            search.problem,
+            fit.model,
+            search.nominal,
+            initial,
+            limits.intensities,
+            limits.observer_steps,
+            limits,
+        ),
+        None,
+    )
+
+
+def _lacks_something(search: _Search, baseline: CandidateFit) -> bool:
+    return not search.is_clean(baseline) or search.scores.score(baseline) > search.policy.selection.visible_rms
+
+
+def _retest_baseline(search: _Search, baseline: CandidateFit) -> CandidateFit:
+    """The plain model once more, from the constants of the best law: one that is stuck elsewhere would make a law of nothing."""
+    ranked = search.ranked()
+    if not ranked:
+        return baseline
+    best = ranked[0].candidate
+    values = {n: v for n, v in best.model.values.items() if n in baseline.model.values}
+    again = search.problem.refit_best(baseline.model, [values], 1, search.limits.finish_iterations, like=None)
+    return again if again is not None and again.cost < baseline.cost else baseline
+
+
+def _judge(search: _Search, baseline: CandidateFit) -> LawSearch:
+    """The law, or the laws that do equally well."""
+    limits, selection = search.limits, search.policy.selection
+    nothing = LawSearch((), (), baseline, None, None, search.is_clean(baseline), tried=search.tried)
+    laws = [law for law in search.ranked() if np.isfinite(law.score)]
+    if not laws or not _lacks_something(search, baseline):
+        return nothing
+    before, least = search.scores.score(baseline), min(law.score for law in laws)
+    near = [law for law in laws if law.score <= (1 + limits.same_error) * max(least, 1.0)]
+    best = near[0]
+    subject = " + ".join(write_equation(best.candidate.model, best.terms))
+    gain = baseline.criterion - best.criterion(limits)
+    explained = (before - best.score) / max(before - 1, 1e-3) if np.isfinite(before) else 1.0
+    checks = [
+        make_check(DiscoveryRule.CRITERION_GAIN, gain, selection.criterion_gain, gain > selection.criterion_gain, subject),
+        Check.at_least(DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, explained, limits.least_share, subject),
+    ]
+    if not all(check.passed for check in checks):
+        return replace(nothing, checks=tuple(checks))
+    scale = max(best.candidate.per_sample, 1.0)
+    rivals = [
+        law
+        for law in near
+        if law is not best
+        and law.complexity <= best.complexity
+        and (law.candidate.criterion - best.candidate.criterion) / scale < selection.tie_cost
+    ]
+    checks += [
+        make_check(
+            DiscoveryRule.TIE,
+            (law.candidate.criterion - best.candidate.criterion) / scale,
+            selection.tie_cost,
+            True,
+            " + ".join(write_equation(law.candidate.model, law.terms)),
+        )
+        for law in rivals
+    ]
+    is_clean = search.is_clean(best.candidate) and best.score <= selection.visible_rms + limits.same_error
+    explains = Check.at_least(DiscoveryRule.HOLDOUT_EXPLAINED, explained, limits.established_share, subject)
+    curve = make_check(DiscoveryRule.LAW_CURVE, 0.0, limits.curve_gain, True, subject)
+    if not is_clean:
+        taken = _share_of_curve(search, best)
+        curve = make_check(DiscoveryRule.LAW_CURVE, taken, limits.curve_gain, taken <= limits.curve_gain, subject)
+    checks += [explains, curve]
+    if not curve.passed:
+        grade = Grade.STAND_IN
+    elif rivals or not (is_clean or explains.passed):
+        grade = Grade.PROBABLE
+    else:
+        grade = Grade.ESTABLISHED
+    fit = search.problem.failures.attempt(
+        SearchStage.HOLDOUT,
+        best.candidate.effects,
+        partial(validate_candidate, search.problem, best.candidate, search.scores.validation),
+        None,
+    )
+    if fit is None:
+        return replace(nothing, checks=tuple(checks))
+    return LawSearch(
+        _to_laws(best, fit, grade),
+        tuple(write_equation(law.candidate.model, law.terms) for law in rivals),
+        baseline,
+        best.candidate,
+        fit,
+        is_clean,
+        tuple(checks),
+        search.tried,
+    )
+
+
+def _share_of_curve(search: _Search, law: LawFit) -> float:
+    """Share of the law's error on the validation records that the best free curve in the place of one of its factors takes away."""
+    candidate, limits = law.candidate, search.limits
+    seen = _ranges(candidate)
+    best = 0.0
+    for model, start in curve_effects(candidate.model, law.terms, seen, limits):
+        job = RefitJob(model, (start,), 1, limits.curve_iterations, _first_states(candidate))
+        fit = search.problem.refit_all([job])[0]
+        if fit is not None and candidate.criterion - fit.criterion > search.policy.selection.criterion_gain:
+            best = max(best, 1 - search.scores.score(fit) / law.score)
+    return best
+
+
+def _first_states(candidate: CandidateFit) -> dict[str, tuple[float, ...]]:
+    columns = candidate.variables.initial.guess.T.tolist()
+    return dict(zip(candidate.model.system.state_names, map(tuple, columns), strict=True))
+
+
+def _ranges(candidate: CandidateFit) -> dict[str, tuple[float, float]]:
+    """Least and largest value of each state and input along the fitted runs."""
+    problem = candidate.problem
+    runs = problem.shooting(candidate.variables).simulate(candidate.variables.here)
+    states = np.concatenate([record.samples(x) for (_, x), record in zip(runs, problem.records, strict=True)])
+    inputs = np.concatenate([record.samples(record.u) for record in problem.records])
+    names = [*candidate.model.system.state_names, *(i.name for i in candidate.model.inputs)]
+    values = np.column_stack([states, inputs[:, : len(candidate.model.inputs)]])
+    return {n: (float(v.min()), float(v.max())) for n, v in zip(names, values.T, strict=True)}
+
+
+def _to_laws(best: LawFit, fit: Fit, grade: Grade) -> tuple[Law, ...]:
+    seen = _ranges(best.candidate)
+    values = {n: e.value for n, e in fit.parameters.items()}
+    model = fit.model.start(**{n: v for n, v in values.items() if n in fit.model.values})
+    texts = write_equation(model, best.terms)
+    laws = []
+    names = [e.name for e in model.effects if e.name.partition("_")[0] == LAW]
+    for name, term, text in zip(names, best.terms, texts, strict=True):
+        within = {v: seen[v] for v in term.variables}
+        laws.append(
+            Law(name, term.site, text, term.formula, term.site_unit, grade, within, find_likeness(model, name, term))
+        )
+    return tuple(laws)
