@@ -26,6 +26,9 @@ from greybox.cli.study import DISCOVER, Study
 if TYPE_CHECKING:
     from greybox.discovery import Discovery
 
+NO_EFFECTS = "none"
+"""What ``--effects`` takes for no effect at all."""
+
 
 @takes_study(DISCOVER)
 def discover(
@@ -47,18 +50,19 @@ def discover(
     only noise is left, "partly" if some effects are established and more is left, "ambiguous" if the records cannot distinguish
     effects, "unknown" if no effect of the catalogue is established (a fitted curve or a tone may then represent it). Where more
     than noise is left, smaller effects are searched for and selected on the --validate records: then report the error on a
-    third record. Writes DIR/discovery.json, the extended model as DIR/model.py (greybox fit DIR/model.py ... continues with
-    it), and DIR/report.html, a report for the browser. Every finished refit is stored in DIR/journal.jsonl: after Ctrl-C the
-    same command continues from there.
+    third record. With --laws the equation is looked for that no effect of the catalogue is. Effects in the folder effects/ of
+    the project are tried beside the catalogue. Writes DIR/discovery.json, the extended model as DIR/model.py (greybox fit
+    DIR/model.py ... continues with it), and DIR/report.html, a report for the browser. Every finished
+    refit is stored in DIR/journal.jsonl: after Ctrl-C the same command continues from there.
 
     greybox discover study.toml runs a study file; --write-study writes one from these options.
 
     Exit code 0: there is a verdict. 2: bad input, nothing was written. 130: interrupted.
     """
     from greybox.discovery import discover as discover_effects
-    from greybox.effects import effect
     from greybox.estimation import FitOptions
     from greybox.parallel import open_workers
+    from greybox.project.effects import find_effect, find_own_effects
 
     model = constrain(build_model(study), study)
     folder = check_writable(output or Path("results") / f"{model.name}-discover")
@@ -67,7 +71,9 @@ def discover(
     print_record_notes(records, validation, quiet)
     check_skip(study, validation)
     time_limit = read_time_limit(study)
-    candidates = [effect(name) for name in study.candidates] or None
+    only_laws = study.candidates == (NO_EFFECTS,)
+    candidates = () if only_laws else [find_effect(name) for name in study.candidates] or None
+    kept = () if only_laws or candidates else find_own_effects()
     journal = folder / "journal.jsonl"
     try:
         with open_workers(workers, cluster) as executor, show_search_progress() as (say, report):
@@ -89,6 +95,8 @@ def discover(
                 executor=executor,
                 workers=workers,
                 time_limit=time_limit,
+                beside=kept,
+                laws=study.laws or only_laws,
             )
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command continues from there" if journal.exists() else ""

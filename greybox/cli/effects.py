@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -15,6 +16,8 @@ from greybox.cli.study import FIT, SPECS
 if TYPE_CHECKING:
     from greybox.effects import EffectListing
 
+KEEP = "keep"
+
 
 def effects(
     model: Annotated[
@@ -22,9 +25,11 @@ def effects(
         typer.Argument(
             metavar="MODEL",
             autocompletion=completion.models,
-            help="The model in which they look for a place: its name or its file. Without MODEL, the catalogue is listed.",
+            help="The model in which they look for a place: its name or its file. Without MODEL, the catalogue is listed. The word"
+            " keep: the law of a discovery becomes an effect of the project.",
         ),
     ] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="With keep: what the effect is called.")] = None,
     *,
     effect: Annotated[
         Texts,
@@ -36,20 +41,38 @@ def effects(
             help=SPECS["effects"].help_for(FIT),
         ),
     ],
+    result: Annotated[
+        Path | None,
+        typer.Option(
+            "--result", metavar="FILE", help="With keep: the discovery.json. [default: the newest in results/]"
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """List the effects of the catalogue, or where they find a place in a model.
+
+    greybox effects keep NAME writes the law of a discovery to effects/NAME.py of the project: from then on it is a candidate
+    beside those of the catalogue. Any effect of your own in effects/ is.
 
     Prints name, site, parameters with units, and equation of each, and why an effect has no place.
     """
     from greybox.effects import CATALOGUE, EffectListing, find_placements
     from greybox.project import find_model
+    from greybox.project.effects import find_own_effects, keep_effect
 
+    if model == KEEP and name is not None:
+        from greybox.rendering.cli import written
+
+        typer.echo(written([keep_effect(name, result)]))
+        return
+    if name is not None or result is not None:
+        raise typer.BadParameter("NAME and --result go with keep, as in greybox effects keep end_stop")
+    entries = (*CATALOGUE, *find_own_effects())
     if model is None:
-        listing = EffectListing("", CATALOGUE)
+        listing = EffectListing("", entries)
     else:
         plant = add_effects(find_model(model), effect)
-        listing = EffectListing(plant.title, CATALOGUE, tuple(find_placements(plant, CATALOGUE)))
+        listing = EffectListing(plant.title, entries, tuple(find_placements(plant, entries)))
     typer.echo(json_format.dumps(_to_data(listing), indent=2) if json else str(listing))
 
 

@@ -32,11 +32,11 @@ def build_model(study: Study) -> Model:
 
 
 def add_effects(model: Model, names: Iterable[str]) -> Model:
-    """``model`` with these effects of the catalogue. Raises GreyboxError."""
-    from greybox.effects import effect
+    """``model`` with these effects of the catalogue or of the project. Raises GreyboxError."""
+    from greybox.project.effects import find_effect
 
     for name in names:
-        model = model + effect(name)
+        model = model + find_effect(name)
     return model
 
 

@@ -135,7 +135,7 @@ class Study:
         (COMPARE, DISCOVER),
         {
             COMPARE: "Also fit MODEL with each of these effects of the catalogue; A+B adds both effects to one model.",
-            DISCOVER: "Test only these effects of the catalogue. [default: all]",
+            DISCOVER: "Test only these effects of the catalogue; none: no effect, only equations, as with --laws. [default: all]",
         },
         metavar="NAME,...",
         complete=completion.effects,
@@ -164,6 +164,13 @@ class Study:
         "further",
         (DISCOVER,),
         "Search for smaller effects even where the residual is noise. Where more is left, they are always searched for.",
+    )
+    laws: bool = _study_field(
+        Switch(),
+        "--laws",
+        "laws",
+        (DISCOVER,),
+        "Where no effect is established or more than noise is left, look for the equation that is missing.",
     )
     outputs: tuple[str, ...] = _study_field(
         Names(split=True),

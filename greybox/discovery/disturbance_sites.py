@@ -145,7 +145,7 @@ def _slopes(
     slopes = []
     for m in matrices:
         values = ca.Function("m", [system.x, system.u, system.p], [ca.vec(m.T)])(x[rows].T, u[rows].T, p).full().T
-        slopes.append(np.nan_to_num(values).reshape(-1, *m.shape))
+        slopes.append(np.nan_to_num(values).reshape(len(values), *m.shape))
     return slopes[0], slopes[1], slopes[2], slopes[3][:, :, 0]
 
 

@@ -37,6 +37,8 @@ class SearchStage(StrEnum):
     """Further effects cannot be looked for."""
     EVIDENCE = "evidence"
     """The evidence for an effect cannot be gathered."""
+    LAWS = "laws"
+    """No equation can be looked for."""
     PROPOSAL = "proposal"
     """No experiment can be proposed."""
 

@@ -9,12 +9,12 @@ import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-from greybox.discovery.candidates import failed_candidates, list_candidates
+from greybox.discovery.candidates import CandidateList, failed_candidates, list_candidates
 from greybox.discovery.certainty import Grade
 from greybox.discovery.conclusion import weigh_evidence
 from greybox.discovery.decision import (
@@ -45,6 +45,7 @@ from greybox.discovery.holdout import (
     validate_candidate,
     worst_output,
 )
+from greybox.discovery.laws.search import LawSearch, search_laws
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
@@ -68,7 +69,7 @@ from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelec
 from greybox.discovery.shape_correction import is_shape_correction
 from greybox.discovery.starting_points import estimate_scales
 from greybox.discovery.surrogate import Surrogate, fit_surrogate
-from greybox.effects import Scales
+from greybox.effects import Scales, applicable_effects
 from greybox.errors import DataError
 from greybox.estimation import FitOptions
 from greybox.experiment import Experiment
@@ -161,6 +162,8 @@ def discover(
     on_refit: Callable[[int], None] | None = None,
     further: bool = False,
     time_limit: float = math.inf,
+    beside: Sequence[Effect] = (),
+    laws: bool = False,
 ) -> Discovery:
     """Find which effect, if any, ``model`` lacks.
 
@@ -207,6 +210,11 @@ def discover(
     time_limit
         Seconds after which no refit begins and the best answer so far is given as such: no effect in it counts as established. The
         first fit and the runs over the validation records are always made.
+    beside
+        Effects of one's own that are candidates beside those of the catalogue.
+    laws
+        Whether an equation is looked for where no effect is established or more than noise is left. With ``effects=()`` nothing of the
+        catalogue is tried, and the answer is an equation or none.
 
     Returns
     -------
@@ -253,7 +261,15 @@ def discover(
             model, _as_tuple(estimation), dict(noise or {}), _as_tuple(quiet), options, refits, policy.budget
         )
         scales = estimate_scales(problem.baseline)
-        listed = list_candidates(problem.model, scales, problem.failures, effects, without)
+        given = (
+            effects
+            if not beside or (laws and effects is not None and not effects)
+            else _with_own(model, effects, beside)
+        )
+        if laws and effects is not None and not effects:
+            listed = CandidateList(()) if not beside else list_candidates(model, scales, problem.failures, beside, ())
+        else:
+            listed = list_candidates(problem.model, scales, problem.failures, given, without)
         findings: tuple[Finding, ...] = ()
         judged = _select_and_judge(problem, listed.effects, scales, validation_set, policy, on_message)
         if problem.options.at_rest and not refits.is_late and _shows_on_validation_only(judged):
@@ -264,7 +280,7 @@ def discover(
             second_halves = ValidationSet(validation_set.records, half)
             judged = _select_and_judge(wider, listed.effects, scales, second_halves, policy, on_message)
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
-        result = _conclude(judged, listed.effects, findings, further)
+        result = _conclude(judged, listed.effects, findings, further, problem if laws else None)
         fitted = {name for key in judged.selection.fits if len(key) == 1 for name in key}
         failed = failed_candidates(listed.effects, problem.failures, fitted)
         not_reached: dict[str, Finding] = {}
@@ -390,8 +406,57 @@ def _decide(judged: JudgedSelection) -> Conclusion:
     return replace(decided, checks=(*decided.checks, *ties))
 
 
+def _with_own(model: Model, effects: Sequence[Effect] | None, beside: Sequence[Effect]) -> Sequence[Effect]:
+    """The candidates with those of one's own behind them; one of the same name comes in the place of the catalogue's."""
+    names = {e.name for e in beside}
+    return (*(e for e in effects or applicable_effects(model) if e.name not in names), *beside)
+
+
+@dataclass(frozen=True)
+class LawAnswer:
+    """What a search for laws makes of the answer: the verdict, the plain and the best model, what is left and the rivals."""
+
+    search: LawSearch
+    verdict: Verdict
+    base: Fit
+    best: Fit | None
+
+
+def _look_for_laws(
+    judged: JudgedSelection, problem: DiscoveryProblem, verdict: Verdict, final: FinalModel
+) -> LawAnswer:
+    """The equation that is missing beside what is established, as an answer."""
+    validation, selection = judged.scores.validation, judged.selection
+    baseline = problem.baseline
+    if verdict is Verdict.PARTLY:
+        again = problem.refit_best(final.candidate.model, [final.candidate.model.values], 1, like=final.candidate)
+        baseline = again or baseline
+    scores = HoldoutScores(problem, validation)
+    search = search_laws(problem, scores, baseline, selection.policy, selection.on_message)
+    plain = judged.base
+    if verdict is not Verdict.PARTLY and search.baseline is not problem.baseline:
+        plain = validate_candidate(problem, search.baseline, validation)
+    if search.fit is None or search.grade is Grade.STAND_IN:
+        # A plain model that only was stuck lacks nothing.
+        is_complete = verdict is not Verdict.PARTLY and not search.is_missing
+        return LawAnswer(search, Verdict.COMPLETE if is_complete else verdict, plain, None)
+    if search.alternatives:
+        reached = Verdict.AMBIGUOUS if search.is_clean else Verdict.UNKNOWN
+    elif search.grade is Grade.ESTABLISHED:
+        reached = Verdict.NAMED if search.is_clean else Verdict.PARTLY
+    else:
+        reached = Verdict.UNKNOWN
+    if verdict is Verdict.PARTLY and reached is Verdict.UNKNOWN:
+        reached = Verdict.PARTLY
+    return LawAnswer(search, reached, plain, search.fit)
+
+
 def _conclude(
-    judged: JudgedSelection, candidates: Sequence[Effect], findings: tuple[Finding, ...], further: bool
+    judged: JudgedSelection,
+    candidates: Sequence[Effect],
+    findings: tuple[Finding, ...],
+    further: bool,
+    of_laws: DiscoveryProblem | None = None,
 ) -> Discovery:
     """Decision, further effects, evidence for each effect, what is left, localisation, surrogate and proposals."""
     selection, selected = judged.selection, judged.selected
@@ -424,6 +489,23 @@ def _conclude(
     decided = weigh_evidence(decided, evidence, policy.certainty)
     verdict, holdout = decided.verdict, compare_holdout_errors(judged.base, final.fit)
     judged = replace(judged, best=final.fit, holdout=holdout)
+    answer: LawAnswer | None = None
+    is_open = verdict in (Verdict.UNKNOWN, Verdict.PARTLY)
+    if of_laws is not None and (is_open or not is_level_known(of_laws.noise_model)):
+        look = partial(_look_for_laws, judged, of_laws, verdict, final)
+        answer = attempt(SearchStage.LAWS, selected.effects, look, None)
+    if answer is not None:
+        verdict, decided = answer.verdict, replace(decided, verdict=answer.verdict)
+        best = answer.best or (answer.base if verdict is Verdict.COMPLETE else final.fit)
+        if answer.best is not None and answer.search.candidate is not None:
+            evidence = tuple(e for e in evidence if e.effect in answer.search.candidate.effects)
+            final = FinalModel(
+                HoldoutScores(of_laws or problem, judged.scores.validation), answer.search.candidate, best
+            )
+        holdout = compare_holdout_errors(answer.base, best)
+        judged = replace(judged, base=answer.base, best=best, holdout=holdout)
+        if verdict is Verdict.COMPLETE:
+            final, evidence = FinalModel(judged.scores, judged.baseline, best), ()
     location = _locate(judged.baseline, selection)
     surrogate: Surrogate | None = None
     next_steps: tuple[Finding, ...] = ()
@@ -438,7 +520,7 @@ def _conclude(
             judged.base,
             policy,
         )
-        if verdict is Verdict.UNKNOWN:
+        if verdict is Verdict.UNKNOWN and (answer is None or answer.best is None):
             surrogate = attempt(SearchStage.SURROGATE, selected.effects, represent, None)
     left_location = _locate(_under_less_noise(final), selection) if final.candidate.effects else location
     left = measure_remaining_error(
@@ -462,16 +544,22 @@ def _conclude(
         findings = (*findings, Finding(DiscoveryCode.SHAPE_CORRECTED, subject=_name(selected), values=values))
     fits = sorted(selection.fits.values(), key=lambda fit: fit.criterion)
     ranking = [RankedCandidate(f.effects, f.per_sample**0.5, f.criterion - fits[0].criterion) for f in fits]
+    search = answer.search if answer is not None else None
+    has_law = search is not None and answer is not None and answer.best is not None
+    summary = _summarise(judged, decided, evidence, left, location, surrogate)
+    if search is not None and answer is not None and verdict is not Verdict.COMPLETE:
+        summary = _summarise_laws(judged, search, has_law, summary, left)
+        findings = (*findings, *_law_ranges(search)) if has_law else findings
     return Discovery(
         verdict,
         judged.base,
-        final.fit,
-        [rival.effects for rival in judged.rivals],
+        judged.best,
+        [rival.effects for rival in judged.rivals] if not has_law else list(search.alternatives),
         holdout,
         ranking,
         location,
-        conclusion=_summarise(judged, decided, evidence, left, location, surrogate),
-        checks=(*judged.checks, *decided.checks),
+        conclusion=summary,
+        checks=(*judged.checks, *decided.checks, *(search.checks if search is not None else ())),
         path=tuple(selection.steps),
         findings=(*findings, *experiments, *limits),
         next_steps=next_steps,
@@ -482,6 +570,60 @@ def _conclude(
         left=left,
         policy=policy,
         options=problem.options,
+        laws=search.laws if search is not None and has_law else (),
+    )
+
+
+def _summarise_laws(
+    judged: JudgedSelection,
+    search: LawSearch,
+    has_law: bool,
+    without: tuple[Finding, ...],
+    left: Mapping[str, RemainingError],
+) -> tuple[Finding, ...]:
+    """The conclusion with the law: what it is, how certain, what it takes of the error; without one, that there is none."""
+    if not has_law:
+        values = {"terms": search.tried, "equations": [law.equation for law in search.laws]}
+        code = DiscoveryCode.LAW_STAND_IN if search.laws else DiscoveryCode.NO_LAW
+        return (*without, Finding(code, values=values))
+    terms = [{"equation": law.equation, "site": law.site, "unit": law.unit} for law in search.laws]
+    values = {"laws": terms, "rivals": [" + ".join(texts) for texts in search.alternatives]}
+    established = search.grade is Grade.ESTABLISHED
+    code = (
+        DiscoveryCode.LAWS_TIED
+        if search.alternatives
+        else DiscoveryCode.LAW_ESTABLISHED
+        if established
+        else DiscoveryCode.LAW_PROBABLE
+    )
+    output = worst_output(judged.holdout)
+    names = [law.name for law in search.laws]
+    reduced = _error_reduced(names, judged.holdout, judged.selection.policy.refinement.validation_share)
+    likeness = [
+        Finding(
+            DiscoveryCode.LAW_LIKENESS, subject=law.equation, values={"several": len(terms) > 1, **asdict(law.likeness)}
+        )
+        for law in search.laws
+        if law.likeness is not None
+    ]
+    remaining = [
+        Finding(DiscoveryCode.ERROR_LEFT, subject=o, values={**each.to_values(), "before": judged.holdout[o].before})
+        for o, each in left.items()
+        if not search.is_clean and o == output
+    ]
+    return (Finding(code, values=values), *likeness, *reduced, *remaining)
+
+
+def _law_ranges(search: LawSearch) -> tuple[Finding, ...]:
+    """Within what each law was seen."""
+    return tuple(
+        Finding(
+            DiscoveryCode.LAW_RANGE,
+            subject=law.equation,
+            values={"range": {v: list(ends) for v, ends in law.seen.items()}, "units": dict(law.units)},
+        )
+        for law in search.laws
+        if law.seen
     )
 
 

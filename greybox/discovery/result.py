@@ -13,6 +13,7 @@ from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.failures import SearchFailure
 from greybox.discovery.holdout import HoldoutError, worst_output
+from greybox.discovery.laws.search import Law
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.refinement import Refinement
@@ -89,6 +90,8 @@ class Discovery(Printable):
         How every model was estimated; the fits beside the search go straight to the whole record.
     seconds
         Time that it took.
+    laws
+        The terms of an equation that the best model has in the place of effects of the catalogue; ``alternatives`` are then equations.
     """
 
     verdict: Verdict
@@ -113,6 +116,7 @@ class Discovery(Printable):
     failures: tuple[SearchFailure, ...] = ()
     evidence: tuple[EffectEvidence, ...] = ()
     left: Mapping[str, RemainingError] = field(default_factory=dict)
+    laws: tuple[Law, ...] = ()
 
     @property
     def sites(self) -> tuple[str, ...]:
@@ -123,7 +127,7 @@ class Discovery(Printable):
     def extended(self) -> Fit:
         """The fit to go on with: the best model; with a surrogate instead where no effect is certain and that does better."""
         surrogate = self.surrogate
-        if self.verdict is not Verdict.UNKNOWN or surrogate is None:
+        if self.verdict is not Verdict.UNKNOWN or surrogate is None or self.laws:
             return self.best
         output = worst_output(self.holdout)
         is_better = surrogate.holdout[output].after < self.holdout[output].after
@@ -136,7 +140,11 @@ class Discovery(Printable):
 
     @property
     def effects(self) -> list[dict[str, Any]]:
-        """Name, site, parameters, grade, probability and share of each effect in the best model; none if the plain model is complete."""
+        """Name, site, parameters, grade, probability and share of each effect in the best model; none if the plain model is complete.
+
+        A law has its ``equation``, its ``formula`` and the ``range`` in which it was seen instead of probability and share.
+        """
+        laws = {law.name: law for law in self.laws}
         evidence = {e.effect: e for e in self.evidence}
         effects = []
         for bound in self.best.model.bound_effects:
@@ -152,6 +160,21 @@ class Discovery(Printable):
                         "unit": estimate.unit,
                         "interval": estimate.interval,
                     }
+            law = laws.get(bound.effect.name)
+            if law is not None:
+                effects.append(
+                    {
+                        "name": law.name,
+                        "site": law.site,
+                        "equation": law.equation,
+                        "formula": law.formula,
+                        "parameters": parameters,
+                        "grade": law.grade,
+                        "range": {v: list(ends) for v, ends in law.seen.items()},
+                        **({"memory": law.memory} if law.memory else {}),
+                    }
+                )
+                continue
             each = evidence.get(bound.effect.name)
             effects.append(
                 {

@@ -14,6 +14,7 @@ from greybox.effects.damping import DAMPING
 from greybox.effects.elasticity import ELASTICITY
 from greybox.effects.electrical import ELECTRICAL
 from greybox.effects.flow import FLOW
+from greybox.effects.formula import formula_effect
 from greybox.effects.friction import FRICTION
 from greybox.effects.intersample import BETWEEN_SAMPLES
 from greybox.effects.level import LEVEL
@@ -66,6 +67,7 @@ __all__ = [
     "bound_delays",
     "effect",
     "find_placements",
+    "formula_effect",
     "measure_scales",
     "place_effect",
     "tailor_to_record",

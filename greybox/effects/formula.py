@@ -32,8 +32,8 @@ def formula_effect(
     name, site
         As of `greybox.model.Effect`.
     formula
-        What acts there, in the names of the model's states and inputs and of ``parameters``, with ``+ - * / **``, ``abs``, ``sign``, ``exp``,
-        ``tanh``, ``sqrt``, ``sin``, ``cos``, ``max`` and ``min``.
+        What acts there, in the names of the model's states and inputs and of ``parameters``, with ``+ - * / **``, ``abs``, ``sign``,
+        ``exp``, ``tanh``, ``sqrt``, ``sin``, ``cos``, ``max`` and ``min``.
     parameters
         The constants in it, with units.
     amplitude
@@ -62,7 +62,9 @@ def formula_effect(
     """
     subject, constants = f"effect {name!r}", [q.name for q in parameters]
     if amplitude not in constants:
-        raise ModelError(f"{subject}: no parameter {amplitude!r} to multiply the formula; {nearest(amplitude, constants)}")
+        raise ModelError(
+            f"{subject}: no parameter {amplitude!r} to multiply the formula; {nearest(amplitude, constants)}"
+        )
     list_formula_names(subject, formula)  # refuses text that is none
     values = {q.name: q.value for q in parameters}
     shapes = [q for q in parameters if q.name not in (amplitude,) and not q.fixed]

@@ -6,6 +6,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+EFFECTS = "effects"
+"""The folder of a project with effects of its own."""
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -63,8 +65,8 @@ def _searched_folders(first: Path, named: bool) -> Iterator[Path]:
 
 def _belongs_to_user(root: Path) -> bool:
     """Whether everything that would be run in a project is the user's own."""
-    folder = root / "models"
-    return all(map(_is_users_own, (root, folder, *folder.glob("**/*.py"))))
+    folders = [root / "models", *(folder for folder in (root / EFFECTS,) if folder.is_dir())]
+    return all(map(_is_users_own, (root, *folders, *(file for folder in folders for file in folder.glob("**/*.py")))))
 
 
 def _is_users_own(path: Path) -> bool:

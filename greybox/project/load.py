@@ -12,10 +12,13 @@ import traceback
 from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
+from typing import TypeVar
 
 from greybox.errors import GreyboxError, ModelError
 from greybox.model import Model
 from greybox.project.folders import project_root
+
+Value = TypeVar("Value")
 
 
 def load_model_file(file: Path) -> ModuleType:
@@ -71,15 +74,22 @@ def models_in(module: ModuleType) -> dict[str, Model]:
 
     Raises ModelError for one that has no content.
     """
-    models = {
-        name: value for name, value in vars(module).items() if isinstance(value, Model) and not name.startswith("_")
-    }
+    models = values_in(module, Model)
     for name, model in models.items():
         if not all(hasattr(model, each.name) for each in fields(Model)):
             place = display_path(Path(module.__file__ or module.__name__))
             raise ModelError(f"{place}: {name} is a model that was never stated; write {name} = Model(...)")
+    return models
+
+
+def values_in(module: ModuleType, kind: type[Value]) -> dict[str, Value]:
+    """The values of a kind that a module makes, by variable; private names and those it only imports are left out."""
     elsewhere = _only_imported(Path(module.__file__)) if module.__file__ else set()
-    return {name: model for name, model in models.items() if name not in elsewhere}
+    return {
+        name: value
+        for name, value in vars(module).items()
+        if isinstance(value, kind) and not name.startswith("_") and name not in elsewhere
+    }
 
 
 def _only_imported(file: Path) -> set[str]:

@@ -11,9 +11,11 @@ from greybox.discovery.curve_shape import Parity, ShapeKind
 from greybox.discovery.discriminating_experiments import InputKind
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
+from greybox.discovery.laws.likeness import LikenessKind
 from greybox.findings import Check, Finding
 from greybox.rendering.quantities import change_text, quantity_text
 from greybox.rendering.registry import register, renders, sentence, sentences
+from greybox.units import format_unit
 
 if TYPE_CHECKING:
     from greybox.discovery import (
@@ -350,7 +352,8 @@ def _discovery(d: Discovery) -> str:
     evidence = {e.effect: e for e in d.evidence}
     for effect in d.effects:
         values = ", ".join(_parameter(name, parameter) for name, parameter in effect["parameters"].items())
-        lines.append(f"  {effect['name']} -> {effect['site']}: {values}")
+        equation = f"{effect['equation']}, " if "equation" in effect else ""
+        lines.append(f"  {effect['name']} -> {effect['site']}: {equation}{values}")
         if effect["name"] in evidence:
             lines.append(f"    {evidence[effect['name']]}")
     lines += [f"  {output}: rms error on the validation records {error}" for output, error in d.holdout.items()]
@@ -383,6 +386,70 @@ def _parameter(name: str, values: Mapping[str, Any]) -> str:
 def _effects_tied(finding: Finding) -> str:
     rivals = "; ".join(finding.values["rivals"])
     return f"The records are consistent with {finding.subject}, and equally with: {rivals}. They cannot distinguish these effects."
+
+
+def _laws_text(laws: Sequence[Mapping[str, str]]) -> str:
+    """``-0.6*a*b (1/s) in the prey balance``; several with ``and``."""
+    return list_text(
+        [
+            f"{law['equation']}{f' ({unit})' if (unit := law['unit']) not in ('', '-', '1') else ''} in the {law['site']} balance"
+            for law in laws
+        ]
+    )
+
+
+def _law_established(finding: Finding) -> str:
+    several = len(finding.values["laws"]) > 1
+    return (
+        f"The plain model lacks {'the terms' if several else 'the term'} {_laws_text(finding.values['laws'])}. No law that is simpler or"
+        " as simple does as well."
+    )
+
+
+def _laws_tied(finding: Finding) -> str:
+    v = finding.values
+    return (
+        f"The records are consistent with the law {_laws_text(v['laws'])}, and equally with: {'; '.join(v['rivals'])}. They cannot"
+        " distinguish these laws."
+    )
+
+
+LIKENESSES = {
+    LikenessKind.BIAS: "a constant bias of {size}",
+    LikenessKind.LINEAR: "a term proportional to {variable} with {size}",
+    LikenessKind.HARDENING: "a nonlinear spring or resistance with {size}",
+    LikenessKind.QUADRATIC_DRAG: "quadratic drag with {size}",
+    LikenessKind.DRY_FRICTION: "dry friction of {size}",
+    LikenessKind.STOP: "a stop or a threshold at {variable} = {place} with {size}",
+    LikenessKind.SATURATION: "a saturation over {variable}, at half of {size} where {variable} = {place}",
+    LikenessKind.SWITCH: "a switch over {variable}, at half of {size} where {variable} = {place}",
+    LikenessKind.MASS_ACTION: "mass action with {size}",
+    LikenessKind.CROWDING: "crowding with {size}",
+    LikenessKind.PERIODIC: "a periodic term of {size}",
+    LikenessKind.MEMORY: "a term with memory of {size}",
+}
+
+
+def _law_likeness(finding: Finding) -> str:
+    v = finding.values
+    place = "" if v["place"] is None else _quantity(v["place"], _shown_unit(v["place_unit"]))
+    words = LIKENESSES[LikenessKind(v["kind"])].format(
+        size=_quantity(abs(v["size"]), _shown_unit(v["size_unit"])), place=place, variable=v["variable"]
+    )
+    return f"{finding.subject if v['several'] else 'It'} behaves as {words}."
+
+
+def _shown_unit(unit: str) -> str:
+    return "" if unit in ("", "-", "1") else format_unit(unit)
+
+
+def _law_range(finding: Finding) -> str:
+    v = finding.values
+    ranges = [
+        f"{name} from {low:.3g} to {_quantity(high, _shown_unit(v['units'].get(name, '')))}"
+        for name, (low, high) in v["range"].items()
+    ]
+    return f"{finding.subject} was seen with {list_text(ranges)}: beyond that it is a guess"
 
 
 def _missing_signal(finding: Finding) -> str:
@@ -469,7 +536,20 @@ register(
         " times the noise.",
         DiscoveryCode.MISSING_SIGNAL: _missing_signal,
         DiscoveryCode.SURROGATE_FITTED: lambda f: f"As a surrogate, {surrogate_text(f.values)}.",
+        DiscoveryCode.LAW_ESTABLISHED: _law_established,
+        DiscoveryCode.LAW_PROBABLE: lambda f: (
+            f"No effect is established. The most probable law is {_laws_text(f.values['laws'])}; it is not established, as it leaves"
+            " too much."
+        ),
+        DiscoveryCode.LAWS_TIED: _laws_tied,
+        DiscoveryCode.LAW_STAND_IN: lambda f: (
+            f"The law {' + '.join(f.values['equations'])} follows the records, but a free curve in its place does better: it only stands in"
+            " for something else."
+        ),
+        DiscoveryCode.LAW_LIKENESS: _law_likeness,
+        DiscoveryCode.NO_LAW: "No equation among {terms} terms explains it.",
         # What a reader should know.
+        DiscoveryCode.LAW_RANGE: _law_range,
         DiscoveryCode.LEARNT_FROM_VALIDATION: "the estimation records do not show the effect: it was identified from the first half of"
         " the validation records",
         DiscoveryCode.TIME_OVER: "the search ended after {seconds:.3g} s, as asked, before it was finished: this is the best answer so far,"
@@ -525,6 +605,7 @@ register(
             f"measure {' and '.join(f.values['outputs'])} as well, to narrow down the site"
         ),
         # Steps of the search.
+        DiscoveryCode.LAW_TERMS_RANKED: "{terms} terms of equations ranked",
         DiscoveryCode.BASELINE_FITTED: "plain model: misfit {misfit:.3g} times the noise",
         DiscoveryCode.NOISE_WHITE: "the residual is white",
         DiscoveryCode.NOISE_FROM_RESIDUAL: _noise_from_residual,
@@ -573,6 +654,9 @@ register(
         DiscoveryRule.ESTIMATION_DECREASE: _check("share of the rms misfit removed", ">="),
         DiscoveryRule.VALIDATION_DECREASE: _check("validation misfit", "<="),
         DiscoveryRule.REFINED_ERROR: _check("validation misfit, against the model with corrected shapes,", "<="),
+        DiscoveryRule.LAW_CURVE: _check(
+            "share of the law's validation error that a free curve in its place takes away", "<="
+        ),
         DiscoveryRule.ESTABLISHED: _check("established, with probability", ">="),
     }
 )

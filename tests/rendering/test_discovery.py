@@ -89,6 +89,51 @@ FINDINGS = [
         " 98.8 % of the error on the validation records.",
     ),
     (
+        Code.LAW_ESTABLISHED,
+        *("", {"laws": [{"equation": "-0.6*a*b", "site": "prey", "unit": "1/s"}], "rivals": []}),
+        "The plain model lacks the term -0.6*a*b (1/s) in the prey balance. No law that is simpler or as simple does as well.",
+    ),
+    (
+        Code.LAW_PROBABLE,
+        *("", {"laws": [{"equation": "-0.3*abs(v)*v", "site": "force", "unit": "N"}], "rivals": []}),
+        "No effect is established. The most probable law is -0.3*abs(v)*v (N) in the force balance; it is not established, as it"
+        " leaves too much.",
+    ),
+    (
+        Code.LAWS_TIED,
+        *("", {"laws": [{"equation": "-0.2*x**3", "site": "force", "unit": "-"}], "rivals": ["0.9*sin(x)"]}),
+        "The records are consistent with the law -0.2*x**3 in the force balance, and equally with: 0.9*sin(x). They cannot distinguish"
+        " these laws.",
+    ),
+    (
+        Code.LAW_STAND_IN,
+        *("", {"terms": 300, "equations": ["-0.2*x**3"]}),
+        "The law -0.2*x**3 follows the records, but a free curve in its place does better: it only stands in for something else.",
+    ),
+    (
+        Code.LAW_LIKENESS,
+        *(
+            "-4.1e5*max(0, x - 0.121)",
+            {
+                "several": False,
+                "kind": "stop",
+                "size": -4.1e5,
+                "size_unit": "N/m",
+                "place": 0.121,
+                "place_unit": "m",
+                "variable": "x",
+            },
+        ),
+        "It behaves as a stop or a threshold at x = 0.121 m with 4.1e+05 N/m.",
+    ),
+    (
+        Code.LAW_RANGE,
+        *("-0.6*a*b", {"range": {"a": [1.4, 3.9], "b": [0.9, 2.6]}, "units": {"a": "1", "b": "mol/m^3"}}),
+        "-0.6*a*b was seen with a from 1.4 to 3.9 and b from 0.9 to 2.6 mol/m^3: beyond that it is a guess",
+    ),
+    (Code.NO_LAW, *("", {"terms": 300, "equations": []}), "No equation among 300 terms explains it."),
+    (Code.LAW_TERMS_RANKED, *("", {"terms": 300}), "300 terms of equations ranked"),
+    (
         Code.LEARNT_FROM_VALIDATION,
         *("", {}),
         "the estimation records do not show the effect: it was identified from the first half of the validation records",
@@ -333,6 +378,7 @@ CHECKS = {
     Rule.ESTIMATION_DECREASE: "backlash: share of the rms misfit removed 18.2 >= 20: no",
     Rule.VALIDATION_DECREASE: "backlash: validation misfit 18.2 <= 20: no",
     Rule.REFINED_ERROR: "backlash: validation misfit, against the model with corrected shapes, 18.2 <= 20: no",
+    Rule.LAW_CURVE: "backlash: share of the law's validation error that a free curve in its place takes away 18.2 <= 20: no",
     Rule.ESTABLISHED: "backlash: established, with probability 18.2 >= 20: no",
 }
 

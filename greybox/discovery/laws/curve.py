@@ -44,9 +44,9 @@ def curve_effects(
         unit = term.site_unit if not others else f"({term.site_unit})/({_unit_of(term, others)})"
         effect = _curve_effect(term, variable, others, shape, low, pitch, unit, heights)
         curved = model.without(name) + effect
-        own = next(b.model_names for b in curved.bound_effects if b.effect.name == LAW_CURVE)
+        names_in_model = next(b.model_names for b in curved.bound_effects if b.effect.name == LAW_CURVE)
         start = {n: v for n, v in model.values.items() if n in curved.values}
-        yield curved, start | {own[f"h{k}"]: float(v) for k, v in enumerate(heights)}
+        yield curved, start | {names_in_model[f"h{k}"]: float(v) for k, v in enumerate(heights)}
 
 
 def _product_of(term: LawTerm, factors: Sequence, values: Mapping[str, np.ndarray], shape: float) -> np.ndarray:

@@ -19,15 +19,15 @@ def write_equation(model: Model, terms: Sequence[LawTerm]) -> tuple[str, ...]:
 def law_values(model: Model, name: str) -> dict[str, float]:
     """The constants of the effect ``name`` by its own names."""
     bound = next(b for b in model.bound_effects if b.effect.name == name)
-    return {own: model.values[in_model] for own, in_model in bound.model_names.items() if in_model in model.values}
+    return {inner: model.values[in_model] for inner, in_model in bound.model_names.items() if in_model in model.values}
 
 
 def _write(model: Model, name: str, term: LawTerm) -> str:
     values = law_values(model, name)
     text = term.formula
-    for own, value in values.items():
+    for inner, value in values.items():
         number = number_text(value)
-        text = re.sub(rf"\b{re.escape(own)}\b", f"({number})" if value < 0 else number, text)
+        text = re.sub(rf"\b{re.escape(inner)}\b", f"({number})" if value < 0 else number, text)
     text = text.removeprefix("(").replace(")*", "*", 1) if text.startswith("(-") else text
     lag = values.get(term.constants.lag) if term.has_memory else None
     return text if lag is None else f"lag({text}, {number_text(lag)})"

@@ -28,8 +28,8 @@ from greybox.numerics import TINY
 class ObservedRecord:
     """One record as the observer reads it.
 
-    ``y`` (N, ny) with NaN where nothing was measured, ``u`` (N, nu), ``h`` (N-1,) seconds, ``start`` (nx,) and ``spread`` (nx,) of the first
-    state, ``scale`` (nx,) the size of each state's motion.
+    ``y`` (N, ny) with NaN where nothing was measured, ``u`` (N, nu), ``h`` (N-1,) seconds, ``start`` and ``spread`` (nx,) of the first
+    state, ``scale`` (nx,) the size of each state's motion; ``holds``: whether inputs are held between rows.
     """
 
     y: np.ndarray
@@ -47,11 +47,11 @@ class ObservedRecord:
 
 
 @dataclass(frozen=True, eq=False)
-class ObserverRun:
+class FilteredRun:
     """A run of the observer over one record; outputs are taken in one after the other, so that innovations are scalars.
 
-    ``x`` (N, nx) corrected states, ``e`` (N, ny) innovations over their standard deviation, zero where nothing was measured, ``slopes``
-    (N, ny, np) theirs along the constants, ``start`` (nx,) the first state as all rows show it; ``likelihood`` is minus twice its logarithm.
+    ``x`` (N, nx) corrected states, ``e`` (N, ny) innovations over their deviation, zero where nothing was measured,
+    ``slopes`` (N, ny, np) theirs along the constants, ``start`` (nx,) the first state; ``likelihood`` is minus twice its logarithm.
     """
 
     x: np.ndarray
@@ -62,7 +62,7 @@ class ObserverRun:
 
 
 @dataclass(frozen=True, eq=False)
-class ObserverTape:
+class FilterTape:
     """What the observer's recursion was made of along a run: with it the slopes along any signal follow.
 
     ``a`` (N, nx, nx), ``g`` (N, nx, sites), ``c`` and ``gain`` (N, ny, nx), ``weight`` (N, ny), one over the deviation of each innovation.
@@ -98,7 +98,7 @@ class ObserverTape:
         return slopes
 
 
-class Observer:
+class StateObserver:
     """An extended Kalman filter of a model, made once for it; rows are gone through inside CasADi."""
 
     def __init__(self, model: Model, names: Sequence[str], sites: Sequence[str], substeps: int) -> None:
@@ -111,7 +111,10 @@ class Observer:
         after = _integrate(system, sites, x, u, u1, p, h, w, substeps)
         free = ca.vertcat(*[p[c] for c in self.columns]) if count else ca.SX(0, 1)
         no_push = ca.DM.zeros(len(sites))
-        slopes = [ca.substitute(part, w, no_push) for part in (after, ca.jacobian(after, x), ca.jacobian(after, free), ca.jacobian(after, w))]
+        slopes = [
+            ca.substitute(part, w, no_push)
+            for part in (after, ca.jacobian(after, x), ca.jacobian(after, free), ca.jacobian(after, w))
+        ]
         advance = ca.Function("advance", [x, u, u1, p, h], [ca.densify(part) for part in slopes])
         y = system.outputs
         read = ca.Function("read", [x, u, p], [ca.densify(q) for q in (y, ca.jacobian(y, x), ca.jacobian(y, free))])
@@ -139,7 +142,9 @@ class Observer:
             s_now = s_now - ca.mtimes(gain, of_output)
             gains.append(gain.T)
         limited = [
-            ca.fmin(ca.fmax(corrected[k], low[k]), high[k]) if np.isfinite(low[k]) or np.isfinite(high[k]) else corrected[k]
+            ca.fmin(ca.fmax(corrected[k], low[k]), high[k])
+            if np.isfinite(low[k]) or np.isfinite(high[k])
+            else corrected[k]
             for k in range(nx)
         ]
         corrected = ca.vertcat(*limited)
@@ -150,34 +155,44 @@ class Observer:
         following = ca.vertcat(foreseen, ca.vec(p_next), ca.vec(s_next))
         given = [state, ca.vertcat(reading, seen, u, u1, h), ca.vertcat(p, variance, push)]
         results = [corrected, ca.vertcat(*e), log, ca.vec(ca.vertcat(*e_slopes))]
-        tape = [corrected, ca.vec(p_now), ca.vec(cov), z, ca.vec(a), ca.vec(g), ca.vec(of_x), ca.vec(ca.vertcat(*gains)), ca.vertcat(*weight)]
+        tape = [
+            corrected,
+            ca.vec(p_now),
+            ca.vec(cov),
+            z,
+            ca.vec(a),
+            ca.vec(g),
+            ca.vec(of_x),
+            ca.vec(ca.vertcat(*gains)),
+            ca.vertcat(*weight),
+        ]
         self._row = ca.Function("row", given, [following, *map(ca.densify, results)])
         self._tape = ca.Function("tape", given, [following, *map(ca.densify, tape)])
         self._sizes = nx, ny, count
         self._runs: dict[tuple[str, int], ca.Function] = {}
 
-    def run(self, record: ObservedRecord, p: np.ndarray, noise: np.ndarray, intensity: float) -> ObserverRun | None:
-        """Over one record, with process noise that moves each state by ``intensity`` times its scale over the record; None where it fails."""
-        nx, ny, count = self._sizes
+    def run(self, record: ObservedRecord, p: np.ndarray, noise: np.ndarray, intensity: float) -> FilteredRun | None:
+        """Over one record, with process noise that moves each state by ``intensity`` scales over the record; None where it fails."""
+        _, ny, count = self._sizes
         x, e, log, slopes = self._over("row", record, p, noise, intensity)
         likelihood = float(np.sum(e**2) + np.sum(log))
         if not (np.isfinite(likelihood) and np.isfinite(slopes).all()):
             return None
         rows = x.shape[1]
-        return ObserverRun(
-            x.T, e.T, slopes.T.reshape(rows, count, ny).transpose(0, 2, 1), x[:, 0].copy(), likelihood
-        )
+        return FilteredRun(x.T, e.T, slopes.T.reshape(rows, count, ny).transpose(0, 2, 1), x[:, 0].copy(), likelihood)
 
-    def tape(self, record: ObservedRecord, p: np.ndarray, noise: np.ndarray, intensity: float) -> tuple[ObserverTape, np.ndarray]:
+    def tape(
+        self, record: ObservedRecord, p: np.ndarray, noise: np.ndarray, intensity: float
+    ) -> tuple[FilterTape, np.ndarray]:
         """The same run with all that its recursion was made of, and the first state (nx,) as all rows show it."""
-        nx, ny, _ = self._sizes
+        nx = self._sizes[0]
         x, corrected, predicted, foreseen, a, g, c, gain, weight = self._over("tape", record, p, noise, intensity)
         rows = x.shape[1]
 
         def square(values: np.ndarray, columns: int) -> np.ndarray:
             return values.T.reshape(rows, columns, -1).transpose(0, 2, 1)
 
-        tape = ObserverTape(square(a, nx), square(g, len(self.sites)), square(c, nx), square(gain, nx), weight.T)
+        tape = FilterTape(square(a, nx), square(g, len(self.sites)), square(c, nx), square(gain, nx), weight.T)
         # The smoother of Rauch, Tung and Striebel (1965), back to the first row.
         late = x[:, -1]
         now, before = square(corrected, nx), square(predicted, nx)
@@ -231,7 +246,9 @@ def _integrate(
     return z
 
 
-def observe_records(problem: DiscoveryProblem, model: Model, initial: Mapping[str, Sequence[float]], most_rows: int) -> list[ObservedRecord]:
+def observe_records(
+    problem: DiscoveryProblem, model: Model, initial: Mapping[str, Sequence[float]], most_rows: int
+) -> list[ObservedRecord]:
     """The estimation records for an observer of ``model``; ``initial`` are first states by name, one value a record."""
     estimation = problem.prepare(model)
     names = model.system.state_names
@@ -262,5 +279,3 @@ def observe_records(problem: DiscoveryProblem, model: Model, initial: Mapping[st
         holds = problem.experiments[e].hold != "first"
         observed.append(ObservedRecord(y, u, np.diff(time), start, spread, scale, holds))
     return observed
-
-

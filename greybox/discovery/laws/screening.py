@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.discovery.failures import SearchStage
-from greybox.discovery.laws.observer import ObservedRecord, Observer, ObserverRun, ObserverTape, observe_records
+from greybox.discovery.laws.observer import FilteredRun, FilterTape, ObservedRecord, StateObserver, observe_records
 from greybox.discovery.laws.policy import LawPolicy
 from greybox.discovery.laws.terms import LawTerm, list_terms
 from greybox.discovery.problem import DiscoveryProblem
@@ -28,8 +28,8 @@ class ObservedFit:
     objective: float
     intensity: float
     records: Sequence[ObservedRecord]
-    runs: Sequence[ObserverRun]
-    tapes: Sequence[ObserverTape]
+    runs: Sequence[FilteredRun]
+    tapes: Sequence[FilterTape]
     prior: np.ndarray
     """Mean and standard deviation (np, 2) of the constants before the records were seen."""
 
@@ -71,18 +71,20 @@ def fit_in_observer(
     """
     names = [q.name for q in model.free_parameters]
     substeps = max(1, min(problem.prepare(model).step.substeps, policy.most_substeps))
-    observer = Observer(model, names, [name for name, _ in list_law_sites(model)], substeps)
+    observer = StateObserver(model, names, [name for name, _ in list_law_sites(model)], substeps)
     records = observe_records(problem, model, initial, policy.most_rows)
     noise = problem.noise_model.std
     bounds = np.array([model.parameter(n).bounds for n in names]).reshape(-1, 2)
     mean = np.array([model.values[n] for n in names])
     known = np.array([n in nominal for n in names], bool)
     mean[known] = [nominal[n] for n in names if n in nominal]
-    spread = np.where(known, policy.constant_spread * np.abs(mean), policy.unknown_spread * np.maximum(np.abs(mean), 1.0))
+    spread = np.where(
+        known, policy.constant_spread * np.abs(mean), policy.unknown_spread * np.maximum(np.abs(mean), 1.0)
+    )
     spread = np.where(spread > 0, spread, policy.unknown_spread)
     start = np.array([model.values[n] for n in names])
 
-    def run(z: np.ndarray, intensity: float) -> tuple[float, list[ObserverRun]]:
+    def run(z: np.ndarray, intensity: float) -> tuple[float, list[FilteredRun]]:
         p = np.array(list(model.values.values()))
         p[observer.columns] = z
         runs = [observer.run(r, p, noise, intensity) for r in records]
@@ -120,15 +122,17 @@ def fit_in_observer(
     states = dict(zip(model.system.state_names, map(tuple, firsts.T.tolist()), strict=True))
     values = {**model.values, **dict(zip(names, map(float, z), strict=True))}
     prior = np.column_stack([mean, spread])
-    return ObservedFit(model, values, states, objective, intensities[at], records, runs, [tape for tape, _ in taped], prior)
+    return ObservedFit(
+        model, values, states, objective, intensities[at], records, runs, [tape for tape, _ in taped], prior
+    )
 
 
 def _descend(
-    known: dict[int, tuple[float, list[ObserverRun], int]],
+    known: dict[int, tuple[float, list[FilteredRun], int]],
     at: int,
-    evaluate: Callable[[int], tuple[float, list[ObserverRun], int]],
+    evaluate: Callable[[int], tuple[float, list[FilteredRun], int]],
     count: int,
-) -> tuple[float, list[ObserverRun], int]:
+) -> tuple[float, list[FilteredRun], int]:
     """The least of a row of ``count`` values downhill from number ``at``."""
 
     def value(k: int) -> float:
@@ -155,7 +159,7 @@ def rank_terms(observed: ObservedFit, policy: LawPolicy) -> list[TermStart]:
     along = [np.column_stack([run.x, record.u]) for run, record in zip(runs, records, strict=True)]
     everywhere = dict(zip(names, np.concatenate(along).T, strict=True))
     sites = list_law_sites(model)
-    free = _Projection.of(observed)
+    free = _FreeDirections.of(observed)
     starts: dict[LawTerm, TermStart] = {}
     terms = list_terms(model, sites, everywhere, policy)
     index = {name: k for k, (name, _) in enumerate(sites)}
@@ -175,7 +179,9 @@ def rank_terms(observed: ObservedFit, policy: LawPolicy) -> list[TermStart]:
                 tape.slopes_of_signals(np.column_stack([v[k] for v in values]), index[site]).reshape(-1, len(chunk))
                 for k, tape in enumerate(observed.tapes)
             ]
-            for (term, shape, lag), (decrease, amplitude) in zip(chunk, free.regress(np.concatenate(slopes)), strict=True):
+            for (term, shape, lag), (decrease, amplitude) in zip(
+                chunk, free.regress(np.concatenate(slopes)), strict=True
+            ):
                 if decrease > (starts[term].decrease if term in starts else 0.0):
                     bounds = term.shape_bounds(everywhere)
                     starts[term] = TermStart(term, amplitude, shape, lag, bounds, decrease)
@@ -225,7 +231,9 @@ def observe_terms(
 class _Signals:
     """Terms along all records: a list of arrays, one a record."""
 
-    def __init__(self, everywhere: Mapping[str, np.ndarray], rows: Sequence[int], intervals: Sequence[np.ndarray]) -> None:
+    def __init__(
+        self, everywhere: Mapping[str, np.ndarray], rows: Sequence[int], intervals: Sequence[np.ndarray]
+    ) -> None:
         self._values, self._cuts, self._intervals = everywhere, np.cumsum(rows)[:-1], intervals
         self._kept: dict[tuple[object, ...], np.ndarray] = {}
 
@@ -246,14 +254,14 @@ def _through_lag(w: np.ndarray, h: np.ndarray, lag: float) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Projection:
+class _FreeDirections:
     """What the plain model's constants and first states can do to the innovations, and what they leave of them."""
 
     basis: np.ndarray
     rest: np.ndarray
 
     @classmethod
-    def of(cls, observed: ObservedFit) -> _Projection:
+    def of(cls, observed: ObservedFit) -> _FreeDirections:
         names, records, runs = [q.name for q in observed.model.free_parameters], observed.records, observed.runs
         mean, spread = observed.prior.T
         z = np.array([observed.values[n] for n in names])

@@ -7,7 +7,7 @@ curve in the place of one of its factors does not do better. Else the answer is 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -25,7 +25,6 @@ from greybox.discovery.laws.likeness import Likeness, find_likeness
 from greybox.discovery.laws.policy import LawPolicy
 from greybox.discovery.laws.screening import (
     ObservedFit,
-    TermStart,
     choose_terms,
     fit_in_observer,
     observe_terms,
@@ -37,7 +36,7 @@ from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.findings import Check, Finding
 from greybox.model import Model
 from greybox.result import Fit
-from greybox.values import Printable, ReadOnly
+from greybox.values import ReadOnly
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,12 @@ class Law(ReadOnly):
         What may be said of it.
     seen
         Variable -> least and largest value in the records: beyond that range the law is a guess.
+    units
+        Their units.
     likeness
         What it behaves as, where that has a name.
+    memory
+        Unit of what passes through its lag; empty for a law without memory.
     """
 
     name: str
@@ -87,7 +90,9 @@ class Law(ReadOnly):
     unit: str
     grade: Grade
     seen: Mapping[str, tuple[float, float]]
+    units: Mapping[str, str]
     likeness: Likeness | None = None
+    memory: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +115,8 @@ class LawSearch(ReadOnly):
         What the decision rests on.
     tried
         How many terms were ranked.
+    is_missing
+        Whether the plain model lacks something.
     """
 
     laws: tuple[Law, ...]
@@ -120,6 +127,7 @@ class LawSearch(ReadOnly):
     is_clean: bool
     checks: tuple[Check, ...] = ()
     tried: int = 0
+    is_missing: bool = True
 
     @property
     def grade(self) -> Grade | None:
@@ -128,7 +136,7 @@ class LawSearch(ReadOnly):
 
 
 @dataclass
-class _Search:
+class _LawSelection:
     problem: DiscoveryProblem
     scores: HoldoutScores
     policy: DiscoveryPolicy
@@ -213,16 +221,17 @@ def search_laws(
         Called with a line about each step.
     """
     limits = policy.laws
-    search = _Search(problem, scores, policy, _free_values(problem.model), on_message)
+    search = _LawSelection(problem, scores, policy, _free_values(problem.model), on_message)
     observed = _observe_plain(search, baseline)
     if observed is not None:
         again = search.refit(observed, limits.finish_iterations)
         if again is not None and again.cost < baseline.cost:
             baseline = again
     if observed is None or not _lacks_something(search, baseline):
-        return LawSearch((), (), baseline, None, None, search.is_clean(baseline))
+        is_missing = _lacks_something(search, baseline)
+        return LawSearch((), (), baseline, None, None, search.is_clean(baseline), is_missing=is_missing)
     search.find_terms(observed, (), limits.observed_terms, limits.refitted_terms)
-    pass  # on_message(str(Finding(DiscoveryCode.LAW_TERMS_RANKED, values={"terms": search.tried})))
+    on_message(str(Finding(DiscoveryCode.LAW_TERMS_RANKED, values={"terms": search.tried})))
     ranked = search.ranked()
     if not any(search.is_clean(law.candidate) for law in ranked):
         for law in ranked[: limits.starting_laws]:
@@ -237,7 +246,7 @@ def _free_values(model: Model) -> dict[str, float]:
     return {q.name: q.value for q in model.free_parameters}
 
 
-def _observe_plain(search: _Search, baseline: CandidateFit) -> ObservedFit | None:
+def _observe_plain(search: _LawSelection, baseline: CandidateFit) -> ObservedFit | None:
     """The plain model in the observer, from the constants that it came with: those of its fit have swallowed the missing term."""
     limits = search.limits
     # An effect that the model has already keeps its fitted constants.
@@ -255,7 +264,7 @@ def _observe_plain(search: _Search, baseline: CandidateFit) -> ObservedFit | Non
     return search.problem.failures.attempt(SearchStage.SCREENING, baseline.effects, fit, None)
 
 
-def _observe_law(search: _Search, law: LawFit) -> ObservedFit | None:
+def _observe_law(search: _LawSelection, law: LawFit) -> ObservedFit | None:
     limits, fit = search.limits, law.candidate
     columns = fit.variables.initial.guess.T.tolist()
     initial = dict(zip(fit.model.system.state_names, map(tuple, columns), strict=True))
@@ -276,11 +285,11 @@ def _observe_law(search: _Search, law: LawFit) -> ObservedFit | None:
     )
 
 
-def _lacks_something(search: _Search, baseline: CandidateFit) -> bool:
+def _lacks_something(search: _LawSelection, baseline: CandidateFit) -> bool:
     return not search.is_clean(baseline) or search.scores.score(baseline) > search.policy.selection.visible_rms
 
 
-def _retest_baseline(search: _Search, baseline: CandidateFit) -> CandidateFit:
+def _retest_baseline(search: _LawSelection, baseline: CandidateFit) -> CandidateFit:
     """The plain model once more, from the constants of the best law: one that is stuck elsewhere would make a law of nothing."""
     ranked = search.ranked()
     if not ranked:
@@ -291,13 +300,13 @@ def _retest_baseline(search: _Search, baseline: CandidateFit) -> CandidateFit:
     return again if again is not None and again.cost < baseline.cost else baseline
 
 
-def _judge(search: _Search, baseline: CandidateFit) -> LawSearch:
+def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
     """The law, or the laws that do equally well."""
     limits, selection = search.limits, search.policy.selection
     nothing = LawSearch((), (), baseline, None, None, search.is_clean(baseline), tried=search.tried)
     laws = [law for law in search.ranked() if np.isfinite(law.score)]
     if not laws or not _lacks_something(search, baseline):
-        return nothing
+        return replace(nothing, is_missing=_lacks_something(search, baseline))
     before, least = search.scores.score(baseline), min(law.score for law in laws)
     near = [law for law in laws if law.score <= (1 + limits.same_error) * max(least, 1.0)]
     best = near[0]
@@ -305,7 +314,9 @@ def _judge(search: _Search, baseline: CandidateFit) -> LawSearch:
     gain = baseline.criterion - best.criterion(limits)
     explained = (before - best.score) / max(before - 1, 1e-3) if np.isfinite(before) else 1.0
     checks = [
-        make_check(DiscoveryRule.CRITERION_GAIN, gain, selection.criterion_gain, gain > selection.criterion_gain, subject),
+        make_check(
+            DiscoveryRule.CRITERION_GAIN, gain, selection.criterion_gain, gain > selection.criterion_gain, subject
+        ),
         Check.at_least(DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, explained, limits.least_share, subject),
     ]
     if not all(check.passed for check in checks):
@@ -361,7 +372,7 @@ def _judge(search: _Search, baseline: CandidateFit) -> LawSearch:
     )
 
 
-def _share_of_curve(search: _Search, law: LawFit) -> float:
+def _share_of_curve(search: _LawSelection, law: LawFit) -> float:
     """Share of the law's error on the validation records that the best free curve in the place of one of its factors takes away."""
     candidate, limits = law.candidate, search.limits
     seen = _ranges(candidate)
@@ -399,7 +410,20 @@ def _to_laws(best: LawFit, fit: Fit, grade: Grade) -> tuple[Law, ...]:
     names = [e.name for e in model.effects if e.name.partition("_")[0] == LAW]
     for name, term, text in zip(names, best.terms, texts, strict=True):
         within = {v: seen[v] for v in term.variables}
+        units = {v: dict(term.units)[v] for v in within}
+        likeness = find_likeness(model, name, term)
         laws.append(
-            Law(name, term.site, text, term.formula, term.site_unit, grade, within, find_likeness(model, name, term))
+            Law(
+                name,
+                term.site,
+                text,
+                term.formula,
+                term.site_unit,
+                grade,
+                within,
+                units,
+                likeness,
+                term.product_unit if term.has_memory else "",
+            )
         )
     return tuple(laws)

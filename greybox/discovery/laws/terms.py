@@ -169,13 +169,21 @@ class LawTerm:
         self, name: str, amplitude: float, shape: float, lag: float, bounds: tuple[float, float], duration: float
     ) -> Effect:
         """The term as an effect with these start values; ``duration`` of the record in seconds bounds its memory."""
-        parameters = [Parameter(self.constants.amplitude, self.amplitude_unit, amplitude, description="amplitude of the law")]
+        parameters = [
+            Parameter(self.constants.amplitude, self.amplitude_unit, amplitude, description="amplitude of the law")
+        ]
         if self.shape is not None:
             start = float(np.clip(shape, *bounds))
-            parameters.append(Parameter(self.constants.shape, self.shape_unit, start, bounds, description="its constant of shape"))
+            parameters.append(
+                Parameter(self.constants.shape, self.shape_unit, start, bounds, description="its constant of shape")
+            )
         if self.has_memory:
             limits = (1e-4 * duration, 10 * duration)
-            parameters.append(Parameter(self.constants.lag, "s", float(np.clip(lag, *limits)), limits, description="its time constant"))
+            parameters.append(
+                Parameter(
+                    self.constants.lag, "s", float(np.clip(lag, *limits)), limits, description="its time constant"
+                )
+            )
         lag_unit = self.product_unit if self.has_memory else None
         return formula_effect(
             name,
@@ -235,7 +243,9 @@ def _list_products(
     shaped = {n: _list_shaped_functions(n, values[n]) for n in names}
     for n in names:
         for function in (*plain[n], *shaped[n]):
-            for m in short if function.shape_power is not None else (*short, *(m for m in monomials if _degree(m) == 2)):
+            for m in (
+                short if function.shape_power is not None else (*short, *(m for m in monomials if _degree(m) == 2))
+            ):
                 if not _is_repeated(function, m):
                     yield (*m, function)
     angles = [f for n in names for f in plain[n] if f.text.startswith(("sin", "cos"))]
@@ -316,11 +326,13 @@ def _list_shaped_functions(name: str, v: np.ndarray) -> list[Factor]:
 
 def _is_repeated(function: Factor, monomial: Sequence[Factor]) -> bool:
     """Whether the product is written in another way already: ``x*(1/x)``, ``x*abs(x)``, ``x*1/(c + x)``."""
-    own = next((m for m in monomial if m.variables == function.variables), None)
-    if own is None:
+    same = next((m for m in monomial if m.variables == function.variables), None)
+    if same is None:
         return False
     text = function.text
-    return text.startswith(("(1/", "abs(", "sign(", "max(")) or (text.startswith("(") and "**2 + " in text and function.power < 0)
+    return text.startswith(("(1/", "abs(", "sign(", "max(")) or (
+        text.startswith("(") and "**2 + " in text and function.power < 0
+    )
 
 
 def _degree(monomial: Sequence[Factor]) -> int:

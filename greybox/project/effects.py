@@ -1,0 +1,149 @@
+"""A project's own catalogue: effects that were written or kept in its folder ``effects/``."""
+
+from __future__ import annotations
+
+import json
+import keyword
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from greybox.effects import CATALOGUE, effect
+from greybox.effects.placement import AT
+from greybox.errors import ModelError, nearest
+from greybox.files import write_file
+from greybox.model import Effect
+from greybox.project.folders import EFFECTS, project_root, template_root
+from greybox.project.load import display_path, import_standalone, values_in
+from greybox.schemas import ResultKind, read_json
+
+
+def find_own_effects(folder: Path | None = None) -> tuple[Effect, ...]:
+    """The effects in ``effects/`` of the project around a folder.
+
+    Parameters
+    ----------
+    folder
+        Where the project is looked for, upwards; None for the working folder. A project with files of another user is none: nothing in
+        it is run.
+
+    Returns
+    -------
+    tuple of Effect
+        In the order of files and of names in them; none where there is no such folder.
+
+    Raises
+    ------
+    ModelError
+        For a file that cannot be run, with the line, and for two effects of one name.
+    """
+    root = project_root(folder)
+    if root is None or root == template_root().resolve():
+        return ()
+    effects: dict[str, tuple[Effect, Path]] = {}
+    for file in sorted((root / EFFECTS).glob("*.py")):
+        if file.name == "__init__.py":
+            continue
+        for entry in values_in(import_standalone(file), Effect).values():
+            if entry.name in effects:
+                other = display_path(effects[entry.name][1])
+                raise ModelError(
+                    f"{display_path(file)}: effect {entry.name!r} is in {other} already; rename one of them"
+                )
+            effects[entry.name] = entry, file
+    return tuple(entry for entry, _ in effects.values())
+
+
+def find_effect(name: str, folder: Path | None = None) -> Effect:
+    """An effect of the project, else of the catalogue, by its name; with ``_at_`` and the name of a site for that one.
+
+    Raises ModelError for an unknown name; the message lists the nearest ones.
+    """
+    kept = {e.name: e for e in find_own_effects(folder)}
+    if name in kept:
+        return kept[name]
+    if kept and name.partition(AT)[0] not in {e.name for e in CATALOGUE}:
+        raise ModelError(
+            f"neither the project nor the catalogue has an effect {name!r}; {nearest(name, [*kept, *(e.name for e in CATALOGUE)])}"
+        )
+    return effect(name)
+
+
+def keep_effect(name: str, result: Path | None = None, folder: Path | None = None) -> Path:
+    """Write the law of a discovery into ``effects/`` of the project, where every later discovery tries it.
+
+    Parameters
+    ----------
+    name
+        What the effect is called from now on.
+    result
+        The ``discovery.json`` with the law; None for the newest in ``results/``.
+    folder
+        Where the project is looked for; None for the working folder.
+
+    Returns
+    -------
+    Path
+        The file that was written.
+
+    Raises
+    ------
+    ModelError
+        Without a project, for a name that is taken or none, and for a result without a law.
+    """
+    root = project_root(folder)
+    if root is None:
+        raise ModelError("no project here to keep an effect in: a project has a folder models/; see greybox init")
+    if not name.isidentifier() or keyword.iskeyword(name):
+        raise ModelError(f"effect {name!r}: give a name of letters, digits and underscores, such as end_stop")
+    if name in {e.name for e in (*CATALOGUE, *find_own_effects(folder))}:
+        raise ModelError(f"effect {name!r}: there is one of this name already; give another one")
+    source = result or _newest_result(root)
+    laws = [e for e in read_json(source, ResultKind.DISCOVERY)["effects"] if "formula" in e]
+    if not laws:
+        raise ModelError(f"{display_path(source)} has no law to keep; greybox discover MODEL ... --laws looks for one")
+    path = root / EFFECTS / f"{name}.py"
+    path.parent.mkdir(exist_ok=True)
+    return write_file(path, _write_module(name, laws, display_path(source)))
+
+
+def _newest_result(root: Path) -> Path:
+    results = sorted(
+        (f for base in {root, Path.cwd()} for f in (base / "results").glob("*/discovery.json")),
+        key=lambda f: f.stat().st_mtime,
+    )
+    if not results:
+        raise ModelError("no results/*/discovery.json here; give the file: greybox effects keep NAME --result FILE")
+    return results[-1]
+
+
+def _write_module(name: str, laws: list[Mapping[str, Any]], source: str) -> str:
+    """The Python file of the effect; a law of several terms is several effects."""
+    lines = [
+        f'"""{name}: a law kept from {source}."""',
+        "",
+        "from greybox import Parameter",
+        "from greybox.effects import formula_effect",
+    ]
+    for k, law in enumerate(laws):
+        variable = name if k == 0 else f"{name}_{k + 1}"
+        amplitude = law["formula"].partition("*")[0]
+        seen = ", ".join(f"{v} from {low:.4g} to {high:.4g}" for v, (low, high) in law["range"].items())
+        lines += ["", f"# {law['equation']}" + (f", seen with {seen}" if seen else ""), f"{variable} = formula_effect("]
+        lines += [
+            f"    {json.dumps(variable)},",
+            f"    {json.dumps(law['site'])},",
+            f"    {json.dumps(law['formula'])},",
+            "    [",
+        ]
+        for q, values in law["parameters"].items():
+            value = values["value"]
+            bounds = f", ({abs(value) / 1e3!r}, {abs(value) * 1e3!r})" if q != amplitude and value > 0 else ""
+            lines.append(f"        Parameter({json.dumps(q)}, {json.dumps(values['unit'])}, {value!r}{bounds}),")
+        memory = law.get("memory")
+        extra = [f"    amplitude={json.dumps(amplitude)},"]
+        if memory:
+            lag = list(law["parameters"])[-1]
+            extra += [f"    lag={json.dumps(lag)},", f"    lag_unit={json.dumps(memory)},"]
+        lines += ["    ],", *extra, f"    source={json.dumps(f'a law of the records, {source}')},", ")"]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,91 @@
+"""From 'unknown' to a law: a plant without roles gets the term that it lacks, and a complete one none."""
+
+import json
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+
+import greybox as gb
+from greybox import Balance, Experiment, Model, Output, Parameter, State
+from greybox.discovery import load_discovery
+
+NOISE = 0.01
+
+
+def hunters(with_hunting: bool) -> Model:
+    """Lotka and Volterra's equations, the prey with or without being eaten; constants a third off."""
+
+    def balances(x, u, p):
+        hunted = {"hunted": -p.h * x.a * x.b} if with_hunting else {}
+        return [
+            Balance("prey", "1/s", 1, "a", growth=p.r * x.a, **hunted),
+            Balance("predators", "1/s", 1, "b", death=-p.d * x.b, eating=p.e * x.a * x.b),
+        ]
+
+    parameters = [Parameter(n, "1/s", v, (0, 10)) for n, v in (("r", 1.3), ("d", 0.8), ("e", 0.3), ("h", 0.8))]
+    return Model(
+        "hunters",
+        states=[State("a", "1", 3.0), State("b", "1", 1.0)],
+        inputs=[],
+        outputs=[Output("a", "1"), Output("b", "1")],
+        parameters=parameters if with_hunting else parameters[:3],
+        balances=balances,
+    )
+
+
+def record(name: str, start: tuple[float, float], seed: int) -> Experiment:
+    time = np.linspace(0, 10, 121)
+    run = solve_ivp(
+        lambda t, x: [x[0] - 0.6 * x[0] * x[1], -x[1] + 0.4 * x[0] * x[1]],
+        (0, 10),
+        start,
+        method="DOP853",
+        t_eval=time,
+        rtol=1e-9,
+        atol=1e-9,
+    )
+    y = run.y + NOISE * np.random.default_rng(seed).normal(size=run.y.shape)
+    return Experiment(name, time, {}, {"a": y[0], "b": y[1]})
+
+
+@pytest.fixture(scope="module")
+def found():
+    return gb.discover(
+        hunters(False),
+        record("one", (3.0, 1.0), 1),
+        validation=record("two", (1.5, 2.0), 2),
+        noise={"a": NOISE, "b": NOISE},
+        effects=(),
+        laws=True,
+    )
+
+
+def test_the_missing_term_is_named_as_an_equation(found):
+    assert found.verdict == "named" and found.alternatives == []
+    (law,) = found.effects
+    assert law["name"] == "law" and law["site"] == "prey" and law["grade"] == "established"
+    a, b = sympy.symbols("a b")
+    ratio = sympy.sympify(law["equation"], locals={"a": a, "b": b}) / (a * b)
+    assert ratio.is_number and float(ratio) == pytest.approx(-0.6, rel=0.02)
+    assert found.best.parameters["r"].value == pytest.approx(1.0, rel=0.02)
+
+
+def test_the_file_holds_equation_and_range(found, tmp_path):
+    data = load_discovery(found.save(tmp_path / "discovery.json"))
+    law = data["effects"][0]
+    assert law["formula"] == "k*a*b" and set(law["range"]) == {"a", "b"}
+    assert json.dumps(data)
+
+
+def test_nothing_is_claimed_of_a_complete_model():
+    answer = gb.discover(
+        hunters(True),
+        record("one", (3.0, 1.0), 3),
+        validation=record("two", (1.5, 2.0), 4),
+        noise={"a": NOISE, "b": NOISE},
+        effects=(),
+        laws=True,
+    )
+    assert answer.verdict == "complete" and answer.effects == [] and answer.laws == ()

@@ -1,0 +1,67 @@
+"""The terms that a balance may lack: their units close, each is written once, constants keep out of the way of variables."""
+
+import numpy as np
+import pytest
+import sympy
+
+from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.discovery.laws.policy import LawPolicy
+from greybox.discovery.laws.terms import ConstantNames, list_terms
+from greybox.units import parse_unit
+
+T = np.linspace(0, 1, 50)
+VALUES = {"x": 1e-3 * np.sin(9 * T), "v": 9e-3 * np.cos(9 * T), "F": 2 + np.sin(5 * T)}
+
+
+def rig() -> Model:
+    def balances(x, u, p):
+        return [
+            Balance("position", "m/s", 1, "x", velocity=x.v),
+            Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * x.x),
+        ]
+
+    return Model(
+        "rig",
+        states=[State("x", "m"), State("v", "m/s")],
+        inputs=[Input("F", "N")],
+        outputs=[Output("x", "m")],
+        parameters=[Parameter("M", "kg", 1.0, (0.1, 10)), Parameter("K", "N/m", 50.0, (1, 1e4))],
+        balances=balances,
+    )
+
+
+@pytest.fixture(scope="module")
+def terms():
+    return list_terms(rig(), [("force", "N")], VALUES, LawPolicy())
+
+
+def test_units_close_for_every_term(terms):
+    model = rig()
+    for term in terms[::7]:
+        effect = term.to_effect("law", 1.0, 1e-3, 0.1, term.shape_bounds(VALUES), 1.0)
+        assert (model + effect).system  # the model's own check of units is the oracle
+    cubic = next(t for t in terms if t.formula == "k*x**3")
+    assert parse_unit(cubic.amplitude_unit) == parse_unit("N/m^3")
+
+
+def test_products_and_functions_are_there_and_the_simplest_come_first(terms):
+    formulas = {t.formula for t in terms if not t.has_memory}
+    assert {"k", "k*x**3", "k*x*v", "k*abs(v)*v", "k*sign(v)", "k*max(0, x - c)", "k*tanh(v/c)"} <= formulas
+    assert [t.complexity for t in terms] == sorted(t.complexity for t in terms)
+    assert any(t.has_memory for t in terms)
+
+
+def test_no_two_terms_are_equal_up_to_algebra(terms):
+    static = [t for t in terms if not t.has_memory and t.complexity <= 5]
+    names = {n: sympy.Symbol(n, real=True) for n in (*VALUES, "k", "c")}
+    written = [sympy.simplify(sympy.sympify(t.formula, locals=names)) for t in static]
+    assert len(set(written)) == len(written)
+
+
+def test_a_sine_needs_an_angle_or_a_number(terms):
+    assert not [t for t in terms if "sin(x)" in t.formula]
+    assert [t for t in terms if t.formula == "k*sin(x/c)"]
+
+
+def test_constants_do_not_hide_variables():
+    assert ConstantNames.beside(["c", "a"]) == ConstantNames("k", "c_law", "T")
