@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from greybox.cli.fmu import is_fmu, run_fmu_check
 from greybox.cli.inputs import build_model, check_substeps, constrain, fit_options, layout_of, read_records
 from greybox.cli.options import Json, NoReport, check_writable, takes_study
 from greybox.cli.reporting import write_report
@@ -43,17 +44,20 @@ def check(
     if is_record(study.model):
         look_at_files(study, json)
         return
-    model = constrain(build_model(study), study)
-    check_substeps(study, model)
-    records, _ = read_records(study, model)
-    folder = check_writable(output or Path("results") / f"{model.name}-check")
-    result = check_model(
-        model,
-        records,
-        noise=dict(study.noise),
-        outputs=list(study.outputs) or None,
-        options=fit_options(study),
-    )
+    if is_fmu(study):
+        result, folder = run_fmu_check(study, output)
+    else:
+        model = constrain(build_model(study), study)
+        check_substeps(study, model)
+        records, _ = read_records(study, model)
+        folder = check_writable(output or Path("results") / f"{model.name}-check")
+        result = check_model(
+            model,
+            records,
+            noise=dict(study.noise),
+            outputs=list(study.outputs) or None,
+            options=fit_options(study),
+        )
     text = json_format.dumps(result.as_dict(), indent=2)
     saved = write_file(folder / "check.json", text + "\n")
     report = None if no_report else write_report(result, folder / "report.html")

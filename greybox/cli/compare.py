@@ -11,6 +11,7 @@ import typer
 
 from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
+from greybox.cli.fmu import is_fmu, run_fmu_comparison
 from greybox.cli.inputs import (
     add_effects,
     build_model,
@@ -84,6 +85,20 @@ def compare(
     from greybox.comparison.compare import NamedModel, compare_named
     from greybox.parallel import open_workers
 
+    if is_fmu(study):
+        check_workers(workers, cluster, {"--starts N": study.starts > 1})
+        result, prepared, folder = run_fmu_comparison(study, output)
+        _write(
+            result,
+            folder,
+            prepared.records,
+            prepared.others,
+            None if no_report else {},
+            quiet=silent,
+            json=json,
+            pictures=figures,
+        )
+        return
     plain = build_model(study)
     extensions = [tuple(name.strip() for name in text.split("+")) for text in study.candidates]
     models = [constrain(add_effects(plain, names), study) for names in ((), *extensions)]

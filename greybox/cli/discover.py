@@ -9,6 +9,7 @@ import typer
 
 from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error
+from greybox.cli.fmu import is_fmu, run_fmu_discovery
 from greybox.cli.inputs import (
     build_model,
     check_skip,
@@ -55,6 +56,8 @@ def discover(
     DIR/model.py ... continues with it), and DIR/report.html, a report for the browser. Every finished
     refit is stored in DIR/journal.jsonl: after Ctrl-C the same command continues from there.
 
+    MODEL may be an FMU, plant.fmu: effects at its inputs and outputs are looked for.
+
     greybox discover study.toml runs a study file; --write-study writes one from these options.
 
     Exit code 0: there is a verdict. 2: bad input, nothing was written. 130: interrupted.
@@ -64,6 +67,9 @@ def discover(
     from greybox.parallel import open_workers
     from greybox.project.effects import find_effect, find_own_effects
 
+    if is_fmu(study):
+        _discover_at_fmu(study, output, workers, cluster, json=json, page=not no_report, pictures=figures)
+        return
     model = constrain(build_model(study), study)
     folder = check_writable(output or Path("results") / f"{model.name}-discover")
     records, validation = read_records(study, model)
@@ -102,6 +108,42 @@ def discover(
         kept = f"; finished refits are in {journal}, the same command continues from there" if journal.exists() else ""
         exit_with_error(f"interrupted{kept}", ExitCode.INTERRUPTED)
     _write(result, folder, json=json, page=not no_report, pictures=figures)
+
+
+def _discover_at_fmu(
+    study: Study, output: Path | None, workers: int, cluster: str, *, json: bool, page: bool, pictures: bool
+) -> None:
+    """The same around an FMU: the answer, and fmu_fit.json of the FMU with the effects of the answer."""
+    from greybox.parallel import open_workers
+    from greybox.rendering.cli import report_line, written
+
+    try:
+        with open_workers(workers, cluster) as executor, show_search_progress() as (say, report):
+            result, folder = run_fmu_discovery(
+                study,
+                output,
+                _left_out(study),
+                on_message=say,
+                on_refit=report,
+                executor=executor,
+                workers=workers,
+                time_limit=read_time_limit(study),
+            )
+    except KeyboardInterrupt:
+        exit_with_error("interrupted", ExitCode.INTERRUPTED)
+    saved = result.discovery.save(folder / "discovery.json")
+    fitted = result.with_effects or result.prepared.fit
+    files = [saved, fitted.save(folder / "fmu_fit.json")]
+    typer.echo(saved.read_text(encoding="utf-8") if json else str(result), nl=not json)
+    try:
+        files += _draw_pictures(result.discovery, folder) if pictures else []
+        page_file = write_report(result.discovery, folder / "report.html") if page else None
+    except KeyboardInterrupt:
+        exit_with_error(f"interrupted while drawing; the answer is in {saved}", ExitCode.INTERRUPTED)
+    if not json:
+        typer.echo(f"\n{written(files)}")
+        if page_file:
+            typer.echo(report_line(page_file))
 
 
 def _left_out(study: Study) -> tuple[str, ...]:

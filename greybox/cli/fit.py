@@ -82,7 +82,7 @@ def fit(
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.
     """
-    from greybox.cli.fit_fmu import is_fmu, run_fmu_fit
+    from greybox.cli.fmu import is_fmu, run_fmu_fit
 
     if is_fmu(study):
         run_fmu_fit(study, output, json=json)

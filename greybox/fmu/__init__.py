@@ -1,7 +1,22 @@
-"""Plants that come as an FMU: read, simulated beside a record, and fitted like a model."""
+"""Plants that come as an FMU: read, simulated beside a record, fitted, and searched for missing effects like a model."""
 
 from greybox.fmu.description import FmuPlant, FmuVariable, read_fmu
+from greybox.fmu.effects import FmuDiscovery, FmuEffectFit, PreparedFmu, discover_fmu, fit_fmu_effects, prepare_fmu
 from greybox.fmu.fit_fmu import FmuFit, fit_fmu
 from greybox.fmu.simulator import FmuRunError, FmuSimulator
 
-__all__ = ["FmuFit", "FmuPlant", "FmuRunError", "FmuSimulator", "FmuVariable", "fit_fmu", "read_fmu"]
+__all__ = [
+    "FmuDiscovery",
+    "FmuEffectFit",
+    "FmuFit",
+    "FmuPlant",
+    "FmuRunError",
+    "FmuSimulator",
+    "FmuVariable",
+    "PreparedFmu",
+    "discover_fmu",
+    "fit_fmu",
+    "fit_fmu_effects",
+    "prepare_fmu",
+    "read_fmu",
+]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,10 @@ class FmuFit(Printable):
         Runs of one record or its beginning that the search took, and those of them that failed.
     equivalents
         What these runs cost: their rows over those of all records.
+    given
+        Variable -> value that was set and not fitted.
+    std
+        Output -> noise by which errors were weighted.
     """
 
     plant: FmuPlant
@@ -64,6 +68,8 @@ class FmuFit(Printable):
     runs: int
     failures: int
     equivalents: float
+    given: Mapping[str, float] = field(default_factory=dict)
+    std: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def success(self) -> bool:
@@ -167,7 +173,7 @@ def fit_fmu(
     std = {o.label: _find_noise(o, records, noise, policy) for o in plant.outputs}
     with FmuSimulator(plant, policy) as simulator:
         values = np.array([begin[v.name] for v in unknowns])
-        sizes = _choose_sizes(unknowns, values)
+        sizes = choose_sizes(unknowns, values)
         objective = FmuObjective(simulator, unknowns, given, records, std, policy, sizes)
         outcome = search_parameters(objective, values / sizes)
         values = objective.values(outcome.z)
@@ -187,13 +193,15 @@ def fit_fmu(
         plant,
         parameters,
         covariance,
-        _compute_misfits(plant, records, outcome.simulated, std),
-        _compute_misfits(plant, others, checked, std),
+        compute_misfits(plant, records, outcome.simulated, std),
+        compute_misfits(plant, others, checked, std),
         outcome.simulated,
         outcome.status,
         runs,
         failures,
         rows / sum(record.rows for record in records),
+        given,
+        std,
     )
 
 
@@ -208,7 +216,7 @@ class _AllColumns:
         return np.arange(self.size)
 
 
-def _choose_sizes(unknowns: Sequence[FmuVariable], values: np.ndarray) -> np.ndarray:
+def choose_sizes(unknowns: Sequence[FmuVariable], values: np.ndarray) -> np.ndarray:
     """What the unknowns are divided by: their start values; the width of their bounds where that is zero."""
     widths = np.array([high - low if np.isfinite(high - low) else 1.0 for low, high in (v.bounds for v in unknowns)])
     return np.where(values != 0, np.abs(values), widths)
@@ -238,12 +246,13 @@ def _find_noise(
     return max(estimate if np.isfinite(estimate) else 0.0, policy.least_std * movement) or 1.0
 
 
-def _compute_misfits(
+def compute_misfits(
     plant: FmuPlant,
     records: Sequence[Experiment],
     simulated: Mapping[str, Mapping[str, np.ndarray]],
     std: Mapping[str, float],
 ) -> dict[str, Misfit]:
+    """Output -> error of these runs."""
     misfits = {}
     for o in plant.outputs:
         measured = [r for r in records if o.label in r.outputs]

@@ -11,6 +11,10 @@ class FmuFitPolicy:
 
     difference: float = 1e-4
     """Step of a parameter for a slope, over its size: above what solvers with a tolerance of 1e-8 scatter, below what bends."""
+    sensitivity_steps: int = 4
+    """Runge-Kutta steps between two rows of a run with sensitivities."""
+    sensitivity_error: float = 1e-4
+    """Deviation of such a run from the one by the solver, over the movement of the output, up to which its slopes are used."""
     relative_tolerance: float = 1e-8
     """Relative tolerance asked of the FMU's solver."""
     iterations: int = 30
@@ -46,4 +50,33 @@ class FmuFitPolicy:
     """Smallest noise of an output, over its movement, by which errors are weighted: simulated records have none."""
 
 
+@dataclass(frozen=True)
+class FmuResponsePolicy:
+    """How the linear answer of an FMU to its inputs is identified, and how an effect is fitted with the FMU itself."""
+
+    change: float = 0.05
+    """Change of an input, over its movement: small beside what bends, large beside what solvers scatter."""
+    slowest: float = 10.0
+    """Longest times between two changes of sign, as the rows of a record over this."""
+    seed: int = 1
+    """Seed of the change, so that it can be repeated."""
+    least_answer: float = 1e-6
+    """Movement of an output, over that of its run, below which it does not answer to the inputs."""
+    orders: tuple[int, ...] = (1, 2, 3, 4, 6)
+    """Orders that are tried beside the one that the singular values show."""
+    least_explained: float = 0.5
+    """Share of the answer that the linear system must follow in each output; effects at inputs are not looked for below."""
+    unstable: float = 1e-3
+    """Distance of a pole from the unit circle outside of which an answer counts as unstable."""
+    imaginary: float = 1e-6
+    """Largest imaginary part of a continuous system, over its size, that is rounding."""
+    rounds: int = 6
+    """Most rounds of a fit of the local model and a run of the FMU there."""
+    settled: float = 0.01
+    """Change of the misfit, over its size, below which the FMU agrees with its local model."""
+    refined: int = 8
+    """Steps a row in which an input that an effect with memory changes is averaged."""
+
+
 DEFAULT_FMU_FIT = FmuFitPolicy()
+DEFAULT_RESPONSE = FmuResponsePolicy()

@@ -151,13 +151,17 @@ class FmuObjective:
         return np.column_stack(columns)
 
     def slopes(self, z: np.ndarray) -> list[np.ndarray]:
-        """Slopes (N, ny, n) of the residuals, by differences within the bounds: to one side, the other where a run fails, both where
-        ``central``; zero where neither side runs.
+        """Slopes (N, ny, n) of the residuals: by directional derivatives of the FMU; else by differences within the bounds, to one side,
+        the other where a run fails, both where ``central``; zero where neither side runs.
         """
         key = z.tobytes()
         if key in self._slopes:
             return self._slopes[key]
         rows_at, (low, high) = self.run(z), self.bounds
+        exact = None if self.central else self._differentiate(z)
+        if exact is not None:
+            self._slopes[key] = exact
+            return exact
         last = dict(self.simulated)
         result = [np.zeros((*r.shape, len(z))) for r in rows_at]
         for k in range(len(z)):
@@ -179,6 +183,19 @@ class FmuObjective:
                 result[e][:, :, k] = np.mean(sides, axis=0)
         self.simulated = last
         self._slopes[key] = result
+        return result
+
+    def _differentiate(self, z: np.ndarray) -> list[np.ndarray] | None:
+        std = np.array([self.std[o.label] for o in self.simulator.plant.outputs])
+        widths = self.policy.difference * np.maximum(np.abs(z), 1.0) * self.sizes
+        widths = np.where(z * self.sizes + widths > self.bounds[1] * self.sizes, -widths, widths)
+        result = []
+        for record in self.records:
+            run = self.simulated[record.name]
+            slopes = self.simulator.differentiate(record, self.settings(z), self.unknowns, widths, run)
+            if slopes is None:
+                return None
+            result.append(-slopes * self.sizes / std[None, :, None])
         return result
 
     def follow_slopes(self, z: np.ndarray) -> list[np.ndarray]:
