@@ -329,8 +329,8 @@ def discover_fmu(
         chosen = answer.best.model.effects
         if not chosen:
             return answer, None
-        own = {q.name for q in about.local.model.parameters}
-        start = {name: value for name, value in answer.best.model.values.items() if name not in own}
+        plain = {q.name for q in about.local.model.parameters}
+        start = {name: value for name, value in answer.best.model.values.items() if name not in plain}
         try:
             return answer, fit_fmu_effects(about, chosen, start=start, noise=noise, policy=policy, response=response)
         except FmuRunError:
