@@ -8,14 +8,26 @@ from typing import Annotated, Any
 import typer
 
 from greybox.cli import completion
-from greybox.cli.design import Fixed, Limits, Rates, SensorNoise, Start, build_plain_model, read_data
+from greybox.cli.design import build_plain_model, read_data
 from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error, print_note
 from greybox.cli.limits import parse_limits
-from greybox.cli.options import Json, NoReport, Texts, Workers, check_writable
+from greybox.cli.options import (
+    Fixed,
+    Json,
+    Limits,
+    NoReport,
+    Rates,
+    SensorNoise,
+    Start,
+    Texts,
+    Workers,
+    check_writable,
+    read_noise,
+    repeated,
+)
 from greybox.cli.reporting import write_report
 from greybox.cli.study import HoldName
-from greybox.cli.study_values import Numbers
 
 
 def campaign(
@@ -52,12 +64,11 @@ def campaign(
     ] = None,
     effects: Annotated[
         Texts,
-        typer.Option(
+        repeated(
             "--effect",
             metavar="NAME",
-            default_factory=list,
-            autocompletion=completion.effects,
-            help="Try only this effect of the catalogue; may be repeated. [default: all]",
+            complete=completion.effects,
+            text="Try only this effect of the catalogue; may be repeated. [default: all]",
         ),
     ],
     hold: Annotated[HoldName, typer.Option("--hold", help="The generator between samples.")] = HoldName.zero,
@@ -104,7 +115,7 @@ def campaign(
         parse_limits("--limit", limit, rate),
         duration,
         sampling_time,
-        Numbers(shape="OUTPUT=STD", example="x=2e-7").from_option("--noise", noise),
+        read_noise(noise),
         read_data(data, plain) if data else (),
         width,
         tuple(effects),

@@ -13,7 +13,19 @@ from greybox.cli import completion
 from greybox.cli.exits import print_note
 from greybox.cli.export import load_fit_with_model
 from greybox.cli.limits import parse_limits
-from greybox.cli.options import Json, NoReport, Texts, check_writable
+from greybox.cli.options import (
+    Fixed,
+    Json,
+    Limits,
+    NoReport,
+    Rates,
+    SensorNoise,
+    Start,
+    Texts,
+    check_writable,
+    read_noise,
+    repeated,
+)
 from greybox.cli.reporting import write_report
 from greybox.cli.study import HoldName
 from greybox.cli.study_values import Numbers
@@ -40,54 +52,6 @@ class CriterionChoice(StrEnum):
     D = "D"
     A = "A"
     E = "E"
-
-
-Limits = Annotated[
-    Texts,
-    typer.Option(
-        "--limit",
-        metavar="NAME=LOW:HIGH",
-        default_factory=list,
-        autocompletion=completion.signals,
-        help="Range of an input, output or state, in its unit; an end may be left out, as in --limit x=:1e-4.",
-    ),
-]
-Rates = Annotated[
-    Texts,
-    typer.Option(
-        "--rate", metavar="NAME=R", default_factory=list, help="Largest change of an input in a second, in its unit."
-    ),
-]
-SensorNoise = Annotated[
-    Texts,
-    typer.Option(
-        "--noise",
-        metavar="OUTPUT=STD",
-        default_factory=list,
-        autocompletion=completion.outputs,
-        help="Standard deviation of the sensor noise of an output. [default: that of the fit]",
-    ),
-]
-Fixed = Annotated[
-    Texts,
-    typer.Option(
-        "--fix",
-        metavar="NAME=VALUE",
-        default_factory=list,
-        autocompletion=completion.constants,
-        help="Fix a known parameter of MODEL at VALUE; NAME alone fixes it at the value in the model.",
-    ),
-]
-Start = Annotated[
-    Texts,
-    typer.Option(
-        "--start",
-        metavar="NAME=VALUE",
-        default_factory=list,
-        autocompletion=completion.constants,
-        help="Value of a parameter of MODEL.",
-    ),
-]
 
 
 def design(
@@ -128,40 +92,36 @@ def design(
     ] = None,
     constant: Annotated[
         Texts,
-        typer.Option(
+        repeated(
             "--constant",
             metavar="NAME",
-            default_factory=list,
-            help="For precision: a parameter that counts; may be repeated. [default: all]",
+            text="For precision: a parameter that counts; may be repeated. [default: all]",
         ),
     ],
     rival: Annotated[
         Texts,
-        typer.Option(
+        repeated(
             "--rival",
             metavar="EFFECT[+EFFECT]",
-            default_factory=list,
-            help="For discrimination: effects of the model that are another explanation; none is the plain model.",
+            text="For discrimination: effects of the model that are another explanation; none is the plain model.",
         ),
     ],
     effect: Annotated[
         Texts,
-        typer.Option(
+        repeated(
             "--effect",
             metavar="NAME",
-            default_factory=list,
-            autocompletion=completion.effects,
-            help="For detection: an effect that may hide; may be repeated. [default: all that have a place]",
+            complete=completion.effects,
+            text="For detection: an effect that may hide; may be repeated. [default: all that have a place]",
         ),
     ],
     noise: SensorNoise,
     sensor: Annotated[
         Texts,
-        typer.Option(
+        repeated(
             "--sensor",
             metavar="OUTPUT=STD",
-            default_factory=list,
-            help="A sensor that could be added, with the standard deviation of its noise.",
+            text="A sensor that could be added, with the standard deviation of its noise.",
         ),
     ],
     hold: Annotated[
@@ -212,8 +172,8 @@ def design(
         rivals=[*rivals, *rival],
         plain=plain,
         effects=effect,
-        noise=Numbers(shape="OUTPUT=STD", example="x=2e-7").from_option("--noise", noise),
-        sensors=Numbers(shape="OUTPUT=STD", example="x=2e-7").from_option("--sensor", sensor),
+        noise=read_noise(noise),
+        sensors=read_noise(sensor, "--sensor"),
         hold=hold.value,
         options=_options(at_rest) if at_rest or data is None else None,
     )
@@ -235,7 +195,7 @@ def read_source(
     model: str | None,
     fixed: Sequence[str],
     start: Sequence[str],
-    noise: Sequence[str],
+    noise: list[str],
     at_rest: bool,
     sampling_time: float | None = None,
 ) -> tuple[Model | Fit, Fit | None, list[str]]:
@@ -255,7 +215,7 @@ def read_source(
     if not data:
         return plant, None, []
     records = read_data(data, plant, sampling_time)
-    levels = Numbers(shape="OUTPUT=STD", example="x=2e-7").from_option("--noise", noise)
+    levels = read_noise(noise)
     return _fit(plant, records, levels, _options(at_rest)), None, []
 
 

@@ -20,7 +20,7 @@ from greybox.cli.findings import CommandCode
 from greybox.cli.study import STUDY_COMMANDS, Spec, Study, fields_of
 from greybox.cli.study_file import is_study_file, read_study, with_overrides
 from greybox.cli.study_file import write_study as store_study
-from greybox.cli.study_values import Count
+from greybox.cli.study_values import Count, Numbers
 from greybox.cli.usage_errors import describe_missing_argument
 from greybox.errors import GreyboxError
 from greybox.findings import Finding
@@ -49,6 +49,47 @@ Cluster = Annotated[
         show_default=False,
     ),
 ]
+
+
+def repeated(*flags: str, metavar: str, text: str, complete: Callable[..., Any] | None = None) -> Any:
+    """An option that may be given several times; ``text`` is its help, ``complete`` what a shell completes."""
+    return typer.Option(*flags, metavar=metavar, default_factory=list, autocompletion=complete, help=text)
+
+
+Limits = Annotated[
+    Texts,
+    repeated(
+        "--limit",
+        metavar="NAME=LOW:HIGH",
+        complete=completion.signals,
+        text="Range of an input, output or state, in its unit; an end may be left out, as in --limit x=:1e-4.",
+    ),
+]
+Rates = Annotated[
+    Texts, repeated("--rate", metavar="NAME=R", text="Largest change of an input in a second, in its unit.")
+]
+SensorNoise = Annotated[
+    Texts,
+    repeated(
+        "--noise",
+        metavar="OUTPUT=STD",
+        complete=completion.outputs,
+        text="Standard deviation of the sensor noise of an output. [default: that of the fit]",
+    ),
+]
+Fixed = Annotated[
+    Texts,
+    repeated(
+        "--fix",
+        metavar="NAME=VALUE",
+        complete=completion.constants,
+        text="Fix a known parameter of MODEL at VALUE; NAME alone fixes it at the value in the model.",
+    ),
+]
+Start = Annotated[
+    Texts,
+    repeated("--start", metavar="NAME=VALUE", complete=completion.constants, text="Value of a parameter of MODEL."),
+]
 Figures = Annotated[bool, typer.Option("--figures", help="Also write the figures of the report as PNG and SVG.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON instead of text.")]
 Silent = Annotated[bool, typer.Option("--quiet-output", "-q", help="Print nothing but errors.")]
@@ -64,6 +105,11 @@ RECORDS = {
 """What the records to fit are called in the help of each command."""
 WITHOUT_RECORDS = ("check", "simulate")
 """Commands that need no records."""
+
+
+def read_noise(given: list[str], flag: str = "--noise") -> dict[str, float]:
+    """Standard deviations by output, as ``--noise`` and its like give them. Raises GreyboxError."""
+    return Numbers(shape="OUTPUT=STD", example="x=2e-7").from_option(flag, given)
 
 
 def takes_study(command: str) -> Callable[[Callable[..., None]], Callable[..., None]]:

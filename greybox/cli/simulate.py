@@ -16,7 +16,7 @@ from greybox.cli.exits import exit_with_error, print_findings, print_note
 from greybox.cli.findings import CommandCode
 from greybox.cli.inputs import add_effects, check_substeps, layout_of
 from greybox.cli.limits import parse_limits, refuse_broken_limits
-from greybox.cli.options import NoReport, Texts, check_writable, takes_study
+from greybox.cli.options import NoReport, Texts, check_writable, read_noise, repeated, takes_study
 from greybox.cli.policy import COMMANDS
 from greybox.cli.reporting import write_report
 from greybox.cli.study import SIMULATE, Study
@@ -31,34 +31,31 @@ if TYPE_CHECKING:
 
 Values = Annotated[
     Texts,
-    typer.Option(
+    repeated(
         "--set",
         "--fix",
         "--start",
         metavar="NAME=VALUE",
-        default_factory=list,
-        autocompletion=completion.constants,
-        help="Value of a parameter, in its unit.",
+        complete=completion.constants,
+        text="Value of a parameter, in its unit.",
     ),
 ]
 Initial = Annotated[
     Texts,
-    typer.Option(
+    repeated(
         "--initial",
         metavar="STATE=VALUE",
-        default_factory=list,
-        autocompletion=completion.states,
-        help="Initial value of a state, in its unit.",
+        complete=completion.states,
+        text="Initial value of a state, in its unit.",
     ),
 ]
-Noise = Annotated[
+AddedNoise = Annotated[
     Texts,
-    typer.Option(
+    repeated(
         "--noise",
         metavar="OUTPUT=STD",
-        default_factory=list,
-        autocompletion=completion.outputs,
-        help="Standard deviation of white noise added to an output, in its unit.",
+        complete=completion.outputs,
+        text="Standard deviation of white noise added to an output, in its unit.",
     ),
 ]
 
@@ -101,15 +98,14 @@ def simulate(
     ] = None,
     set_: Values,
     initial: Initial,
-    noise: Noise,
+    noise: AddedNoise,
     limit: Annotated[
         Texts,
-        typer.Option(
+        repeated(
             "--limit",
             metavar="NAME=LOW:HIGH",
-            default_factory=list,
-            autocompletion=completion.signals,
-            help="Range of an input, output or state: a run that leaves it ends with exit code 1, as a rig's emergency stop would.",
+            complete=completion.signals,
+            text="Range of an input, output or state: a run that leaves it ends with exit code 1, as a rig's emergency stop would.",
         ),
     ],
     seed: Annotated[
@@ -142,7 +138,7 @@ def simulate(
     plant = add_effects(find_model(study.model), study.effects).start(**Numbers().from_option("--start", set_))
     target = _target(output or Path("results") / f"{plant.name}-simulated.csv", inputs)
     check_substeps(study, plant)
-    noise_std = Numbers(shape="OUTPUT=STD", example="x=2e-7").from_option("--noise", noise)
+    noise_std = read_noise(noise)
     generator = np.random.default_rng(seed)
     shapes = {"--step": step, "--multisine": multisine, "--chirp": chirp}
     shaping = {"--band": band, "--offset": offset, "--duration": duration}
