@@ -66,7 +66,7 @@ def refine(
     goal = make_goal(policy.refined_scenarios, step)
     plants, draws = list_plants(small) if keeper.needs_runs else ([], [])
     groups = [(plant, *drawn) for plant, drawn in zip(plants, draws, strict=True)]
-    program = Refinement(small, goal, groups, grid.scale)
+    program = InputRefinement(small, goal, groups, grid.scale)
     iterations = program.affordable_iterations(policy)
     levels = program.read_levels(inputs, grid)
     refined: list[dict[str, InputShape]] = []
@@ -89,7 +89,7 @@ def refine(
 
 
 @dataclass(frozen=True)
-class Constraint:
+class SampledLimit:
     """One limit over all samples: ``values`` (n,) are to be at most zero; ``slopes`` are those along each run's signal, or the input."""
 
     key: tuple[str, ...]
@@ -97,7 +97,7 @@ class Constraint:
     slopes: Sequence[np.ndarray]
 
 
-class Refinement:
+class InputRefinement:
     """The cost of a refinement and its gradient, as a function of the levels (inputs x rows) between -1 and 1.
 
     Parameters
@@ -247,23 +247,23 @@ class Refinement:
     def _smoothed(self, values: np.ndarray) -> np.ndarray:
         return smooth(values, self.question.policy.play.smoothing) if self.smooths else values
 
-    def _penalise(self, constraint: Constraint) -> tuple[float, np.ndarray]:
+    def _penalise(self, constraint: SampledLimit) -> tuple[float, np.ndarray]:
         """What a limit adds to the cost, and the slopes (n,) of that along its values."""
         before = self.multipliers.get(constraint.key, 0.0)
         push = np.maximum(before + self.weight * constraint.values, 0.0)
         count = len(constraint.values)
         return float(np.sum(push**2 - np.square(before))) / (2 * self.weight * count), push / count
 
-    def _rates(self, name: str, u: np.ndarray) -> Iterator[Constraint]:
+    def _rates(self, name: str, u: np.ndarray) -> Iterator[SampledLimit]:
         """The rate of an input, both ways."""
         limit = self.question.limits[name]
         most = limit.rate * self.question.sampling_time * self.question.share(name)
         if np.isfinite(most):
             for sign, way in ((1.0, "up"), (-1.0, "down")):
                 slope = np.full(len(u) - 1, sign / most)
-                yield Constraint(("rate", name, way), sign * np.diff(u) / most - 1, [slope])
+                yield SampledLimit(("rate", name, way), sign * np.diff(u) / most - 1, [slope])
 
-    def _ranges(self, runs: Sequence[SensitivityRun]) -> Iterator[Constraint]:
+    def _ranges(self, runs: Sequence[SensitivityRun]) -> Iterator[SampledLimit]:
         """Each limited output and state of an explanation, both ends: the middle of its runs with their spread, over the room."""
         plant, inputs = runs[0].plant, set(self.order)
         outputs, states = [o.name for o in plant.model.outputs], [s.name for s in plant.model.all_states]
@@ -287,4 +287,4 @@ class Refinement:
                     continue
                 values = (sign * (middle - rest) + margin.deviations * std) / room - 1
                 slopes = (sign / len(runs) + margin.deviations * along_std) / room
-                yield Constraint((str(plant.number), kind, str(j), f"{sign:+.0f}"), values, list(slopes))
+                yield SampledLimit((str(plant.number), kind, str(j), f"{sign:+.0f}"), values, list(slopes))

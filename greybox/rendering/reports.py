@@ -152,6 +152,7 @@ class PageText(StrEnum):
     CAMPAIGN_TITLE = "page_campaign_title"
     CAMPAIGN_QUESTION = "page_campaign_question"
     CAMPAIGN_STEPS = "page_campaign_steps"
+    CAMPAIGN_WIDTHS = "page_campaign_widths"
     CAMPAIGN_FILES = "page_campaign_files"
     CAMPAIGN_STEP = "page_campaign_step"
 
@@ -447,8 +448,9 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.CAMPAIGN_TITLE: "Campaign on {subject}",
     PageText.CAMPAIGN_QUESTION: "Which effects does the rig of {subject} have, and how precisely are its parameters known?",
     PageText.CAMPAIGN_STEPS: "The experiments, in their order",
-    PageText.CAMPAIGN_FILES: "Folder {subject} holds input.csv, record.csv and the pages report.html, fit.html and discovery.html.",
-    PageText.CAMPAIGN_STEP: "Experiment {subject}",
+    PageText.CAMPAIGN_WIDTHS: "Half width of the 95 % interval of each parameter after each experiment, over its value",
+    PageText.CAMPAIGN_FILES: "What the folder of each experiment holds: the input and why, the record, what was learnt from it",
+    PageText.CAMPAIGN_STEP: "experiment {subject}",
     **SECTIONS,
 }
 

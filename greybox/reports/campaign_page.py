@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from math import isinf
 
+from greybox.effects import effect
 from greybox.experiment_design import Campaign, CampaignStatus
 from greybox.rendering.english import phrase
 from greybox.rendering.experiment_design import CAMPAIGN_HEAD, step_row
 from greybox.rendering.reports import PageText
 from greybox.reports.equations import typeset_equations
-from greybox.reports.page import Block, Page, PageTable, Paragraphs, Section, Subheading, Tone
+from greybox.reports.page import Page, PageTable, Paragraphs, Section, Tone
 from greybox.reports.provenance import provenance_section
 
+FILES = ("input.csv", "report.html", "record.csv", "fit.html", "discovery.html")
+"""What a folder of an experiment may hold for a reader, in the order in which it comes there."""
 TONES = {
     CampaignStatus.MEASURING: Tone.PLAIN,
     CampaignStatus.DONE: Tone.GOOD,
@@ -24,25 +27,38 @@ def build_campaign_page(campaign: Campaign, *, command: str = "") -> Page:
     """The page of a campaign; ``command`` is what was typed."""
     model = campaign.plan.model
     rows = [step_row(step) for step in campaign.steps]
+    for name in campaign.steps[-1].effects if campaign.steps else ():
+        model = model + effect(name)
+    tables = [PageTable(phrase(PageText.CAMPAIGN_STEPS), CAMPAIGN_HEAD, rows), _widths(campaign), _files(campaign)]
     sections = [
-        Section("steps", [PageTable(phrase(PageText.CAMPAIGN_STEPS), CAMPAIGN_HEAD, rows), *_constants(campaign)]),
+        Section("steps", [table for table in tables if table is not None]),
         Section("model", [typeset_equations(model)]),
         provenance_section(command),
     ]
     verdict = Paragraphs(list(campaign.findings), TONES[campaign.status])
-    title, question = phrase(PageText.CAMPAIGN_TITLE, model.title), phrase(PageText.CAMPAIGN_QUESTION, model.title)
+    title, question = (
+        phrase(text, campaign.plan.model.title) for text in (PageText.CAMPAIGN_TITLE, PageText.CAMPAIGN_QUESTION)
+    )
     return Page(title, question, verdict, sections, "campaign")
 
 
-def _constants(campaign: Campaign) -> Iterator[Block]:
-    """What each experiment made of the intervals."""
+def _widths(campaign: Campaign) -> PageTable | None:
+    """How the interval of each parameter became narrower; None before the first record."""
+    measured = [step for step in campaign.steps if step.widths]
+    names = list(dict.fromkeys(name for step in measured for name in step.widths))
+    rows = []
+    for name in names:
+        widths = [step.widths.get(name) for step in measured]
+        rows.append([name, *("-" if w is None else "open" if isinf(w) else f"{100 * w:.2g} %" for w in widths)])
+    head = ["parameter", *(phrase(PageText.CAMPAIGN_STEP, str(step.number)) for step in measured)]
+    return PageTable(phrase(PageText.CAMPAIGN_WIDTHS), head, rows) if rows else None
+
+
+def _files(campaign: Campaign) -> PageTable:
+    """What each folder holds."""
+    rows = []
     for step in campaign.steps:
-        yield Subheading(phrase(PageText.CAMPAIGN_STEP, str(step.number)))
-        yield Paragraphs([phrase(PageText.CAMPAIGN_FILES, f"{step.number:02d}")])
-        if step.widths:
-            head = ["parameter", "95 % interval to each side"]
-            rows = [
-                [name, "open" if width == float("inf") else f"{100 * width:.2g} %"]
-                for name, width in step.widths.items()
-            ]
-            yield PageTable("", head, rows)
+        folder = f"{step.number:02d}"
+        present = [name for name in FILES if (campaign.folder / folder / name).exists()]
+        rows.append([folder, ", ".join(present)])
+    return PageTable(phrase(PageText.CAMPAIGN_FILES), ["folder", "files"], rows)

@@ -13,7 +13,7 @@ from greybox.experiment_design.limits import LimitKeeper, fit_into_limits
 from greybox.experiment_design.plant import list_plants
 from greybox.experiment_design.play import play
 from greybox.experiment_design.precision import make_precision
-from greybox.experiment_design.refinement import Refinement, refine
+from greybox.experiment_design.refinement import InputRefinement, refine
 from tests.support.oscillator import oscillator
 
 POLICY = DesignPolicy()
@@ -37,7 +37,7 @@ def keeper_of(asked: DesignProblem) -> LimitKeeper:
 def test_the_cost_has_the_gradient_of_its_differences_before_and_after_a_round(hold: str) -> None:
     asked = question(hold, x=0.7, u=0.9)
     plants, draws = list_plants(asked)
-    program = Refinement(asked, make_precision(asked, 2), [(plants[0], *draws[0])], 1.0)
+    program = InputRefinement(asked, make_precision(asked, 2), [(plants[0], *draws[0])], 1.0)
     levels = np.random.default_rng(3).uniform(-1, 1, asked.rows)
     for _ in range(2):
         _, gradient = program(levels)

@@ -239,10 +239,14 @@ GOLDEN = [
     ),
     (phrase(T.CAMPAIGN_STEPS), "The experiments, in their order"),
     (
-        phrase(T.CAMPAIGN_FILES, "01"),
-        "Folder 01 holds input.csv, record.csv and the pages report.html, fit.html and discovery.html.",
+        phrase(T.CAMPAIGN_WIDTHS),
+        "Half width of the 95 % interval of each parameter after each experiment, over its value",
     ),
-    (phrase(T.CAMPAIGN_STEP, "2"), "Experiment 2"),
+    (
+        phrase(T.CAMPAIGN_FILES),
+        "What the folder of each experiment holds: the input and why, the record, what was learnt from it",
+    ),
+    (phrase(T.CAMPAIGN_STEP, "2"), "experiment 2"),
     (phrase(T.CHANGED_TITLE, "rig", verdict="changed"), "rig: changed"),
     (phrase(T.CHANGED_QUESTION, "rig", records=2), "Is rig what it was when it was fitted to 2 records?"),
     (phrase(T.CHANGED_CONSTANTS), "The constants in the fit and today"),
