@@ -15,8 +15,10 @@ from greybox.change_detection.constant_tests import DifferenceTest, compare_cons
 from greybox.change_detection.findings import ChangeCode, ChangeRule
 from greybox.change_detection.fitted_constants import FittedConstants, FittedResidual, read_constants, read_residual
 from greybox.change_detection.policy import ChangePolicy
+from greybox.change_detection.repeated_input import match_repeats, rest_on_difference
 from greybox.change_detection.residual_checks import check_residual
 from greybox.change_detection.result import ChangeDetection, ChangeVerdict, ConstantChange, list_appeared_effects
+from greybox.change_detection.scatter import measure_scatter
 from greybox.discovery import Discovery, discover
 from greybox.errors import DataError
 from greybox.estimation import FitOptions, fit
@@ -140,17 +142,34 @@ def detect_changes(
         read_constants(reference, residuals[0]),
         read_constants(today, read_residual(today, policy.test.adequate_ratio)),
     )
+    comparable = True
+    if not residuals[0].adequate and (repeats := match_repeats(reference, listed, policy.scatter)):
+        before, after = rest_on_difference(reference, today, repeats, before, after)
+    elif not residuals[0].adequate:
+        comparable = False
+        scatter = measure_scatter((reference, today), before, policy.scatter)
+        if scatter is not None and after.names == before.names:
+            before, after = scatter.widen(before), scatter.widen(after)
+            largest = int(np.argmax(scatter.factors))
+            values = {"factor": float(scatter.factors[largest]), "degrees": scatter.degrees}
+            findings = (*findings, Finding(ChangeCode.SCATTER_ALLOWED, Severity.NOTE, before.names[largest], values))
     constants, test = compare_fits(before, after, level_of_constants, policy)
     checks = of_residual
     if test:
         checks = (Check.at_least(ChangeRule.CONSTANTS_AS_BEFORE, test.p_value, level_of_constants), *checks)
     verdict = decide_change(constants, checks, policy)
+    conclusion = _conclude(verdict, constants, test, checks, discovery, residuals, policy)
+    if verdict is ChangeVerdict.CHANGED and not comparable:
+        values = {"constants": [name for name, c in constants.items() if c.moved], "p": test.p_value if test else None}
+        conclusion = (Finding(ChangeCode.DIFFERENT_INPUT, Severity.WARNING, values=values),)
+        constants = {name: replace(c, moved=False) for name, c in constants.items()}
+        verdict = ChangeVerdict.CANNOT_TELL
     return ChangeDetection(
         verdict,
         reference,
         today,
         constants,
-        _conclude(verdict, constants, test, checks, discovery, residuals, policy),
+        conclusion,
         (*findings, *_find_unseen(constants, after, verdict, policy)),
         checks,
         discovery,

@@ -15,12 +15,14 @@ class ChangeCode(StrEnum):
     EFFECT_APPEARED = "change_effect_appeared"
     NOISE_GREW = "change_noise_grew"
     UNEXPLAINED = "change_unexplained"
+    DIFFERENT_INPUT = "change_different_input"
     CANNOT_TELL = "change_cannot_tell"
     FIT_FAILED = "change_fit_failed"
     # What a reader should know.
     CONSTANT_NOT_SEEN = "change_constant_not_seen"
     CONSTANT_AT_BOUND = "change_constant_at_bound"
     MODEL_LACKS_SOMETHING = "change_model_lacks_something"
+    SCATTER_ALLOWED = "change_scatter_allowed"
     SPLIT_FOR_VALIDATION = "change_split_for_validation"
     SAME_RECORD = "change_same_record"
     # Several machines.

@@ -53,6 +53,23 @@ class SensitivityPolicy:
 
 
 @dataclass(frozen=True)
+class ScatterPolicy:
+    """How the scatter of constants is measured where a model lacks something."""
+
+    pieces: int = 8
+    """Pieces of the fit's records at least: their variance is known to half of itself."""
+
+    least_pieces: int = 4
+    """Fewer pieces that determine the constants say nothing of their scatter."""
+
+    repeated_input: float = 0.1
+    """Rms difference of two inputs over their size up to which one repeats the other: what the model lacks then acts alike in both."""
+
+    least_rows: int = 50
+    """Rows of a piece at least; a shorter record stays whole."""
+
+
+@dataclass(frozen=True)
 class PopulationPolicy:
     """Several machines of one kind."""
 
@@ -86,5 +103,6 @@ class ChangePolicy:
 
     test: ChangeTestPolicy = field(default_factory=ChangeTestPolicy)
     sensitivity: SensitivityPolicy = field(default_factory=SensitivityPolicy)
+    scatter: ScatterPolicy = field(default_factory=ScatterPolicy)
     population: PopulationPolicy = field(default_factory=PopulationPolicy)
     chart: ChartPolicy = field(default_factory=ChartPolicy)

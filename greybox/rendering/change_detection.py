@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -85,7 +84,7 @@ def _not_seen(finding: Finding) -> str:
     share, limit = finding.values["share"], 100 * finding.values["limit"]
     how = (
         "the records do not determine it"
-        if share is None or not math.isfinite(share)
+        if share is None or not share < 10
         else f"only a change of {100 * share:.0f} % or more would show"
     )
     return f"{finding.subject}: {how} (limit {limit:.0f} %); take a record that excites it, greybox design says which"
@@ -94,6 +93,14 @@ def _not_seen(finding: Finding) -> str:
 def _cannot_tell(finding: Finding) -> str:
     names = finding.values["constants"]
     return f"the records cannot tell: {join_names(names) or 'the constants'} could have changed by half unnoticed. Nothing else has changed"
+
+
+def _different_input(finding: Finding) -> str:
+    names = join_names(finding.values["constants"]) or "the constants"
+    return (
+        f"the records cannot tell: {names} would differ (p = {p_text(finding.values['p'])}), but the model lacks something already in the"
+        " fit, and today's input is another one. Repeat the input of the fit, or find what the model lacks with greybox discover"
+    )
 
 
 def _machine_falls_out(finding: Finding) -> str:
@@ -138,6 +145,7 @@ register(
         ChangeCode.EFFECT_APPEARED: _effect_appeared,
         ChangeCode.NOISE_GREW: _noise_grew,
         ChangeCode.UNEXPLAINED: _unexplained,
+        ChangeCode.DIFFERENT_INPUT: _different_input,
         ChangeCode.CANNOT_TELL: _cannot_tell,
         ChangeCode.FIT_FAILED: (
             "the records cannot tell: the model could not be fitted to them ({status}). Look at the record first, with greybox check"
@@ -147,8 +155,12 @@ register(
             "{subject} was stopped by its bound at {value:.4g}: it is not compared; widen its bounds in the model and fit again"
         ),
         ChangeCode.MODEL_LACKS_SOMETHING: (
-            "the fit left more than noise: its constants depend on what the input does, so compare records with the same input only, or"
-            " find what the model lacks with greybox discover; the size of the residual was not compared"
+            "the fit left more than noise: its constants depend on what the input does, and the size of the residual was not compared;"
+            " greybox discover looks for what the model lacks"
+        ),
+        ChangeCode.SCATTER_ALLOWED: (
+            "the constants scatter from piece to piece of the records by up to {factor:.2g} times what their intervals say"
+            " ({subject}, {degrees} degrees of freedom); the comparison allows for that"
         ),
         ChangeCode.SPLIT_FOR_VALIDATION: (
             "{subject} is the only record of today: an effect was looked for in its first half and judged on its second; a further record,"

@@ -111,6 +111,39 @@ def test_bad_input_is_refused(reference) -> None:
         gb.detect_changes(fixed, measure(2))
 
 
+# --- a model that lacks something
+
+
+def stiffening(seed: int, input_seed: int, **values: float) -> gb.Experiment:
+    """A record of a rig with a stiffening spring, which the model lacks."""
+    plant = silverbox + effect("cubic_stiffness")
+    (name,) = (n for n in plant.values if n not in silverbox.values)
+    u = 2 * multisine(np.random.default_rng(input_seed), 500, PERIOD, 5, 200, 0.1)
+    run = gb.simulate(plant.start(**{name: 2e4}, **values), {"time": PERIOD * np.arange(len(u)), "u": u})
+    return run.record(NOISE, np.random.default_rng(seed))
+
+
+def test_under_the_same_input_what_the_model_lacks_cancels() -> None:
+    reference = gb.fit(silverbox, stiffening(1, 9), noise=NOISE)
+    assert reference.misfit["y"].noise_ratio > 4
+    healthy = gb.detect_changes(reference, stiffening(2, 9))
+    assert healthy.verdict is ChangeVerdict.UNCHANGED
+    change = gb.detect_changes(reference, stiffening(3, 9, d=45.0))
+    assert change.verdict is ChangeVerdict.CHANGED and "d" in change.moved
+    low, high = change.constants["d"].interval
+    assert 0 < low < 45.0 - silverbox.values["d"] < high < 4.0
+
+
+def test_under_another_input_such_a_model_cannot_tell_a_change() -> None:
+    reference = gb.fit(silverbox, stiffening(1, 9), noise=NOISE)
+    for seed in range(10, 13):
+        change = gb.detect_changes(reference, stiffening(seed, seed))
+        assert change.verdict is not ChangeVerdict.CHANGED and change.moved == ()
+    change = gb.detect_changes(reference, stiffening(10, 10, d=60.0))
+    assert change.verdict is ChangeVerdict.CANNOT_TELL
+    assert codes(change) == [ChangeCode.DIFFERENT_INPUT] and change.moved == ()
+
+
 # --- several machines, and time
 
 

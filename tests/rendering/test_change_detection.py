@@ -67,6 +67,11 @@ GOLDEN = [
         "the records cannot tell: B could have changed by half unnoticed. Nothing else has changed",
     ),
     (
+        Finding(C.DIFFERENT_INPUT, values={"constants": ["K"], "p": 0.002}),
+        "the records cannot tell: K would differ (p = 0.002), but the model lacks something already in the fit, and today's input is"
+        " another one. Repeat the input of the fit, or find what the model lacks with greybox discover",
+    ),
+    (
         Finding(C.FIT_FAILED, values={"status": "it overflowed"}),
         "the records cannot tell: the model could not be fitted to them (it overflowed). Look at the record first, with greybox check",
     ),
@@ -84,8 +89,13 @@ GOLDEN = [
     ),
     (
         Finding(C.MODEL_LACKS_SOMETHING),
-        "the fit left more than noise: its constants depend on what the input does, so compare records with the same input only, or find"
-        " what the model lacks with greybox discover; the size of the residual was not compared",
+        "the fit left more than noise: its constants depend on what the input does, and the size of the residual was not compared; greybox"
+        " discover looks for what the model lacks",
+    ),
+    (
+        Finding(C.SCATTER_ALLOWED, subject="K", values={"factor": 3.0, "degrees": 14}),
+        "the constants scatter from piece to piece of the records by up to 3 times what their intervals say (K, 14 degrees of freedom); the"
+        " comparison allows for that",
     ),
     (
         Finding(C.SPLIT_FOR_VALIDATION, subject="today"),
