@@ -22,14 +22,14 @@ LOCAL = "local"
 class WorkersHealth(Protocol):
     """Whether it makes sense to wait for workers any longer."""
 
-    def find_fault(self, finished: int) -> str:
-        """Why it does not; empty where it does. ``finished`` counts the jobs that workers have done."""
+    def find_fault(self, finished: int, is_alone: bool = False) -> str:
+        """Why it does not; empty where it does. ``finished`` counts the jobs that workers have done; ``is_alone``: one is left to do."""
 
 
 class AlwaysHealthy:
     """Workers that tell of their end themselves: processes of this machine."""
 
-    def find_fault(self, finished: int) -> str:
+    def find_fault(self, finished: int, is_alone: bool = False) -> str:
         """Nothing to say."""
         return ""
 
@@ -46,8 +46,11 @@ class DaskHealth:
         self._present: set[str] = set()
         self._most_present = self._lost = 0
 
-    def find_fault(self, finished: int) -> str:
-        """Why waiting is in vain: a client that is closed, a scheduler that does not answer, workers that die one after another."""
+    def find_fault(self, finished: int, is_alone: bool = False) -> str:
+        """Why waiting is in vain: a client that is closed, a scheduler that does not answer, workers that die one after another.
+
+        Workers that die while one job is left may die of it: Dask gives it up, and it is named.
+        """
         policy, now = self._policy, time.monotonic()
         if self._client.status in ("closed", "closing"):
             return "the connection to its scheduler is closed"
@@ -70,10 +73,9 @@ class DaskHealth:
             self._remove_frozen(now)
         if now - self._staffed > policy.empty_seconds:
             return f"it has had no worker for {now - self._staffed:.0f} s"
-        idle = now - self._worked > policy.fruitless_seconds
-        if self._lost > max(policy.least_losses, policy.losses_per_worker * self._most_present) or (
-            idle and self._lost > self._most_present
-        ):
+        is_fruitless = now - self._worked > policy.fruitless_seconds and self._lost > self._most_present
+        are_many = self._lost > max(policy.least_losses, policy.losses_per_worker * self._most_present)
+        if not is_alone and (are_many or is_fruitless):
             return f"{self._lost} workers have died one after another without finishing a job"
         return ""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -156,8 +156,7 @@ class _Book:
             self.submit(executor, group, health)
             if suspects and self.results[group[0]] is None:
                 alone = "process died, also when it ran alone (out of memory?)"
-                broken = "died again and again, also when it ran alone, or the executor broke"
-                reason = alone if isinstance(executor, LocalPool) else broken
+                reason = alone if isinstance(executor, LocalPool) else "died, or the executor broke"
                 self.enter(group[0], JobResult(error=f"its worker {reason}: {self.losses[group[0]]}"))
 
     def submit(self, executor: Executor, group: Sequence[int], health: WorkersHealth) -> None:
@@ -173,9 +172,9 @@ class _Book:
             while waiting and not self.is_late:
                 finished, _ = wait(waiting, timeout=RETRY_POLICY.wake_seconds, return_when=FIRST_COMPLETED)
                 for future in finished:
-                    self.take(waiting.pop(future), future)
-                self.check(health)
-            self.check(health)
+                    self.take(waiting.pop(future), future, is_alone=len(group) == 1)
+                self.check(health, waiting)
+            self.check(health, waiting)
             for future in waiting:  # too late for them
                 future.cancel()
         except WorkersLostError:  # nobody is there who could be told to stop
@@ -186,16 +185,20 @@ class _Book:
                     future.cancel()
             raise
 
-    def take(self, k: int, future: Future) -> None:
-        """What came of a job. Raises WorkersLostError where workers cannot do any job."""
+    def take(self, k: int, future: Future, is_alone: bool) -> None:
+        """What came of a job, which ``is_alone`` or ran beside others. Raises WorkersLostError where workers cannot do any job."""
         try:
             result = unpack(future.result())
         except Exception as error:  # jobs return their exceptions: this one is the executor's
             self.lose(k, error)
-            if (
-                type(error).__name__ == "KilledWorker"
-            ):  # Dask tried it several times, but counts the deaths by its neighbours
-                self.tries[k] = RETRY_POLICY.tries  # as well: it is tried alone
+            if type(error).__name__ == "KilledWorker":
+                # Dask tried it several times, but counts the deaths by its neighbours as well: it is tried alone.
+                self.tries[k] = RETRY_POLICY.tries
+                if is_alone:
+                    self.enter(
+                        k,
+                        JobResult(error=f"its worker died again and again, also when it ran alone ({self.losses[k]})"),
+                    )
             return
         if isinstance(result, _OtherVersion):
             fault = f"a worker has {result.version}, and this process {describe_version()}; install the same version on both"
@@ -208,9 +211,9 @@ class _Book:
         self.tries[k] += 1
         self.losses[k] = f"{type(error).__name__}: {error}"[:200]
 
-    def check(self, health: WorkersHealth) -> None:
+    def check(self, health: WorkersHealth, waiting: Collection[Future]) -> None:
         """Raise WorkersLostError where waiting is in vain."""
-        fault = health.find_fault(self.done_by_workers)
+        fault = health.find_fault(self.done_by_workers, is_alone=len(waiting) <= 1)
         if fault and self.open:
             raise WorkersLostError(f"the cluster is given up, {fault}", self.results)
 

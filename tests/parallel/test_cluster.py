@@ -441,6 +441,17 @@ def test_workers_that_come_and_go_are_counted_until_a_job_is_finished(clock):
     assert not faults(health, clock, 1, finished=1)[0]
 
 
+def test_workers_that_die_of_the_last_job_are_left_to_dask_which_names_it(clock):
+    client = FakeClient()
+    health = DaskHealth(client)
+    for k in range(30):
+        client.workers = {f"a{k}"}
+        clock[0] += 1.5
+        assert not health.find_fault(0, is_alone=True)
+    clock[0] += 1.5
+    assert "died one after another" in health.find_fault(0)
+
+
 def test_workers_that_begin_slowly_and_die_are_told_by_the_time_as_well(clock):
     client = FakeClient()
     health = DaskHealth(client)
@@ -475,7 +486,7 @@ def test_multistart_tells_what_is_finished(monkeypatch):
     data = linear_record(model, np.random.default_rng(1).normal(size=100), 0.01, noise={"x": 1e-3})
 
     class Lost:
-        def find_fault(self, finished: int) -> str:
+        def find_fault(self, finished: int, is_alone: bool = False) -> str:
             return "it burnt down" if finished else ""
 
     monkeypatch.setattr(jobs, "watch_executor", lambda executor: Lost())
