@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import tempfile
 import time
-from collections.abc import Iterator
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, Future
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from typing import Any, Protocol
@@ -108,10 +108,47 @@ class DaskHealth:
             return None
 
 
+class DaskExecutor(Executor):
+    """Jobs on a Dask cluster, each of which gets an answer.
+
+    Dask's own executor gives a job that is handed out again the failure of the first time, and no answer to one that the scheduler
+    cancels.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self.client = client
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future:
+        """Run ``function`` on a worker."""
+        answer: Future = Future()
+        asked = self.client.submit(function, *arguments, **options, pure=False)
+        answer.add_done_callback(lambda done: asked.cancel() if done.cancelled() else None)
+        self.client.loop.add_callback(_hand_over, asked, answer)
+        return answer
+
+
+async def _hand_over(asked: Any, answer: Future) -> None:
+    """Wait for what Dask was ``asked``, on its own thread, and give it to whoever waits for the ``answer``."""
+    try:
+        value = await asked
+    except BaseException as error:  # of the job's worker, or of the connection: each is an answer
+        lost = error if isinstance(error, Exception) else CancelledError(str(error))
+        if answer.set_running_or_notify_cancel():
+            answer.set_exception(lost)
+        return
+    if answer.set_running_or_notify_cancel():
+        answer.set_result(value)
+
+
+def adopt_executor(executor: Executor) -> Executor:
+    """An executor whose jobs all get an answer: Dask's own is replaced."""
+    client = getattr(executor, "_client", None)
+    return DaskExecutor(client) if type(executor).__module__.startswith("distributed") and client else executor
+
+
 def watch_executor(executor: Executor) -> WorkersHealth:
     """How to notice that an executor is lost; by its kind."""
-    client = getattr(executor, "_client", None)
-    return DaskHealth(client) if type(executor).__module__.startswith("distributed") and client else AlwaysHealthy()
+    return DaskHealth(executor.client) if isinstance(executor, DaskExecutor) else AlwaysHealthy()
 
 
 @contextmanager
@@ -150,6 +187,8 @@ def open_cluster(address: str, workers: int = 0, policy: ClusterPolicy = CLUSTER
         logger.setLevel(logging.CRITICAL)  # a loss is told once, by us
         try:
             if address == LOCAL:
+                failures = {"distributed.scheduler.allowed-failures": policy.local_failures}
+                stack.enter_context(import_module("dask.config").set(failures))
                 folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="greybox-", ignore_cleanup_errors=True))
                 cluster = distributed.LocalCluster(
                     n_workers=workers or count_cores(),
@@ -167,7 +206,7 @@ def open_cluster(address: str, workers: int = 0, policy: ClusterPolicy = CLUSTER
                 f"cluster {address}: no scheduler answers ({reason}); give the address of one"
             ) from error
         stack.callback(_close, client, policy)
-        yield client.get_executor()
+        yield DaskExecutor(client)
 
 
 def _close(value: Any, policy: ClusterPolicy) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from greybox.errors import GreyboxError, WorkersLostError
-from greybox.parallel.cluster import WorkersHealth, open_cluster, watch_executor
+from greybox.parallel.cluster import WorkersHealth, adopt_executor, open_cluster, watch_executor
 from greybox.parallel.local_pool import LocalPool, count_cores, open_local_pool
 from greybox.parallel.packing import describe_version, pack, unpack, unpack_shared
 from greybox.parallel.policy import RETRY_POLICY
@@ -82,7 +82,7 @@ def run_jobs(
     book = _Book(job, common, items, report, receive, deadline)
     try:
         if executor is not None:
-            book.run_through(executor)
+            book.run_through(adopt_executor(executor))
         elif workers == 1:
             book.run_here()
         else:

@@ -46,6 +46,8 @@ class ClusterPolicy:
     fruitless_seconds: float = 40.0
     """Seconds without a finished job after which a cluster that has lost more workers than it ever had at a time is given up: where
     workers begin slowly and die, their number alone would take minutes to tell."""
+    local_failures: int = 1
+    """Workers of a local cluster that may die of a job before it is tried alone: each takes seconds to replace."""
     close_seconds: float = 5.0
     """Seconds that closing may take."""
 
