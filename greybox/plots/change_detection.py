@@ -43,10 +43,9 @@ def plot_population(change: ChangeDetection) -> Figure | None:
             else (common.mean + s * 2 * common.spread for s in (-1, 1))
         )
         series: list[Series] = [Band(low, high, label="95 % of such machines"), Reference(common.mean)]
-        for role, label, outlying in ((Role.RESIDUAL, "belongs", False), (Role.BASELINE, "falls out", True)):
-            machines = [
-                m for m in change.machines if (name in m.outlying) == outlying and m.constants[name]["std"] is not None
-            ]
+        known = [m for m in change.machines if m.constants[name]["std"] is not None]
+        outside = [m for m in known if name in m.outlying]
+        for role, label, machines in ((Role.RESIDUAL, "belongs", known), (Role.BASELINE, "falls out", outside)):
             if machines:
                 values = np.array([m.constants[name]["value"] for m in machines])
                 bars = 2 * np.array([m.constants[name]["std"] for m in machines])
@@ -55,6 +54,8 @@ def plot_population(change: ChangeDetection) -> Figure | None:
         panels.append(Panel(name, tuple(series), Axis(scale=Scale.CATEGORY), axis))
     if not panels:
         return None
+    outlying = {name for m in change.machines for name in m.outlying}
+    panels.sort(key=lambda panel: panel.name not in outlying)
     return Figure("machines", tuple(panels), phrase(FigureText.MACHINES))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -19,9 +20,13 @@ def _with_unit(value: float, unit: str, digits: int = 4) -> str:
     return f"{value:.{digits}g} {unit}".rstrip()
 
 
-def _share_of(change: float, before: float, unit: str) -> str:
-    """``12 %`` of the value before; in its unit where that is zero."""
-    return f"{100 * abs(change / before):.2g} %" if before else _with_unit(abs(change), unit, 2)
+def _share_of(change: float, before: float, unit: str, beside: float = math.inf) -> str:
+    """``12 %`` of the value before; in its unit where that is zero. Shares that differ by ``beside`` can be told apart."""
+    if not before:
+        return _with_unit(abs(change), unit, 2)
+    percent, apart = 100 * abs(change / before), 100 * abs(beside / before)
+    fine = make_formatter(percent, apart)(percent) if 0 < apart < percent else f"{percent:.2g}"
+    return f"{fine} %"
 
 
 def _nothing_changed(finding: Finding) -> str:
@@ -38,8 +43,9 @@ def _constant_moved(finding: Finding) -> str:
     v = finding.values
     way = "risen" if v["after"] > v["before"] else "fallen"
     between = sorted((v["low"], v["high"]), key=abs)
-    by = f"{_share_of(v['after'] - v['before'], v['before'], v['unit'])}"
-    ends = " to ".join(_share_of(e, v["before"], v["unit"]) for e in between)
+    width = v["high"] - v["low"]
+    by = _share_of(v["after"] - v["before"], v["before"], v["unit"], width)
+    ends = " to ".join(_share_of(e, v["before"], v["unit"], width) for e in between)
     return (
         f"{finding.subject} has {way} by {by}, from {_with_unit(v['before'], '')} to {_with_unit(v['after'], v['unit'])}"
         f" (95 % interval of the change: {ends})"
@@ -50,7 +56,7 @@ def _combination_moved(finding: Finding) -> str:
     names = list(finding.values["combination"])
     return (
         f"the constants have changed, and the records do not tell which: {join_names(names)} together, none of them clearly by itself"
-        f" (p = {finding.values['p']:.1g}); a record that moves the machine more, or differently, will tell"
+        f" ({p_statement(finding.values['p'])}); a record that moves the machine more, or differently, will tell"
     )
 
 
@@ -98,7 +104,7 @@ def _cannot_tell(finding: Finding) -> str:
 def _different_input(finding: Finding) -> str:
     names = join_names(finding.values["constants"]) or "the constants"
     return (
-        f"the records cannot tell: {names} would differ (p = {p_text(finding.values['p'])}), but the model lacks something already in the"
+        f"the records cannot tell: {names} would differ ({p_statement(finding.values['p'])}), but the model lacks something already in the"
         " fit, and today's input is another one. Repeat the input of the fit, or find what the model lacks with greybox discover"
     )
 
@@ -107,15 +113,16 @@ def _machine_falls_out(finding: Finding) -> str:
     v = finding.values
     return (
         f"{finding.subject} falls out: {v['constant']} is {_with_unit(v['value'], v['unit'])}, and {_with_unit(v['mean'], v['unit'])}"
-        f" in the others, which differ by {spread_text(v['spread'], v['unit'], v['relative'])} (standard deviation; p = {v['p']:.1g})"
+        f" in the others, which differ by {spread_text(v['spread'], v['unit'], v['relative'])} (standard deviation; {p_statement(v['p'])})"
     )
 
 
 def _machines_alike(finding: Finding) -> str:
     v = finding.values
-    spreads = ", ".join(f"{name} by {spread_text(*spread)}" for name, spread in v["spreads"].items())
+    seen = [f"{name} by {spread_text(*spread)}" for name, spread in v["spreads"].items() if spread[0] > 0]
+    differ = f"they differ in {join_names(seen)} (standard deviation)" if seen else "they do not differ visibly"
     which = "all" if not v["outside"] else "the other"
-    return f"{which} {v['machines']} machines belong together; from one to the next they differ in {spreads} (standard deviation)"
+    return f"{which} {v['machines']} machines belong together; from one to the next {differ}"
 
 
 def _change_point(finding: Finding) -> str:
@@ -124,15 +131,16 @@ def _change_point(finding: Finding) -> str:
     return (
         f"{finding.subject} {way} with record {v['number']} ({v['record']}) by"
         f" {_share_of(v['after'] - v['before'], v['before'], v['unit'])}, from {_with_unit(v['before'], '')} to"
-        f" {_with_unit(v['after'], v['unit'])} (p = {v['p']:.1g})"
+        f" {_with_unit(v['after'], v['unit'])} ({p_statement(v['p'])})"
     )
 
 
 def _check_text(meaning: str) -> Callable[[Check], str]:
     def write(check: Check) -> str:
-        p = p_text(check.value)
         outcome = "passed" if check.passed else "failed"
-        return f"{meaning.format(subject=check.subject)}: p {p if '<' in p else f'= {p}'}, limit {check.limit:.2g}, {outcome}"
+        return (
+            f"{meaning.format(subject=check.subject)}: {p_statement(check.value)}, limit {check.limit:.2g}, {outcome}"
+        )
 
     return write
 
@@ -212,12 +220,13 @@ def constant_row(name: str, change: ConstantChange) -> list[str]:
     unit = change.unit
     if change.interval is None:
         return [name, _with_unit(change.before, unit), "not determined", "", "", "", ""]
-    write = make_formatter(change.before, (change.interval[1] - change.interval[0]) / 4)
+    width = change.interval[1] - change.interval[0]
+    write = make_formatter(change.before, width / 4)
     return [
         name,
         *(f"{write(value)} {unit}".rstrip() for value in (change.before, change.after)),
-        _signed(difference, change.before, change.unit),
-        " to ".join(_signed(e, change.before, change.unit) for e in change.interval),
+        _signed(difference, change.before, change.unit, width),
+        " to ".join(_signed(e, change.before, change.unit, width) for e in change.interval),
         p_text(change.p),
         "changed" if change.moved else "",
     ]
@@ -226,6 +235,12 @@ def constant_row(name: str, change: ConstantChange) -> list[str]:
 def p_text(p: float | None) -> str:
     """A p-value with two digits; what lies below 1e-4 is only that."""
     return "" if p is None else f"{p:.2g}" if p >= 1e-4 else "< 0.0001"
+
+
+def p_statement(p: float | None) -> str:
+    """``p = 0.031``, ``p < 0.0001``."""
+    text = p_text(p)
+    return f"p {text}" if text.startswith("<") else f"p = {text}"
 
 
 def population_rows(change: ChangeDetection) -> list[list[str]]:
@@ -242,7 +257,9 @@ def population_rows(change: ChangeDetection) -> list[list[str]]:
 
 
 def spread_text(spread: float, unit: str, relative: bool) -> str:
-    """``2.1 %``, or in the unit."""
+    """``2.1 %``, or in the unit; a spread of zero is one that the records do not show."""
+    if not spread:
+        return "not visible"
     return f"{100 * spread:.2g} %" if relative else _with_unit(spread, unit, 2)
 
 
@@ -261,5 +278,7 @@ def _machine_cell(constant: Mapping[str, Any] | None) -> str:
     return f"{constant['value']:.4g} +- {constant['std']:.2g}"
 
 
-def _signed(change: float, before: float, unit: str) -> str:
-    return f"{100 * change / abs(before):+.2g} %" if before else f"{change:+.3g} {unit}".rstrip()
+def _signed(change: float, before: float, unit: str, width: float) -> str:
+    if not before:
+        return f"{change:+.3g} {unit}".rstrip()
+    return ("+" if change > 0 else "-") + _share_of(change, before, unit, width)

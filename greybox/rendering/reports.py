@@ -143,6 +143,8 @@ class PageText(StrEnum):
 
     CHANGED_TITLE = "page_changed_title"
     CHANGED_QUESTION = "page_changed_question"
+    CHANGED_COURSE = "page_changed_course"
+    CHANGED_KIND = "page_changed_kind"
     CHANGED_CONSTANTS = "page_changed_constants"
     CHANGED_NOTE = "page_changed_note"
     CHANGED_POPULATION = "page_changed_population"
@@ -439,6 +441,8 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.CHANGED_QUESTION: lambda f: (
         f"Is {f.subject} what it was when it was fitted to {count_noun(f.values['records'], 'record')}?"
     ),
+    PageText.CHANGED_COURSE: "When in {records} records has {subject} changed?",
+    PageText.CHANGED_KIND: "Which of {machines} machines of the kind {subject} falls out?",
     PageText.CHANGED_CONSTANTS: "The constants in the fit and today",
     PageText.CHANGED_NOTE: "The intervals are those of the change and hold together; p is corrected for looking at all constants.",
     PageText.CHANGED_POPULATION: "What the machines have in common",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from greybox.change_detection import ChangeDetection, ChangeVerdict
-from greybox.findings import Severity
+from greybox.findings import Finding, Severity
 from greybox.plots.change_detection import plot_changes, plot_course, plot_population
 from greybox.plots.records import plot_residual, plot_run
 from greybox.rendering.change_detection import (
@@ -42,11 +42,20 @@ def build_changed_page(change: ChangeDetection, *, command: str = "") -> Page:
         sections.append(Section("today", list(_today(change))))
         sections.append(records_section([*change.today.traces], [], change.today))
     sections.append(provenance_section(command))
-    question = phrase(PageText.CHANGED_QUESTION, title, records=len(change.reference.traces))
+    question = _ask(change)
     verdict = Paragraphs([*change.conclusion, *first], TONES[change.verdict])
     return Page(
         phrase(PageText.CHANGED_TITLE, title, verdict=str(change.verdict)), question, verdict, sections, "changed"
     )
+
+
+def _ask(change: ChangeDetection) -> Finding:
+    title = change.reference.model.title
+    if change.machines:
+        return phrase(PageText.CHANGED_KIND, title, machines=len(change.machines))
+    if change.records:
+        return phrase(PageText.CHANGED_COURSE, title, records=len(change.records) - 1)
+    return phrase(PageText.CHANGED_QUESTION, title, records=len(change.reference.traces))
 
 
 def _evidence(change: ChangeDetection) -> Iterator[Block]:

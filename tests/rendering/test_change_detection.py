@@ -38,7 +38,7 @@ GOLDEN = [
     ),
     (
         Finding(C.CONSTANT_MOVED, subject="K", values=MOVED),
-        "K has fallen by 10 %, from 5 to 4.5 N/m (95 % interval of the change: 8 % to 12 %)",
+        "K has fallen by 10.0 %, from 5 to 4.5 N/m (95 % interval of the change: 8.0 % to 12.0 %)",
     ),
     (
         Finding(C.COMBINATION_MOVED, values={"combination": {"K": 1.0, "M": -0.7}, "p": 0.0004}),
@@ -120,7 +120,7 @@ GOLDEN = [
                 "p": 1e-5,
             },
         ),
-        "m7 falls out: K is 4 N/m, and 5 N/m in the others, which differ by 2 % (standard deviation; p = 1e-05)",
+        "m7 falls out: K is 4 N/m, and 5 N/m in the others, which differ by 2 % (standard deviation; p < 0.0001)",
     ),
     (
         Finding(C.MACHINE_NOT_FITTED, subject="m7", values={"status": "it overflowed"}),
@@ -129,6 +129,10 @@ GOLDEN = [
     (
         Finding(C.MACHINES_ALIKE, values={"machines": 8, "outside": 1, "spreads": {"K": [0.02, "N/m", True]}}),
         "the other 8 machines belong together; from one to the next they differ in K by 2 % (standard deviation)",
+    ),
+    (
+        Finding(C.MACHINES_ALIKE, values={"machines": 8, "outside": 0, "spreads": {"K": [0.0, "N/m", True]}}),
+        "all 8 machines belong together; from one to the next they do not differ visibly",
     ),
     (
         Finding(
@@ -177,8 +181,8 @@ def test_a_constant_as_a_row() -> None:
         "K",
         "5.000 N/m",
         "4.500 N/m",
-        "-10 %",
-        "-12 % to -8 %",
+        "-10.0 %",
+        "-12.0 % to -8.0 %",
         "< 0.0001",
         "changed",
     ]

@@ -249,6 +249,8 @@ GOLDEN = [
     (phrase(T.CAMPAIGN_STEP, "2"), "experiment 2"),
     (phrase(T.CHANGED_TITLE, "rig", verdict="changed"), "rig: changed"),
     (phrase(T.CHANGED_QUESTION, "rig", records=2), "Is rig what it was when it was fitted to 2 records?"),
+    (phrase(T.CHANGED_COURSE, "rig", records=12), "When in 12 records has rig changed?"),
+    (phrase(T.CHANGED_KIND, "rig", machines=9), "Which of 9 machines of the kind rig falls out?"),
     (phrase(T.CHANGED_CONSTANTS), "The constants in the fit and today"),
     (
         phrase(T.CHANGED_NOTE),
