@@ -42,6 +42,7 @@ KINDS = (
 )
 RIGS = ("micro_actuator", "pneumatic_cylinder")
 CASES, FIRST, ROWS, LONG = 200, 1000, 1200, 3000
+TIME_LIMIT = 150.0  # s of a search, as one would give it: `greybox discover --time 150`
 EVERY_LONG = 11  # one of so many cases has LONG rows
 
 
@@ -96,6 +97,7 @@ def answer_case(case: Case) -> dict[str, Any]:
             without=without,
             options=options,
             workers=1,
+            time_limit=TIME_LIMIT,
         )
         answers.append(
             _describe(case, discovery, right) | {"left_out": bool(without), "seconds": time.process_time() - began}

@@ -318,7 +318,7 @@ def _refit_halves(inputs: EvidenceInputs) -> list[CandidateFit]:
             for e, cut in zip(problem.experiments, cuts, strict=True)
         ]
         # A second half does not begin at rest: its first states are estimated, from where the run of the whole record passes.
-        options = replace(problem.options, at_rest=False) if second else problem.options
+        options = replace(problem.refit_options, at_rest=False) if second else problem.refit_options
         half = replace(problem, experiments=tuple(parts), noise=problem.noise_model, quiet=(), options=options)
         starts = _states_at(selected, cuts) if second else {}
         job = RefitJob(selected.model, (selected.model.values,), 1, limits.iterations, starts)

@@ -352,7 +352,8 @@ def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSe
             colours = [list(colour.reflection) for colour in noise.colour]
             values = {"colours": colours, "std": noise.std.tolist()}
             on_message(str(Finding(DiscoveryCode.NOISE_FROM_RESIDUAL, subject=selected.model.title, values=values)))
-        problem = replace(selection.problem, noise=noise, model=selection.baseline.model)
+        plain = selection.problem
+        problem = replace(plain, noise=noise, model=selection.baseline.model, options=plain.refit_options)
         previous = selection
         # Beside another effect one that is nothing alone may be much: single effects put none out of the running.
         leading = _leading_candidates(selection)

@@ -78,6 +78,9 @@ class SearchBudget:
     """Amplitude at which an effect is nearly absent, in the same unit: what a first effect leaves may be that small."""
     refit_iterations: int = 60
     """Iterations of a refit: what has not converged by then is not the answer, or is finished in the last fit."""
+    max_substeps: int = 32
+    """Substeps of a sample from which a refit of the search is made no finer: a candidate that needs more is stiff by its constants
+    alone, and a minute of refinement would not make it the answer. The last fit knows no such limit."""
     refit_starts: int = 2
     """Most promising starting points from which a model is refitted."""
     screening_iterations: int = 12
@@ -134,12 +137,16 @@ class RefinementPolicy:
     """The same on the validation records."""
     alike_share: float = 0.1
     """Models whose misfits differ by less than this share explain a measured record equally well."""
-    most_effects: int = 5
-    """Effects added at most."""
+    most_steps: int = 5
+    """Effects added or replaced at most."""
+    most_effects: int = 4
+    """Effects in a model from which none is added: a fifth shares its error among four others, and its evidence is worth little."""
     promising_candidates: int = 8
     """Candidates that are refitted for each step."""
     refit_starts: int = 2
-    """Starting points of each of these refits."""
+    """Starting points of each of these refits, which are short."""
+    finished_candidates: int = 3
+    """Those that are refitted to convergence: the ones that promise the lowest cost."""
     replacements: int = 3
     """Effects that are refitted in the place of each effect of the model, where none is to be added."""
 

@@ -22,7 +22,9 @@ from greybox.numerics import OVERFLOWING_CURVATURE
 from greybox.optim import TerminationStatus
 from greybox.result import Fit
 from greybox.transcription import DecisionVector, Evaluation
+from greybox.transcription.options import Transcription
 from greybox.transcription.problem import EstimationProblem, prepare_problem
+from greybox.transcription.select import select_transcription
 from greybox.transcription.solve import Solution, solve
 
 StartValues = Mapping[str, float]
@@ -152,6 +154,26 @@ class DiscoveryProblem:
             policy=self.options.policy,
         )
 
+    @cached_property
+    def refit_options(self) -> FitOptions:
+        """The options of a refit.
+
+        Where free runs follow the plain model they are what a candidate is judged by as well. A candidate that is unstable at its
+        start alone would else be searched for segment by segment: minutes for a fit that says nothing of a free run.
+        """
+        if self.options.transcription != Transcription.AUTOMATIC or self.options.arc_length:
+            return self.options
+        of_baseline = select_transcription(self.baseline.problem, self.options).transcription
+        return replace(self.options, transcription=of_baseline) if of_baseline is Transcription.SINGLE else self.options
+
+    @property
+    def _quick_options(self) -> FitOptions:
+        """Those of one refit of the search: from its start straight to an optimum, with steps that do not become ever finer."""
+        options = self.refit_options
+        refinement = replace(options.policy.step_refinement, max_substeps=self.budget.max_substeps)
+        policy = replace(options.policy, step_refinement=refinement)
+        return replace(options, progressive=False, thorough=False, policy=policy)
+
     @property
     def noise_model(self) -> NoiseModel:
         """The noise as it was given, or as the baseline identified it."""
@@ -198,7 +220,7 @@ class DiscoveryProblem:
         problem = _with_initial_states(self.prepare(job.model), job.beginning)
         points = (point for s in job.starts if (point := _predict_cost(problem, s)) is not None)
         ranked = sorted(points, key=lambda point: point[0])
-        options = replace(self.options, progressive=False, thorough=False, iterations=job.iterations)
+        options = replace(self._quick_options, iterations=job.iterations)
         solutions = [solve(replace(problem, variables=v), options) for _, v in ranked[: job.keep]]
         if any(s.status is TerminationStatus.INTERRUPTED for s in solutions):
             raise KeyboardInterrupt
@@ -224,7 +246,9 @@ class DiscoveryProblem:
 
     def to_portable(self) -> DiscoveryProblem:
         """The same for another process: the noise is known, and there is no executor or journal."""
-        return DiscoveryProblem(self.model, self.experiments, self.noise_model, (), self.options, budget=self.budget)
+        return DiscoveryProblem(
+            self.model, self.experiments, self.noise_model, (), self.refit_options, budget=self.budget
+        )
 
     def predict_cost(self, model: Model, starts: Iterable[StartValues], like: CandidateFit | None = None) -> float:
         """The lowest cost that one Gauss-Newton step predicts from any of ``starts``; ``like`` as in `refit_best`.

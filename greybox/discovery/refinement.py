@@ -23,7 +23,7 @@ from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, ValidationSet, validate_candidate
 from greybox.discovery.localisation import normalised_residuals
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem, StartValues
 from greybox.discovery.screening import list_extension_starts, rank_extensions
 from greybox.discovery.selection import MessageCallback
 from greybox.discovery.shape_correction import is_shape_correction
@@ -177,7 +177,7 @@ def refine_candidate(
         )
     steps: list[RefinementStep] = []
     checks: list[Check] = []
-    while len(steps) < policy.refinement.most_effects:
+    while len(steps) < policy.refinement.most_steps and len(selected.effects) < policy.refinement.most_effects:
         replaced = ""
         extensions = [
             extension
@@ -262,26 +262,33 @@ def _extend_each(
     scales: Scales,
     policy: DiscoveryPolicy,
 ) -> list[CandidateFit]:
-    """``selected`` with each of the further effects whose predicted cost is lowest."""
+    """``selected`` with each of the further effects whose predicted cost is lowest; those that promise most after a short refit are
+    refitted to convergence.
+    """
     names = set(selected.effects)
     parents = {parent for b in selected.model.bound_effects for parent in b.effect.parents}
     further = [e for e in candidates if e.name not in names | parents and not names & set(e.parents)]
     promising = rank_extensions(
         problem, selected, further, scales, policy.budget, policy.refinement.promising_candidates
     )
-    jobs = {
-        e.name: partial(
-            problem.refit_best,
-            selected.model + e,
-            list_extension_starts(selected, e, scales, policy.budget),
-            policy.refinement.refit_starts,
-            like=selected,
-        )
+
+    def refit(
+        model: Model, starts: Sequence[StartValues], keep: int, iterations: int, like: CandidateFit
+    ) -> CandidateFit | None:
+        job = partial(problem.refit_best, model, starts, keep, iterations, like)
+        return problem.failures.attempt(SearchStage.REFINEMENT, tuple(e.name for e in model.effects), job, None)
+
+    budget, keep = policy.budget, policy.refinement.refit_starts
+    short = [
+        candidate
         for e in promising
-    }
-    attempt = problem.failures.attempt
-    extended = [attempt(SearchStage.REFINEMENT, (*selected.effects, n), job, None) for n, job in jobs.items()]
-    return [candidate for candidate in extended if candidate is not None]
+        for starts in [list_extension_starts(selected, e, scales, budget)]
+        if (candidate := refit(selected.model + e, starts, keep, budget.screening_iterations, selected))
+    ]
+    short.sort(key=lambda candidate: candidate.cost - candidate.promised_decrease)
+    leading = short[: policy.refinement.finished_candidates]
+    finished = [refit(c.model, [c.model.values], 1, budget.refit_iterations, c) or c for c in leading]
+    return [*finished, *short[len(leading) :]]
 
 
 def _replace_each(
@@ -322,7 +329,12 @@ def with_residual_noise(problem: DiscoveryProblem, candidate: CandidateFit) -> D
     """The same problem with white noise of the level of the candidate's residual: what is left is structure, to be followed."""
     noise, ratios = candidate.problem.noise, _residual_over_noise(candidate)
     colour = tuple(AutoRegression() for _ in noise.std)
-    return replace(problem, noise=replace(noise, std=noise.std * ratios, colour=colour), model=candidate.model)
+    return replace(
+        problem,
+        noise=replace(noise, std=noise.std * ratios, colour=colour),
+        model=candidate.model,
+        options=problem.refit_options,
+    )
 
 
 def _residual_over_noise(candidate: CandidateFit) -> np.ndarray:

@@ -195,6 +195,9 @@ class StepRefinementPolicy:
     halvings: int = 4
     """Times the step is halved at most."""
 
+    max_substeps: int = 16_000
+    """Substeps of a sample from which a step is made no finer."""
+
     checked_rows: int = 2000
     """The change is looked at over the first quarter of every record, or so many rows: three more simulations of all of it cost too
     much."""

@@ -50,7 +50,12 @@ def select_transcription(problem: EstimationProblem, options: SolverOptions) -> 
     longest = max(problem.records, key=lambda r: r.duration)
     policy, p = options.policy, problem.start_parameters
     proposal = propose_transcription(
-        problem.model.system, p, longest, policy=policy.transcription.choice, discretisation=policy.discretisation
+        problem.model.system,
+        p,
+        longest,
+        policy=policy.transcription.choice,
+        discretisation=policy.discretisation,
+        free_run=options.transcription == Transcription.SINGLE,
     )
     if proposal.implicit and options.method == "automatic" and not options.substeps:
         problem = replace(problem, method="radau").with_step(0, p)
@@ -76,6 +81,7 @@ def propose_transcription(
     *,
     policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice,
     discretisation: DiscretisationPolicy = DISCRETISATION,
+    free_run: bool = False,
 ) -> TranscriptionProposal:
     """The transcription that suits a model and its record, and why.
 
@@ -95,10 +101,12 @@ def propose_transcription(
         The limits.
     discretisation
         How many states the implicit methods take.
+    free_run
+        Whether a free run was asked for, however errors grow; only its steps are to be chosen.
     """
     jacobians = _linearise_along(system, p, record, policy.linearisation_points)
     duration = record.duration
-    growth = _compute_growth(system, p, record, jacobians, policy)
+    growth = 0.0 if free_run else _compute_growth(system, p, record, jacobians, policy)
     if growth * duration > math.log(policy.max_error_growth):
         values = {"rate": growth, "exponent": growth * duration, "duration": duration}
         return _propose(Transcription.MULTIPLE, TranscriptionReason.UNSTABLE, values)

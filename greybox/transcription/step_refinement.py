@@ -62,10 +62,11 @@ def refine_step(
 
     runs, halved = simulate(problem), problem.halve_step()
     error = compute_change_over_noise(problem, runs, simulate(halved))
-    if options.substeps:
+    used = problem.step.substeps
+    if options.substeps or used >= policy.max_substeps:
         return None, error
     needed = _find_stable_substeps(problem, np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs]))
-    used = problem.step.substeps
+    needed = min(needed, policy.max_substeps)
     if is_too_coarse(error, problem, solution.evaluation, policy):
         return halved if needed <= halved.step.substeps else problem.with_substeps(needed), error
     return (problem.with_substeps(needed) if needed > used else None), error
