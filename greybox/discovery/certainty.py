@@ -28,6 +28,7 @@ def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[
     curve, curve_t = measures["curve_loss"], measures["curve_t"]
     is_tested = math.isfinite(curve)
     static = measures.get("static_loss", math.nan)  # of an effect without memory there is none
+    free = measures.get("free_loss", math.nan)  # of what would not be established anyway there is none
     change = measures["change"]
     return {
         "share": _clip(measures["share"], 0, 1),
@@ -36,11 +37,12 @@ def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[
         "rival_ratio": _clip(0.5 * math.log(max(1 + measures["rival_loss"], TINY)), -1, 1),
         "rival_t": _clip(measures["rival_t"] / deviations, -1, 1),
         "curve_size": _clip(math.sqrt(max(-curve, 0.0)) / size, 0, 1) if is_tested else 0.0,
-        "curve_ratio": _clip(-0.5 * math.log(max(1 + curve, TINY)), 0, 1) if is_tested else 0.0,
+        "curve_ratio": _gain(curve),
         "curve_t": _clip(-curve_t / deviations, 0, 1) if is_tested else 0.0,
         "curve_untested": float(not is_tested),
         "static_size": _clip(_signed_root(static) / size, -1, 1) if math.isfinite(static) else 1.0,
         "static_t": _clip(measures.get("static_t", math.nan) / deviations, -1, 1) if math.isfinite(static) else 1.0,
+        "free_size": _clip(_signed_root(free), -1, 1) if math.isfinite(free) else 1.0,
         "remainder": measures["remainder"],
         "structure": measures["structure"],
         "left": _clip(measures["structure"] / size, 0, 1),
@@ -69,6 +71,8 @@ def grade_effect(probability: float, features: Mapping[str, float], has_equal: b
         or features["rival_t"] < policy.least_rival
         or features["static_t"] < policy.least_rival
         or features["curve_size"] > policy.most_form
+        or (features["curve_ratio"] > policy.most_gain and features["curve_t"] > policy.least_rival)
+        or features["free_size"] < policy.least_free
         or features["remainder"] > policy.most_remainder
         or features["share"] < policy.least_share
         or features["change"] > policy.most_change
@@ -83,6 +87,11 @@ def grade_effect(probability: float, features: Mapping[str, float], has_equal: b
 
 def _clip(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
+
+
+def _gain(loss: float) -> float:
+    """By how much a relative difference of mean square errors lowers the logarithm of the rms error; 0 where nobody looked."""
+    return _clip(-0.5 * math.log(max(1 + loss, TINY)), 0, 1) if math.isfinite(loss) else 0.0
 
 
 def _signed_root(value: float) -> float:

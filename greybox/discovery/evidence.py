@@ -17,13 +17,14 @@ import numpy as np
 
 from greybox.discovery.candidates import family_of
 from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
-from greybox.discovery.dependence import rank_dependences
+from greybox.discovery.dependence import TIME, rank_dependences
 from greybox.discovery.disturbance_sites import unwhitened_shooting
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.execution import RefitJob
 from greybox.discovery.failures import SearchStage
 from greybox.discovery.holdout import HoldoutScores, is_level_measured
-from greybox.discovery.policy import DiscoveryPolicy, EvidencePolicy
+from greybox.discovery.localisation import localise_residual
+from greybox.discovery.policy import CertaintyPolicy, DiscoveryPolicy, EvidencePolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.screening import list_extension_starts, rank_extensions
 from greybox.discovery.shape_correction import (
@@ -33,6 +34,7 @@ from greybox.discovery.shape_correction import (
     prepare_curve,
 )
 from greybox.discovery.starting_points import count_shapes
+from greybox.discovery.surrogate import FreeCurve, refit_free_curves
 from greybox.discovery.surrogate_effects import CURVE
 from greybox.effects import Scales
 from greybox.model import Effect
@@ -76,7 +78,8 @@ class EffectEvidence(Printable, ReadOnly):
         What the probability was computed from. Losses are relative differences of mean square errors from that of the model, all outputs
         together, on the validation records and adapted to them (`HoldoutScores.adapt`): without the effect, with its rival, with a
         flexible curve beside it, and of an effect with memory with a curve in its place; ``_t`` are the same in standard errors of the
-        blocks.
+        blocks. For what would be established, ``free_loss`` is the same of the cost on the estimation records, with a free curve over
+        whatever explains most, wherever it does so.
     """
 
     effect: str
@@ -141,7 +144,7 @@ class EvidenceInputs:
 
 
 def lower_grade(evidence: EffectEvidence) -> EffectEvidence:
-    """The same evidence of a search that was cut short: what it established is only probable."""
+    """The same evidence where the answer as a whole is open: what was established is only probable."""
     return replace(evidence, grade=Grade.PROBABLE) if evidence.grade is Grade.ESTABLISHED else evidence
 
 
@@ -156,11 +159,15 @@ def gather_evidence(inputs: EvidenceInputs) -> tuple[EffectEvidence, ...]:
     structure = measure_structure(
         inputs.scores, inputs.selected, inputs.policy.selection.visible_rms, inputs.limits.most_correlation
     )
-    return tuple(
+    weighed = tuple(
         _weigh_effect(inputs, effect, errors, corrected.get(effect.name), halves, survives_start, structure)
         for effect in inputs.selected.model.effects
         if not is_shape_correction(effect.name)
     )
+    # Something unknown acts where more than noise is left, and here it wears the name of an effect: the others may share the disguise.
+    is_disguised = any(e.grade is Grade.STAND_IN for e in weighed)
+    is_open = is_disguised and structure > inputs.policy.certainty.most_untested
+    return tuple(lower_grade(e) for e in weighed) if is_open else weighed
 
 
 def _weigh_effect(
@@ -209,13 +216,16 @@ def _weigh_effect(
         "effects": float(len(inputs.selected.effects)),
         "undetermined": float(_is_undetermined(inputs.fit, name)),
     }
-    features = to_features(measures, inputs.policy.certainty)
-    probability = probability_of(features, inputs.policy.certainty)
+    has_equal = bool(alike) or is_static
+    probability, grade = _grade(measures, has_equal, inputs.policy.certainty)
+    if grade is Grade.ESTABLISHED:  # the dearest test comes last, for what has passed all others
+        measures["free_loss"] = _compare_with_free_curves(inputs, name, form, rest)
+        probability, grade = _grade(measures, has_equal, inputs.policy.certainty)
     unit = next(o.unit for o in inputs.selected.model.outputs if o.name == output)
     return EffectEvidence(
         name,
         probability,
-        grade_effect(probability, features, bool(alike) or is_static, inputs.policy.certainty),
+        grade,
         output,
         unit,
         float(np.sqrt(_mean(without.get(output)))),
@@ -230,6 +240,43 @@ def _weigh_effect(
         _helps_on_every_record(inputs, rest, output),
         measures,
     )
+
+
+def _grade(measures: Mapping[str, float], has_equal: bool, policy: CertaintyPolicy) -> tuple[float, Grade]:
+    features = to_features(measures, policy)
+    probability = probability_of(features, policy)
+    return probability, grade_effect(probability, features, has_equal, policy)
+
+
+def _compare_with_free_curves(inputs: EvidenceInputs, name: str, form: BlockErrors, rest: CandidateFit | None) -> float:
+    """How much larger the cost of the best free curve is that stands in the place of an effect; NaN where none could be fitted.
+
+    The cost is that on the estimation records: on the validation records a curve of so many constants drifts, or is adapted to the
+    noise. There it must only not do worse than the selected model, beyond chance; ``form`` holds the errors of that, adapted. A curve
+    that represents the effect itself counts where Schwarz's criterion, which charges its heights, is for it.
+    """
+    signal = next((s for s in inputs.signals if s.effect == name), None)
+    chance = inputs.policy.certainty.least_rival * inputs.policy.certainty.most_deviations
+    losses = [
+        curve.candidate.cost / max(inputs.selected.cost, TINY) - 1
+        for curve in _refit_free_curves(inputs, rest)
+        if not _represents(curve.variable, signal, inputs.limits)
+        or curve.candidate.criterion < inputs.selected.criterion
+        if _compare(form, inputs.scores.square_errors(curve.candidate, inputs.limits.blocks, adapted=True))[1] < chance
+    ]
+    return min(losses, default=np.nan)
+
+
+def _represents(variable: str, signal: EffectSignal | None, limits: EvidencePolicy) -> bool:
+    """Whether a curve over ``variable`` can be the effect itself: over its own variable, over time if it drifts, over any if it is
+    constant.
+    """
+    if signal is None:
+        return False
+    rms, spread = float(np.sqrt(np.mean(signal.modelled**2))), float(np.std(signal.modelled))
+    if variable == signal.variable_name or spread <= limits.constant_spread * rms:
+        return True
+    return variable == TIME and abs(float(np.corrcoef(signal.time, signal.modelled)[0, 1])) > limits.drift_correlation
 
 
 # Refits
@@ -284,6 +331,20 @@ def _refit_static_curve(inputs: EvidenceInputs, effect: Effect, rest: CandidateF
     prepare = partial(prepare_curve, rest, signal, inputs.policy)
     job = inputs.problem.failures.attempt(SearchStage.SHAPE_CORRECTION, inputs.selected.effects, prepare, None)
     return None if job is None else inputs.problem.refit_all([job])[0]
+
+
+def _refit_free_curves(inputs: EvidenceInputs, rest: CandidateFit | None) -> list[FreeCurve]:
+    """In the place of an effect a smooth curve wherever the records would have one: where that does better, the name or the place is
+    wrong.
+    """
+    if rest is None:
+        return []
+
+    def refit(rest: CandidateFit) -> list[FreeCurve]:
+        location = localise_residual(rest, policy=inputs.policy.localisation, selection=inputs.policy.selection)
+        return refit_free_curves(inputs.problem, rest, location, inputs.policy)
+
+    return inputs.problem.failures.attempt(SearchStage.EVIDENCE, rest.effects, partial(refit, rest), [])
 
 
 def _converge(inputs: EvidenceInputs, fit: CandidateFit) -> CandidateFit:

@@ -225,6 +225,8 @@ class SurrogatePolicy:
 
     variables: int = 2
     """Variables over which a curve is tried."""
+    free_sites: int = 3
+    """Sites that the sensors cannot separate at which a free curve is tried in the place of an effect."""
     intervals: int = 20
     """Intervals of the curve."""
     margin: float = 0.15
@@ -291,6 +293,10 @@ class EvidencePolicy:
     """Seed of the resampling: the same records give the same interval."""
     rivals: int = 4
     """Effects of other families that are fitted in the place of each effect."""
+    constant_spread: float = 0.1
+    """Standard deviation of an effect's signal over its rms up to which it is constant."""
+    drift_correlation: float = 0.95
+    """Correlation of an effect's signal with time from which it is a drift."""
     same_error: float = 0.01
     """Relative difference of mean square errors, over what the effect takes, below which a rival does the same."""
     iterations: int = 30
@@ -315,7 +321,7 @@ class EvidencePolicy:
 class CertaintyPolicy:
     """How probable it is that an effect is right, and from which probability it may be called so."""
 
-    intercept: float = -4.0
+    intercept: float = -5.0
     """Constant of the logistic function."""
     weights: Mapping[str, float] = field(
         default_factory=lambda: {
@@ -328,6 +334,7 @@ class CertaintyPolicy:
             "curve_ratio": -1.0,
             "curve_t": -2.0,
             "curve_untested": -0.3,
+            "free_size": 1.0,
             "remainder": -1.0,
             "static_size": 1.0,
             "static_t": 2.0,
@@ -353,6 +360,12 @@ class CertaintyPolicy:
     curve in its place."""
     most_form: float = 0.5
     """What a flexible curve beside the effect takes more, over what the effect takes, in rms."""
+    most_gain: float = 0.11
+    """By how much a flexible curve beside the effect may lower the rms error (as a difference of logarithms): a tenth. More than that,
+    and more than chance (`least_rival`), is another form."""
+    least_free: float = 0.2
+    """Root of the relative difference by which a free curve in the effect's place must cost more, wherever it is and whatever it is over:
+    4 %. Where one does as well, the place or the name is open."""
     most_remainder: float = 0.6
     """What the effect leaves over its own variable, over its signal, in rms."""
     least_share: float = 0.02
@@ -362,7 +375,8 @@ class CertaintyPolicy:
     most_left: float = 0.3
     """What is left beyond noise, over what the effect takes, in rms: an imposter leaves more of the effect whose place it takes."""
     most_untested: float = 0.3
-    """Share of the rms error that may be more than noise beside an effect whose form no curve can test (play, a delay)."""
+    """Share of the rms error that may be more than noise beside an effect whose form no curve can test (play, a delay), or beside one
+    that is a stand-in."""
 
 
 @dataclass(frozen=True)

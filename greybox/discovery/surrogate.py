@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from greybox.discovery.curve_shape import CurveShape, ShapeKind, classify_shape
-from greybox.discovery.dependence import TIME, Dependence
+from greybox.discovery.dependence import TIME, Dependence, rank_dependences
 from greybox.discovery.disturbance_sites import DisturbanceSite, list_disturbance_sites
 from greybox.discovery.holdout import (
     HoldoutError,
@@ -238,6 +238,44 @@ def fit_curve_surrogate(
     return surrogate if surrogate.explained_fraction >= policy.surrogate.useful_share else None
 
 
+@dataclass(frozen=True)
+class FreeCurve:
+    """A candidate with a smooth curve over ``variable`` at one site, in the place of whatever it lacks."""
+
+    variable: str
+    candidate: CandidateFit
+
+
+def refit_free_curves(
+    problem: DiscoveryProblem, candidate: CandidateFit, location: ResidualLocalisation, policy: DiscoveryPolicy
+) -> list[FreeCurve]:
+    """``candidate`` with a smooth curve at each of the likeliest sites of what it leaves, over the likeliest variables and over time.
+
+    The most that anything without memory could do there, whatever its name. Empty where nothing is left, or ``candidate`` has a curve.
+    """
+    if location.signal is None or CURVE in candidate.effects:
+        return []
+    limits = policy.surrogate
+    signals = estimate_site_signals(candidate, policy.localisation)
+    labels = [label for label in location.sets[0] if label in signals][: limits.free_sites]
+    sites = {s.label: s for s in list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])}
+    none = np.zeros(0)
+    over_time = Dependence(TIME, "s", 0.0, CurveShape(ShapeKind.TOO_FEW_VALUES), 0.0, None, none, none, none)
+    curves = []
+    for label in labels:
+        signal = signals[label]
+        variables = {name: (values, signal.units[name]) for name, values in signal.variables.items()}
+        ranked = rank_dependences(signal.time, signal.value, variables, policy.localisation)
+        dependences = [d for d in ranked if d.variable != TIME][: limits.variables]
+        signal = replace(signal, variables={**signal.variables, TIME: signal.time - signal.time[0]})
+        # Time is no matter of the site: what drifts at one drifts at another that the sensors cannot tell from it.
+        for d in (*dependences, over_time) if label == labels[0] else dependences:
+            fit = _refit_curve(problem, candidate, sites[label], d, signal, limits)
+            if fit is not None:
+                curves.append(FreeCurve(d.variable, fit))
+    return curves
+
+
 def _needs_segments(problem: DiscoveryProblem, candidate: CandidateFit) -> bool:
     """Whether the model is too unstable for a free run; a curve that makes a stable model unstable is rejected."""
     fitted = replace(candidate.problem, variables=candidate.variables)
@@ -265,7 +303,7 @@ def _refit_curve(
         ]
     model = candidate.model + effect
     names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
-    nominal = {q.name: q.value for q in problem.model.free_parameters}
+    nominal = {q.name: q.value for q in problem.model.free_parameters if q.name in model.values}
     starts = [
         {**candidate.model.values, **values, **{names[n]: v for n, v in start.items()}}
         for start in curve_starts

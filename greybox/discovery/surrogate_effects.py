@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from greybox.discovery.dependence import Dependence
+from greybox.discovery.dependence import TIME, Dependence
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.localisation import ResidualSignal
 from greybox.discovery.policy import SurrogatePolicy
@@ -25,6 +25,8 @@ from greybox.model.signals import Expression, NamedValues, Parameter, State
 
 # Names of the effects.
 CURVE, TONE = "fitted_curve", "tone"
+# The state of a curve over time: seconds since the record began.
+CLOCK = "clock"
 SOURCE = "fitted to the residual of the model; no physical law"
 
 
@@ -116,10 +118,14 @@ def _curve_effect(
     equation: str,
 ) -> Effect:
     """``curve`` of the variable and the parameters, added at ``site``."""
-    variable = dependence.variable
+    is_over_time = dependence.variable == TIME
+    variable = CLOCK if is_over_time else dependence.variable
 
     def term(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
         return curve(x[variable] if variable in x else u[variable], p)
+
+    def run_clock(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+        return [Balance("seconds", "s/s", 1, CLOCK, passing=1.0)]
 
     def with_term(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
         return value + term(x, u, p)
@@ -128,6 +134,8 @@ def _curve_effect(
         CURVE,
         site.name,
         parameters,
+        states=[State(CLOCK, "s", 0.0, description="time since the record began")] if is_over_time else [],
+        balances=run_clock if is_over_time else None,
         terms=None if site.kind in (SiteKind.INPUT, SiteKind.SENSOR) else term,
         on_input=with_term if site.kind == SiteKind.INPUT else None,
         on_output=with_term if site.kind == SiteKind.SENSOR else None,
