@@ -197,7 +197,9 @@ class HoldoutScores:
 
     def _total_cost(self, run: AdaptedRun) -> float:
         noise = self.problem.noise_std
-        return run.rise + sum(np.nansum(np.concatenate(r) ** 2) / noise[name] ** 2 for name, r in run.residuals.items())
+        with np.errstate(over="ignore"):  # a curve may leave its records altogether: an infinite cost is the right one
+            squares = (np.nansum(np.concatenate(r) ** 2) / noise[name] ** 2 for name, r in run.residuals.items())
+            return float(run.rise + sum(squares))
 
     def charge(self, run: AdaptedRun) -> dict[str, float]:
         """By output, the mean square error that stands for the rise of an adapted run: it is spread evenly over the samples."""
