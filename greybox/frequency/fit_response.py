@@ -164,9 +164,12 @@ def fit_frequency_response(
     if time_fit is not None:
         resolved = resolve_options(options)
         problem = prepare_estimation(_with_values(model, names, values), records, time_fit.noise.std, resolved)
-        joint = _JointObjective(SimulationErrorObjective(problem), rows, names, 1 / scale, policy.difference)
+        weight = 1 / max(scale, policy.exact**2)
+        joint = _JointObjective(SimulationErrorObjective(problem), rows, names, weight, policy.difference)
         minimum = search_minimum(joint, resolved)
         variables, status = minimum.objective.variables, minimum.status
+        if not status.success and minimum.evaluation.predicted_decrease(*variables.bounds()) <= policy.converged:
+            status = TerminationStatus.CONVERGED
         optimum = minimum.objective.variables.here
         all_names = list(problem.model.system.parameter_names)
         chosen = [all_names.index(n) for n in names]

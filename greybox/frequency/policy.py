@@ -34,6 +34,8 @@ class ResponseFitPolicy:
     """Predicted decrease of the cost, in squared standard deviations, below which a search that cannot go on has ended well."""
     unknown_std: float = 0.01
     """Standard deviation of a point, over its magnitude, where the response states none; the intervals are then scaled by the residual."""
+    exact: float = 1e-6
+    """Error of points without a stated variance, over ``unknown_std``, below which it is rounding: beside records they weigh no more."""
 
 
 DEFAULT_APPROXIMATION = ApproximationPolicy()
