@@ -20,7 +20,7 @@ from greybox.experiment import Experiment, collect_record_findings
 from greybox.experiment.findings import is_sensor_fault
 from greybox.findings import Finding, Severity
 from greybox.model import Model
-from greybox.noise import BoundDirection
+from greybox.noise import BoundDirection, NoiseSource
 from greybox.numerics import RELATION_MET, TINY
 from greybox.result import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.transcription import DecisionVector
@@ -50,7 +50,9 @@ def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
     values: dict[str, Any] = {"ratio": ratios[worst], "without_outliers": bool(optimum.problem.loss)}
     noise, bound = optimum.problem.noise, optimum.problem.noise.bound(worst)
     if bound is not None and bound.direction is BoundDirection.AT_MOST:
-        values["least_ratio"] = ratios[worst] / noise.ceiling_ratio(worst)
+        # A level that is the residual's own is its ceiling already: the bound is of before the fit.
+        ceiling = 1.0 if noise.sources.get(worst) is NoiseSource.RESIDUAL else noise.ceiling_ratio(worst)
+        values["least_ratio"] = ratios[worst] / ceiling
     return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values),)
 
 

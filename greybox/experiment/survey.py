@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.errors import ModelError
 from greybox.experiment.array_table import ArrayTable
 from greybox.experiment.channels import ChannelTable
 from greybox.experiment.clock_offset import estimate_clock_offset, is_held
@@ -23,7 +24,7 @@ from greybox.experiment.sampling import find_sampling_time, find_time_gaps
 from greybox.experiment.sensor_faults import inspect_signals
 from greybox.experiment.time_base import Samples, find_stamp_problems
 from greybox.findings import Finding, Severity
-from greybox.units import convert
+from greybox.units import convert, unit_converter
 from greybox.values import Printable
 
 INPUT_WORDS = frozenset(
@@ -201,7 +202,7 @@ def _survey_table(file: RecordFile, sampling_time: float | None, policy: RecordP
     }
     if time is not None:
         findings += _find_faults(time, {h: v for h, v in alike.items() if len(v) == len(time)}, policy)
-    return FileSurvey(file.path.name, file.kind.name, tuple(signals), tuple(findings))
+    return FileSurvey(file.path.name, file.kind.name, _with_input(signals), tuple(findings))
 
 
 def _is_column(file: RecordFile, position: int) -> bool:
@@ -247,7 +248,7 @@ def _survey_channels(file: RecordFile, table: ChannelTable, policy: RecordPolicy
                 figures = {n: float(v) for n, v in offset._asdict().items()}
                 about = {"reference": first_clock, "signal": name, **figures}
                 findings.append(Finding(RecordCode.CLOCK_OFFSET, Severity.WARNING, other_clock, about))
-    return FileSurvey(file.path.name, file.kind.name, tuple(signals), tuple(findings))
+    return FileSurvey(file.path.name, file.kind.name, _with_input(signals), tuple(findings))
 
 
 def _find_faults(time: np.ndarray, signals: Mapping[str, np.ndarray], policy: RecordPolicy) -> list[Finding]:
@@ -324,3 +325,23 @@ def _make_name(text: str, used: set[str]) -> str:
         number += 1
     used.add(f"{name}_{number}")
     return f"{name}_{number}"
+
+
+def _with_input(signals: Sequence[SignalSurvey]) -> tuple[SignalSurvey, ...]:
+    """The signals; where none looks like an input, what is electrical beside something that is not: drives are."""
+    if any(s.use == "input" for s in signals):
+        return tuple(signals)
+    driven = {s.header for s in signals if s.use == "output" and _is_electrical(s.unit)}
+    if all(s.header in driven for s in signals if s.use == "output"):
+        return tuple(signals)
+    return tuple(replace(s, use="input") if s.header in driven else s for s in signals)
+
+
+def _is_electrical(unit: str) -> bool:
+    for electrical in ("V", "A", "W"):
+        try:
+            unit_converter(unit, electrical)
+        except ModelError:
+            continue
+        return True
+    return False

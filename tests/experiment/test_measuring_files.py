@@ -367,3 +367,15 @@ def test_the_course_of_an_unknown_input_is_refused(files: Callable[[str], Path])
         gb.read_csv(files("mdf"), LAG_MODEL, interpolation={"v": "first"})
     with pytest.raises(DataError, match="no course"):
         gb.read_csv(files("mdf"), LAG_MODEL, interpolation={"u": "cubic"})  # type: ignore[dict-item]
+
+
+def test_electrical_signals_are_the_likely_inputs_where_no_name_says_so(tmp_path: Path) -> None:
+    time = 0.01 * np.arange(200)
+    rows = np.column_stack([time, 800 * np.sin(7 * time), 30 * np.cos(5 * time)])
+    np.savetxt(
+        tmp_path / "bench.csv", rows, delimiter=",", header="time [s],Motor current [mA],Speed [rpm]", comments=""
+    )
+    uses = {s.header: s.use for s in survey_file(tmp_path / "bench.csv").signals}
+    assert uses == {"time [s]": "time", "Motor current [mA]": "input", "Speed [rpm]": "output"}
+    np.savetxt(tmp_path / "speeds.csv", rows, delimiter=",", header="time [s],a [rpm],b [rpm]", comments="")
+    assert "input" not in {s.use for s in survey_file(tmp_path / "speeds.csv").signals}
