@@ -34,6 +34,7 @@ pytestmark = [
 
 EFFECTS = "coulomb_friction,stribeck_friction"
 SEARCH = "discover silverbox record.csv --validate other.csv --at-rest --workers 1 --output out"
+ASKED = "design silverbox --limit u=-1:1 --duration 0.1 --sampling-time 1.6384e-3 --noise y=1e-4"
 COMMANDS = {
     "fit": ["fit", "silverbox", "record.csv", "--at-rest", "--output", "out"],
     "check": ["check", "silverbox", "record.csv", "--output", "out"],
@@ -55,6 +56,8 @@ COMMANDS = {
     ],
     "discover": [*SEARCH.split(), "--effects", EFFECTS],
     "compare": ["compare", "silverbox", "record.csv", "--validate", "other.csv", "--at-rest", "--output", "out"],
+    "changed": "changed fit.json other.csv --no-effects --no-report --output out".split(),
+    "design": [*ASKED.split(), "--at-rest", "--no-report", "--output", "out"],
     **{
         f"export {kind}": ["export", "fit.json", "--to", kind, "--output", f"out/plant{suffix}"]
         for kind, suffix in {
