@@ -56,7 +56,7 @@ COMMANDS = {
     ],
     "discover": [*SEARCH.split(), "--effects", EFFECTS],
     "compare": ["compare", "silverbox", "record.csv", "--validate", "other.csv", "--at-rest", "--output", "out"],
-    "changed": "changed fit.json other.csv --no-effects --no-report --output out".split(),
+    "changed": ["changed", "fit.json", "other.csv", "--no-effects", "--no-report", "--output", "out"],
     "design": [*ASKED.split(), "--at-rest", "--no-report", "--output", "out"],
     **{
         f"export {kind}": ["export", "fit.json", "--to", kind, "--output", f"out/plant{suffix}"]
