@@ -90,6 +90,7 @@ PAIRS = (
     "input_saturation",
     "force_constant_droop",
 )
+USUAL = {"chirp", "PRBS", "steps", "multisine"}
 WAYS = ("designed", "PRBS", "random")
 CAUTIOUS = 0.3  # share of the limits that the first record of a pair uses
 
@@ -101,8 +102,7 @@ def study_precision(name: str, fits: int) -> dict[str, Any]:
     began = time.process_time()
     plan = gb.design(model, limits=limits, duration=duration, sampling_time=step, noise=noise, options=REST)
     seconds = time.process_time() - began
-    usual = {"chirp", "PRBS", "steps", "multisine"}
-    best_other = max(a.gain for a in plan.alternatives if a.kind == "input" and a.name in usual)
+    best_other = max(a.gain for a in plan.alternatives if a.kind == "input" and a.name in USUAL)
     run, names, estimates = gb.simulate(model, plan.experiment), list(plan.predicted), []
     for seed in range(fits):
         record = run.record(noise, np.random.default_rng(seed))
