@@ -444,7 +444,8 @@ def choose_shares(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Ex
     policy = plan.policy
     settled = knowledge.verdict in (Verdict.COMPLETE, Verdict.NAMED)
     share = policy.first_share if not records else 1.0 if settled else policy.unproven_share
-    share /= 1 + policy.model_error * knowledge.unexplained
+    caution = 1 + policy.model_error * knowledge.unexplained
+    share /= caution
     shares = dict.fromkeys(plan.limits, share)
     if not knowledge.misfit > policy.contradiction:
         return shares
@@ -454,7 +455,7 @@ def choose_shares(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Ex
             _reached_share(r.outputs[name], limit, plan.noise.get(name, 0.0)) for r in records if name in r.outputs
         ]
         if reached:
-            shares[name] = min(share, policy.growth * max(reached))
+            shares[name] = min(share, policy.growth * max(reached) / caution)
     return shares
 
 

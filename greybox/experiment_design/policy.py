@@ -155,10 +155,11 @@ class CampaignPolicy:
     unproven_share: float = 0.85
     """Share that later records may use as long as no discovery has named what is missing, or found nothing: an effect that a small
     motion hides grows with the amplitude."""
-    contradiction: float = 1.5
+    contradiction: float = 3.0
     """Misfit over noise from which the best explanation is contradicted: what it predicts far from where the rig has been says little."""
-    growth: float = 1.5
-    """By how many times a record may then go beyond what the rig has done so far, input by input and signal by signal."""
+    growth: float = 1.0
+    """How far the next record may then go, over how far the rig has been, input by input and signal by signal; the share that is left
+    unexplained comes off. What is missing shows already, and a contradicted model does not foresee a jump."""
     rivals: int = 3
     """Explanations, beside the best one, between which a record is to decide."""
     model_error: float = 3.0

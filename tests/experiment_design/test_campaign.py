@@ -112,13 +112,17 @@ def test_the_plain_model_is_left_only_after_a_record_that_looks_for_what_hides(t
 def test_a_contradicted_model_is_not_trusted_far_from_where_the_rig_has_been(finished) -> None:
     record = gb.read_csv(finished.folder / "01" / "record.csv", MASS)
     plain = gb.fit(MASS, record, noise={"x": 1e-3}, options=PLAN.options)
-    assert plain.misfit["x"].noise_ratio > CAMPAIGN_POLICY.contradiction
-    shares = choose_shares(PLAN, Knowledge(plain, plain), [record])
-    moved = np.abs(record.outputs["x"]).max() / 0.3, np.abs(record.inputs["F"]).max() / 3
-    assert shares["x"] == pytest.approx(min(1.5 * moved[0], CAMPAIGN_POLICY.unproven_share), rel=0.05)
-    assert shares["F"] == pytest.approx(min(1.5 * moved[1], CAMPAIGN_POLICY.unproven_share), rel=0.05)
-    tolerant = replace(PLAN, policy=replace(CAMPAIGN_POLICY, contradiction=1e9))
-    assert set(choose_shares(tolerant, Knowledge(plain, plain), [record]).values()) != set(shares.values())
+    strict = replace(PLAN, policy=replace(CAMPAIGN_POLICY, contradiction=0.9 * plain.misfit["x"].noise_ratio))
+    tolerant = replace(PLAN, policy=replace(CAMPAIGN_POLICY, contradiction=1.1 * plain.misfit["x"].noise_ratio))
+    known = Knowledge(plain, plain)
+    caution = 1 + CAMPAIGN_POLICY.model_error * known.unexplained
+    assert caution > 1
+    moved = {"x": np.abs(record.outputs["x"]).max() / 0.3, "F": np.abs(record.inputs["F"]).max() / 3}
+    for name, share in choose_shares(strict, known, [record]).items():
+        assert share == pytest.approx(min(moved[name], CAMPAIGN_POLICY.unproven_share) / caution, rel=0.05)
+    assert moved["x"] < CAMPAIGN_POLICY.unproven_share
+    for share in choose_shares(tolerant, known, [record]).values():
+        assert share == pytest.approx(CAMPAIGN_POLICY.unproven_share / caution, rel=1e-9)
 
 
 def test_a_rig_that_passes_a_limit_stops_the_campaign_and_the_record_stays(tmp_path) -> None:
