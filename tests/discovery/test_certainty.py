@@ -45,6 +45,12 @@ def test_a_memory_that_the_records_do_not_show_is_not_established():
     assert grade(static_loss=0.01, static_t=0.5) is not Grade.ESTABLISHED
 
 
+def test_a_free_curve_counts_where_it_comes_near():
+    assert grade(free_loss=2.0) is Grade.ESTABLISHED
+    assert probability(free_loss=2.0) > probability(free_loss=0.05)
+    assert grade(curve_loss=-0.3, curve_t=-1.0) is Grade.ESTABLISHED  # by chance
+
+
 @pytest.mark.parametrize("change", [{"start": 0.0}, {"change": 1.5}], ids=["another start", "the halves"])
 def test_what_is_not_found_again_is_not_established(change):
     assert grade(**change) is not Grade.ESTABLISHED
@@ -84,6 +90,9 @@ def test_whatever_speaks_against_an_effect_lowers_its_probability(change):
         {"undetermined": 1.0},
         {"structure": 0.9, "loss": 5.0},
         {"structure": 0.9, "curve_loss": math.nan, "curve_t": math.nan},
+        {"curve_loss": -0.3, "curve_t": -3.3},
+        {"free_loss": 0.01},
+        {"free_loss": -0.3},
     ],
     ids=[
         "rival within chance",
@@ -93,6 +102,9 @@ def test_whatever_speaks_against_an_effect_lowers_its_probability(change):
         "not determined",
         "much is left",
         "form untested and more than noise left",
+        "a curve beside it takes a tenth more",
+        "a free curve in its place does as well",
+        "a free curve in its place does better",
     ],
 )
 def test_no_probability_establishes_an_effect_against_a_single_test(change):

@@ -1,5 +1,6 @@
 """The comparisons behind the evidence of an effect, with errors that are given: nothing is simulated."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,8 +8,9 @@ import pytest
 
 from greybox.discovery import evidence
 from greybox.discovery.adaptation import AdaptedRun
-from greybox.discovery.evidence import _compare, _measure_change, _share_of_error, measure_structure
-from greybox.discovery.policy import EvidencePolicy
+from greybox.discovery.certainty import Grade
+from greybox.discovery.evidence import _compare, _measure_change, _represents, _share_of_error, measure_structure
+from greybox.discovery.policy import DiscoveryPolicy, EvidencePolicy
 from greybox.noise import BoundDirection, NoiseBound, NoiseSource
 from tests.support.fake_candidates import candidate, toy_effect
 
@@ -51,6 +53,75 @@ def test_a_change_is_that_of_the_amplitude_between_the_halves():
     halves = [SimpleNamespace(model=SimpleNamespace(values={"a_size": value})) for value in (1.0, 3.0)]
     assert _measure_change(SimpleNamespace(model=model), effect, halves) == pytest.approx(1.0)
     assert np.isnan(_measure_change(SimpleNamespace(model=model), effect, []))
+
+
+TIME = np.linspace(0, 1, 200)
+
+
+@pytest.mark.parametrize(
+    ("variable", "modelled", "expected"),
+    [
+        ("v", np.sign(np.sin(30 * TIME)), True),
+        ("x", np.sign(np.sin(30 * TIME)), False),
+        ("x", np.full(200, 0.3), True),
+        ("time", 0.1 * TIME, True),
+        ("time", np.sin(30 * TIME), False),
+    ],
+    ids=["its own variable", "another one", "any, of a constant", "time, of a drift", "time, of no drift"],
+)
+def test_a_curve_over_some_variables_is_the_effect_itself(variable, modelled, expected):
+    signal = SimpleNamespace(effect="a", variable_name="v", time=TIME, modelled=modelled)
+    assert _represents(variable, signal, EvidencePolicy()) is expected
+
+
+def compare_with_curves(monkeypatch, *curves, error=1.0):
+    """`free_loss` where ``curves`` (variable, cost, criterion) stand in the place of an effect over v; they leave ``error`` elsewhere."""
+    signal = SimpleNamespace(effect="a", variable_name="v", time=TIME, modelled=np.sin(30 * TIME))
+    fits = [SimpleNamespace(variable=z, candidate=SimpleNamespace(cost=c, criterion=k)) for z, c, k in curves]
+    monkeypatch.setattr(evidence, "_refit_free_curves", lambda *_: fits)
+    scores = SimpleNamespace(square_errors=lambda fit, blocks, adapted: {"x": error * ERRORS["x"]})
+    inputs = SimpleNamespace(
+        signals=[signal],
+        selected=SimpleNamespace(cost=100.0, criterion=110.0),
+        scores=scores,
+        limits=EvidencePolicy(),
+        policy=DiscoveryPolicy(),
+    )
+    return evidence._compare_with_free_curves(inputs, "a", ERRORS, None)
+
+
+def test_the_best_free_curve_counts_unless_it_is_the_effect_itself(monkeypatch):
+    assert compare_with_curves(monkeypatch, ("u", 130.0, 200.0), ("x", 300.0, 400.0)) == pytest.approx(0.3)
+    assert np.isnan(compare_with_curves(monkeypatch, ("v", 99.0, 200.0)))  # as good, for many more constants
+    assert compare_with_curves(monkeypatch, ("v", 60.0, 100.0)) == pytest.approx(-0.4)
+
+
+def test_a_free_curve_that_fails_elsewhere_does_not_count(monkeypatch):
+    assert np.isnan(compare_with_curves(monkeypatch, ("u", 60.0, 100.0), error=3.0))
+
+
+@pytest.mark.parametrize(("structure", "expected"), [(0.6, Grade.PROBABLE), (0.1, Grade.ESTABLISHED)])
+def test_nothing_is_certain_beside_a_stand_in_where_more_than_noise_is_left(monkeypatch, structure, expected):
+    grades = {"a": Grade.ESTABLISHED, "b": Grade.STAND_IN}
+
+    @dataclass(frozen=True)
+    class Weighed:
+        grade: Grade
+
+    for name, value in (
+        ("_refit_with_corrections", {}),
+        ("_refit_halves", []),
+        ("_ends_in_the_same_place", True),
+    ):
+        monkeypatch.setattr(evidence, name, lambda _, value=value: value)
+    monkeypatch.setattr(evidence, "measure_structure", lambda *_: structure)
+    monkeypatch.setattr(evidence, "_weigh_effect", lambda _, effect, *__: Weighed(grades[effect.name]))
+    scores = SimpleNamespace(square_errors=lambda fit, blocks: ERRORS)
+    model = SimpleNamespace(effects=[toy_effect("a"), toy_effect("b")])
+    inputs = SimpleNamespace(
+        scores=scores, selected=SimpleNamespace(model=model), limits=EvidencePolicy(), policy=DiscoveryPolicy()
+    )
+    assert [e.grade for e in evidence.gather_evidence(inputs)] == [expected, Grade.STAND_IN]
 
 
 def structure_of(residual, bound, ratio=1.0):

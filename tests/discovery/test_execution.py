@@ -1,12 +1,18 @@
 """Refits and their journal, with a problem that only counts."""
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from greybox.discovery.execution import RefitExecutor, RefitJob, RefitJournal, RefitOutcome
 from greybox.discovery.failures import FailureLog, SearchStage
+from greybox.discovery.problem import DiscoveryProblem
 from greybox.errors import DataError, ModelError
+from greybox.estimation import FitOptions
+from greybox.noise import AutoRegression, NoiseModel
+from greybox.transcription.options import Transcription
 from models.micro_actuator import micro_actuator
 
 
@@ -96,3 +102,23 @@ def test_an_interruption_is_no_failure_of_a_candidate():
 
     with pytest.raises(KeyboardInterrupt):
         RefitExecutor().run(Interrupted(), jobs(1, 1))
+
+
+@pytest.mark.parametrize(
+    ("of_plain", "asked", "expected"),
+    [
+        ("single", "automatic", "single"),
+        ("multiple", "automatic", "automatic"),
+        ("single", "multiple", "multiple"),
+    ],
+    ids=["free runs follow the plain model", "they do not", "the user decides"],
+)
+def test_candidates_are_judged_by_what_follows_the_plain_model(monkeypatch, of_plain, asked, expected):
+    choice = SimpleNamespace(transcription=Transcription(of_plain))
+    monkeypatch.setattr("greybox.discovery.problem.select_transcription", lambda *_: choice)
+    problem = DiscoveryProblem(
+        None, (), NoiseModel(("x",), np.ones(1), {}, (AutoRegression(),), True), (), FitOptions(transcription=asked)
+    )
+    problem.__dict__["baseline"] = SimpleNamespace(problem=None)
+    assert problem.refit_options.transcription == expected
+    assert problem.to_portable().options.transcription == expected

@@ -48,6 +48,13 @@ def test_the_eigenvalue_decides(rate, expected, reason):
     assert (proposal.transcription, proposal.reason.code) == (expected, reason)
 
 
+def test_a_free_run_that_is_asked_for_still_gets_the_steps_that_it_needs():
+    unstable, stiff = first_order(10.0, cubic=1e-3), first_order(-2000.0, cubic=1e-3)
+    assert propose(unstable).transcription == "multiple"
+    assert propose(unstable, free_run=True).transcription == "single"
+    assert propose(stiff, free_run=True).implicit
+
+
 def test_an_integrator_has_no_time_constant():
     proposal = propose(first_order(-0.02))
     assert proposal.reason.values == {"duration": pytest.approx(1.0), "time_constants": None}

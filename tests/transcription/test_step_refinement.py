@@ -73,6 +73,14 @@ def test_a_coarse_step_is_told_by_half_of_it(problem):
     assert finer.step.substeps >= 2
 
 
+def test_a_step_is_made_no_finer_than_the_policy_allows(problem):
+    policy = SolverOptions().policy
+    limited = replace(policy, step_refinement=replace(policy.step_refinement, max_substeps=1))
+    finer, error = refine_step(solved(problem), SolverOptions(policy=limited))
+    assert finer is None
+    assert error > 1e-6
+
+
 def test_steps_that_were_asked_for_are_judged_and_kept(problem):
     finer, error = refine_step(solved(problem), SolverOptions(substeps=1))
     assert finer is None
