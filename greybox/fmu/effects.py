@@ -257,8 +257,11 @@ def fit_fmu_effects(
             z = np.array([fitted.parameters[name].value for name in names]) / objective.sizes
             with_inputs = _add(build_local_model(objective, z, local.response, show_inputs=True).model, effects)
             with_inputs = with_inputs.start(**values)
-            local = build_local_model(objective, z, local.response)
             behind = _apply(prepared.records, records, with_inputs, result.plant, response)
+            # The response belongs to the parameters: that of others would leave part of what an effect with memory does to an average.
+            longest = max(behind, key=lambda record: record.rows)
+            answer = estimate_linear_response(simulator, objective.settings(z), longest, response) or local.response
+            local = build_local_model(objective, z, answer)
             records = _extend(objective.over(behind), z, local, prepared.records)
             model = _add(local.model, effects).start(**values)
             errors = _measure(model, prepared.records, records, result)

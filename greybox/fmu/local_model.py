@@ -204,7 +204,7 @@ def _slope_name(output: str, parameter: str) -> str:
     return f"{PREFIX}{output}_per_{parameter}"
 
 
-def collect_runs(objective: FmuObjective, z: np.ndarray) -> tuple[list[Mapping[str, np.ndarray]], list[np.ndarray]]:
+def collect_runs(objective: FmuObjective, z: np.ndarray) -> tuple[list[dict[str, np.ndarray]], list[np.ndarray]]:
     """The run over each record of ``objective``, and the slopes (N, ny, n) of its outputs in their units. Raises FmuRunError."""
     objective.run(z)
     slopes = objective.slopes(z)

@@ -93,6 +93,27 @@ def test_an_effect_is_fitted_with_the_fmu_itself(plants, kind):
 
 
 @pytest.mark.slow
+def test_an_effect_with_memory_is_fitted_within_its_intervals(plants):
+    """A lag of the drive, which changes the input between samples, too."""
+    lag, records = 0.12, []
+    for seed in (0, 1):
+        rng = np.random.default_rng(seed)
+        time = 0.05 * np.arange(300)
+        u = rng.standard_normal(51).repeat(6)[:300]
+        system = [[0, 1, 0], [-K, -1.5, 1], [0, 0, -1 / lag]], [[0], [0], [1 / lag]], np.eye(3)[:2], np.zeros((2, 1))
+        y = lsim(system, u, time, interp=False)[1]
+        noisy = {name: y[:, j] + NOISE[name] * rng.standard_normal(300) for j, name in enumerate(NOISE)}
+        records.append(Experiment(f"r{seed}", time, {"F": u}, noisy))
+    fit = fit_fmu(plants["ModelExchange"], records[0], free=["K"], noise=NOISE, validation=records[1])
+    about = prepare_fmu(fit, *records)
+    candidate = next(e for e in about.local.candidates if e.name == "drive_lag")
+    result = fit_fmu_effects(about, [candidate], start={"tau_u": 0.05}, noise=NOISE)
+    assert result.agrees
+    for name, true in (("K", K), ("tau_u", lag)):
+        assert abs(result.parameters[name].value - true) < 3 * result.parameters[name].std
+
+
+@pytest.mark.slow
 def test_a_discovery_names_the_effect(prepared):
     candidates = [
         e for e in prepared.local.candidates if e.name in ("input_dead_zone", "input_offset", "sensor_lag", "drive_lag")
