@@ -63,13 +63,13 @@ class CandidateFit:
 
     @property
     def per_sample(self) -> float:
-        """Cost over the number of samples: 1 where only noise is left."""
-        return self.cost / self.count
+        """Cost over the number of samples: 1 where only noise is left; infinite for a model whose run overflows at once."""
+        return self.cost / self.count if self.count else np.inf
 
     @property
     def criterion(self) -> float:
         """Schwarz's criterion: cost plus ``ln(samples)`` for each free constant."""
-        return self.cost + self.free * float(np.log(self.count))
+        return self.cost + self.free * float(np.log(max(self.count, 1)))
 
     @property
     def promised_decrease(self) -> float:

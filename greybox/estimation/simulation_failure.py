@@ -114,7 +114,7 @@ def _evaluate(model: Model, formulas: list[ca.SX], x: np.ndarray, u: np.ndarray,
     system = model.system
     known = [system.x, system.u, system.p]
     whole = ca.vertcat(*formulas)
-    names = {s.name() for group in known for s in ca.symvar(group)}
+    names = {s.name() for group in known for s in ca.symvar(ca.SX(group))}
     other = [s for s in ca.symvar(whole) if s.name() not in names]  # an input of the past: as good as zero here
     if other:
         whole = ca.substitute(whole, ca.vertcat(*other), ca.SX.zeros(len(other)))

@@ -44,11 +44,14 @@ class LawPolicy:
     """The same with a term in the model."""
     most_rows: int = 600
     """Rows of a record that the observer runs over; of longer records every second, third... row."""
-    observed_terms: int = 20
-    """Terms that are run through the observer after the linear ranking: those that promise most."""
+    observed_terms: tuple[int, ...] = (18, 24)
+    """Terms that are run through the observer after the linear ranking, those that promise most first; the next batch only where none of
+    the one before leaves mere noise."""
     leading_decrease: float = 100.0
     """Of these a term is refitted only if its objective there (minus twice the log-likelihood) is within this of the best."""
-    refitted_terms: int = 6
+    rival_decrease: float = 30.0
+    """The same once a term leaves only noise: others are refitted that may do so as well."""
+    refitted_terms: int = 10
     """Terms that are refitted by simulation after that."""
     refit_iterations: int = 40
     """Iterations of such a refit."""
@@ -62,6 +65,8 @@ class LawPolicy:
     """Iterations of that."""
     complexity_cost: float = 4.0
     """What one unit of complexity costs in Schwarz's criterion: of the many terms that could be written, complicated ones fit by chance."""
+    clean_score: float = 1.15
+    """Rms error over noise on the validation records up to which a law leaves only noise there: its constants are not exact."""
     same_error: float = 0.1
     """Laws whose error on the validation records is within this share of the least do as well."""
     least_share: float = 0.5

@@ -49,11 +49,12 @@ class TermStart:
 def list_law_sites(model: Model) -> list[tuple[str, str]]:
     """Name and unit of each balance of the plant that is no definition (``dx/dt = v``)."""
     system, plant = model.system, {s.name for s in model.states}
-    return [
-        (b.name, b.unit)
-        for b in system.balances
-        if b.state in plant and not system.rhs[system.state_names.index(b.state)].is_symbolic()
-    ]
+
+    def is_definition(state: str) -> bool:
+        rate = system.rhs[system.state_names.index(state)]
+        return bool(rate.is_symbolic()) and rate.name() in system.state_names
+
+    return [(b.name, b.unit) for b in system.balances if b.state in plant and not is_definition(b.state)]
 
 
 def fit_in_observer(

@@ -7,7 +7,7 @@ curve in the place of one of its factors does not do better. Else the answer is 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -25,6 +25,7 @@ from greybox.discovery.laws.likeness import Likeness, find_likeness
 from greybox.discovery.laws.policy import LawPolicy
 from greybox.discovery.laws.screening import (
     ObservedFit,
+    TermStart,
     choose_terms,
     fit_in_observer,
     observe_terms,
@@ -33,6 +34,7 @@ from greybox.discovery.laws.screening import (
 from greybox.discovery.laws.terms import LAW, LawTerm
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.residual_noise import is_level_known
 from greybox.findings import Check, Finding
 from greybox.model import Model
 from greybox.result import Fit
@@ -152,24 +154,39 @@ class _LawSelection:
     def is_clean(self, candidate: CandidateFit) -> bool:
         return candidate.per_sample <= clean_cost_limit(candidate.count, self.policy.selection)
 
+    def is_clean_everywhere(self, candidate: CandidateFit) -> bool:
+        """Whether only noise is left on the validation records too, within what the constants' uncertainty does there."""
+        return self.is_clean(candidate) and self.scores.score(candidate) <= self.limits.clean_score
+
     # Terms beside a model
 
-    def find_terms(self, observed: ObservedFit, terms: tuple[LawTerm, ...], observe: int, refit: int) -> None:
-        """The laws that have one term more than the observed model, refitted."""
+    def find_terms(self, observed: ObservedFit, terms: tuple[LawTerm, ...], most: int) -> None:
+        """The laws that have one term more than the observed model: the leading ones refitted, more of them while none is clean."""
         limits, name = self.limits, LAW if not terms else f"{LAW}_{len(terms) + 1}"
         ranked = rank_terms(observed, limits)
         self.tried += len(ranked)
-        observations = observe_terms(
-            self.problem, observed, self.nominal, choose_terms(ranked, observe, limits), name, limits
-        )
-        if not observations:
-            return
-        least = observations[0][1].objective
-        leading = [o for o in observations if o[1].objective - least < limits.leading_decrease][:refit]
-        for start, one in leading or observations[:1]:
-            fit = self.refit(one, limits.refit_iterations)
+        chosen = choose_terms(ranked, sum(limits.observed_terms), limits)
+        first = 0
+        for count in limits.observed_terms:
+            batch = observe_terms(self.problem, observed, self.nominal, chosen[first : first + count], name, limits)
+            first += count
+            if self._refit_leading(terms, batch, most) or self.problem.executor.is_late:
+                return
+
+    def _refit_leading(
+        self, terms: tuple[LawTerm, ...], batch: Sequence[tuple[TermStart, ObservedFit]], most: int
+    ) -> bool:
+        """Refits by simulation, best first; whether one of them leaves only noise."""
+        is_any_clean = False
+        for k, (start, one) in enumerate(batch[:most]):
+            behind = one.objective - batch[0][1].objective
+            if k and behind > (self.limits.rival_decrease if is_any_clean else self.limits.leading_decrease):
+                break
+            fit = self.refit(one, self.limits.refit_iterations)
             if fit is not None:
                 self.fits.append(LawFit((*terms, start.term), fit))
+                is_any_clean = is_any_clean or self.is_clean_everywhere(fit)
+        return is_any_clean
 
     def refit(self, observed: ObservedFit, iterations: int) -> CandidateFit | None:
         job = RefitJob(observed.model, (observed.values,), 1, iterations, observed.initial)
@@ -230,14 +247,14 @@ def search_laws(
     if observed is None or not _lacks_something(search, baseline):
         is_missing = _lacks_something(search, baseline)
         return LawSearch((), (), baseline, None, None, search.is_clean(baseline), is_missing=is_missing)
-    search.find_terms(observed, (), limits.observed_terms, limits.refitted_terms)
+    search.find_terms(observed, (), limits.refitted_terms)
     on_message(str(Finding(DiscoveryCode.LAW_TERMS_RANKED, values={"terms": search.tried})))
     ranked = search.ranked()
-    if not any(search.is_clean(law.candidate) for law in ranked):
+    if not any(search.is_clean_everywhere(law.candidate) for law in ranked):
         for law in ranked[: limits.starting_laws]:
             beside = _observe_law(search, law)
             if beside is not None:
-                search.find_terms(beside, law.terms, limits.observed_terms // 2, limits.second_terms)
+                search.find_terms(beside, law.terms, limits.second_terms)
     search.finish_leading()
     return _judge(search, _retest_baseline(search, baseline))
 
@@ -339,7 +356,7 @@ def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
         )
         for law in rivals
     ]
-    is_clean = search.is_clean(best.candidate) and best.score <= selection.visible_rms + limits.same_error
+    is_clean = search.is_clean(best.candidate) and best.score <= limits.clean_score
     explains = Check.at_least(DiscoveryRule.HOLDOUT_EXPLAINED, explained, limits.established_share, subject)
     curve = make_check(DiscoveryRule.LAW_CURVE, 0.0, limits.curve_gain, True, subject)
     if not is_clean:
@@ -348,7 +365,8 @@ def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
     checks += [explains, curve]
     if not curve.passed:
         grade = Grade.STAND_IN
-    elif rivals or not (is_clean or explains.passed):
+    elif rivals or not (is_clean or (explains.passed and not is_level_known(search.problem.noise_model))):
+        # Beyond a noise that is known something is missing still, and that may be the right law.
         grade = Grade.PROBABLE
     else:
         grade = Grade.ESTABLISHED
@@ -358,7 +376,7 @@ def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
         partial(validate_candidate, search.problem, best.candidate, search.scores.validation),
         None,
     )
-    if fit is None:
+    if fit is None or not _is_better(search, baseline, fit):
         return replace(nothing, checks=tuple(checks))
     return LawSearch(
         _to_laws(best, fit, grade),
@@ -370,6 +388,12 @@ def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
         tuple(checks),
         search.tried,
     )
+
+
+def _is_better(search: _LawSelection, baseline: CandidateFit, fit: Fit) -> bool:
+    """Whether the finished fit still follows the validation records better than the plain model."""
+    score = float(np.sqrt(np.mean([m.noise_ratio**2 for m in fit.validation.misfit.values()])))
+    return score < search.scores.score(baseline)
 
 
 def _share_of_curve(search: _LawSelection, law: LawFit) -> float:
