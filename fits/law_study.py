@@ -339,7 +339,7 @@ def run(path: Path, kinds: list[str], levels: list[str], only: str) -> None:
     for kind in kinds:
         for level in levels if kind != "hidden" else [n for n in levels if n == "1"]:
             for system in SYSTEMS:
-                if (only and system.name != only) or (system.name, kind, level) in done:
+                if (only and system.name not in only.split(",")) or (system.name, kind, level) in done:
                     continue
                 if kind == "hidden" and len(system.equations) < 2:
                     continue

@@ -60,7 +60,7 @@ def make_check(rule: DiscoveryRule, value: float, limit: float, passed: bool, su
 
 def noise_cost_limit(count: int) -> float:
     """Cost per sample that ``count`` samples of noise of exactly known level hardly ever exceed: four standard deviations."""
-    return 1 + 4 * math.sqrt(2 / count)
+    return 1 + 4 * math.sqrt(2 / max(count, 1))
 
 
 def clean_cost_limit(count: int, policy: SelectionPolicy) -> float:

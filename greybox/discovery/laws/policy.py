@@ -55,7 +55,7 @@ class LawPolicy:
     """Terms that are refitted by simulation after that."""
     refit_iterations: int = 40
     """Iterations of such a refit."""
-    starting_laws: int = 2
+    starting_laws: int = 1
     """Single terms beside which a second one is looked for."""
     second_terms: int = 4
     """Second terms that are refitted beside each of these."""
@@ -66,7 +66,7 @@ class LawPolicy:
     complexity_cost: float = 4.0
     """What one unit of complexity costs in Schwarz's criterion: of the many terms that could be written, complicated ones fit by chance."""
     clean_score: float = 1.15
-    """Rms error over noise on the validation records up to which a law leaves only noise there: its constants are not exact."""
+    """Rms error over noise on the validation records, constants moved within their uncertainty, up to which a law leaves only noise."""
     same_error: float = 0.1
     """Laws whose error on the validation records is within this share of the least do as well."""
     least_share: float = 0.5

@@ -156,7 +156,23 @@ class _LawSelection:
 
     def is_clean_everywhere(self, candidate: CandidateFit) -> bool:
         """Whether only noise is left on the validation records too, within what the constants' uncertainty does there."""
-        return self.is_clean(candidate) and self.scores.score(candidate) <= self.limits.clean_score
+        return self.is_clean(candidate) and self.judge(candidate) <= self.limits.clean_score
+
+    def judge(self, candidate: CandidateFit) -> float:
+        """Rms error over noise on the validation records once constants and first states have moved within their uncertainty.
+
+        Infinite where the model fails. A law that was learnt in another range is not to blame for what its constants leave open.
+        """
+        run, adapted = self.scores.run(candidate), self.scores.adapt(candidate)
+        if run is None or adapted is None:
+            return math.inf
+        charge, noise = self.scores.charge(adapted), self.problem.noise_std
+        ratios = [
+            (charge[name] + float(np.nanmean(np.concatenate(r) ** 2))) / noise[name] ** 2
+            for name, r in adapted.residuals.items()
+        ]
+        score = math.sqrt(float(np.mean(ratios)))
+        return score if math.isfinite(score) else math.inf
 
     # Terms beside a model
 
@@ -167,7 +183,7 @@ class _LawSelection:
         self.tried += len(ranked)
         chosen = choose_terms(ranked, sum(limits.observed_terms), limits)
         first = 0
-        for count in limits.observed_terms:
+        for count in limits.observed_terms[: 1 if terms else None]:
             batch = observe_terms(self.problem, observed, self.nominal, chosen[first : first + count], name, limits)
             first += count
             if self._refit_leading(terms, batch, most) or self.problem.executor.is_late:
@@ -211,7 +227,7 @@ class _LawSelection:
                     fit.model, [fit.model.values], 1, self.limits.finish_iterations, like=fit
                 )
                 fit = again if again is not None and again.cost < fit.cost else fit
-            finished.append(replace(law, candidate=fit, score=self.scores.score(fit)))
+            finished.append(replace(law, candidate=fit, score=self.judge(fit)))
         self.fits = finished
 
 
