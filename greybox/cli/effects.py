@@ -66,7 +66,7 @@ def effects(
         typer.echo(written([keep_effect(name, result)]))
         return
     if name is not None or result is not None:
-        raise typer.BadParameter("NAME and --result go with keep, as in greybox effects keep end_stop")
+        raise typer.BadParameter("NAME and --result go with keep, as in greybox effects keep soft_stop")
     entries = (*CATALOGUE, *find_own_effects())
     if model is None:
         listing = EffectListing("", entries)

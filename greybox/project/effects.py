@@ -95,7 +95,7 @@ def keep_effect(name: str, result: Path | None = None, folder: Path | None = Non
     if root is None:
         raise ModelError("no project here to keep an effect in: a project has a folder models/; see greybox init")
     if not name.isidentifier() or keyword.iskeyword(name):
-        raise ModelError(f"effect {name!r}: give a name of letters, digits and underscores, such as end_stop")
+        raise ModelError(f"effect {name!r}: give a name of letters, digits and underscores, such as soft_stop")
     if name in {e.name for e in (*CATALOGUE, *find_own_effects(folder))}:
         raise ModelError(f"effect {name!r}: there is one of this name already; give another one")
     source = result or _newest_result(root)

@@ -319,7 +319,7 @@ def _observe_law(search: _LawSelection, law: LawFit) -> ObservedFit | None:
 
 
 def _lacks_something(search: _LawSelection, baseline: CandidateFit) -> bool:
-    return not search.is_clean(baseline) or search.scores.score(baseline) > search.policy.selection.visible_rms
+    return not search.is_clean_everywhere(baseline)
 
 
 def _retest_baseline(search: _LawSelection, baseline: CandidateFit) -> CandidateFit:

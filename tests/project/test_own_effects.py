@@ -1,0 +1,88 @@
+"""A project's own catalogue: effects in its folder `effects/` are candidates, a law is kept there, strangers' files run nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from greybox.errors import ModelError
+from greybox.project import project_root
+from greybox.project.effects import find_effect, find_own_effects, keep_effect
+from tests.project.test_foreign_projects import STRANGER, needs_superuser
+from tests.project.test_outline import TRAP
+
+OWN = """from greybox import Parameter
+from greybox.effects import formula_effect
+
+drag = formula_effect("drag", "force", "k*abs(v)*v", [Parameter("k", "N*s^2/m^2", -0.3)])
+"""
+LAW = {
+    "name": "law",
+    "site": "force",
+    "equation": "-4.1e5*max(0, x - 0.121)",
+    "formula": "k*max(0, x - c)",
+    "parameters": {"k": {"value": -4.1e5, "unit": "N/m"}, "c": {"value": 0.121, "unit": "m"}},
+    "grade": "established",
+    "range": {"x": [-0.1, 0.13]},
+}
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "rig.py").write_text("import greybox\n")
+    (tmp_path / "effects").mkdir()
+    (tmp_path / "results" / "rig-discover").mkdir(parents=True)
+    empty = {"parameters": {}, "gap": {}}
+    data = {"format": 1, "verdict": "named", "effects": [LAW], "model": "rig", **empty}
+    (tmp_path / "results" / "rig-discover" / "discovery.json").write_text(json.dumps(data))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    before = dict(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - set(before):
+        if name.startswith(("_greybox_file_", "models")):
+            del sys.modules[name]
+
+
+def test_effects_of_the_project_come_beside_the_catalogue(project: Path):
+    (project / "effects" / "mine.py").write_text(OWN)
+    assert [e.name for e in find_own_effects()] == ["drag"]
+    assert find_effect("drag").equation == "k*abs(v)*v"
+    assert find_effect("coulomb_friction").name == "coulomb_friction"
+    with pytest.raises(ModelError, match="an effect"):
+        find_effect("drg")
+
+
+def test_a_law_is_kept_as_an_effect_that_reads_back(project: Path):
+    path = keep_effect("soft_stop")
+    assert path == project / "effects" / "soft_stop.py"
+    (kept,) = find_own_effects()
+    assert kept.name == "soft_stop" and kept.site == "force" and kept.equation == LAW["formula"]
+    assert {q.name: q.value for q in kept.parameters} == {"k": -4.1e5, "c": 0.121}
+    with pytest.raises(ModelError, match="one of this name already"):
+        keep_effect("soft_stop")
+    with pytest.raises(ModelError, match="letters, digits"):
+        keep_effect("end-stop")
+
+
+def test_two_effects_of_one_name_are_told(project: Path):
+    (project / "effects" / "one.py").write_text(OWN)
+    (project / "effects" / "two.py").write_text(OWN)
+    with pytest.raises(ModelError, match="is in effects"):
+        find_own_effects()
+
+
+@needs_superuser
+def test_effects_of_a_stranger_are_not_run(project: Path):
+    trap = project / "effects" / "trap.py"
+    trap.write_text(TRAP)
+    os.chown(trap, STRANGER, STRANGER)
+    assert project_root() is None
+    assert find_own_effects() == ()
+    assert not list(project.rglob("ran"))
