@@ -9,8 +9,8 @@ Right is a law at the right balance that is the dropped term up to algebra: with
 plain model has there, it equals the dropped term everywhere in a box of twice the range of the records. Beside it pysindy gets all states
 of the same records and the cubic library that holds the truth of most systems, with thresholds chosen on the second record.
 
-    python fits/law_study.py run STUDY.jsonl [--kind dropped|complete|hidden|pysindy] [--noise 0.01] [--only NAME]
-    python fits/law_study.py report STUDY.jsonl
+    python -m fits.law_study run STUDY.jsonl [--kind dropped|complete|hidden|pysindy] [--noise 0.01] [--only NAME]
+    python -m fits.law_study report STUDY.jsonl
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import argparse
 import hashlib
 import json
 import re
-import sys
 import time
 import warnings
 from collections import Counter
@@ -31,11 +30,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 import greybox as gb
+from fits.law_systems import SYSTEMS, PublishedSystem
 from greybox import Balance, Experiment, Model, Output, Parameter, State
 from greybox.expressions.formula import evaluate_formula
-
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-from law_systems import SYSTEMS, PublishedSystem
 
 CONSTANT = re.compile(r"\{([^}]*)\}")
 NOISES = {"0": 1e-4, "1": 0.01, "5": 0.05}
