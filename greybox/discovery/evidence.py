@@ -66,8 +66,9 @@ class EffectEvidence(Printable, ReadOnly):
     rival, rival_error
         The best effect of another family in its place, and the rms error with that; "" and NaN where none could be fitted.
     alike
-        Effects of other families that do the same in its place, and `fitted_curve` where a curve without memory does as well as an
-        effect with one: no record of this kind separates them. The probability is that of one of these being right.
+        Effects of other families that do the same in its place, and `fitted_curve` where a curve does as well: one without memory in
+        the place of an effect with one, or one over another variable or at another site. No record of this kind separates them. The
+        probability is that of one of these being right.
     change
         Relative change of its constants from one half of the estimation records to the other; NaN where a half could not be fitted.
     survives_start
@@ -221,6 +222,7 @@ def _weigh_effect(
     if grade is Grade.ESTABLISHED:  # the dearest test comes last, for what has passed all others
         measures["free_loss"] = _compare_with_free_curves(inputs, name, form, rest)
         probability, grade = _grade(measures, has_equal, inputs.policy.certainty)
+    is_curve = is_static or (grade is not Grade.ESTABLISHED and "free_loss" in measures)
     unit = next(o.unit for o in inputs.selected.model.outputs if o.name == output)
     return EffectEvidence(
         name,
@@ -234,7 +236,7 @@ def _weigh_effect(
         interval,
         "" if nearest is None else _other(rivals[nearest], inputs.selected),
         np.nan if nearest is None else float(np.sqrt(_mean(rival_errors[nearest].get(output)))),
-        (*(_other(rivals[k], inputs.selected) for k in alike), *((CURVE,) if is_static else ())),
+        (*(_other(rivals[k], inputs.selected) for k in alike), *((CURVE,) if is_curve else ())),
         change,
         survives_start,
         _helps_on_every_record(inputs, rest, output),
