@@ -3,8 +3,8 @@
     python -m fits.change_study FILE [--part healthy|power|chart|population] [--cases N]
 
 - healthy: machines that are as they were, each fitted and compared anew, in turn on four benches: a linear plant with known noise; the
-  same with noise that nobody tells; a nonlinear plant with coloured noise; a fit of three records against two of today. 1 % false
-  alarms are wanted.
+  same with noise that nobody tells; a nonlinear plant with coloured noise and a quiet record; a fit of three records against two of
+  today. 1 % false alarms are wanted.
 - power: one constant of the second bench has changed by 3, 4, 5 and 6 standard deviations of the difference between both estimates; and
   by 3 standard deviations of what one record tells, where the fit and today have one, two, four or six records each. How often is it
   named, and how often is another constant named?
@@ -45,10 +45,15 @@ SPREAD, OFF = 0.02, 0.15
 
 
 def measure(
-    model: gb.Model, generator: np.random.Generator, rows: int = 250, colour: float = 0.0, name: str = ""
+    model: gb.Model,
+    generator: np.random.Generator,
+    rows: int = 250,
+    colour: float = 0.0,
+    name: str = "",
+    size: float = 0.1,
 ) -> gb.Experiment:
     """A record under a random telegraph signal, with noise of an autoregression of the first order."""
-    u = 0.1 * generator.choice([-1.0, 1.0], rows // 5).repeat(5)
+    u = size * generator.choice([-1.0, 1.0], rows // 5).repeat(5)
     run = gb.simulate(model, {"time": PERIOD * np.arange(len(u)), "u": u})
     noise = LEVEL * generator.standard_normal(len(u))
     for k in range(1, len(u)):
@@ -65,7 +70,9 @@ def measure_healthy(seed: int) -> dict[str, Any]:
         model, options, colour = silverbox, REST if bench == "known noise" else QUICK, 0.0
     counts = (3, 2) if bench == "three and two" else (1, 1)
     before, today = ([measure(model, generator, colour=colour) for _ in range(count)] for count in counts)
-    reference = gb.fit(model, before, noise={"y": LEVEL} if bench == "known noise" else None, options=options)
+    quiet = [measure(model, generator, 500, colour, size=0.0)] if colour else []
+    noise = {"y": LEVEL} if bench == "known noise" else None
+    reference = gb.fit(model, before, noise=noise, quiet=quiet, options=options)
     change = gb.detect_changes(reference, today, search_effects=False)
     checks = {f"{c.rule} {c.subject}".strip(): c.value for c in change.checks}
     return {"bench": bench, "verdict": change.verdict, "moved": change.moved, "p": checks}
