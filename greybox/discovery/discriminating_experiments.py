@@ -3,6 +3,10 @@
 For a chosen model A and a rival B, ``T = min over B's parameters of sum ((y_A - y_B) / noise)^2`` on a simulated experiment
 (Atkinson, Fedorov 1975): the cost by which B would lose. The minimum is taken by one Gauss-Newton step from B's fitted
 parameters. Below about ten the experiment shows nothing.
+
+`greybox.experiment_design` measures by T as well, but stands above this package: it begins with a discovery, adds the information
+of earlier records and needs its gradient along the input. Here the inputs are few, the rival keeps its bounds, and a proposal costs a
+few runs.
 """
 
 from __future__ import annotations
