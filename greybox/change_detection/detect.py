@@ -151,8 +151,8 @@ def detect_changes(
         if scatter is not None and after.names == before.names:
             before, after = scatter.widen(before), scatter.widen(after)
             largest = int(np.argmax(scatter.factors))
-            values = {"factor": float(scatter.factors[largest]), "degrees": scatter.degrees}
-            findings = (*findings, Finding(ChangeCode.SCATTER_ALLOWED, Severity.NOTE, before.names[largest], values))
+            allowed = {"factor": float(scatter.factors[largest]), "degrees": scatter.degrees}
+            findings = (*findings, Finding(ChangeCode.SCATTER_ALLOWED, Severity.NOTE, before.names[largest], allowed))
     constants, test = compare_fits(before, after, level_of_constants, policy)
     checks = of_residual
     if test:
@@ -160,8 +160,8 @@ def detect_changes(
     verdict = decide_change(constants, checks, policy)
     conclusion = _conclude(verdict, constants, test, checks, discovery, residuals, policy)
     if verdict is ChangeVerdict.CHANGED and not comparable:
-        values = {"constants": [name for name, c in constants.items() if c.moved], "p": test.p_value if test else None}
-        conclusion = (Finding(ChangeCode.DIFFERENT_INPUT, Severity.WARNING, values=values),)
+        moved = {"constants": [name for name, c in constants.items() if c.moved], "p": test.p_value if test else None}
+        conclusion = (Finding(ChangeCode.DIFFERENT_INPUT, Severity.WARNING, values=moved),)
         constants = {name: replace(c, moved=False) for name, c in constants.items()}
         verdict = ChangeVerdict.CANNOT_TELL
     return ChangeDetection(
@@ -337,7 +337,7 @@ def _conclude(
     hidden = [name for name, change in constants.items() if not is_seen(change, policy)]
     if verdict is ChangeVerdict.CANNOT_TELL:
         return (Finding(ChangeCode.CANNOT_TELL, Severity.WARNING, values={"constants": hidden}),)
-    widest = max(constants, key=lambda name: constants[name].smallest / abs(constants[name].before or 1.0))
+    widest = max(constants, key=lambda name: (constants[name].smallest or 0.0) / abs(constants[name].before or 1.0))
     values = {"constants": list(constants), "widest": widest, "rate": policy.test.false_alarm_rate}
     change = constants[widest]
     values |= {"smallest": change.smallest, "before": change.before, "unit": change.unit}

@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr, stdtr, stdtrit
@@ -216,7 +217,7 @@ def find_outliers(values: np.ndarray, variances: np.ndarray, level: float, large
 def _report(
     machine: str, surveys: Mapping[str, _ConstantSurvey], estimates: Mapping[str, FittedConstants]
 ) -> MachineReport:
-    constants = {}
+    constants: dict[str, dict[str, Any]] = {}
     fitted = estimates.get(machine)
     for name, survey in surveys.items():
         if fitted is None or machine not in survey.p:
