@@ -79,7 +79,7 @@ def discover(
     time_limit = read_time_limit(study)
     only_laws = study.candidates == (NO_EFFECTS,)
     candidates = () if only_laws else [find_effect(name) for name in study.candidates] or None
-    kept = () if only_laws or candidates else find_own_effects()
+    project_effects = () if only_laws or candidates else find_own_effects()
     journal = folder / "journal.jsonl"
     try:
         with open_workers(workers, cluster) as executor, show_search_progress() as (say, report):
@@ -101,7 +101,7 @@ def discover(
                 executor=executor,
                 workers=workers,
                 time_limit=time_limit,
-                beside=kept,
+                beside=project_effects,
                 laws=study.laws or only_laws,
             )
     except KeyboardInterrupt:

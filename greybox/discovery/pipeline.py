@@ -555,7 +555,7 @@ def _conclude(
         verdict,
         judged.base,
         judged.best,
-        [rival.effects for rival in judged.rivals] if not has_law else list(search.alternatives),
+        list(search.alternatives) if search is not None and has_law else [rival.effects for rival in judged.rivals],
         holdout,
         ranking,
         location,

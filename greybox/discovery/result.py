@@ -146,7 +146,7 @@ class Discovery(Printable):
         """
         laws = {law.name: law for law in self.laws}
         evidence = {e.effect: e for e in self.evidence}
-        effects = []
+        effects: list[dict[str, Any]] = []
         for bound in self.best.model.bound_effects:
             if is_shape_correction(bound.effect.name):
                 continue

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -88,13 +89,19 @@ def fit_in_observer(
     def run(z: np.ndarray, intensity: float) -> tuple[float, list[FilteredRun]]:
         p = np.array(list(model.values.values()))
         p[observer.columns] = z
-        runs = [observer.run(r, p, noise, intensity) for r in records]
-        if any(r is None for r in runs):
-            return np.inf, []
+        runs: list[FilteredRun] = []
+        for record in records:
+            one = observer.run(record, p, noise, intensity)
+            if one is None:
+                return np.inf, []
+            runs.append(one)
         return sum(r.likelihood for r in runs) + float(np.sum(((z - mean) / spread) ** 2)), runs
 
+    def at_intensity(z: np.ndarray, k: int) -> tuple[float, list[FilteredRun], int]:
+        return *run(z, intensities[k]), k
+
     z = start
-    best = _descend({}, len(intensities) // 2, lambda k: (*run(z, intensities[k]), k), len(intensities))
+    best = _descend({}, len(intensities) // 2, partial(at_intensity, z), len(intensities))
     if not np.isfinite(best[0]):
         return None
     for _ in range(steps):
@@ -112,7 +119,7 @@ def fit_in_observer(
         else:
             break
         z = tried
-        best = _descend({at: new}, at, lambda k, z=z: (*run(z, intensities[k]), k), len(intensities))
+        best = _descend({at: new}, at, partial(at_intensity, z), len(intensities))
         if objective - best[0] < policy.settled_decrease:
             break
     objective, runs, at = best
