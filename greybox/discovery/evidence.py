@@ -166,8 +166,10 @@ def gather_evidence(inputs: EvidenceInputs) -> tuple[EffectEvidence, ...]:
         if not is_shape_correction(effect.name)
     )
     # Something unknown acts where more than noise is left, and here it wears the name of an effect: the others may share the disguise.
-    is_disguised = any(e.grade is Grade.STAND_IN for e in weighed)
-    is_open = is_disguised and structure > inputs.policy.certainty.most_untested
+    # An effect that merely has an equal, or takes little, is none.
+    limits = inputs.policy.certainty
+    is_disguised = any(e.grade is Grade.STAND_IN and not e.alike and e.share > limits.disguise_share for e in weighed)
+    is_open = is_disguised and structure > limits.most_untested
     return tuple(lower_grade(e) for e in weighed) if is_open else weighed
 
 

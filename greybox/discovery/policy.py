@@ -374,6 +374,8 @@ class CertaintyPolicy:
     """Relative change of the effect's constants from one half of the records to the other: an imposter is fitted anew to each."""
     most_left: float = 0.3
     """What is left beyond noise, over what the effect takes, in rms: an imposter leaves more of the effect whose place it takes."""
+    disguise_share: float = 0.3
+    """Share of the error from which a stand-in without an equal puts the other effects in doubt."""
     most_untested: float = 0.3
     """Share of the rms error that may be more than noise beside an effect whose form no curve can test (play, a delay), or beside one
     that is a stand-in."""

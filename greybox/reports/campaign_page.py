@@ -46,7 +46,7 @@ def _widths(campaign: Campaign) -> PageTable | None:
     """How the interval of each parameter became narrower; None before the first record."""
     measured = [step for step in campaign.steps if step.widths]
     names = list(dict.fromkeys(name for step in measured for name in step.widths))
-    rows = []
+    rows: list[list[str]] = []
     for name in names:
         widths = [step.widths.get(name) for step in measured]
         rows.append([name, *("-" if w is None else "open" if isinf(w) else f"{100 * w:.2g} %" for w in widths)])

@@ -100,13 +100,24 @@ def test_a_free_curve_that_fails_elsewhere_does_not_count(monkeypatch):
     assert np.isnan(compare_with_curves(monkeypatch, ("u", 60.0, 100.0), error=3.0))
 
 
-@pytest.mark.parametrize(("structure", "expected"), [(0.6, Grade.PROBABLE), (0.1, Grade.ESTABLISHED)])
-def test_nothing_is_certain_beside_a_stand_in_where_more_than_noise_is_left(monkeypatch, structure, expected):
+@pytest.mark.parametrize(
+    ("structure", "share", "alike", "expected"),
+    [
+        (0.6, 0.5, (), Grade.PROBABLE),
+        (0.1, 0.5, (), Grade.ESTABLISHED),
+        (0.6, 0.1, (), Grade.ESTABLISHED),
+        (0.6, 0.5, ("c",), Grade.ESTABLISHED),
+    ],
+    ids=["more than noise is left", "noise is left", "it takes little", "it has an equal"],
+)
+def test_nothing_is_certain_beside_a_stand_in(monkeypatch, structure, share, alike, expected):
     grades = {"a": Grade.ESTABLISHED, "b": Grade.STAND_IN}
 
     @dataclass(frozen=True)
     class Weighed:
         grade: Grade
+        share: float
+        alike: tuple[str, ...]
 
     for name, value in (
         ("_refit_with_corrections", {}),
@@ -115,7 +126,7 @@ def test_nothing_is_certain_beside_a_stand_in_where_more_than_noise_is_left(monk
     ):
         monkeypatch.setattr(evidence, name, lambda _, value=value: value)
     monkeypatch.setattr(evidence, "measure_structure", lambda *_: structure)
-    monkeypatch.setattr(evidence, "_weigh_effect", lambda _, effect, *__: Weighed(grades[effect.name]))
+    monkeypatch.setattr(evidence, "_weigh_effect", lambda _, effect, *__: Weighed(grades[effect.name], share, alike))
     scores = SimpleNamespace(square_errors=lambda fit, blocks: ERRORS)
     model = SimpleNamespace(effects=[toy_effect("a"), toy_effect("b")])
     inputs = SimpleNamespace(
