@@ -464,7 +464,9 @@ def _reached_share(values: np.ndarray, limit: SignalLimit, noise: float) -> floa
     known = values[np.isfinite(values)]
     rest = float(known[0])
     excursions = ((float(known.max()) - rest, limit.high - rest), (rest - float(known.min()), rest - limit.low))
-    return max((max(moved - noise, 0.0) / room for moved, room in excursions if np.isfinite(room) and room > 0), default=1.0)
+    return max(
+        (max(moved - noise, 0.0) / room for moved, room in excursions if np.isfinite(room) and room > 0), default=1.0
+    )
 
 
 def _learn(
