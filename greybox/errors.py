@@ -88,6 +88,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
     """
     names = list(known)
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    if close:  # beside a name that is much closer the others only distract
+        closest = difflib.SequenceMatcher(None, close[0], name).ratio()
+        close = difflib.get_close_matches(name, names, n=3, cutoff=closest - 0.2)
     listing = ", ".join(names) if names else "none"
     if not close:
         return f"known: {listing}"

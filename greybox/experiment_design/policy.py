@@ -68,6 +68,8 @@ class InputSearchPolicy:
     """Samples that the refined input has in a period of the highest frequency of the input that it starts from."""
     starts: int = 6
     """Inputs, the best of their kinds, that are refined: each ends at a best input of its own, by up to a factor of two apart."""
+    least_starts: int = 2
+    """Fewest of them, where several models are run: the number above is for one."""
     rounds: int = 4
     """Rounds of the refinement, one where only the ranges of the inputs are limited."""
     violation_growth: float = 3.0

@@ -60,7 +60,10 @@ def search_inputs(question: DesignProblem, keeper: LimitKeeper, make_goal: GoalM
     best_of_kind: dict[str, TriedInput] = {}
     for each in tried:
         best_of_kind.setdefault(each.kind, each)
-    starts = list(best_of_kind.values())[: policy.starts]
+    # Rivals lie far apart on many inputs: the more models there are to run, the fewer starts are needed.
+    models = {plant.model.title for plant in goal.plants}
+    count = max(policy.starts // len(models), policy.least_starts)
+    starts = list(best_of_kind.values())[:count]
     if all(is_differentiable(p) for p in (*goal.plants, *keeper.plants)):
         refined = [s for start in starts for s in refine(question, keeper, make_goal, start.shapes, start.inputs)]
         tried += try_shapes(question, keeper, goal, refined)

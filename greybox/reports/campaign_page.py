@@ -50,7 +50,7 @@ def _widths(campaign: Campaign) -> PageTable | None:
     for name in names:
         widths = [step.widths.get(name) for step in measured]
         rows.append([name, *("-" if w is None else "open" if isinf(w) else f"{100 * w:.2g} %" for w in widths)])
-    head = ["parameter", *(phrase(PageText.CAMPAIGN_STEP, str(step.number)) for step in measured)]
+    head = ["parameter", *(str(phrase(PageText.CAMPAIGN_STEP, str(step.number))) for step in measured)]
     return PageTable(phrase(PageText.CAMPAIGN_WIDTHS), head, rows) if rows else None
 
 

@@ -96,7 +96,7 @@ def test_a_lost_cluster_leaves_the_finished_starts_in_the_journal(tmp_path, reco
     from greybox.parallel import jobs
 
     class Lost:
-        def find_fault(self, finished):
+        def find_fault(self, finished, is_alone=False):
             return "it burnt down" if finished >= 2 else ""
 
     path = tmp_path / "starts.jsonl"

@@ -17,7 +17,7 @@ from tests.support.documented import ROOT, blocks, commands, missing, run_page, 
 
 DOCS = ROOT / "docs"
 # Pages that are run here, quickly: without the parts marked slow. The others are run by the slow tests.
-QUICK = ("equations.md", "own_model.md", "own_effect.md", "study_files.md", "design.md", "changed.md")
+QUICK = ("equations.md", "own_model.md", "own_effect.md", "study_files.md", "design.md", "changed.md", "laws.md")
 TUTORIALS = ("tutorial_micro_actuator.md", "tutorial_pneumatic.md", *QUICK)
 
 
