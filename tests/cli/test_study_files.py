@@ -133,10 +133,10 @@ HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
     ("text", "message"),
     [
         ("model = micro", "study.toml: not TOML: Invalid value (at line 1, column 9); correct that line"),
-        (HEAD + "[fixd]\nM = 1", "study.toml: fixd: no such table; did you mean 'fixed' or 'fit'?"),
-        ("modle = 'a'", "study.toml: modle: no such key; did you mean 'model' or"),
+        (HEAD + "[fixd]\nM = 1", "study.toml: fixd: no such table; did you mean 'fixed'? (known"),
+        ("modle = 'a'", "study.toml: modle: no such key; did you mean 'model'? (known"),
         (HEAD + "at_rset = true", "study.toml, [records] at_rset: no such key; did you mean 'at_rest'?"),
-        (HEAD + "[fit]\nprofle = ['K']", "study.toml, [fit]: profle: no such key; did you mean 'profile' or"),
+        (HEAD + "[fit]\nprofle = ['K']", "study.toml, [fit]: profle: no such key; did you mean 'profile'? (known"),
         (
             HEAD + "[fixed]\nM = 'ten'",
             "study.toml, [fixed], M: 'ten' must be a number in the unit of the model, or 'as declared'",
