@@ -13,6 +13,7 @@ from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.likeness import LikenessKind
 from greybox.findings import Check, Finding
+from greybox.rendering.policy import TEXT_LIMITS
 from greybox.rendering.quantities import change_text, quantity_text
 from greybox.rendering.registry import register, renders, sentence, sentences
 from greybox.units import format_unit
@@ -246,13 +247,13 @@ def list_text(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-MOST_PERCENT = 99.0  # nothing is said to be more certain
 GRADES = {Grade.ESTABLISHED: "established", Grade.PROBABLE: "probable", Grade.STAND_IN: "a stand-in"}
 
 
 @renders("EffectEvidence")
 def _evidence(e: EffectEvidence) -> str:
-    probability = min(max(100 * e.probability, 100 - MOST_PERCENT), MOST_PERCENT)
+    most = TEXT_LIMITS.most_percent
+    probability = min(max(100 * e.probability, 100 - most), most)
     text = f"{GRADES[e.grade]} ({probability:.0f} %)"
     if e.share > 0:
         low, high = e.share_interval
@@ -320,7 +321,10 @@ def _effects_established(finding: Finding) -> str:
 
 def _effects_probable(finding: Finding) -> str:
     v = finding.values
-    names = [f"{effect_title(name)} ({min(100 * p, MOST_PERCENT):.0f} %)" for name, p in v["probabilities"].items()]
+    names = [
+        f"{effect_title(name)} ({min(100 * p, TEXT_LIMITS.most_percent):.0f} %)"
+        for name, p in v["probabilities"].items()
+    ]
     text = (
         f"No effect is established. {'Probable are' if len(names) > 1 else 'The most probable is'} {list_text(names)}"
     )

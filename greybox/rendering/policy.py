@@ -12,6 +12,9 @@ class TextLimits:
     longest_formula: int = 80
     """Characters of a formula that are worth showing in a sentence."""
 
+    most_percent: float = 99.0
+    """Nothing is said to be more certain than this."""
+
     noise_reach: float = 5.0
     """A noise level whose 95 % interval reaches further than a factor e to this is written without the interval: it says nothing."""
 

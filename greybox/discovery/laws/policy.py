@@ -34,6 +34,8 @@ class LawPolicy:
     """The same for constants of which nothing is known, over their values and at least over 1."""
     settled_decrease: float = 0.5
     """Decrease of minus twice the log-likelihood below which the observer's constants stand still."""
+    terms_at_once: int = 1000
+    """Terms that are propagated through the observer at once: what fits into the cache and into memory."""
     most_substeps: int = 8
     """Runge-Kutta steps a row that the observer takes at most."""
     simple_complexity: int = 4

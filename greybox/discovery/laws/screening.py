@@ -16,8 +16,6 @@ from greybox.discovery.problem import DiscoveryProblem
 from greybox.model import Model
 from greybox.numerics import TINY
 
-COLUMNS = 1000  # terms that are propagated at once: what fits into the cache and into memory
-
 
 @dataclass(frozen=True, eq=False)
 class ObservedFit:
@@ -180,8 +178,8 @@ def rank_terms(observed: ObservedFit, policy: LawPolicy) -> list[TermStart]:
             for shape in term.shape_starts(everywhere, policy)
             for lag in ([q * records[0].duration for q in policy.lag_places] if term.has_memory else [0.0])
         ]
-        for first in range(0, len(columns), COLUMNS):
-            chunk = columns[first : first + COLUMNS]
+        for first in range(0, len(columns), policy.terms_at_once):
+            chunk = columns[first : first + policy.terms_at_once]
             values = [signals.of(*column) for column in chunk]
             slopes = [
                 tape.slopes_of_signals(np.column_stack([v[k] for v in values]), index[site]).reshape(-1, len(chunk))
