@@ -264,9 +264,13 @@ def _evidence(e: EffectEvidence) -> str:
     if e.alike:
         text += f"; {list_text([effect_title(name) for name in e.alike])} in its place would do the same"
     if e.rival and math.isfinite(e.rival_error):
-        text += (
-            f"; {effect_title(e.rival)} in its place leaves {quantity_text(e.rival_error, e.unit, beside=e.without)} instead of"
-            f" {quantity_text(e.error, e.unit, beside=e.without)}"
+        rest, with_rival = (quantity_text(v, e.unit, beside=e.without) for v in (e.error, e.rival_error))
+        # The outputs decide together, and this one need not tell the two apart.
+        is_same = rest == with_rival
+        text += f"; {effect_title(e.rival)} in its place leaves " + (
+            f"as much in {e.output}; all outputs together tell the two apart"
+            if is_same
+            else f"{with_rival} instead of {rest}"
         )
     doubts = [
         *([] if e.survives_start else ["another start ends elsewhere"]),
