@@ -3,15 +3,24 @@
 Formulas between dollar signs become MathML, which browsers typeset offline. Lines such as ``<!-- public names -->`` become what the
 program itself says: every public name with its docstring, the help of every command. Pages that
 studies write into this folder join the navigation by themselves.
+
+The studies of the gallery and the page for those who come from other tools are run: a build fails where their code fails or prints
+something else than they show. The picture of each study is drawn from what its code has computed, by a line such as
+``<!-- figure: fit -->`` with the name of a variable. A study is run once for each state of its page and of the library.
 """
 
 from __future__ import annotations
 
 import ast
+import hashlib
 import importlib
 import inspect
+import io
 import re
+import sys
+import tempfile
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +30,18 @@ FOLDER = Path(__file__).parent
 DISPLAYED = re.compile(r"^\$\$(.+?)\$\$", re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"(?<![\\$`\w])\$(?!\s)([^$\n`]+?)(?<!\s)\$(?![\w$])")
 CODE = re.compile(r"(^```.*?^```|`[^`\n]+`)", re.DOTALL | re.MULTILINE)
-STUDIES, DECISIONS = "Studies", "Decisions"
+STUDIES, DECISIONS, GALLERY = "Studies", "Decisions", "Gallery"
+FIGURE = re.compile(r"<!-- figure: (\w+) -->")
+LISTED = re.compile(r"<!-- gallery: ([\w ]+) -->")
+CACHE = FOLDER.parent / ".cache" / "gallery"
+SIZE = (5.6, 3.6)  # inches of a study's picture
 
 
 def on_config(config: Any) -> Any:
     """Every page that is not in the navigation yet joins it: decisions under their heading, other pages at the end, as studies."""
     known = set(_pages(config.nav))
     unlisted = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*.md"))
-    for heading, folder in ((DECISIONS, "decisions/"), (STUDIES, "")):
+    for heading, folder in ((DECISIONS, "decisions/"), (GALLERY, "gallery/"), (STUDIES, "")):
         pages = [page for page in unlisted if page not in known and page.startswith(folder)]
         for section in _sections(config.nav, heading):
             section.extend(pages)
@@ -53,8 +66,97 @@ def _pages(nav: Any) -> Iterator[str]:
             yield from _pages(entry)
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_files(files: Any, config: Any) -> Any:
+    """Run the pages that a build runs; the pictures of the gallery join the files of the site."""
+    from mkdocs.structure.files import File
+
+    run_study(FOLDER / "coming_from.md")
+    for page in sorted((FOLDER / "gallery").glob("*.md")):
+        files.append(File.generated(config, f"gallery/{page.stem}.png", content=run_study(page)))
+    return files
+
+
+def run_study(page: Path) -> bytes:
+    """Run a page, compare what it prints with what it shows, and draw its picture (PNG; nothing if it has none).
+
+    Raises
+    ------
+    ValueError
+        When the page prints something else than it shows.
+    """
+    text = page.read_text(encoding="utf-8")
+    kept = CACHE / f"{page.stem}-{hashlib.sha256((text + _library()).encode()).hexdigest()[:16]}.png"
+    if kept.exists():
+        return kept.read_bytes()
+    sys.path.insert(0, str(FOLDER.parent))
+    try:
+        from tests.support.documented import run_page
+    finally:
+        sys.path.pop(0)
+    with tempfile.TemporaryDirectory() as folder:
+        run = run_page(page, Path(folder))
+    if run.missing:
+        raise ValueError("\n".join(run.missing))
+    figure = FIGURE.search(text)
+    picture = _draw(run.scope[figure[1]]) if figure else b""
+    CACHE.mkdir(parents=True, exist_ok=True)
+    for old in CACHE.glob(f"{page.stem}-*.png"):
+        old.unlink()
+    kept.write_bytes(picture)
+    return picture
+
+
+@cache
+def _library() -> str:
+    """A digest of everything that a study's result depends on beside its own page."""
+    sources = [*sorted((FOLDER.parent / "greybox").rglob("*.py")), Path(__file__)]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
+
+
+def _draw(result: Any) -> bytes:
+    """The one figure that shows a result best."""
+    from greybox.plots.change_detection import plot_changes
+    from greybox.plots.comparison import plot_model_errors
+    from greybox.plots.discovery import plot_effect_signal, plot_surrogate
+    from greybox.plots.matplotlib_backend import draw_sheet
+    from greybox.plots.records import liveliest_window, plot_run
+    from greybox.plots.sheet import Cell, Sheet
+
+    window = None
+    match type(result).__name__:
+        case "Discovery" if result.effect_signals:
+            figure = plot_effect_signal(result.effect_signals[0], "missing")
+        case "Discovery":
+            figure = plot_surrogate(result.surrogate)
+        case "Fit":
+            trace = (result.validation.traces or result.traces)[0]
+            figure = plot_run(trace, {o.name: o.unit for o in result.model.outputs}, "run")
+            window = liveliest_window(trace.time, next(iter(trace.measured.values())))
+        case "Comparison":
+            figure = plot_model_errors(result)
+        case _:
+            figure = plot_changes(result)
+    sheet = Sheet("study", (Cell(figure.panels[0], 0, window=window),), figure.caption, SIZE)
+    file = io.BytesIO()
+    draw_sheet(sheet).savefig(file, format="png")
+    return file.getvalue()
+
+
+def list_studies(names: str) -> str:
+    """Pictures, titles and first sentences of the studies with these names."""
+    rows = []
+    for name in names.split():
+        title, sentence = (FOLDER / "gallery" / f"{name}.md").read_text(encoding="utf-8").split("\n\n")[:2]
+        link = f"gallery/{name}.md"
+        rows.append(f"- [![](gallery/{name}.png)]({link}) **[{title.removeprefix('# ')}]({link})** {sentence}")
+    return "\n".join(['<div class="gallery" markdown>', "", *rows, "", "</div>"])
+
+
+def on_page_markdown(markdown: str, page: Any = None, **_: Any) -> str:
     """The page's text, with what the program says put in and its formulas typeset; code is left as it is."""
+    markdown = LISTED.sub(lambda match: list_studies(match[1]), markdown)
+    if page is not None and FIGURE.search(markdown):
+        markdown = FIGURE.sub(f"![The result of this study]({Path(page.file.src_path).stem}.png)", markdown)
     for words, write in GENERATED.items():
         mark = f"<!-- {words} -->"
         if mark in markdown:

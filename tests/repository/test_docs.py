@@ -17,7 +17,18 @@ from tests.support.documented import ROOT, blocks, commands, missing, run_page, 
 
 DOCS = ROOT / "docs"
 # Pages that are run here, quickly: without the parts marked slow. The others are run by the slow tests.
-QUICK = ("equations.md", "own_model.md", "own_effect.md", "study_files.md", "design.md", "changed.md", "laws.md")
+QUICK = (
+    "coming_from.md",
+    "equations.md",
+    "own_model.md",
+    "own_effect.md",
+    "study_files.md",
+    "design.md",
+    "changed.md",
+    "laws.md",
+)
+STUDIES = sorted(path.stem for path in (DOCS / "gallery").glob("*.md"))
+QUICK_STUDIES = ("first_order_steps", "pendulum_constants", "worn_bearing")
 TUTORIALS = ("tutorial_micro_actuator.md", "tutorial_pneumatic.md", *QUICK)
 
 
@@ -40,6 +51,41 @@ def test_a_page_runs_and_prints_what_it_shows(page: str, tmp_path: Path) -> None
 def test_a_whole_tutorial_runs_and_prints_what_it_shows(page: str, tmp_path: Path) -> None:
     run = run_page(DOCS / page, tmp_path, slow=True)
     assert not run.missing, "\n".join(run.missing)
+
+
+@pytest.mark.parametrize(
+    "study", [s if s in QUICK_STUDIES else pytest.param(s, marks=pytest.mark.slow) for s in STUDIES]
+)
+def test_a_study_of_the_gallery_runs_and_prints_what_it_shows(study: str, tmp_path: Path) -> None:
+    run = run_page(DOCS / "gallery" / f"{study}.md", tmp_path)
+    assert not run.missing, "\n".join(run.missing)
+    assert run.printed and blocks(DOCS / "gallery" / f"{study}.md")[-1].language == "text"
+
+
+def test_the_gallery_lists_each_study_once_with_a_sentence(hooks) -> None:
+    page = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    listed = " ".join(hooks.LISTED.findall(page)).split()
+    assert sorted(listed) == STUDIES and len(STUDIES) >= 20
+    html = hooks.on_page_markdown(page)
+    for study in STUDIES:
+        title, sentence, *_ = (DOCS / "gallery" / f"{study}.md").read_text(encoding="utf-8").split("\n\n")
+        assert title.startswith("# ") and sentence.endswith(".") and "\n" not in sentence
+        assert f"](gallery/{study}.png)" in html and sentence in html
+
+
+def test_the_picture_of_a_study_is_drawn_once_for_each_state_of_its_page(hooks, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(hooks, "CACHE", tmp_path / "kept")
+    page = tmp_path / "study.md"
+    text = (DOCS / "gallery" / "first_order_steps.md").read_text(encoding="utf-8")
+    page.write_text(text, encoding="utf-8")
+    picture = hooks.run_study(page)
+    assert picture.startswith(b"\x89PNG")
+    kept = next((tmp_path / "kept").iterdir())
+    kept.write_bytes(b"kept")
+    assert hooks.run_study(page) == b"kept"
+    page.write_text(text.replace("a = 0.01", "a = 0.5"), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"not printed: a = 0\.5"):
+        hooks.run_study(page)
 
 
 def test_every_page_with_commands_or_code_is_run() -> None:
@@ -115,10 +161,11 @@ def test_pages_of_studies_find_their_way_into_the_navigation(hooks) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)  # it runs the gallery
 def test_the_site_builds_without_warnings_and_fetches_nothing(tmp_path: Path) -> None:
     pytest.importorskip("material", reason="mkdocs-material comes with the extra 'docs'")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1800)
     assert done.returncode == 0, done.stderr
     fetched = re.compile(r'(?:src|href)="(https?:)?//[^"]+\.(?:js|css|woff2?)"')
     for page in tmp_path.rglob("*.html"):

@@ -12,6 +12,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
+import yaml
 
 from greybox.project.template import STUDIES
 
@@ -173,3 +174,15 @@ def test_wheel_installs_one_package_with_the_project_as_its_template(tmp_path: P
     library = [path for path in ours if path.parts[0] == "greybox"]
     carried = {name for name in names if name.startswith("greybox/")}
     assert carried == {path.as_posix() for path in (*library, *template)}
+
+
+def test_the_conda_recipe_and_the_badges_say_what_the_project_says() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    text = (ROOT / "recipe" / "recipe.yaml").read_text(encoding="utf-8")
+    recipe = yaml.safe_load(text)
+    assert recipe["context"]["version"] == project["version"]
+    assert project["requires-python"] == f">={recipe['context']['python_min']}"
+    needed = {name.replace("matplotlib>", "matplotlib-base>") for name in project["dependencies"]}
+    assert needed == {line.replace(" ", "") for line in recipe["requirements"]["run"] if not line.startswith("python ")}
+    assert "://" not in text
+    assert f">{project['version']}<" in (ROOT / "docs/figures/badges/version.svg").read_text(encoding="utf-8")

@@ -70,7 +70,7 @@ def run_page(page: Path, folder: Path, *, slow: bool = False) -> Run:
     """Run the page in ``folder``; a command or code that fails raises, what is not printed as shown is in ``missing``."""
     run, found = Run(), blocks(page)
     # What a figure shows is looked at elsewhere; drawing them would take half of the time.
-    with _in(folder), mock.patch("matplotlib.figure.Figure.savefig"):
+    with _in(folder), mock.patch("matplotlib.figure.Figure.savefig", autospec=True):
         for block in (b for b in found if slow or not b.slow):
             where = f"{page.name}:{block.line}"
             if block.language == "text":
