@@ -164,6 +164,8 @@ def compute_toeplitz_form(columns: np.ndarray, rho: np.ndarray) -> np.ndarray:
     if not rho[1:].any():
         return columns.T @ columns
     n = len(columns)
+    if 2 * n - 1 > NUMBERS_AT_A_TIME:
+        return _compute_long_toeplitz_form(columns, rho)
     size = next_fast_len(2 * n - 1, real=True)
     circle = np.concatenate([rho, np.zeros(size - 2 * n + 1), rho[:0:-1]])
     spectrum = rfft(circle)
@@ -174,4 +176,25 @@ def compute_toeplitz_form(columns: np.ndarray, rho: np.ndarray) -> np.ndarray:
             rfft(columns[:, k : k + step], size, axis=0) * spectrum[:, None], size, axis=0
         )[:n]
     form = columns.T @ filtered
+    return (form + form.T) / 2
+
+
+def _compute_long_toeplitz_form(columns: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """The same a block of rows at a time, each with the rows around it that ``rho`` reaches: FFTs of a bounded size.
+
+    Correlations that are below the last digit of the first one, and stay there, are taken for zero.
+    """
+    reach = int(np.flatnonzero(np.abs(rho) > np.finfo(float).eps * abs(rho[0]))[-1])
+    step = max(NUMBERS_AT_A_TIME // 4, reach)
+    size = next_fast_len(step + 2 * reach, real=True)
+    kernel = np.zeros(size)
+    kernel[: reach + 1] = rho[: reach + 1]
+    kernel[size - reach :] = rho[reach:0:-1]
+    spectrum = rfft(kernel)
+    form = np.zeros((columns.shape[1], columns.shape[1]))
+    for first in range(0, len(columns), step):
+        last, before, after = min(first + step, len(columns)), max(first - reach, 0), first + step + reach
+        for k in range(columns.shape[1]):
+            filtered = irfft(rfft(columns[before:after, k], size) * spectrum, size)
+            form[:, k] += filtered[first - before : last - before] @ columns[first:last]
     return (form + form.T) / 2

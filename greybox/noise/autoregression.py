@@ -63,31 +63,46 @@ class AutoRegression(Printable):
         if not self.order:
             return np.append(rho, np.zeros(count - 1))
         # Yule and Walker: rho[k] - a1 rho[k-1] - ... - ap rho[k-p] = 0 from lag p on, a banded triangle of equations. BLAS solves
-        # it as fast as a filter would, and `scipy.signal` takes half a second to import.
+        # it as fast as a filter would, and `scipy.signal` takes half a second to import. A block of lags at a time, which the last
+        # p lags before it drive: the band of all lags would take p + 1 times the memory of the result.
         row = np.append(1.0, -self.coefficients)
-        diagonals = np.tile(row, (count, 1)).T  # as BLAS has it in memory
-        known = np.zeros(count)
-        known[: len(rho)] = np.convolve(row, rho)[: len(rho)]
-        return np.asarray(dtbsv(self.order, diagonals, known, lower=1, diag=1))
+        result = np.empty(count)
+        known = np.convolve(row, rho)[: len(rho)]
+        for first in range(0, count, ROWS_AT_A_TIME):
+            block = result[first : first + ROWS_AT_A_TIME]
+            if first:
+                known = -np.convolve(row, result[first - self.order : first])[self.order :]
+            driven = np.zeros(len(block))
+            driven[: len(known)] = known[: len(block)]
+            diagonals = np.tile(row, (len(block), 1)).T  # as BLAS has it in memory
+            block[:] = dtbsv(self.order, diagonals, driven, lower=1, diag=1)
+        return result
 
-    def whiten(self, values: np.ndarray) -> np.ndarray:
+    def whiten(self, values: np.ndarray, *, overwrite_input: bool = False) -> np.ndarray:
         """Innovations of unit variance of ``values`` (N, ...), which has unit variance; NaN (gaps) stay NaN.
 
         The filter begins anew after a gap: the first samples there are predicted from as many as there are, each divided by the
-        standard deviation of its own prediction error, so that white noise of variance one comes out everywhere.
+        standard deviation of its own prediction error, so that white noise of variance one comes out everywhere. With
+        ``overwrite_input`` the innovations stand in ``values``.
         """
         values = np.asarray(values, float)
         measured = np.isfinite(values.reshape(len(values), -1)).all(axis=1)
         behind = _count_samples_behind(measured, self.order)
-        result = np.full(values.shape, np.nan)
-        for m, (a, variance) in enumerate(self.predictors):
-            with_so_many = np.flatnonzero(measured & (behind == m))
-            for first in range(0, len(with_so_many), ROWS_AT_A_TIME):  # a long series is in memory a few times only
-                rows = with_so_many[first : first + ROWS_AT_A_TIME]
+        result = values if overwrite_input else np.empty(values.shape)
+        # A long series is in memory a few times only. From its end: what lies before a row is then still as it was.
+        for first in reversed(range(0, len(values), ROWS_AT_A_TIME)):
+            block = slice(first, first + ROWS_AT_A_TIME)
+            white = np.full(values[block].shape, np.nan)
+            for m, (a, variance) in enumerate(self.predictors):
+                with_so_many = np.flatnonzero(measured[block] & (behind[block] == m))
+                if not len(with_so_many):
+                    continue
+                rows = first + with_so_many
                 predicted = np.zeros_like(values[rows])
                 for j, c in enumerate(a):
                     predicted += c * values[rows - j - 1]
-                result[rows] = (values[rows] - predicted) / np.sqrt(variance)
+                white[with_so_many] = (values[rows] - predicted) / np.sqrt(variance)
+            result[block] = white
         return result
 
     def predict(self, values: np.ndarray, steps: int) -> np.ndarray:
@@ -195,7 +210,7 @@ def _trim_gaps(values: np.ndarray) -> np.ndarray:
 def _count_samples_behind(measured: np.ndarray, most: int) -> np.ndarray:
     """How many samples in a row, up to ``most``, lie directly before each one."""
     if measured.all():
-        behind = np.full(len(measured), most)
+        behind = np.full(len(measured), most, np.int32)  # half the memory, of a long record
         behind[:most] = np.arange(min(most, len(measured)))
         return behind
     last_gap = np.maximum.accumulate(np.where(measured, -1, np.arange(len(measured))))

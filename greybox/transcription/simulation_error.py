@@ -16,7 +16,7 @@ import numpy as np
 from greybox.integrators import Step
 from greybox.kernel import Kernel, Record
 from greybox.noise import AutoRegression
-from greybox.numerics import AT_BOUND
+from greybox.numerics import AT_BOUND, ROWS_AT_A_TIME
 from greybox.optim import QuadraticModel
 from greybox.transcription.decision_vector import DecisionVector, ExperimentView
 from greybox.transcription.robust_loss import RobustLoss
@@ -202,17 +202,23 @@ class WhitenedShooting(SingleShooting):
         squares, counts = np.zeros(ny), np.zeros(ny, int)
         with np.errstate(all="ignore"):  # what is not finite is found and reported
             for e, (r, jacobian) in enumerate(self.whiten(self.compute_weighted_errors(z))):
-                is_measured = np.isfinite(self.records[e].samples(self.records[e].y[: self.rows[e]]))
-                r, jacobian = r[: len(is_measured)], jacobian[: len(is_measured)]
-                is_lost = is_measured & ~(np.isfinite(r) & np.isfinite(jacobian).all(axis=2))
-                if is_lost.any():
-                    return _make_failed_evaluation(v.size, ny, (e, int(np.flatnonzero(is_lost.any(axis=1))[0])))
-                cost, psi, weight = self.terms(np.where(is_measured, r, 0.0))
-                columns, rows = v.columns(e), jacobian[is_measured]
-                gradient[columns] += 2 * rows.T @ psi[is_measured]
-                hessian[np.ix_(columns, columns)] += 2 * rows.T @ (weight[is_measured][:, None] * rows)
-                squares += np.where(is_measured, cost, 0.0).sum(axis=0)
-                counts += is_measured.sum(axis=0)
+                every_measured = np.isfinite(self.records[e].samples(self.records[e].y[: self.rows[e]]))
+                columns = v.columns(e)
+                for first in range(
+                    0, len(every_measured), ROWS_AT_A_TIME
+                ):  # a long record is in memory a few times only
+                    is_measured = every_measured[first : first + ROWS_AT_A_TIME]
+                    block = slice(first, first + len(is_measured))
+                    is_lost = is_measured & ~(np.isfinite(r[block]) & np.isfinite(jacobian[block]).all(axis=2))
+                    if is_lost.any():
+                        failed_at = first + int(np.flatnonzero(is_lost.any(axis=1))[0])
+                        return _make_failed_evaluation(v.size, ny, (e, failed_at))
+                    cost, psi, weight = self.terms(np.where(is_measured, r[block], 0.0))
+                    rows = jacobian[block][is_measured]
+                    gradient[columns] += 2 * rows.T @ psi[is_measured]
+                    hessian[np.ix_(columns, columns)] += 2 * rows.T @ (weight[is_measured][:, None] * rows)
+                    squares += np.where(is_measured, cost, 0.0).sum(axis=0)
+                    counts += is_measured.sum(axis=0)
         if not np.isfinite(squares.sum()):
             return _make_failed_evaluation(v.size, ny, (0, 0))
         return add_prior_penalty(v, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts))
@@ -226,14 +232,17 @@ class WhitenedShooting(SingleShooting):
         return self.whiten(errors)
 
     def whiten(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Errors (N, ny) and their Jacobian (N, ny, L) in units of their innovations."""
+        """Errors (N, ny) and their Jacobian (N, ny, L) in units of their innovations; ``errors`` is emptied on the way."""
         if not any(colour.order for colour in self.colour):
             return errors
         result = []
-        for r, jacobian in errors:
+        while errors:  # each is gone when the next is whitened: a long record is in memory a few times only
+            r, jacobian = errors.pop(0)
             both = np.concatenate([r[:, :, None], jacobian], axis=2)
-            white = np.stack([colour.whiten(both[:, j]) for j, colour in enumerate(self.colour)], axis=1)
-            result.append((white[:, :, 0], white[:, :, 1:]))
+            del r, jacobian
+            for j, colour in enumerate(self.colour):
+                colour.whiten(both[:, j], overwrite_input=True)
+            result.append((both[:, :, 0], both[:, :, 1:]))
         return result
 
 

@@ -1,5 +1,6 @@
 """How large the noise is and what colour it has: by every source, against numpy, scipy and dense matrices."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -84,6 +85,18 @@ def test_whitening_is_the_inverse_cholesky_factor_on_every_stretch(reflection):
     assert np.isnan(white[[20, 21, 24]]).all()
 
 
+@pytest.mark.parametrize("rows", [3, 16, 100])
+def test_a_series_is_whitened_in_place_and_a_block_at_a_time(monkeypatch, rows):
+    values = np.random.default_rng(3).normal(size=(60, 2))
+    values[[20, 21, 24]] = np.nan
+    model = AutoRegression((0.8, -0.5, 0.3))
+    white = model.whiten(values)
+    monkeypatch.setattr("greybox.noise.autoregression.ROWS_AT_A_TIME", rows)
+    assert np.array_equal(model.whiten(values), white, equal_nan=True)
+    assert model.whiten(values, overwrite_input=True) is values
+    assert np.array_equal(values, white, equal_nan=True)
+
+
 def test_correlations_and_forecasts_are_those_of_the_process():
     model = AutoRegression((0.9,))
     assert model.autocorrelation(5) == pytest.approx(0.9 ** np.arange(5))
@@ -92,6 +105,27 @@ def test_correlations_and_forecasts_are_those_of_the_process():
         error = series - model.predict(series, ahead)
         assert error[10:].std() == pytest.approx(np.sqrt(1 - 0.81**ahead), rel=0.02)
     assert AutoRegression().predict(series, 3) == pytest.approx(np.zeros(50000))
+
+
+@pytest.mark.parametrize("reflection", [(0.9,), (0.8, -0.5, 0.3), (0.99, 0.99, 0.99), (0.999, -0.7, 0.2, 0.1, 0.5)])
+@pytest.mark.parametrize("rows", [7, 64, 10_000])
+def test_correlations_are_the_same_however_many_lags_are_looked_at_together(monkeypatch, reflection, rows):
+    monkeypatch.setattr("greybox.noise.autoregression.ROWS_AT_A_TIME", rows)
+    model = AutoRegression(reflection)
+    for count in (1, 2, 6, 7, 8, 15, 500):
+        expected = list(model.autocorrelation(model.order + 1))
+        while len(expected) < count:  # Yule and Walker
+            expected.append(float(model.coefficients @ expected[: -model.order - 1 : -1]))
+        assert model.autocorrelation(count) == pytest.approx(np.array(expected[:count]), abs=1e-12)
+
+
+def test_correlations_of_a_long_record_take_little_memory():
+    tracemalloc.start()
+    try:
+        correlations = AutoRegression((0.9, 0.1, -0.2, 0.1, 0.5)).autocorrelation(1_000_000)
+        assert tracemalloc.get_traced_memory()[1] < 2.5 * correlations.nbytes
+    finally:
+        tracemalloc.stop()
 
 
 def test_noise_comes_from_the_most_trustworthy_source():

@@ -90,6 +90,19 @@ def test_the_toeplitz_form_is_that_of_the_dense_matrix():
     assert compute_toeplitz_form(columns, rho) == pytest.approx(columns.T @ toeplitz(rho) @ columns, rel=1e-10)
 
 
+@pytest.mark.parametrize("reach", [3, 40, 250])
+@pytest.mark.parametrize("rows", [300, 997])
+def test_the_form_of_a_long_record_is_summed_in_blocks(monkeypatch, reach, rows):
+    monkeypatch.setattr("greybox.estimation.sandwich.NUMBERS_AT_A_TIME", 400)
+    columns = np.random.default_rng(2).normal(size=(rows, 3))
+    rho = np.where(np.arange(rows) <= reach, np.cos(0.1 * np.arange(rows)) * np.exp(-np.arange(rows) / reach), 0.0)
+    assert compute_toeplitz_form(columns, rho) == pytest.approx(
+        columns.T @ toeplitz(rho) @ columns, rel=1e-10, abs=1e-10
+    )
+    fading = 0.9 ** np.arange(rows)
+    assert compute_toeplitz_form(columns, fading) == pytest.approx(columns.T @ toeplitz(fading) @ columns, rel=1e-10)
+
+
 def test_the_sandwich_widens_the_interval_by_what_the_colour_costs():
     """Spread of the constants over many records of AR(1) noise, against the stated standard deviation."""
     fits = [fit(TRUTH, actuator_record(seed, 0.9)) for seed in range(20)]
