@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from greybox.cli.browser import app as browser_app
 from greybox.cli.campaign import campaign
 from greybox.cli.changed import changed
 from greybox.cli.check import check
@@ -94,6 +95,15 @@ app.command(
         "greybox changed results/rig-fit/fit.json months/ --chart",
     ),
 )(exit_on_error(changed))
+app.command(
+    cls=PlainCommand,
+    short_help="Open a model and its records in the browser.",
+    epilog=format_examples(
+        "greybox app micro_actuator train.csv --validate test.csv --fix M=0.01 --at-rest",
+        "greybox app my/rig.py",
+        "greybox app study.toml",
+    ),
+)(exit_on_error(browser_app))
 app.command(
     cls=PlainCommand,
     short_help="Export a fitted model for controller design, or as code.",

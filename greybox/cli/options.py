@@ -112,11 +112,11 @@ def read_noise(given: list[str], flag: str = "--noise") -> dict[str, float]:
     return Numbers(shape="OUTPUT=STD", example="x=2e-7").from_option(flag, given)
 
 
-def takes_study(command: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def takes_study(command: str, *, records: bool = True) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Decorator: the function ``command(study, ...)`` gets an argument or option for each field of a study that it uses.
 
     In a command that reads study files, MODEL may be one; options beside it take the place of what it says. ``--model`` names the
-    model in place of the file; ``--write-study`` writes the study and runs nothing.
+    model in place of the file; ``--write-study`` writes the study and runs nothing. ``records``: whether it needs some.
     """
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
@@ -137,7 +137,7 @@ def takes_study(command: str) -> Callable[[Callable[..., None]], Callable[..., N
             *, ctx: typer.Context, named_model: str | None = None, write_study: Path | None = None, **given: Any
         ) -> None:
             raw = {name: given.pop(name) for name in specs}
-            study = _study(command, ctx, raw)
+            study = _study(command, ctx, raw, records=records)
             if write_study is None or named_model is not None:
                 study = confirm_model(study, named_model)
             if write_study is not None:
@@ -217,7 +217,7 @@ _WRITE_STUDY = Annotated[
 ]
 
 
-def _study(command: str, ctx: typer.Context, raw: dict[str, Any]) -> Study:
+def _study(command: str, ctx: typer.Context, raw: dict[str, Any], *, records: bool) -> Study:
     """The study that the command line states: from a file, from options, or from both."""
     specs = fields_of(command)
     name = raw["model"]
@@ -235,7 +235,7 @@ def _study(command: str, ctx: typer.Context, raw: dict[str, Any]) -> Study:
         )
     if not study.model:
         raise GreyboxError(f'{study.file}: model is missing; name one, as in model = "micro_actuator"')
-    if "estimation" in specs and not study.estimation and command not in WITHOUT_RECORDS:
+    if records and "estimation" in specs and not study.estimation and command not in WITHOUT_RECORDS:
         if study.file is not None:
             raise GreyboxError(
                 f'{study.file}: [records] estimation is missing; name records, as in estimation = ["train.csv"]'

@@ -50,15 +50,15 @@ MARKUP = {"hovertemplate"}  # templates hold markup of ours, and what they hold 
 def render_page(page: Page) -> str:
     """The page as HTML. Raises DataError where it would be larger than 6 MB."""
     script, drawn = _inside("page.js"), _drawn(page)
-    scripts: list[str | bytes] = [script, *([_plotly_script()] if drawn else [])]
+    scripts: list[str | bytes] = [script, *([read_plotly()] if drawn else [])]
     html = (
         _environment()
         .get_template("page.html")
         .render(
             page=page,
-            style=_style(),
+            style=page_style(),
             script=script,
-            plotly=_plotly() if drawn else "",
+            plotly=pack_plotly() if drawn else "",
             policy=security_policy(scripts),
         )
     )
@@ -122,17 +122,21 @@ def mathml(latex: str) -> Markup:
     return Markup(ET.tostring(root, encoding="unicode"))
 
 
-def embedded(block: FigureBlock) -> Markup:
-    """What the page's script needs of a figure, as JSON that cannot end the script element it stands in."""
+def figure_content(block: FigureBlock) -> dict[str, Any]:
+    """What a page's script needs of a figure, as plain values, its texts escaped for Plotly."""
     drawn = to_plotly(block.figure, block.stretches)
-    content = {
+    return {
         "data": _plain(drawn.traces, shown=True),
         "views": [{**_plain(view, shown=True), "name": view["name"]} for view in drawn.views],
         "signals": _plain(drawn.signals),
         "group": block.group,
         "switch": block.switch,
     }
-    text = json.dumps(content, allow_nan=False, separators=(",", ":"), ensure_ascii=True)
+
+
+def embedded(block: FigureBlock) -> Markup:
+    """What the page's script needs of a figure, as JSON that cannot end the script element it stands in."""
+    text = json.dumps(figure_content(block), allow_nan=False, separators=(",", ":"), ensure_ascii=True)
     return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
 
 
@@ -147,7 +151,7 @@ def label(text: Text) -> str:
     return typeset_number(sentence(text)) if isinstance(text, Finding) else text
 
 
-def _style() -> Markup:
+def page_style() -> Markup:
     """The colours of figures by their roles, in front of the style of all else."""
     light = "".join(f"{css_variable(role)}:{shade.light};" for role, shade in PALETTE.items())
     dark = "".join(f"{css_variable(role)}:{shade.dark};" for role, shade in PALETTE.items())
@@ -193,13 +197,13 @@ def _as_text(text: str) -> str:
 
 
 @cache
-def _plotly() -> Markup:
+def pack_plotly() -> Markup:
     """Plotly's own script, packed; the page unpacks it."""
-    return Markup(b64encode(gzip.compress(_plotly_script(), REPORT.compression, mtime=0)).decode())
+    return Markup(b64encode(gzip.compress(read_plotly(), REPORT.compression, mtime=0)).decode())
 
 
 @cache
-def _plotly_script() -> bytes:
+def read_plotly() -> bytes:
     """Plotly's own script. Read as a file: importing plotly takes time, and 5 MB become 2."""
     home = find_spec("plotly")  # `files` would import it
     if home is None or not home.submodule_search_locations:

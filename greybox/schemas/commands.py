@@ -13,6 +13,7 @@ PRINTED: Mapping[str, tuple[str, ...]] = {
     "fit": (ResultKind.FIT, ResultKind.FMU_FIT),
     "compare": (ResultKind.COMPARISON,),
     "discover": (ResultKind.DISCOVERY,),
+    "app": ("app_address",),
     "changed": (ResultKind.CHANGE,),
     "design": (ResultKind.DESIGN,),
     "campaign": (ResultKind.CAMPAIGN,),

@@ -1,0 +1,201 @@
+"""What a person has on the screen: a model with effects and constants, records, the last fit. Frozen: every step makes a new one.
+
+Nothing in it knows of a page or a server.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from greybox.app.policy import APP_POLICY, AppPolicy
+from greybox.discovery import Discovery, ResidualLocalisation, localise_residual
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.starting_points import estimate_scales, generate_starting_points
+from greybox.effects import bound_delays
+from greybox.errors import DataError, GreyboxError, ModelError
+from greybox.estimation import FitOptions, validate
+from greybox.experiment import Experiment
+from greybox.model import Effect, Model
+from greybox.model.signals import Parameter
+from greybox.result import Fit, Validation
+
+
+@dataclass(frozen=True)
+class ValueRange:
+    """Between which values a slider moves; ``logarithmic`` for constants that can only be positive."""
+
+    low: float
+    high: float
+    logarithmic: bool
+
+    @classmethod
+    def around(cls, parameter: Parameter, policy: AppPolicy = APP_POLICY) -> ValueRange:
+        """A range about the present value of a parameter, within its bounds."""
+        value, (low, high) = parameter.value, parameter.bounds
+        if parameter.positive:
+            return cls(max(low, value / policy.slider_ratio), min(high, value * policy.slider_ratio), True)
+        if value == 0 and math.isfinite(low) and math.isfinite(high):
+            return cls(low, high, False)
+        reach = policy.slider_reach * abs(value) or 1.0
+        return cls(max(low, value - reach), min(high, value + reach), False)
+
+    def holds(self, value: float) -> bool:
+        """Whether the slider can stand there."""
+        return self.low <= value <= self.high
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedRecord:
+    """A record and the file it is from; one that ``validates`` is not fitted, but judges."""
+
+    experiment: Experiment
+    file: Path
+    validates: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A model beside its records.
+
+    Parameters
+    ----------
+    model
+        With its effects and the constants as they stand; a constant that is fixed stays in a fit.
+    records
+        What it is held against.
+    noise, quiet, options, skip, beginning
+        As `greybox.fit` takes them.
+    ranges
+        Range of each constant's slider.
+    fit
+        The last fit; ``is_fitted`` tells whether the constants are still its own.
+    discovery
+        The last discovery.
+    """
+
+    model: Model
+    records: tuple[LoadedRecord, ...] = ()
+    noise: Mapping[str, float] = field(default_factory=dict)
+    quiet: tuple[Experiment, ...] = ()
+    options: FitOptions = field(default_factory=FitOptions)
+    skip: int = 0
+    beginning: int = 0
+    ranges: Mapping[str, ValueRange] = field(default_factory=dict)
+    fit: Fit | None = None
+    discovery: Discovery | None = None
+
+    def __post_init__(self) -> None:
+        kept = {
+            q.name: r
+            for q in self.model.all_parameters
+            if (r := self.ranges.get(q.name)) is not None and r.holds(q.value)
+        }
+        fresh = {q.name: ValueRange.around(q) for q in self.model.all_parameters if q.name not in kept}
+        object.__setattr__(self, "ranges", kept | fresh)
+
+    @property
+    def estimation(self) -> tuple[Experiment, ...]:
+        """The records that are fitted."""
+        return tuple(r.experiment for r in self.records if not r.validates)
+
+    @property
+    def validation(self) -> tuple[Experiment, ...]:
+        """The records that judge."""
+        return tuple(r.experiment for r in self.records if r.validates)
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether model and constants are those of the last fit."""
+        fit = self.fit
+        return fit is not None and fit.model.title == self.model.title and fit.model.values == self.model.values
+
+    @property
+    def model_to_fit(self) -> Model:
+        """The model, its delays bounded as the records can show them."""
+        periods = [float(np.median(record.intervals)) for record in self.estimation]
+        return bound_delays(self.model, max(periods)) if periods else self.model
+
+    def with_values(self, values: Mapping[str, float]) -> Session:
+        """With other values of constants. Raises ModelError for unknown names and values outside their bounds."""
+        return replace(self, model=self.model.start(**values))
+
+    def with_fixed(self, name: str, fixed: bool) -> Session:
+        """With a constant that a fit leaves as it is, or may change. Raises ModelError for an unknown name."""
+        return replace(self, model=self.model.fix(name) if fixed else self.model.free(name))
+
+    def with_effect(self, effect: Effect) -> Session:
+        """With one effect more, so large that it is seen where a record says how large that is. Raises ModelError.
+
+        Its other constants are as declared, so that a study with these start values repeats a fit.
+        """
+        if effect.name in {e.name for e in self.model.effects}:
+            raise ModelError(f"effect {effect.name}: the model contains it already; take it out first")
+        model = self.model + effect
+        if self.estimation:
+            model = model.start(**self._visible_values(model, effect))
+        return replace(self, model=model)
+
+    def _visible_values(self, model: Model, effect: Effect) -> dict[str, float]:
+        """Values of the constants of a new effect where it is visible and small; none where the present model cannot tell."""
+        try:
+            candidate = self._to_candidate(self.estimation[0])
+            points = generate_starting_points(
+                model, effect, candidate, self.model, estimate_scales(candidate), amplitudes=(1.0,)
+            )
+            point = next(points)
+        except GreyboxError:  # a run that overflows has no size: the effect starts as the catalogue has it
+            return {}
+        return {name: value for name, value in point.items() if name not in self.model.values}
+
+    def without_effect(self, name: str) -> Session:
+        """Without one of its effects. Raises ModelError where it has none of this name."""
+        return replace(self, model=self.model.without(name))
+
+    def with_records(self, records: Sequence[LoadedRecord]) -> Session:
+        """With further records."""
+        return replace(self, records=(*self.records, *records))
+
+    def without_record(self, index: int) -> Session:
+        """Without one of the records. Raises DataError where there is none."""
+        self.record(index)
+        return replace(self, records=(*self.records[:index], *self.records[index + 1 :]))
+
+    def with_role(self, index: int, validates: bool) -> Session:
+        """With one of the records fitted, or judging. Raises DataError where there is none."""
+        changed = replace(self.record(index), validates=validates)
+        return replace(self, records=(*self.records[:index], changed, *self.records[index + 1 :]))
+
+    def with_fit(self, fit: Fit, discovery: Discovery | None = None) -> Session:
+        """With the model and the constants of a fit, and the discovery that it came from."""
+        return replace(self, model=fit.model, fit=fit, discovery=discovery or self.discovery, ranges={})
+
+    def record(self, index: int) -> LoadedRecord:
+        """One of the records. Raises DataError where there is none."""
+        if not 0 <= index < len(self.records):
+            raise DataError(f"record {index + 1}: there are {len(self.records)}; load one first")
+        return self.records[index]
+
+    def simulate(self, index: int) -> Validation:
+        """The model's free run over one of the records, as `greybox.validate` makes it, and its misfit."""
+        return validate(self.model, self.record(index).experiment, noise=dict(self.noise), options=self.options)
+
+    def localise(self, index: int) -> ResidualLocalisation:
+        """Where, when and as a function of what the model falls short on one of the records, at its present constants."""
+        return localise_residual(self._to_candidate(self.record(index).experiment))
+
+    def _to_candidate(self, record: Experiment) -> CandidateFit:
+        """The model at its present constants as if they had been fitted to ``record``."""
+        run = validate(self.model, record, noise=dict(self.noise), options=self.options).traces[0]
+        problem = DiscoveryProblem(self.model, (record,), self.noise, self.quiet, self.options).prepare(self.model)
+        states = self.model.system.state_names
+        guess = np.array([[run.initial_state[name] for name in states]])
+        variables = replace(problem.variables, initial=replace(problem.variables.initial, guess=guess))
+        evaluation = problem.shooting(variables).evaluate(variables.here)
+        return CandidateFit(
+            self.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation
+        )

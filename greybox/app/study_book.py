@@ -1,0 +1,26 @@
+"""What the app asks of whoever knows how studies are written: the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+from greybox.app.session import Session
+from greybox.experiment import Experiment
+
+
+class StudyBook(Protocol):
+    """Reads records as a study says, and writes a session as the study and the program that repeat it."""
+
+    def read(self, files: Sequence[Path]) -> tuple[Experiment, ...]:
+        """The records in ``files``. Raises GreyboxError."""
+        ...
+
+    def write_study(self, session: Session, path: Path) -> str:
+        """The text of the study file ``path``, from which ``greybox fit`` computes the same."""
+        ...
+
+    def write_script(self, session: Session, path: Path) -> str:
+        """The text of the Python program ``path`` that computes the same."""
+        ...

@@ -1,0 +1,168 @@
+"""The session and what can be done to it, without a server or a page."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.app import Session, Workbench
+from greybox.app.jobs import JobKind
+from greybox.app.session import ValueRange
+from greybox.cli.browser import StudyOnFile
+from greybox.cli.inputs import build_model, constrain, fit_options
+from greybox.cli.study import Study
+from greybox.errors import DataError, GreyboxError, ModelError
+from greybox.model.signals import Parameter
+
+NOISE = {"v": 2e-3}
+
+
+@pytest.fixture
+def bench(rig: Path, tmp_path: Path) -> Workbench:
+    study = Study(model=str(rig / "carriage.py"), noise=NOISE, at_rest=True)
+    model = constrain(build_model(study), study)
+    session = Session(model, noise=NOISE, options=fit_options(study))
+    bench = Workbench(session, StudyOnFile(study, model), tmp_path / "out", uploads=rig, workers=1)
+    bench.load(rig / "train.csv")
+    bench.load(rig / "test.csv", validates=True)
+    yield bench
+    bench.close()
+
+
+def wait(bench: Workbench) -> None:
+    job = bench.job
+    if job is not None:
+        job.join(120)
+    assert bench.job is None
+
+
+@pytest.mark.parametrize(
+    ("parameter", "low", "high", "logarithmic"),
+    [
+        (Parameter("K", "N/m", 50.0, (1.0, 1000.0)), 5.0, 500.0, True),
+        (Parameter("K", "N/m", 5.0, (1.0, 20.0)), 1.0, 20.0, True),
+        (Parameter("F", "N", -2.0), -8.0, 4.0, False),
+        (Parameter("F", "N", 0.0, (0.0, np.inf)), 0.0, 1.0, False),
+        (Parameter("F", "N", 0.0, (-3.0, 4.0)), -3.0, 4.0, False),
+    ],
+)
+def test_a_slider_reaches_around_the_value_and_stays_within_the_bounds(parameter, low, high, logarithmic) -> None:
+    reach = ValueRange.around(parameter)
+    assert (reach.low, reach.high, reach.logarithmic) == (pytest.approx(low), pytest.approx(high), logarithmic)
+    assert reach.holds(parameter.value)
+
+
+def test_a_look_at_other_values_is_the_library_s_own_run_and_changes_nothing(bench: Workbench) -> None:
+    before = bench.session
+    view = bench.show_run(0, {"B": 1.5})
+    direct = gb.validate(before.model.start(B=1.5), before.estimation, noise=NOISE, options=before.options)
+    assert view["misfit"]["rows"][0][0] == "v"
+    assert view["misfit"]["rows"][0][3] == f"{direct.misfit['v'].noise_ratio:.4g} x noise"
+    assert bench.session is before and bench.show()["undo"] == 2
+    assert json.dumps(view, allow_nan=False)
+
+
+def test_a_slider_keeps_its_range_until_its_value_leaves_it(bench: Workbench) -> None:
+    first = bench.session.ranges["B"]
+    bench.set_values({"B": 3.0})
+    assert bench.session.ranges["B"] == first
+    bench.set_values({"B": 90.0})
+    assert bench.session.ranges["B"].holds(90.0) and bench.session.ranges["B"] != first
+
+
+def test_an_effect_goes_in_visible_and_comes_out_and_every_step_can_be_taken_back(bench: Workbench) -> None:
+    bench.add_effect("coulomb_friction")
+    assert bench.session.model.values["Fc"] > 0
+    assert "coulomb_friction" not in [e["name"] for e in bench.show()["catalogue"]]
+    bench.remove_effect("coulomb_friction")
+    assert bench.session.model.title == "carriage"
+    bench.undo()
+    assert bench.session.model.title == "carriage + coulomb_friction"
+    for _ in range(3):
+        bench.undo()
+    assert not bench.session.records
+    with pytest.raises(GreyboxError):
+        bench.undo()
+
+
+def test_what_is_refused_changes_nothing(bench: Workbench, rig: Path, tmp_path: Path) -> None:
+    before = bench.session
+    wrong = tmp_path / "wrong.csv"
+    wrong.write_text("time [s],force [N]\n0,1\n0.1,2\n", encoding="utf-8")
+    for refused in (
+        lambda: bench.set_values({"B": -1.0}),
+        lambda: bench.set_values({"Q": 1.0}),
+        lambda: bench.set_values({"B": float("nan")}),
+        lambda: bench.set_fixed("Q", True),
+        lambda: bench.add_effect("frictoin"),
+        lambda: bench.remove_effect("coulomb_friction"),
+        lambda: bench.load(wrong),
+        lambda: bench.forget(7),
+        lambda: bench.show_run(-1),
+    ):
+        with pytest.raises((DataError, ModelError)):
+            refused()
+    assert bench.session is before
+
+
+def test_without_records_nothing_is_computed(bench: Workbench) -> None:
+    bench.forget(1)
+    with pytest.raises(DataError):
+        bench.start(JobKind.DISCOVER)
+    bench.forget(0)
+    for refused in (lambda: bench.start(JobKind.FIT), bench.export):
+        with pytest.raises(DataError):
+            refused()
+
+
+def test_the_residual_is_located_where_the_friction_is_missing(bench: Workbench) -> None:
+    location = bench.session.localise(0)
+    assert location.is_missing and "balance force" in location.likeliest
+
+
+def test_a_fit_gives_the_rig_s_constants_and_its_exports_repeat_it(
+    bench: Workbench, tmp_path: Path, monkeypatch
+) -> None:
+    told: list[dict] = []
+    bench.listener = told.append
+    bench.add_effect("coulomb_friction")
+    bench.start(JobKind.FIT)
+    with pytest.raises(GreyboxError):
+        bench.start(JobKind.FIT)
+    wait(bench)
+    fit = bench.session.fit
+    assert bench.session.is_fitted and fit.success
+    for name, value in {"B": 1.5, "Fc": 0.5}.items():
+        assert abs(fit.parameters[name].value - value) < 4 * fit.parameters[name].std
+    assert {n["news"] for n in told} == {"progress", "done"}
+    bench.undo()  # the start of the fit again: what repeats it
+    files = {path.name for path in bench.export()}
+    assert files == {"model.py", "study.toml", "repeat.py", "train.csv", "test.csv"}
+    study = tomllib.loads((tmp_path / "out" / "study.toml").read_text())
+    assert study["effects"] == ["coulomb_friction"] and study["records"]["estimation"] == ["records/train.csv"]
+    assert study["start"]["Fc"] == bench.session.model.values["Fc"]
+    subprocess.run([sys.executable, "repeat.py"], cwd=tmp_path / "out", check=True, capture_output=True)
+    again = json.loads((tmp_path / "out" / "fit.json").read_text())
+    assert {n: p["value"] for n, p in again["parameters"].items()} == {n: e.value for n, e in fit.parameters.items()}
+
+
+def test_a_stopped_discovery_changes_nothing_and_keeps_its_refits(bench: Workbench, tmp_path: Path) -> None:
+    news: list[str] = []
+
+    def hear(item) -> None:
+        news.append(item["news"])
+        if item["news"] == "refit" and item["content"] == 2:  # the first is in the journal by then
+            bench.stop()
+
+    before, bench.listener = bench.session, hear
+    bench.start(JobKind.DISCOVER)
+    wait(bench)
+    assert news[-1] == "stopped" and bench.session is before
+    assert (tmp_path / "out" / "journal.jsonl").stat().st_size > 0
