@@ -67,15 +67,31 @@ class CompilerKind(Enum):
 
 
 _orders: dict[tuple[str, CompilerKind], CompilerOrder] = {}
+"""The orders of this process, the ones that were used last at the end."""
 
 
-def _find_order(key: str, kind: CompilerKind) -> CompilerOrder:
+def _find_order(key: str, kind: CompilerKind, policy: GradualPolicy) -> CompilerOrder:
     """The order of this process for what ``key`` says."""
     name = hashlib.sha256(key.encode(errors="backslashreplace")).hexdigest(), kind
-    if name not in _orders:
-        is_library = kind is not CompilerKind.TRANSLATED
-        _orders[name] = CompilerOrder(find_library(key, kind is CompilerKind.QUICK) if is_library else None)
-    return _orders[name]
+    is_library = kind is not CompilerKind.TRANSLATED
+    order = _orders.pop(name, None) or CompilerOrder(
+        find_library(key, kind is CompilerKind.QUICK) if is_library else None
+    )
+    _orders[name] = order
+    if not is_library:  # a library stays loaded until the process ends, whoever has forgotten it
+        _forget_translated(policy.most_translated)
+    return order
+
+
+def _forget_translated(most: int) -> None:
+    """Forget translated routines beyond ``most``, those that were used longest ago first; a kernel that works with one keeps it."""
+    translated = [
+        name
+        for name, order in list(_orders.items())  # in one piece: other threads add to it
+        if name[1] is CompilerKind.TRANSLATED and order.result is not None
+    ]
+    for name in translated[: len(translated) - most]:
+        _orders.pop(name, None)
 
 
 class _Course(NamedTuple):
@@ -187,7 +203,7 @@ class GradualKernel(CompiledKernel):
             # The exact hold is a few lines in a loop: it wants the loop well compiled, and that takes no longer.
             few = CompilerKind.FULL if self.step.per_interval else CompilerKind.QUICK
             kind = CompilerKind.TRANSLATED if has_llvm() else few
-            order, full = _find_order(key, kind), _find_order(key, CompilerKind.FULL)
+            order, full = (_find_order(key, each, self._policy) for each in (kind, CompilerKind.FULL))
             self._courses[shape] = _Course(machine, self._declare_machine(machine, shape), kind, order, full)
         return self._courses[shape]
 

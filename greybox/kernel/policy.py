@@ -43,6 +43,9 @@ class GradualPolicy:
     core if there is one. Most structures of a search never spend so much."""
     translated_seconds: float = 0.02
     """The same where LLVM is installed, which takes 30 to 100 ms."""
+    most_translated: int = 64
+    """Steps whose translated routines a process keeps for a kernel that comes again; beyond, those that were used longest ago go. Each
+    takes about 1 MB, a search makes twenty to fifty, and without a limit a process that searches all day fills the memory."""
     full_seconds: float = 0.5
     """Seconds in what was compiled quickly before it is compiled with all optimisation, in the background: half a second, for code that
     takes a tenth to a half less time and is there when the same model comes again."""

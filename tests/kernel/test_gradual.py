@@ -1,8 +1,10 @@
 """The tape machine against compiled code, to the bit; how a structure earns its libraries; what happens where they cannot be had."""
 
 import functools
+import gc
 import time
 import warnings
+import weakref
 
 import numpy as np
 import pytest
@@ -132,6 +134,30 @@ def test_a_structure_earns_first_quick_code_and_then_a_full_library(monkeypatch,
     again = GradualKernel(step, None, pytest.fail, NEVER)
     np.testing.assert_array_equal(again.simulate(record, p[None], p, x0)[1], first)
     assert list(again._functions)
+
+
+@pytest.mark.skipif(not has_llvm(), reason="without llvmlite")
+def test_translated_routines_that_nobody_uses_any_more_are_forgotten(monkeypatch):
+    monkeypatch.setattr(gradual, "find_library", lambda *_: None)
+    policy = GradualPolicy(translated_seconds=0.0, full_seconds=np.inf, most_translated=2)
+    record, points = make_record(1, 2, rows=4), (np.ones((1, 1)), np.zeros(1), np.array([0.5, 0.2]))
+    kernels, machines, answers = [], [], []
+    for k in range(4):
+        kernel = GradualKernel(operation_step(lambda a, b, k=k: a * 0.3 + k * b), None, pytest.fail, policy)
+        answers.append(kernel.simulate(record, *points)[1])
+        (course,) = kernel._courses.values()
+        kernel.simulate(record, *points)  # it is translated now
+        wait_for(lambda course=course: course.order.result is not None and not gradual._compiler_is_busy.locked())
+        kernels.append(kernel)
+        machines.append(weakref.ref(course.order.result))
+    for kernel, answer in zip(kernels, answers, strict=True):  # a kernel keeps what it works with
+        np.testing.assert_array_equal(kernel.simulate(record, *points)[1], answer)
+    del kernel, course, kernels
+    gc.collect()
+    assert [machine() is not None for machine in machines] == [False, True, True, True]
+    gradual._forget_translated(2)
+    gc.collect()
+    assert [machine() is not None for machine in machines] == [False, False, True, True]
 
 
 def test_a_long_pass_waits_for_the_compiler(monkeypatch, tmp_path):
