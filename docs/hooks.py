@@ -109,8 +109,8 @@ def run_study(page: Path) -> bytes:
 @cache
 def _library() -> str:
     """A digest of everything that a study's result depends on beside its own page."""
-    sources = [*sorted((FOLDER.parent / "greybox").rglob("*.py")), Path(__file__)]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
+    sources = sorted((FOLDER.parent / "greybox").rglob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest() + inspect.getsource(_draw)
 
 
 def _draw(result: Any) -> bytes:
@@ -119,15 +119,19 @@ def _draw(result: Any) -> bytes:
     from greybox.plots.comparison import plot_model_errors
     from greybox.plots.discovery import plot_effect_signal, plot_surrogate
     from greybox.plots.matplotlib_backend import draw_sheet
-    from greybox.plots.records import liveliest_window, plot_run
+    from greybox.plots.records import liveliest_window, plot_residuals_before_after, plot_run
     from greybox.plots.sheet import Cell, Sheet
 
     window = None
     match type(result).__name__:
         case "Discovery" if result.effect_signals:
             figure = plot_effect_signal(result.effect_signals[0], "missing")
-        case "Discovery":
+        case "Discovery" if result.surrogate is not None:
             figure = plot_surrogate(result.surrogate)
+        case "Discovery":  # a law: no site of the catalogue, so the error that it takes away
+            before, after = (fit.validation.traces[0] for fit in (result.base, result.best))
+            units = {o.name: o.unit for o in result.best.model.outputs}
+            figure = plot_residuals_before_after(before, after, units, result.best.noise.std, "left", "with the law")
         case "Fit":
             trace = (result.validation.traces or result.traces)[0]
             figure = plot_run(trace, {o.name: o.unit for o in result.model.outputs}, "run")

@@ -11,7 +11,6 @@ from greybox.findings import Finding
 from greybox.plots.figure import (
     MODELS,
     Axis,
-    Bars,
     Curve,
     Figure,
     Height,
@@ -21,7 +20,8 @@ from greybox.plots.figure import (
     Scale,
     Symbol,
     Thinning,
-    bar_axis,
+    draw_sizes,
+    size_axis,
 )
 from greybox.plots.policy import DRAWING
 from greybox.plots.records import TIME
@@ -36,7 +36,7 @@ def model_roles(entries: Sequence[ComparisonEntry]) -> dict[str, Role]:
 
 
 def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figure:
-    """Free-run error of each model as a bar, best on top, and its error one sample ahead as a mark; a panel for each output.
+    """Free-run error of each model, best on top, and its error one sample ahead; a panel for each output.
 
     On all judging records, or on one ``record``.
     """
@@ -56,8 +56,9 @@ def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figu
             ["" if is_beyond is hidden else text for text, is_beyond in zip(fits, beyond.tolist(), strict=True)]
             for hidden in (True, False)
         )
+        x = size_axis(f"rms error of {output}", text, np.concatenate([free_run, one_step]))
         series = (
-            Bars(ranked, free_run, [roles[n] for n in ranked], "free run", horizontal=True, texts=behind_bars),
+            *draw_sizes(ranked, free_run, [roles[n] for n in ranked], x, "free run", behind_bars),
             Points(
                 one_step,
                 ranked,
@@ -69,7 +70,6 @@ def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figu
                 hollow=True,
             ),
         )
-        x = bar_axis(f"rms error of {output}", text, np.concatenate([free_run, one_step]))
         panels.append(Panel(output, series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY))
         errors = dict(zip(ranked, free_run.tolist(), strict=True))
         description.append(phrase(FigureText.MODEL_ERROR_RANKING, output, errors=errors, unit=text))

@@ -30,7 +30,8 @@ from greybox.plots.figure import (
     Role,
     Scale,
     Series,
-    bar_axis,
+    draw_sizes,
+    size_axis,
 )
 from greybox.plots.policy import DRAWING
 from greybox.plots.records import FREQUENCY, TIME
@@ -56,10 +57,10 @@ def plot_holdout_error(discovery: Discovery) -> Figure:
         factor, unit = scale_to_prefix(error.unit, np.array(sizes))
         lengths = factor * np.array(sizes)
         texts = [_error_text(size, error) for size in sizes]
-        bars = Bars(names, lengths, roles, horizontal=True, texts=texts)
-        x = bar_axis(f"rms error of {output}", unit, lengths)
+        x = size_axis(f"rms error of {output}", unit, lengths)
         y = Axis(scale=Scale.CATEGORY, reversed=True)
-        panels.append(Panel(output, (bars,), x, y, height=Height.PER_CATEGORY))
+        series = draw_sizes(names, lengths, roles, x, texts=texts)
+        panels.append(Panel(output, series, x, y, height=Height.PER_CATEGORY))
         judged = errors_to_judge(discovery)[output]
         description.append(
             phrase(
@@ -105,7 +106,7 @@ def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:
         (
             Points(x * signal.variable, y * signal.value, Role.MEASURED, "from the records", size=5, opacity=0.7),
             Points(x * signal.variable, y * signal.modelled, Role.EXTENDED, signal.effect, size=4),
-            _bins(signal.dependence, x, y),
+            _bins(signal.dependence, x, y, float(signal.value.mean())),
         ),
         Axis(signal.variable_name, across),
         axis,
@@ -115,7 +116,7 @@ def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:
         "over time",
         (
             Area(
-                signal.time, y * (signal.value - 2 * signal.std), y * (signal.value + 2 * signal.std), label="± 2 std"
+                signal.time, y * (signal.value - 2 * signal.std), y * (signal.value + 2 * signal.std), label="95 % band"
             ),
             Curve(signal.time, y * signal.value, Role.MEASURED, "from the records", 2.4),
             Curve(signal.time, y * signal.modelled, Role.EXTENDED, signal.effect, 1.4),
@@ -145,7 +146,7 @@ def plot_surrogate(surrogate: Surrogate) -> Figure:
         Points(x * surrogate.measured, y * surrogate.signal.value, Role.MEASURED, "from the records", opacity=0.7)
     ]
     if surrogate.tone is None:
-        series.append(_bins(surrogate.dependence, x, y))
+        series.append(_bins(surrogate.dependence, x, y, float(surrogate.signal.value.mean())))
     label = surrogate_title(surrogate).removeprefix("a ")
     series.append(Curve(x * surrogate.values, y * surrogate.curve, Role.SURROGATE, label, 2.4))
     axes = Axis(surrogate.variable, across), Axis(f"missing at the {surrogate.site}", unit)
@@ -166,7 +167,9 @@ def plot_unexplained_signal(localisation: ResidualLocalisation) -> Figure | None
     for variable in dict.fromkeys([*ranked, *signal.variables]):
         x, across = scale_to_prefix(signal.units[variable], signal.variables[variable])
         points = Points(x * signal.variables[variable], y * signal.value, Role.RESIDUAL, opacity=0.5)
-        panels.append(Panel(variable, (points,), Axis(variable, across), Axis("unexplained signal", unit)))
+        panels.append(
+            Panel(variable, (points,), Axis(variable, across), Axis(f"unexplained at the {signal.site}", unit))
+        )
     statements = [str(d) for d in localisation.dependences[:3]]
     caption = phrase(FigureText.UNEXPLAINED, signal.site)
     return Figure("unexplained", tuple(panels), caption, (phrase(FigureText.DEPENDENCES, statements=statements),))
@@ -205,15 +208,10 @@ def plot_candidates(discovery: Discovery) -> Figure | None:
         for c in shown
     ]
     names, misfits = [" + ".join(c.effects) for c in shown], np.array([c.misfit for c in shown])
-    bars = Bars(
-        names,
-        misfits,
-        roles,
-        horizontal=True,
-        texts=[typeset_exponents(f"+{c.behind:.3g}") if c.behind else "best" for c in shown],
-    )
-    x = bar_axis("misfit / noise on the estimation records", "", misfits)
-    series = (Reference(1.0, upright=True, dash=Dash.DOTTED), bars)
+    texts = [typeset_exponents(f"+{c.behind:.3g}") if c.behind else "best" for c in shown]
+    x = size_axis("misfit / noise on the estimation records", "", misfits)
+    marks = draw_sizes(names, misfits, roles, x, texts=texts)
+    series = (Reference(1.0, upright=True, dash=Dash.DOTTED), *marks)
     panel = Panel("candidates", series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY)
     description = phrase(FigureText.CANDIDATE_MISFITS, misfits=dict(zip(names, misfits.tolist(), strict=True)))
     return Figure(
@@ -242,12 +240,13 @@ def plot_average_spectra(discovery: Discovery) -> Figure:
     return Figure("average-spectra", tuple(panels), phrase(FigureText.AVERAGE_SPECTRA))
 
 
-def _bins(dependence: Dependence, x: float, y: float) -> Points:
+def _bins(dependence: Dependence, x: float, y: float, mean: float) -> Points:
+    """The signal's mean in bins of the variable; a dependence is that of the signal without its ``mean``."""
     return Points(
         x * dependence.centres,
-        y * dependence.mean,
+        y * (dependence.mean + mean),
         Role.REFERENCE,
-        "mean in bins, ± 2 std",
+        "mean in bins, 95 %",
         size=6,
         half_bars=2 * y * dependence.std,
     )

@@ -289,6 +289,14 @@ class Panel:
         return tuple(sorted(drawn, key=lambda label: _place(label, self.listing)))
 
     @property
+    def columns(self) -> list[str]:
+        """The names on its horizontal axis, in the order in which they come first; none where it has numbers."""
+        if self.x.scale is not Scale.CATEGORY:
+            return []
+        named = (s.x for s in self.series if isinstance(s, Points))
+        return list(dict.fromkeys(str(name) for names in named for name in names))
+
+    @property
     def categories(self) -> list[str]:
         """The names on its vertical axis, in the order in which they come first; none where it has numbers."""
         if self.y.scale is not Scale.CATEGORY:
@@ -331,10 +339,39 @@ class Figure:
         return next(panel for panel in self.panels if panel.name == name)
 
 
-def bar_axis(name: str, unit: str, lengths: np.ndarray) -> Axis:
-    """The axis along bars of ``lengths`` (N,), with room for a text behind the longest.
+def draw_sizes(
+    names: Sequence[str],
+    sizes: np.ndarray,
+    roles: Sequence[Role],
+    axis: Axis,
+    label: str = "",
+    texts: Sequence[str] = (),
+) -> tuple[Series, ...]:
+    """Sizes (N,) along a horizontal axis: bars from zero where it is linear, a point each where it is logarithmic and has no zero.
 
-    It begins at zero; where the lengths lie so far apart that the shortest could not be seen, it is logarithmic.
+    What has no size is a cross at the edge of a logarithmic axis, with its text.
+    """
+    if axis.scale is not Scale.LOG:
+        return (Bars(names, sizes, roles, label, horizontal=True, texts=texts),)
+    behind = texts or [""] * len(names)
+    edge = axis.limits[0] if axis.limits else np.nan
+    return tuple(
+        Points(
+            np.array([size if np.isfinite(size) else edge]),
+            [name],
+            role,
+            size=DRAWING.mark_of_size,
+            symbol=Symbol.CIRCLE if np.isfinite(size) else Symbol.CROSS,
+            texts=[text] if text else (),
+        )
+        for name, size, role, text in zip(names, sizes, roles, behind, strict=True)
+    )
+
+
+def size_axis(name: str, unit: str, lengths: np.ndarray) -> Axis:
+    """The axis along sizes (N,), with room for a text behind the largest; `draw_sizes` draws them.
+
+    It begins at zero; where the sizes lie so far apart that the smallest could not be seen, it is logarithmic.
     """
     known = lengths[np.isfinite(lengths) & (lengths > 0)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (1.0, 1.0)

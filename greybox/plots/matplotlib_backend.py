@@ -111,7 +111,7 @@ def _draw_panel(axes: Axes, cell: Cell, style: PictureStyle) -> None:
         axes.margins(x=style.margin)
     if panel.equal_scales:
         axes.set_aspect("equal", adjustable="datalim")
-    _set_up(axes.xaxis, axes.set_xlim, panel.x, [], style)
+    _set_up(axes.xaxis, axes.set_xlim, panel.x, panel.columns, style)
     _set_up(axes.yaxis, axes.set_ylim, panel.y, panel.categories, style)
     axes.grid(axis="x" if panel.categories else "both", alpha=style.grid_opacity, lw=style.grid_width)
     axes.set_axisbelow(True)
@@ -183,7 +183,7 @@ def _draw_curve(axes: Axes, curve: Curve, style: PictureStyle) -> None:
 
 def _draw_points(axes: Axes, points: Points, panel: Panel, style: PictureStyle) -> None:
     colour = _colour(points.role)
-    x, y = _places(points.x, panel), _places(points.y, panel)
+    x, y = _places(points.x, panel.columns), _places(points.y, panel.categories)
     if points.half_bars is not None:
         axes.errorbar(x, y, points.half_bars, fmt="none", ecolor=colour, elinewidth=style.line)
     axes.plot(
@@ -205,7 +205,7 @@ def _draw_points(axes: Axes, points: Points, panel: Panel, style: PictureStyle) 
 
 
 def _draw_bars(axes: Axes, bars: Bars, panel: Panel, style: PictureStyle) -> None:
-    places, colours = _places(bars.places, panel), [_colour(role) for role in bars.roles]
+    places, colours = _places(bars.places, panel.categories), [_colour(role) for role in bars.roles]
     if bars.horizontal:
         axes.barh(places, bars.lengths, height=bars.width, color=colours)
     else:
@@ -238,11 +238,11 @@ def _draw_heatmap(axes: Axes, heatmap: Heatmap, style: PictureStyle) -> None:
             axes.text(column, row, write_cell(value), ha="center", va="center", fontsize=style.numbers)
 
 
-def _places(values: np.ndarray | Sequence[str], panel: Panel) -> np.ndarray:
-    """Where numbers or the names of the vertical axis are drawn."""
+def _places(values: np.ndarray | Sequence[str], names: Sequence[str]) -> np.ndarray:
+    """Where numbers or the ``names`` of an axis are drawn."""
     if isinstance(values, np.ndarray):
         return values
-    place = {name: k for k, name in enumerate(panel.categories)}
+    place = {name: k for k, name in enumerate(names)}
     return np.array([place[name] for name in values], dtype=float)
 
 

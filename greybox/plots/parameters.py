@@ -20,7 +20,7 @@ def plot_intervals(percent: Mapping[str, float], caption: Finding) -> Figure | N
         return None
     ranked = dict(sorted(percent.items(), key=lambda item: item[1]))
     sizes = np.array(list(ranked.values()))
-    marks = Points(sizes, list(ranked), Role.RESIDUAL, size=11, texts=[f"± {p:.2g} %" for p in sizes])
+    marks = Points(sizes, list(ranked), Role.RESIDUAL, size=11, texts=[f"{p:.2g} %" for p in sizes])
     limits = 10 ** (math.log10(sizes[0]) - 0.3), 10 ** (math.log10(sizes[-1]) + 0.7)
     x = Axis("half width of the 95 % interval", "% of the value", Scale.LOG, limits)
     panel = Panel("intervals", (marks,), x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY)

@@ -23,7 +23,7 @@ from greybox.plots.discovery import (
     plot_holdout_error,
     plot_surrogate,
 )
-from greybox.plots.figure import Axis, Bars, Curve, Dash, Panel, Reference, Role, Scale
+from greybox.plots.figure import Axis, Curve, Dash, Panel, Reference, Role, Scale, draw_sizes
 from greybox.plots.policy import DRAWING
 from greybox.plots.records import (
     liveliest_window,
@@ -146,7 +146,7 @@ def fit_sheets(fit: Fit, skip: int = 0) -> list[Sheet]:
 
 def _fit_sheet(fit: Fit, trace: Trace, kind: str, skip: int) -> Sheet:
     units = {o.name: o.unit for o in fit.model.outputs}
-    run, residual = plot_run(trace, units, "run"), plot_residual(trace, units, fit.noise.std, "residual")
+    run, residual = plot_run(trace, units, "run"), plot_residual(trace, units, fit.noise.levels, "residual")
     misfit = compute_record_misfits(fit, trace, skip)
     window = liveliest_window(trace.time, next(iter(trace.measured.values())))
     cells = []
@@ -259,7 +259,7 @@ def _before_after_sheet(discovery: Discovery) -> Sheet:
         before = next(t for t in base.validation.traces if output in t.measured)
         after = next(t for t in extended.validation.traces if output in t.measured)
         run = plot_residuals_before_after(
-            _only(before, output), _only(after, output), units, base.noise.std, "residuals", "extended model"
+            _only(before, output), _only(after, output), units, base.noise.levels, "residuals", "extended model"
         )
         cells += [Cell(run[output], k), Cell(spectra[output], k, 1)]
     heading = phrase(FigureText.BEFORE_AFTER_HEADING, base.model.name, extended=extended.model.title)
@@ -296,24 +296,19 @@ def gap_sheet(
     cells = (
         Cell(run, 0, titles=(phrase(FigureText.UNSEEN_RUN, output),), above_another=True),
         Cell(_without_labels(residual), 1, titles=(phrase(FigureText.WHAT_IS_LEFT),)),
-        Cell(_ratio_bars(ratios, names), 0, 1, rows=2, titles=(phrase(FigureText.MISFIT_OF_EACH),)),
+        Cell(_ratio_marks(ratios, names), 0, 1, rows=2, titles=(phrase(FigureText.MISFIT_OF_EACH),)),
     )
     heading = phrase(FigureText.GAP_HEADING, output)
     return Sheet(name, cells, heading, (10.5, 4.6), widths=(1.6, 1.0), heights=(1.0, 1.25))
 
 
-def _ratio_bars(ratios: Mapping[str, float], names: tuple[str, str]) -> Panel:
+def _ratio_marks(ratios: Mapping[str, float], names: tuple[str, str]) -> Panel:
     roles = {names[0]: Role.BASELINE, names[1]: Role.EXTENDED}
     values = np.array(list(ratios.values()))
-    bars = Bars(
-        list(ratios),
-        values,
-        [roles.get(n, Role.OTHER) for n in ratios],
-        horizontal=True,
-        texts=[f"{ratio:.3g}" for ratio in values],
-    )
     x = Axis("misfit / noise", "", Scale.LOG, (0.7, 3.0 * float(values.max())))
-    series = (bars, Reference(1.0, upright=True, dash=Dash.DOTTED))
+    texts = [f"{ratio:.3g}" for ratio in values]
+    marks = draw_sizes(list(ratios), values, [roles.get(n, Role.OTHER) for n in ratios], x, texts=texts)
+    series = (*marks, Reference(1.0, upright=True, dash=Dash.DOTTED))
     return Panel("misfit", series, x, Axis(scale=Scale.CATEGORY, reversed=True))
 
 

@@ -33,6 +33,9 @@ class DrawingPolicy:
     log_from: float = 10.0
     """Ratio of the largest to the smallest error from which bars have a logarithmic axis."""
 
+    mark_of_size: float = 11.0
+    """Size of the point that stands in the place of a bar on a logarithmic axis: as visible as the bar would be."""
+
     room_for_text: float = 0.3
     """Share of the axis along bars that is left free for the texts behind them."""
 

@@ -166,7 +166,12 @@ def plot_residuals_before_after(
         description.append(
             phrase(FigureText.RESIDUAL_BEFORE_AFTER, output, before=rms_before, after=rms_after, unit=unit)
         )
-    return Figure(name, tuple(panels), phrase(FigureText.RESIDUALS_BEFORE_AFTER, before.name), tuple(description))
+    return Figure(
+        name,
+        tuple(panels),
+        phrase(FigureText.RESIDUALS_BEFORE_AFTER, before.name, band=any(map(known_noise, noise.values()))),
+        tuple(description),
+    )
 
 
 def plot_spectra_before_after(
@@ -235,7 +240,7 @@ def _over_time(time: np.ndarray, values: np.ndarray, role: Role, label: str, wid
 
 
 def _noise_band(half: float) -> Sequence[Series]:
-    return [Band(-half, half, label="± 2 noise")] if half > 0 else []
+    return [Band(-half, half, label="noise, 95 %")] if half > 0 else []
 
 
 def _noise_floor(frequency: np.ndarray, density: float) -> Sequence[Series]:

@@ -119,7 +119,7 @@ def _residual_size(f: Finding) -> str:
     text = f"Residual of {f.subject}: rms {_quantity(v['rms'], v['unit'])}"
     if v["inside"] is None:
         return text
-    return f"{text}, {100 * v['inside']:.0f} % of it within two standard deviations of the noise (± {_quantity(v['band'], v['unit'])})"
+    return f"{text}, {100 * v['inside']:.0f} % of it within two standard deviations of the noise, {_quantity(v['band'], v['unit'])}"
 
 
 def _model_list(errors: Mapping[str, float], unit: str) -> str:
@@ -163,8 +163,9 @@ TEMPLATES: Mapping[str, Template] = {
         "Spectrum of the residual of record {subject}; the dashed line is white noise of the same standard deviation as the sensor noise."
         " Zoom into the residual over time to see the spectrum of that interval."
     ),
-    FigureText.RESIDUALS_BEFORE_AFTER: (
-        "Residual of record {subject} with the plain and with the extended model; the band is two standard deviations of the noise."
+    FigureText.RESIDUALS_BEFORE_AFTER: lambda f: (
+        f"Residual of record {f.subject} with the plain and with the extended model"
+        + ("; the band is two standard deviations of the noise." if f.values["band"] else ".")
     ),
     FigureText.SPECTRA_BEFORE_AFTER: (
         "Spectra of both residuals of record {subject}. Zoom into the residuals over time to see the spectra of that interval."
@@ -198,7 +199,7 @@ TEMPLATES: Mapping[str, Template] = {
     ),
     FigureText.AVERAGE_SPECTRA: "Averaged spectra of the error on the validation records, before and after.",
     FigureText.MODEL_ERRORS: (
-        "Rms error of the free run (bars, with the best fit in percent) and one sample ahead (diamonds): smaller is better."
+        "Rms error of the free run (filled, with the best fit in percent) and one sample ahead (hollow): smaller is better."
     ),
     FigureText.MODEL_RUNS: "Record {subject}: measured outputs and the free run of every model.",
     FigureText.MODEL_RESIDUALS: "Record {subject}: measured minus simulated.",
@@ -237,7 +238,7 @@ TEMPLATES: Mapping[str, Template] = {
     ),
     FigureText.CLOSER_LOOK: "detail",
     FigureText.FREE_RUN: "free run",
-    FigureText.ERROR_BARS: "bar: free run, with best fit",
+    FigureText.ERROR_BARS: "filled: free run, with best fit",
     FigureText.EXPLAINED_TITLE: _explained,
     FigureText.UNSEEN_RUN: "{subject}: free run on a record not used for the fit",
     FigureText.WHAT_IS_LEFT: "residual",
@@ -252,7 +253,7 @@ TEMPLATES: Mapping[str, Template] = {
     ),
     FigureText.SPECTRUM_PEAK: "The residual of {subject} is strongest at {frequency:.4g} Hz",
     FigureText.INTERVAL_WIDTHS: lambda f: "; ".join(
-        f"{name} ± {percent:.3g} %" for name, percent in f.values["percent"].items()
+        f"{name} {percent:.3g} %" for name, percent in f.values["percent"].items()
     ),
     FigureText.CHANGES_LISTED: lambda f: "; ".join(
         f"{name} {percent:+.3g} %" for name, percent in f.values["percent"].items()

@@ -200,8 +200,12 @@ SECTIONS: Mapping[str, str] = {
 
 
 def _ratios(f: Finding) -> str:
-    """``1.02 times the noise in x and 0.98 times the noise in i``."""
-    return join_names([f"{ratio:.3g} times the noise in {name}" for name, ratio in f.values["ratios"].items()])
+    """``1.02 times the noise in x and 0.98 times the noise in i``; ``at least`` where the noise is only bounded."""
+    bounded = f.values.get("at_least", ())
+    ratios = f.values["ratios"].items()
+    return join_names(
+        [f"{'at least ' * (name in bounded)}{ratio:.3g} times the noise in {name}" for name, ratio in ratios]
+    )
 
 
 def _fit_question(f: Finding) -> str:
@@ -215,10 +219,11 @@ def _fit_question(f: Finding) -> str:
 
 def _determined(f: Finding) -> str:
     free, width = f.values["free"], f.values["widest"]
-    limit = "" if width is None else f" to ± {width:.2g} % or better"
     if len(free) == 1:
-        return f"{free[0]} is determined{limit} (95 % confidence)."
-    return f"All {len(free)} fitted parameters are determined{limit} (95 % confidence)."
+        limit = "" if width is None else f"; its 95 % interval reaches {width:.2g} % to either side"
+        return f"{free[0]} is determined{limit}."
+    limit = "" if width is None else f"; the widest 95 % interval reaches {width:.2g} % to either side"
+    return f"All {len(free)} fitted parameters are determined{limit}."
 
 
 def _alarms(f: Finding) -> str:
@@ -290,7 +295,7 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.RESIDUAL_IS_NOISE: lambda f: f"The model explains the estimation records: the residual is {_ratios(f)}.",
     PageText.RESIDUAL_EXCEEDS_NOISE: lambda f: (
         f"The model does not explain the estimation records: the residual is {_ratios(f)}. Either the model lacks an effect, which"
-        " greybox discover searches for, or the noise is larger than assumed."
+        " greybox discover searches for, or the noise is larger than assumed. Its parameters may be biased."
     ),
     PageText.NOISE_UNKNOWN: "The noise is not known, so the misfit cannot be judged.",
     PageText.NOTHING_FITTED: "No parameter was fitted.",

@@ -90,4 +90,4 @@ def _today(change: ChangeDetection) -> Iterator[Block]:
     units = signal_units(fit.model)
     for k, trace in enumerate(fit.traces):
         yield FigureBlock(plot_run(trace, units, f"run{k}"), group=f"record{k}")
-        yield FigureBlock(plot_residual(trace, units, fit.noise.std, f"residual{k}"), group=f"record{k}")
+        yield FigureBlock(plot_residual(trace, units, fit.noise.levels, f"residual{k}"), group=f"record{k}")

@@ -57,7 +57,7 @@ def build_comparison_page(
         What is to be known of the records.
     """
     sections = [
-        Section("errors", list(error_blocks(comparison))),
+        Section("errors", list(_error_tables(comparison))),
         Section("runs", list(_runs(comparison))),
         Section("models", [models_table(comparison), *_findings(comparison)]),
     ]
@@ -71,7 +71,8 @@ def build_comparison_page(
         validation=bool(comparison.validation),
     )
     title = phrase(PageText.COMPARISON_TITLE)
-    return Page(title, question, comparison_verdict(comparison), sections, "comparison")
+    evidence = FigureBlock(plot_model_errors(comparison))
+    return Page(title, question, comparison_verdict(comparison), sections, "comparison", evidence)
 
 
 def comparison_verdict(comparison: Comparison) -> Paragraphs:
@@ -93,8 +94,12 @@ def _best(comparison: Comparison, output: str) -> ComparisonEntry | None:
 
 
 def error_blocks(comparison: Comparison) -> Iterator[Block]:
-    """Bars and tables of the errors on the judging records, and on the training records where there are others."""
+    """Figure and tables of the errors on the judging records, and on the training records where there are others."""
     yield FigureBlock(plot_model_errors(comparison))
+    yield from _error_tables(comparison)
+
+
+def _error_tables(comparison: Comparison) -> Iterator[Block]:
     if comparison.validation:
         yield from (_error_table(comparison, output, validation=True) for output in comparison.outputs)
     if comparison.training:

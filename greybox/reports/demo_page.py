@@ -27,7 +27,13 @@ def build_demo_page(demo: Demo, *, command: str = "") -> Page:
     """The page of the demonstration; ``command`` is what was typed."""
     best = demo.discovery.best
     sections = [
-        Section("plain", [fit_verdict(demo.plain), misfit_table(phrase(PageText.MISFIT_FITTED), demo.plain.misfit)]),
+        Section(
+            "plain",
+            [
+                fit_verdict(demo.plain),
+                misfit_table(phrase(PageText.MISFIT_FITTED), demo.plain.misfit, demo.plain.noise),
+            ],
+        ),
         *discovery_sections(demo.discovery),
         Section("truth", [_parameters(demo)]),
         Section("extended", [typeset_equations(best.model)]),

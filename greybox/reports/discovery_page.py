@@ -52,14 +52,15 @@ def build_discovery_page(discovery: Discovery, *, command: str = "") -> Page:
     """The page of a discovery; ``command`` is what was typed."""
     best, plain = discovery.best, discovery.base.model.title
     sections = [
-        *discovery_sections(discovery),
+        *discovery_sections(discovery, beside_verdict=True),
         Section("parameters-before-after", [_parameters_before_after(discovery)]),
         Section("extended" if best.model.effects else "model", [typeset_equations(best.model)]),
         records_section([*best.traces], [*best.validation.traces], best),
         fit_provenance_section(best, command),
     ]
     title, question = phrase(PageText.DISCOVERY_TITLE, plain), phrase(PageText.DISCOVERY_QUESTION, plain)
-    return Page(title, question, discovery_verdict(discovery), sections, "discovery")
+    evidence = FigureBlock(plot_holdout_error(discovery))
+    return Page(title, question, discovery_verdict(discovery), sections, "discovery", evidence)
 
 
 def discovery_verdict(discovery: Discovery) -> Paragraphs:
@@ -86,9 +87,10 @@ def _std(std: float | None) -> str:
     return f" +- {std:.2g}" if std else ""
 
 
-def discovery_sections(discovery: Discovery) -> Iterator[Section]:
-    """The error before and after, the missing signal, where and when, the candidates."""
-    yield Section("gap", list(_holdout(discovery)))
+def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) -> Iterator[Section]:
+    """The error before and after (its figure may stand ``beside_verdict`` already), the missing signal, where and when, the candidates."""
+    figure = [] if beside_verdict else [FigureBlock(plot_holdout_error(discovery))]
+    yield Section("gap", [*figure, *_holdout(discovery)])
     signals: list[Block] = [
         FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.effect_signals)
     ]
@@ -108,7 +110,6 @@ def discovery_sections(discovery: Discovery) -> Iterator[Section]:
 
 
 def _holdout(discovery: Discovery) -> Iterator[Block]:
-    yield FigureBlock(plot_holdout_error(discovery))
     name, extended, errors = extended_model(discovery)
     rows = [
         [
@@ -129,7 +130,7 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
     pairs = pairs[: REPORT.records_of_discovery]
     stretches = PAGE.stretches(sum(4 * len(before.measured) for before, _ in pairs))
     for k, (before, after) in enumerate(pairs):
-        shared = before, after, signal_units(discovery.base.model), extended.noise.std
+        shared = before, after, signal_units(discovery.base.model), extended.noise.levels
         residuals = plot_residuals_before_after(*shared, f"left-{k}", name)
         spectra = plot_spectra_before_after(*shared, f"spectra-{k}", name, follows=residuals.name)
         together = f"judged-{k}"

@@ -20,7 +20,7 @@ from greybox.rendering.reports import PageText
 from greybox.rendering.residuals import name_test
 from greybox.rendering.result import MISFIT_HEADS, to_misfit_cells
 from greybox.reports.equations import typeset_equations
-from greybox.reports.fit_blocks import fit_verdict, parameters_table, statements
+from greybox.reports.fit_blocks import UNDETERMINED, findings_below, fit_verdict, parameters_table, statements
 from greybox.reports.page import (
     Block,
     BulletList,
@@ -39,7 +39,7 @@ from greybox.reports.provenance import fit_provenance_section
 from greybox.reports.records import records_section, signal_units
 from greybox.reports.typography import typeset_number
 from greybox.residuals import ResidualTests, residual_tests
-from greybox.result import Fit, Misfit, Trace
+from greybox.result import Fit, FitNoise, Misfit, Trace
 
 
 @dataclass(frozen=True)
@@ -85,12 +85,22 @@ def build_fit_page(fit: Fit, *, command: str = "", tests: ResidualTests | None =
         rows=sum(len(t.time) for t in fit.traces),
         fixed=[name for name, e in fit.parameters.items() if e.fixed],
     )
-    return Page(phrase(PageText.FIT_TITLE, fit.model.title), question, fit_verdict(fit), sections, "fit")
+    title = phrase(PageText.FIT_TITLE, fit.model.title)
+    return Page(title, question, fit_verdict(fit), sections, "fit", _evidence(fit))
+
+
+def _evidence(fit: Fit) -> FigureBlock | None:
+    """What convinces of a fit: its run over a record that it has not seen, else over one that it has."""
+    traces = [*fit.validation.traces, *fit.traces]
+    if not (fit.success and traces):
+        return None
+    return FigureBlock(plot_run(traces[0], signal_units(fit.model), "evidence"), PAGE.least_stretches)
 
 
 def _parameters(fit: Fit) -> Iterator[Block]:
     yield parameters_table(fit, _interval_note(fit))
-    recommendations = recommend_after_fit(fit)
+    # What would determine them says which they are; where nothing is known that would, it is said here that they are open.
+    recommendations = recommend_after_fit(fit) or [f for f in fit.findings if f.code in UNDETERMINED]
     if recommendations:
         yield Subheading(phrase(PageText.WOULD_DETERMINE))
         yield BulletList(statements(recommendations))
@@ -115,11 +125,11 @@ def _interval_note(fit: Fit) -> Text:
 
 
 def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
-    yield misfit_table(phrase(PageText.MISFIT_FITTED), fit.misfit)
+    yield misfit_table(phrase(PageText.MISFIT_FITTED), fit.misfit, fit.noise)
     if fit.prediction.one_step:
-        yield misfit_table(phrase(PageText.MISFIT_ONE_STEP), fit.prediction.one_step)
+        yield misfit_table(phrase(PageText.MISFIT_ONE_STEP), fit.prediction.one_step, fit.noise)
     if fit.validation:
-        yield misfit_table(phrase(PageText.MISFIT_VALIDATION), fit.validation.misfit)
+        yield misfit_table(phrase(PageText.MISFIT_VALIDATION), fit.validation.misfit, fit.noise)
     runs = [RecordRun(t, False) for t in fit.traces] + [RecordRun(t, True, skip) for t in fit.validation.traces]
     if len(runs) > 2:
         yield _by_record(fit, runs)
@@ -140,7 +150,7 @@ def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
 
 def _record_figures(fit: Fit, trace: Trace, k: int, stretches: int, *, follow: bool) -> list[Block]:
     """Run, residual, spectrum and inputs of one record, which zoom together and switch their outputs together."""
-    units, noise, together = signal_units(fit.model), fit.noise.std, f"{k}"
+    units, noise, together = signal_units(fit.model), fit.noise.levels, f"{k}"
     residual = plot_residual(trace, units, noise, f"residual-{k}")
     spectrum = plot_spectrum(trace, units, noise, f"spectrum-{k}", follows=residual.name if follow else "")
     inputs = plot_inputs(trace, units, f"inputs-{k}")
@@ -166,15 +176,14 @@ def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> PageTable:
     return PageTable(phrase(PageText.MISFIT_BY_RECORD), ["record", "use", "output", *MISFIT_HEADS], rows)
 
 
-def misfit_table(title: Text, misfit: Mapping[str, Misfit]) -> PageTable:
-    """Misfits by output as a table."""
-    rows = [[name, *map(typeset_number, to_misfit_cells(m))] for name, m in misfit.items()]
+def misfit_table(title: Text, misfit: Mapping[str, Misfit], noise: FitNoise) -> PageTable:
+    """Misfits by output as a table; over a noise that is only bounded they are at least so large."""
+    rows = [[name, *map(typeset_number, to_misfit_cells(m, noise.bound(name)))] for name, m in misfit.items()]
     return PageTable(title, ["output", *MISFIT_HEADS], rows)
 
 
 def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
-    # The verdict of a fit that failed has the first ones already.
-    findings = fit.findings if fit.success else fit.findings[REPORT.leading_findings :]
+    findings = findings_below(fit)
     if findings:
         yield BulletList(findings)
     if not fit.success:

@@ -76,7 +76,8 @@ def write_page(page: Page, path: str | Path) -> Path:
 
 
 def _drawn(page: Page) -> bool:
-    return any(_has_figure(block) for section in page.sections for block in section.blocks)
+    in_sections = any(_has_figure(block) for section in page.sections for block in section.blocks)
+    return page.evidence is not None or in_sections
 
 
 def _has_figure(block: Block) -> bool:

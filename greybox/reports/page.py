@@ -131,10 +131,11 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A report: its title, the ``question`` it answers, the ``verdict``, then the evidence."""
+    """A report: its title, the ``question`` it answers, the ``verdict`` with the one figure that convinces beside it, then the rest."""
 
     title: Text
     question: Text
     verdict: Paragraphs
     sections: Sequence[Section]
     kind: str = "report"
+    evidence: FigureBlock | None = None

@@ -178,6 +178,12 @@ class FitNoise(Printable, ReadOnly):
             return self.bounds.get(output)
         return NoiseBound(self.std.get(output, float("nan")), source.direction, source)
 
+    @property
+    def levels(self) -> dict[str, float]:
+        """Standard deviation of each output whose noise is known; one that is only bounded is not among them."""
+        bounds = {name: self.bound(name) for name in self.std}
+        return {name: self.std[name] for name, b in bounds.items() if b is not None and b.floor is not None}
+
     def interval(self, output: str) -> tuple[float, float]:
         """The 95 % interval of a level that a likelihood estimated, by a factor either way."""
         factor = float(np.exp(min(ndtri(0.975) * self.log_std[output], 700.0)))

@@ -173,3 +173,12 @@ def test_a_legend_lists_the_labels_in_the_order_of_the_panel() -> None:
     series = (curve([0, 1], [0, 1], "last"), curve([0, 1], [1, 0], "first"))
     picture = draw_sheet(sheet(Panel("p", series, Axis("t"), Axis("y"), listing=("first", "last"))))
     assert [text.get_text() for text in picture.legends[0].get_texts()] == ["first", "last"]
+
+
+def test_names_stand_below_the_points_of_a_horizontal_axis_of_names() -> None:
+    names = Points(["K", "B"], np.array([1.0, 2.0]), Role.OTHER, half_bars=np.array([0.1, 0.1]))
+    later = Points(["B"], np.array([2.0]), Role.BASELINE)
+    panel = Panel("changes", (names, later), Axis(scale=Scale.CATEGORY), Axis("change", "%"))
+    (axes,) = draw_sheet(sheet(panel)).axes
+    assert [t.get_text() for t in axes.get_xticklabels()] == ["K", "B"]
+    assert axes.lines[-1].get_xdata().tolist() == [1.0]

@@ -23,7 +23,8 @@ from greybox.plots.figure import (
     SampledSignal,
     Scale,
     Thinning,
-    bar_axis,
+    draw_sizes,
+    size_axis,
 )
 from greybox.plots.plotly_backend import css_variable, height_on_page, to_plotly
 from greybox.plots.style import PAGE, PALETTE
@@ -108,9 +109,17 @@ def test_a_heatmap_leaves_out_what_is_not_known() -> None:
 @pytest.mark.parametrize(
     ("lengths", "scale", "first"), [([1.0, 5.0], Scale.LINEAR, 0.0), ([1.0, 100.0], Scale.LOG, 10**-0.3)]
 )
-def test_bars_begin_at_zero_unless_they_lie_far_apart(lengths: list[float], scale: Scale, first: float) -> None:
-    axis = bar_axis("error", "nm", np.array([*lengths, np.nan]))
+def test_sizes_are_bars_from_zero_or_points_where_they_lie_far_apart(
+    lengths: list[float], scale: Scale, first: float
+) -> None:
+    sizes = np.array([*lengths, np.nan])
+    axis = size_axis("error", "nm", sizes)
+    series = draw_sizes(["a", "b", "c"], sizes, [Role.MODEL_1, Role.MODEL_2, Role.MODEL_3], axis, texts=["1", "2", ""])
     assert axis.scale is scale
+    assert {type(s) for s in series} == {Bars if scale is Scale.LINEAR else Points}
+    drawn = to_plotly(figure(panel(*series, x=axis, y=Axis(scale=Scale.CATEGORY))), 100).traces
+    assert [t["type"] for t in drawn] == (["bar"] if scale is Scale.LINEAR else ["scatter"] * 3)
+    assert [list(t["y"]) for t in drawn] == ([["a", "b", "c"]] if scale is Scale.LINEAR else [["a"], ["b"], ["c"]])
     assert axis.limits[0] == pytest.approx(first)
     assert axis.limits[1] > max(lengths)
 

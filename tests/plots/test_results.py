@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from greybox.comparison import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
+from greybox.discovery.dependence import rank_dependences
+from greybox.discovery.disturbance_sites import SiteKind
+from greybox.discovery.effect_signal import EffectSignal
+from greybox.discovery.localisation import RankedSite, ResidualLocalisation, ResidualSignal
+from greybox.discovery.policy import LocalisationPolicy
 from greybox.export import linearise
 from greybox.plots.comparison import model_roles, plot_model_errors, plot_model_residuals, plot_model_runs
-from greybox.plots.figure import Area, Bars, Curve, Points, Role, Scale
+from greybox.plots.discovery import plot_effect_signal, plot_unexplained_signal
+from greybox.plots.figure import Area, Bars, Curve, Points, Role, Scale, Symbol
 from greybox.plots.linear import plot_bode, plot_poles, response_frequencies
 from greybox.plots.parameters import plot_intervals
 from greybox.plots.pictures import comparison_sheet
@@ -112,3 +118,41 @@ def test_a_text_stands_behind_the_outer_of_bar_and_mark() -> None:
     worse_ahead = replace(entry("late", "black", 0.1), validation={"x": score})
     bars, marks = plot_model_errors(Comparison((worse_ahead,), {"x": "m"}, ("t",), ("a",)))["x"].series
     assert (bars.texts, marks.texts) == ([""], ["90.0 %"])
+
+
+def test_models_far_apart_are_points_on_a_logarithmic_axis() -> None:
+    entries = (entry("rig", "grey", 0.001), entry("arx", "black", 1.0), entry("wrong", "grey", np.inf))
+    panel = plot_model_errors(Comparison(entries, {"x": "m"}, ("t",), ("a",)))["x"]
+    *sizes, ahead = panel.series
+    assert panel.x.scale is Scale.LOG and not any(isinstance(s, Bars) for s in panel.series)
+    assert [(s.y[0], s.symbol) for s in sizes] == [
+        ("rig", Symbol.CIRCLE),
+        ("arx", Symbol.CIRCLE),
+        ("wrong", Symbol.CROSS),
+    ]
+    assert sizes[2].texts == ["diverges"] and isinstance(ahead, Points)
+
+
+def test_the_mean_in_bins_lies_among_the_points_that_it_is_the_mean_of() -> None:
+    rng = np.random.default_rng(1)
+    time, v = 0.01 * np.arange(400), rng.uniform(-1, 1, 400)
+    value = 5.0 + 2.0 * np.sign(v)  # a signal with a mean
+    dependence = rank_dependences(time, value, {"v": (v, "m/s")}, LocalisationPolicy())[0]
+    signal = EffectSignal(
+        "friction", "force", "N", "run", time, value, np.full(400, 0.1), value, "v", "m/s", v, dependence
+    )
+    *_, bins = plot_effect_signal(signal, "missing").panels[0].series
+    np.testing.assert_allclose(bins.y[[0, -1]], [3.0, 7.0], atol=1e-9)
+
+
+def test_the_unexplained_signal_is_drawn_at_the_site_that_the_text_names() -> None:
+    time = np.arange(50.0)
+    signal = ResidualSignal(
+        "balance torque", "N*m", "run", time, np.sin(time), np.ones(50), {"w": time}, {"w": "rad/s"}
+    )
+    sites = (RankedSite("torque", SiteKind.BALANCE, 100.0, 1.0, "N*m"), RankedSite("i", SiteKind.INPUT, 10.0, 1.0, "A"))
+    localisation = ResidualLocalisation(5.0, 1.1, sites, (("balance torque",), ("input i",)), (), signal)
+    figure = plot_unexplained_signal(localisation)
+    assert "the torque balance" in str(localisation)
+    assert figure.panels[0].y.name == "unexplained at the balance torque"
+    assert figure.caption.subject == "balance torque"

@@ -28,7 +28,7 @@ GOLDEN = [
         " Zoom into the residual over time to see the spectrum of that interval.",
     ),
     (
-        phrase(T.RESIDUALS_BEFORE_AFTER, "a"),
+        phrase(T.RESIDUALS_BEFORE_AFTER, "a", band=True),
         "Residual of record a with the plain and with the extended model; the band is two standard deviations of the noise.",
     ),
     (
@@ -68,7 +68,7 @@ GOLDEN = [
     (phrase(T.AVERAGE_SPECTRA), "Averaged spectra of the error on the validation records, before and after."),
     (
         phrase(T.MODEL_ERRORS),
-        "Rms error of the free run (bars, with the best fit in percent) and one sample ahead (diamonds): smaller is better.",
+        "Rms error of the free run (filled, with the best fit in percent) and one sample ahead (hollow): smaller is better.",
     ),
     (phrase(T.MODEL_RUNS, "a"), "Record a: measured outputs and the free run of every model."),
     (phrase(T.MODEL_RESIDUALS, "a"), "Record a: measured minus simulated."),
@@ -116,7 +116,7 @@ GOLDEN = [
     (phrase(T.MISFIT_TITLE, "x", noise_ratio=None, best_fit_percent=99.5), "x: best fit 99.50 %"),
     (phrase(T.CLOSER_LOOK), "detail"),
     (phrase(T.FREE_RUN), "free run"),
-    (phrase(T.ERROR_BARS), "bar: free run, with best fit"),
+    (phrase(T.ERROR_BARS), "filled: free run, with best fit"),
     (phrase(T.EXPLAINED_TITLE, "x", explained=0.5), "x: 50 % of the error taken away"),
     (phrase(T.EXPLAINED_TITLE, "x", explained=None), "x: the residual of the plain model is noise"),
     (phrase(T.UNSEEN_RUN, "x"), "x: free run on a record not used for the fit"),
@@ -151,7 +151,7 @@ GOLDEN = [
     ),
     (
         phrase(T.RESIDUAL_SIZE, "x", rms=0.2, unit="µm", inside=0.95, band=0.4),
-        "Residual of x: rms 0.2 µm, 95 % of it within two standard deviations of the noise (± 0.4 µm)",
+        "Residual of x: rms 0.2 µm, 95 % of it within two standard deviations of the noise, 0.4 µm",
     ),
     (phrase(T.RESIDUAL_SIZE, "x", rms=0.2, unit="µm", inside=None, band=0.0), "Residual of x: rms 0.2 µm"),
     (
@@ -159,7 +159,7 @@ GOLDEN = [
         "Residual of x: rms 2 µm before, 0.2 µm after",
     ),
     (phrase(T.SPECTRUM_PEAK, "x", frequency=50.0), "The residual of x is strongest at 50 Hz"),
-    (phrase(T.INTERVAL_WIDTHS, percent={"K": 0.1, "B": 12.345}), "K ± 0.1 %; B ± 12.3 %"),
+    (phrase(T.INTERVAL_WIDTHS, percent={"K": 0.1, "B": 12.345}), "K 0.1 %; B 12.3 %"),
     (
         phrase(T.CORRELATED, first="K", second="B", correlation=0.987),
         "K and B have a correlation of 0.987: the records determine their ratio better than either",

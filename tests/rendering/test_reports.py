@@ -46,18 +46,22 @@ GOLDEN = [
         "The model explains the estimation records: the residual is 0.989 times the noise in x and 1.1 times the noise in i.",
     ),
     (
+        phrase(T.RESIDUAL_IS_NOISE, ratios={"x": 0.905, "i": 1.1}, at_least=["x"]),
+        "The model explains the estimation records: the residual is at least 0.905 times the noise in x and 1.1 times the noise in i.",
+    ),
+    (
         phrase(T.RESIDUAL_EXCEEDS_NOISE, ratios={"x": 113.0}),
         (
             "The model does not explain the estimation records: the residual is 113 times the noise in x. Either the model lacks"
-            " an effect, which greybox discover searches for, or the noise is larger than assumed."
+            " an effect, which greybox discover searches for, or the noise is larger than assumed. Its parameters may be biased."
         ),
     ),
     (phrase(T.NOISE_UNKNOWN), "The noise is not known, so the misfit cannot be judged."),
     (phrase(T.NOTHING_FITTED), "No parameter was fitted."),
-    (phrase(T.PARAMETERS_DETERMINED, free=["K"], widest=None), "K is determined (95 % confidence)."),
+    (phrase(T.PARAMETERS_DETERMINED, free=["K"], widest=None), "K is determined."),
     (
         phrase(T.PARAMETERS_DETERMINED, free=["K", "B"], widest=0.912),
-        "All 2 fitted parameters are determined to ± 0.91 % or better (95 % confidence).",
+        "All 2 fitted parameters are determined; the widest 95 % interval reaches 0.91 % to either side.",
     ),
     (
         phrase(T.PARAMETERS_OPEN, open=["K", "B"]),

@@ -19,15 +19,21 @@ from typer.testing import CliRunner
 import greybox as gb
 from greybox.check import check
 from greybox.cli.app import app
-from greybox.plots.figure import Axis, Curve, Figure, Panel, Role
+from greybox.estimation.findings import EstimationCode
+from greybox.findings import Finding
+from greybox.noise import NoiseSource
+from greybox.plots.figure import Axis, Band, Curve, Figure, Panel, Role
+from greybox.plots.records import plot_residual
 from greybox.rendering.english import phrase
 from greybox.rendering.plots import FigureText
 from greybox.rendering.reports import PageText
 from greybox.reports import build_page, write_page
-from greybox.reports.html import render_page
-from greybox.reports.page import FigureBlock, Page, Paragraphs, Section, Subheading
+from greybox.reports.fit_page import misfit_table
+from greybox.reports.html import render_page, say
+from greybox.reports.page import BulletList, FigureBlock, Page, Paragraphs, Section, Subheading
 from greybox.reports.policy import REPORT
 from greybox.residuals import residual_tests
+from greybox.result import FitNoise, Misfit, Trace
 from models.micro_actuator import micro_actuator
 
 HOSTILE = """</script><script>alert(1)</script><img src=x onerror="alert(2)">{{ 7 * 7 }}'&amp;"""
@@ -109,6 +115,56 @@ def test_what_would_determine_the_open_constants_stands_beside_them(good: gb.Fit
     ]
     assert headings == [[PageText.WOULD_DETERMINE], []]
     assert "Fix one of M, B, K, Kf" in render_page(build_page(found))
+
+
+def test_the_figure_that_convinces_stands_beside_the_verdict(good: gb.Fit) -> None:
+    comparison = gb.compare([good], bench(300))
+    for result, name in ((good, "evidence"), (comparison, "errors")):
+        html = render_page(build_page(result))
+        verdict = html[html.index('<section id="verdict"') : html.index("</section>")]
+        assert f'<figure id="{name}"' in verdict and html.count(f'id="{name}" class="drawn"') == 1
+
+
+def test_a_page_has_no_bar_of_buttons_over_a_figure_and_one_meaning_of_plus_minus(good: gb.Fit) -> None:
+    page = build_page(good)
+    html = render_page(page)
+    assert "displayModeBar: false" in html
+    figures = [b.figure for s in page.sections for b in s.blocks if isinstance(b, FigureBlock)]
+    texts = [text for f in figures for p in f.panels for s in p.series for text in (s.label, *getattr(s, "texts", ()))]
+    assert any("95 %" in text for text in texts) and not any("±" in text for text in texts)
+    assert "±" not in say(page.verdict.items)  # in the table, after a value: its standard deviation
+
+
+def test_noise_that_is_only_bounded_is_no_band_and_no_yardstick() -> None:
+    sources = {"x": NoiseSource.GIVEN, "i": NoiseSource.DIFFERENCES}
+    noise = FitNoise(std={"x": 2e-7, "i": 4e-3}, sources=sources)
+    assert noise.levels == {"x": 2e-7}
+    trace = Trace("run", "", np.arange(3.0), {n: np.ones(3) for n in "xi"}, {n: np.zeros(3) for n in "xi"}, {})
+    residual = plot_residual(trace, {"x": "m", "i": "A"}, noise.levels, "residual")
+    assert [[type(s) for s in p.series] for p in residual.panels] == [[Band, Curve], [Curve]]
+    table = misfit_table("misfit", {"i": Misfit(1e-2, "A", 90.0, 2.5, 3)}, noise)
+    assert table.rows[0][-1] == "at least 2.5 × noise"
+
+
+def test_a_page_says_once_that_a_model_does_not_explain_its_records() -> None:
+    stiff = micro_actuator.fix("M", "Ra", "Kf", "Kv", K=7000.0)
+    fit = gb.fit(stiff, bench(), noise={"x": 2e-7, "i": 5e-3}, options=gb.FitOptions(progressive=False))
+    said = {f.code for f in fit.findings}
+    assert {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.RESIDUAL_CORRELATED} <= said
+    page = build_page(fit)
+    shown = [
+        i.code
+        for s in page.sections
+        for b in s.blocks
+        if isinstance(b, BulletList)
+        for i in b.items
+        if isinstance(i, Finding)
+    ]
+    shown += codes(page)
+    assert shown.count(PageText.RESIDUAL_EXCEEDS_NOISE) == 1
+    assert not {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.RESIDUAL_CORRELATED} & set(shown)
+    assert len(shown) == len(set(shown))
+    assert "widened them up to" in render_page(page)
 
 
 def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:

@@ -62,7 +62,7 @@
     return figure.data.map((trace, k) => ({ ...painted(trace), visible: shown.has(k) }));
   };
   const draw = (figure) => {
-    return Plotly.react(figure.plot, curves(figure), styled(figure), { responsive: !paper, displaylogo: false, displayModeBar: narrow() ? false : "hover" });
+    return Plotly.react(figure.plot, curves(figure), styled(figure), { responsive: !paper, displaylogo: false, displayModeBar: false });
   };
 
   // Amplitude density of a stretch: Hann window, gaps as the mean and not as rows, as the page's own spectra.
