@@ -57,19 +57,20 @@ def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figu
             for hidden in (True, False)
         )
         x = size_axis(f"rms error of {output}", text, np.concatenate([free_run, one_step]))
-        series = (
-            *draw_sizes(ranked, free_run, [roles[n] for n in ranked], x, "free run", behind_bars),
-            Points(
-                one_step,
-                ranked,
-                Role.REFERENCE,
-                "one sample ahead",
-                size=9,
-                symbol=Symbol.DIAMOND,
-                texts=behind_marks if beyond.any() else (),
-                hollow=True,
-            ),
+        sizes = draw_sizes(ranked, free_run, [roles[n] for n in ranked], x, "free run", behind_bars)
+        is_on_log = x.scale is Scale.LOG
+        ahead = Points(
+            one_step,
+            ranked,
+            Role.REFERENCE,
+            "one sample ahead",
+            size=DRAWING.mark_beside_size if is_on_log else DRAWING.mark_on_bar,
+            symbol=Symbol.DIAMOND,
+            texts=behind_marks if beyond.any() else (),
+            hollow=True,
         )
+        # On a bar in front of it; around a point behind it.
+        series = (ahead, *sizes) if is_on_log else (*sizes, ahead)
         panels.append(Panel(output, series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY))
         errors = dict(zip(ranked, free_run.tolist(), strict=True))
         description.append(phrase(FigureText.MODEL_ERROR_RANKING, output, errors=errors, unit=text))

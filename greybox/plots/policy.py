@@ -33,11 +33,17 @@ class DrawingPolicy:
     log_from: float = 10.0
     """Ratio of the largest to the smallest error from which bars have a logarithmic axis."""
 
+    mark_beside_size: float = 17.0
+    """Size of a hollow mark for a second size: a filled one stands inside it where both are equal."""
+
+    mark_on_bar: float = 9.0
+    """Size of a hollow mark for a second size, on a bar."""
+
     mark_of_size: float = 11.0
     """Size of the point that stands in the place of a bar on a logarithmic axis: as visible as the bar would be."""
 
-    room_for_text: float = 0.3
-    """Share of the axis along bars that is left free for the texts behind them."""
+    room_for_text: float = 0.6
+    """Space behind the longest bar for its text, as a share of the bar: ``4.5 × noise`` fits into half the width of a page."""
 
     candidates: int = 15
     """Best candidates of a discovery that are drawn."""

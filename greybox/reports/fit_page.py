@@ -94,7 +94,8 @@ def _evidence(fit: Fit) -> FigureBlock | None:
     traces = [*fit.validation.traces, *fit.traces]
     if not (fit.success and traces):
         return None
-    return FigureBlock(plot_run(traces[0], signal_units(fit.model), "evidence"), PAGE.least_stretches)
+    stretches = PAGE.stretches(2 * len(traces[0].measured))
+    return FigureBlock(plot_run(traces[0], signal_units(fit.model), "evidence"), stretches)
 
 
 def _parameters(fit: Fit) -> Iterator[Block]:

@@ -123,7 +123,7 @@ def test_a_text_stands_behind_the_outer_of_bar_and_mark() -> None:
 def test_models_far_apart_are_points_on_a_logarithmic_axis() -> None:
     entries = (entry("rig", "grey", 0.001), entry("arx", "black", 1.0), entry("wrong", "grey", np.inf))
     panel = plot_model_errors(Comparison(entries, {"x": "m"}, ("t",), ("a",)))["x"]
-    *sizes, ahead = panel.series
+    ahead, *sizes = panel.series
     assert panel.x.scale is Scale.LOG and not any(isinstance(s, Bars) for s in panel.series)
     assert [(s.y[0], s.symbol) for s in sizes] == [
         ("rig", Symbol.CIRCLE),
