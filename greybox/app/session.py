@@ -150,7 +150,9 @@ class Session:
             point = next(points)
         except GreyboxError:  # a run that overflows has no size: the effect starts as the catalogue has it
             return {}
-        return {name: value for name, value in point.items() if name not in self.model.values}
+        return {
+            name: _round(model.parameter(name), value) for name, value in point.items() if name not in self.model.values
+        }
 
     def without_effect(self, name: str) -> Session:
         """Without one of its effects. Raises ModelError where it has none of this name."""
@@ -199,3 +201,10 @@ class Session:
         return CandidateFit(
             self.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation
         )
+
+
+def _round(parameter: Parameter, value: float) -> float:
+    """A start value in three digits, as a person would write it, where the bounds allow it."""
+    low, high = parameter.bounds
+    rounded = float(f"{value:.3g}")
+    return rounded if low <= rounded <= high else value

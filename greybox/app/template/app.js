@@ -57,7 +57,7 @@
     const own = painted(figure.views[chosen].layout), kept = new Set(figure.views[chosen].traces);
     const axis = { gridcolor: colour("--line"), zerolinecolor: colour("--line"), linecolor: colour("--line"), automargin: true };
     const axes = Object.fromEntries(["xaxis", "yaxis"].map((key) => [key, { ...axis, ...own[key], title: { standoff: 10, ...own[key]?.title }, uirevision: `${shown.record} ${key === "yaxis" ? view : ""}` }]));
-    plot.style.height = `${narrow() ? Math.min(figure.height, 260) : figure.height}px`;
+    plot.style.height = `${narrow() ? Math.min(figure.height, id === "run" ? 230 : 260) : figure.height}px`;
     plot.setAttribute("aria-label", figure.words);
     Plotly.react(plot, figure.data.map((trace, k) => ({ ...painted(trace), visible: kept.has(k) })), {
       margin: { l: narrow() ? 44 : 60, r: 12, t: 12, b: 40 }, hovermode: "x unified", showlegend: true, uirevision: "kept",
@@ -165,7 +165,7 @@
     const share = place / STEPS, value = logarithmic ? low * (high / low) ** share : low + (high - low) * share;
     return Math.min(high, Math.max(low, Number(value.toPrecision(5))));
   };
-  const short = (value) => String(Number(value.toPrecision(7)));
+  const short = (value) => (value && Math.abs(value) < 1e-3 ? String(Number(value.toPrecision(7))).length > 9 : false) ? value.toExponential(5).replace(/\.?0+e/, "e") : String(Number(value.toPrecision(7)));
 
   const constantRow = (constant) => {
     const { name, unit, description, value, fixed, interval, remark } = constant;
@@ -213,7 +213,7 @@
     return one;
   };
 
-  const duration = (seconds) => `${Number(seconds.toPrecision(3))} s`;
+  const duration = (seconds) => `${Number(seconds.toPrecision(3))}\u00a0s`;
   const listCatalogue = () => {
     const words = by("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
     const fits = ({ name, site, equation }) => words.every((word) => `${name} ${site} ${equation}`.toLowerCase().includes(word));
@@ -233,7 +233,7 @@
       item(name.replaceAll("_", " "), [equation, `at ${site}`], button("Remove", `Remove ${name}`, () => take("effect", { name, on: false })))) : [make("li", "None in the model.")]));
     listCatalogue();
     by("records").replaceChildren(...state.records.map(({ name, rows, seconds, validates, notes }, record) =>
-      item(name, [`${validates ? "for validation" : "is fitted"} · ${rows} rows · ${duration(seconds)}`, ...notes],
+      item(name, [`${validates ? "for validation" : "is fitted"} · ${rows}\u00a0rows · ${duration(seconds)}`, ...notes],
         button(validates ? "Fit it" : "Validate", `${validates ? "Fit" : "Validate with"} ${name}`, () => take("role", { record, validates: !validates })),
         button("Remove", `Remove ${name}`, () => take("forget", { record })))));
     by("record").replaceChildren(...state.records.map(({ name, validates }, k) => make("option", validates ? `${name} (validation)` : name, { value: String(k) })));
@@ -313,6 +313,9 @@
     by("log").textContent = by("stage").textContent = "";
     by("log").hidden = true;
     began = Date.now();
+    for (const other of ["fit", "discover"]) by(other).disabled = true;
+    by("progress").hidden = false;
+    by("stage").textContent = "starting …";
     await take(name);
   };
   by("fit").addEventListener("click", () => compute("fit"));

@@ -1,0 +1,224 @@
+"""The app as a person uses it: in a real browser, from an empty session to the exported study."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no browser to look with")
+pytest.importorskip("tornado", reason="the app's server is not installed")
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed to open the app with")
+PATIENCE = 150_000  # milliseconds: other tests may run beside this one
+
+
+@pytest.fixture(scope="module")
+def served(rig: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Path]]:
+    """The command as it is typed, without a record; its address, and the folder that it exports to."""
+    folder = tmp_path_factory.mktemp("served")
+    command = [sys.executable, "-m", "greybox", "app", str(rig / "carriage.py"), "--noise", "v=2e-3", "--at-rest"]
+    process = subprocess.Popen(
+        [*command, "--json", "--output", str(folder / "out"), "--workers", "1"],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    lines = [process.stdout.readline() for _ in range(4)]
+    yield json.loads("".join(lines))["address"], folder / "out"
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 0
+    process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        one = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield one
+        one.close()
+
+
+@pytest.fixture(scope="module")
+def page(browser, served):
+    """The page, opened once; an error in its console or a request to elsewhere fails the test that comes last."""
+    address, _ = served
+    one = browser.new_page(viewport={"width": 1300, "height": 900})
+    one.set_default_timeout(PATIENCE)
+    wrong: list[str] = []
+    one.on("pageerror", lambda error: wrong.append(str(error)))
+    one.on(
+        "console", lambda m: wrong.append(m.text) if m.type in ("error", "warning") and "422" not in m.text else None
+    )
+    allowed = (address, "data:", "blob:")
+    one.on("request", lambda r: None if r.url.startswith(allowed) else wrong.append(r.url))
+    one.goto(address)
+    until(one, "window.greyboxReady === true")
+    yield one
+    one.close()
+    assert not wrong
+
+
+def until(page, expression: str) -> None:
+    """Wait for an expression; the page's policy forbids the browser to evaluate texts inside it, as Playwright's own waiting does."""
+    end = time.monotonic() + PATIENCE / 1000
+    while not page.evaluate(expression):
+        assert time.monotonic() < end, expression
+        page.wait_for_timeout(50)
+
+
+def ratio(page) -> float:
+    """Misfit over noise as the page shows it."""
+    return float(page.text_content("#misfit tbody td:last-child").partition(" ")[0])
+
+
+def value(page, name: str) -> float:
+    return float(page.input_value(f".constant[data-name={name}] input[type=number]"))
+
+
+def load(page, selector: str, file: Path, count: int) -> None:
+    page.set_input_files(selector, str(file))
+    until(page, f"document.querySelectorAll('#records li').length === {count}")
+
+
+def settled(page) -> None:
+    """Wait until the page has looked where the residual lives."""
+    until(page, "!['', '…'].includes(document.getElementById('where').textContent)")
+
+
+def test_a_person_loads_records(page, rig: Path, tmp_path: Path) -> None:
+    assert page.is_visible("#empty") and page.is_disabled("#export")
+    wrong = tmp_path / "other.csv"
+    wrong.write_text("time [s],pressure [bar]\n0,1\n0.1,2\n", encoding="utf-8")
+    page.set_input_files("#load", str(wrong))
+    page.wait_for_selector("#message:not([hidden])")
+    assert "other.csv" in page.text_content("#message") and page.is_visible("#empty")
+    load(page, "#load", rig / "train.csv", 1)
+    load(page, "#load-validation", rig / "test.csv", 2)
+    assert page.is_hidden("#message")
+    page.select_option("#record", "0")
+    settled(page)
+    for figure in ("run", "residual", "windows"):
+        assert page.locator(f"#{figure} svg.main-svg").count() > 0
+    assert "force balance" in page.text_content("#where")
+
+
+def test_dragging_a_constant_redraws_the_simulation_at_once(page) -> None:
+    before, redraws = ratio(page), "Number(document.documentElement.dataset.redraws ?? 0)"
+    simulated = "JSON.stringify([...document.getElementById('run').data[1].y].slice(0, 50))"
+    drawn = page.evaluate(simulated)
+    slider = page.locator(".constant[data-name=B] input[type=range]")
+    slider.scroll_into_view_if_needed()
+    box = slider.bounding_box()
+    middle = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + box["width"] / 2, middle)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.8 * box["width"], middle, steps=8)
+    until(page, f"{redraws} > 0")  # while the button is still down
+    assert page.evaluate(simulated) != drawn
+    page.mouse.up()
+    until(page, "!document.getElementById('undo').disabled")
+    until(page, f"document.querySelector('#misfit tbody td:last-child').textContent.split(' ')[0] != {before}")
+    assert value(page, "B") > 3
+    settled(page)
+
+
+def test_a_value_out_of_bounds_is_told_and_the_old_one_stays(page) -> None:
+    before = value(page, "B")
+    page.fill(".constant[data-name=B] input[type=number]", "-5")
+    page.keyboard.press("Tab")
+    page.wait_for_selector("#message:not([hidden])")
+    assert "B" in page.text_content("#message") and value(page, "B") == before
+
+
+def test_friction_is_added_with_a_click_and_fitted(page) -> None:
+    page.click("#shelf summary")
+    page.fill("#filter", "coulomb")
+    page.click("button[aria-label='Add coulomb_friction']")
+    page.wait_for_selector(".constant[data-name=Fc]")
+    assert "coulomb friction" in page.text_content("#title") and value(page, "Fc") > 0
+    settled(page)
+    page.click("#fit")
+    page.wait_for_selector("#progress:not([hidden])")
+    until(page, "document.getElementById('stage').textContent.includes('iteration')")
+    page.wait_for_selector("#fit-answer:not([hidden])")
+    until(page, "document.getElementById('progress').hidden")
+    assert value(page, "Fc") == pytest.approx(0.5, rel=0.02) and value(page, "B") == pytest.approx(1.5, rel=0.02)
+    until(page, "parseFloat(document.querySelector('#misfit tbody td:last-child').textContent) < 1.3")
+    assert "95 %" in page.text_content(".constant[data-name=Fc] .describe")
+    settled(page)
+
+
+def test_discover_can_be_stopped_and_finds_the_friction(page) -> None:
+    page.click("button[aria-label='Remove coulomb_friction']")
+    page.wait_for_selector(".constant[data-name=Fc]", state="detached")
+    settled(page)
+    page.click("#discover")
+    until(page, "document.getElementById('stage').textContent.includes('refit')")
+    page.click("#stop")
+    page.wait_for_selector("#message.good:not([hidden])")
+    assert page.is_visible("#discover") and page.is_enabled("#discover")
+    page.click("#discover")
+    page.wait_for_selector("#discovery-answer:not([hidden])")
+    assert page.text_content("#verdict") == "named"
+    assert "coulomb friction" in page.text_content("#title")
+    settled(page)
+
+
+def test_everything_is_exported_and_the_study_is_one_that_greybox_reads(page, served) -> None:
+    _, folder = served
+    page.click("#export")
+    page.wait_for_selector("#files li")
+    names = {Path(e).name for e in page.locator("#files li").all_text_contents()}
+    assert {"model.py", "study.toml", "repeat.py", "fit.json", "report.html", "discovery.json", "train.csv"} <= names
+    assert all(list(folder.rglob(name)) for name in names)
+    assert page.text_content("#study") == (folder / "study.toml").read_text(encoding="utf-8")
+    study = (folder / "study.toml").read_text(encoding="utf-8")
+    assert 'effects = ["coulomb_friction"]' in study and re.search(r"^Fc = 0\.[45]", study, re.MULTILINE)
+
+
+def test_undo_goes_back_to_the_model_before(page) -> None:
+    page.click("#undo")
+    page.wait_for_selector(".constant[data-name=Fc]", state="detached")
+    assert page.text_content("#title") == "carriage"
+
+
+def test_a_second_window_without_the_token_gets_nothing(browser, served) -> None:
+    address, _ = served
+    origin = address.rsplit("/", 2)[0]
+    other, answers = browser.new_page(), []
+    other.on("response", lambda answer: answers.append((answer.status, answer.header_value("content-length"))))
+    for path in ("", "state", "wrong/", "wrong/state", "wrong/events"):
+        with pytest.raises(playwright.Error):  # an empty refusal is no page to the browser
+            other.goto(f"{origin}/{path}")
+    assert answers == [(403, "0")] * 5
+    # A page from elsewhere that has come to know the address may not read from it, nor change anything.
+    other.close()
+    other = browser.new_page()
+    other.goto("data:text/html,<p>elsewhere</p>")
+    for method in ("GET", "POST"):
+        asked = f"fetch('{address}state', {{method: '{method}'}}).then(() => 'answered', () => 'refused')"
+        assert other.evaluate(asked) == "refused"
+    other.close()
+
+
+def test_it_fits_a_phone_and_follows_dark_and_light(browser, served) -> None:
+    address, _ = served
+    one = browser.new_page(viewport={"width": 390, "height": 800}, color_scheme="dark")
+    one.set_default_timeout(PATIENCE)
+    one.goto(address)
+    until(one, "window.greyboxReady === true")
+    assert one.evaluate("document.documentElement.scrollWidth") <= 390
+    paper = "getComputedStyle(document.body).backgroundColor"
+    dark = one.evaluate(paper)
+    one.click("#theme")
+    assert one.evaluate(paper) == "rgb(255, 255, 255)" != dark
+    one.close()
