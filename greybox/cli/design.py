@@ -267,6 +267,8 @@ def _kind_of(path: Path) -> str:
     """``fit`` or ``discovery``: a discovery has a verdict. What else is wrong with the file is said by whoever reads it."""
     from greybox.schemas import parse_json
 
+    if not path.is_file():  # a pipe would be waited for
+        return "fit"
     try:
         data: Any = parse_json(path.read_bytes())
     except (OSError, ValueError):

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import keyword
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from greybox.effects import CATALOGUE, effect
+from greybox.effects import CATALOGUE, effect, formula_effect
 from greybox.effects.placement import AT
-from greybox.errors import ModelError, nearest
+from greybox.errors import GreyboxError, ModelError, nearest, shorten
+from greybox.export.python_text import literal
+from greybox.export.texts import escape_line, to_comment
 from greybox.files import write_file
 from greybox.model import Effect
+from greybox.model.signals import Parameter
 from greybox.project.folders import EFFECTS, project_root, template_root
 from greybox.project.load import display_path, import_standalone, values_in
 from greybox.schemas import ResultKind, read_json
+from greybox.units import parse_unit
 
 
 def find_own_effects(folder: Path | None = None) -> tuple[Effect, ...]:
@@ -89,7 +92,7 @@ def keep_effect(name: str, result: Path | None = None, folder: Path | None = Non
     Raises
     ------
     ModelError
-        Without a project, for a name that is taken or none, and for a result without a law.
+        Without a project, for a name that is taken or none, and for a result without a law that can be kept.
     """
     root = project_root(folder)
     if root is None:
@@ -102,9 +105,10 @@ def keep_effect(name: str, result: Path | None = None, folder: Path | None = Non
     laws = [e for e in read_json(source, ResultKind.DISCOVERY)["effects"] if "formula" in e]
     if not laws:
         raise ModelError(f"{display_path(source)} has no law to keep; greybox discover MODEL ... --laws looks for one")
+    text = _write_module(name, laws, display_path(source))
     path = root / EFFECTS / f"{name}.py"
     path.parent.mkdir(exist_ok=True)
-    return write_file(path, _write_module(name, laws, display_path(source)))
+    return write_file(path, text)
 
 
 def _newest_result(root: Path) -> Path:
@@ -118,32 +122,51 @@ def _newest_result(root: Path) -> Path:
 
 
 def _write_module(name: str, laws: list[Mapping[str, Any]], source: str) -> str:
-    """The Python file of the effect; a law of several terms is several effects."""
+    """The Python file of the effect; a law of several terms is several effects. Nothing that ``laws`` say becomes code.
+
+    Raises ModelError where they lack something or state no formula.
+    """
     lines = [
-        f'"""{name}: a law kept from {source}."""',
+        '"""' + escape_line(f"{name}: a law kept from {source}.") + '"""',
         "",
         "from greybox import Parameter",
         "from greybox.effects import formula_effect",
     ]
-    for k, law in enumerate(laws):
-        variable = name if k == 0 else f"{name}_{k + 1}"
-        amplitude = law["formula"].partition("*")[0]
-        seen = ", ".join(f"{v} from {low:.4g} to {high:.4g}" for v, (low, high) in law["range"].items())
-        lines += ["", f"# {law['equation']}" + (f", seen with {seen}" if seen else ""), f"{variable} = formula_effect("]
-        lines += [
-            f"    {json.dumps(variable)},",
-            f"    {json.dumps(law['site'])},",
-            f"    {json.dumps(law['formula'])},",
-            "    [",
-        ]
-        for q, values in law["parameters"].items():
-            value = values["value"]
-            bounds = f", ({abs(value) / 1e3!r}, {abs(value) * 1e3!r})" if q != amplitude and value > 0 else ""
-            lines.append(f"        Parameter({json.dumps(q)}, {json.dumps(values['unit'])}, {value!r}{bounds}),")
-        memory = law.get("memory")
-        extra = [f"    amplitude={json.dumps(amplitude)},"]
-        if memory:
-            lag = list(law["parameters"])[-1]
-            extra += [f"    lag={json.dumps(lag)},", f"    lag_unit={json.dumps(memory)},"]
-        lines += ["    ],", *extra, f"    source={json.dumps(f'a law of the records, {source}')},", ")"]
+    try:
+        for k, law in enumerate(laws):
+            lines += _write_law(name if k == 0 else f"{name}_{k + 1}", law, f"a law of the records, {source}")
+    except (GreyboxError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        what = f"it lacks {error}" if isinstance(error, KeyError) else shorten(str(error), 100)
+        raise ModelError(
+            f"{source}: its law cannot be kept: {what}; repeat greybox discover MODEL ... --laws, which writes it anew"
+        ) from None
     return "\n".join(lines) + "\n"
+
+
+def _write_law(variable: str, law: Mapping[str, Any], source: str) -> list[str]:
+    """The lines of one effect, which is made here too: what states no effect is refused before it is written."""
+    amplitude = law["formula"].partition("*")[0]
+    seen = ", ".join(f"{v} from {low:.4g} to {high:.4g}" for v, (low, high) in law["range"].items())
+    equation = f"{law['equation']}, seen with {seen}" if seen else str(law["equation"])
+    lines = ["", f"# {to_comment(equation)}", f"{variable} = formula_effect("]
+    lines += [f"    {literal(text)}," for text in (variable, law["site"], law["formula"])]
+    lines.append("    [")
+    parameters = []
+    for q, values in law["parameters"].items():
+        value = float(values["value"])
+        parse_unit(values["unit"])
+        bounds = (abs(value) / 1e3, abs(value) * 1e3) if q != amplitude and value > 0 else None
+        parameters.append(Parameter(q, values["unit"], value, *([] if bounds is None else [bounds])))
+        ends = "" if bounds is None else f", {literal(bounds)}"
+        lines.append(f"        Parameter({literal(q)}, {literal(values['unit'])}, {literal(value)}{ends}),")
+    options = {"amplitude": amplitude}
+    if law.get("memory"):
+        options |= {"lag": list(law["parameters"])[-1], "lag_unit": law["memory"]}
+    formula_effect(variable, law["site"], law["formula"], parameters, **options)
+    return [
+        *lines,
+        "    ],",
+        *(f"    {key}={literal(value)}," for key, value in options.items()),
+        f"    source={literal(source)},",
+        ")",
+    ]

@@ -52,13 +52,36 @@ def is_a_model_module(name: str) -> bool:
     return name.split(".")[0] == "models" or name.startswith("_greybox_file_")
 
 
-@pytest.mark.parametrize(
-    "form", ["trap.py", "./trap.py", "{}/trap.py", "trap.py:rig", "//server/share/trap.py", "..\\trap.py", "a/b"]
-)
-def test_a_fit_names_its_model_without_a_path(trap: Path, saved_fit: Path, form: str):
+FORMS = ["trap.py", "./trap.py", "{}/trap.py", "trap.py:rig", "//server/share/trap.py", "..\\trap.py", "a/b"]
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("command", ["export fit.json --to json", "changed fit.json r.csv", "design fit.json"])
+def test_a_fit_names_its_model_without_a_path(trap: Path, saved_fit: Path, form: str, command: str):
     data = json.loads(saved_fit.read_text()) | {"model": form.format(trap.parent)}
     Path("fit.json").write_text(json.dumps(data))
-    done = run("export", "fit.json", "--to", "json")
+    Path("r.csv").write_text("time,u,x\n")
+    limits = ["--limit", "u=-1:1", "--duration", "1"] if command.startswith("design") else []
+    done = run(*command.split(), *limits)
+    assert done.exit_code == 2
+    assert "--model" in done.stderr and "Traceback" not in done.stderr
+    assert not (trap.parent / "ran").exists()
+    assert not Path("results").exists()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_discovery_names_its_model_without_a_path(trap: Path, form: str):
+    data = {
+        "format": 1,
+        "verdict": "named",
+        "model": form.format(trap.parent),
+        "effects": [],
+        "parameters": {},
+        "gap": {},
+    }
+    Path("discovery.json").write_text(json.dumps(data | {"alternatives": [], "noise": {}}))
+    Path("r.csv").write_text("time,u,x\n")
+    done = run("design", "discovery.json", "r.csv", "--limit", "u=-1:1", "--duration", "1")
     assert done.exit_code == 2
     assert "--model" in done.stderr and "Traceback" not in done.stderr
     assert not (trap.parent / "ran").exists()

@@ -5,24 +5,36 @@ Slow; ``RELIABILITY_SIZE=10`` makes ten times as many trials, ``RELIABILITY_WRIT
 
 from __future__ import annotations
 
+import ast
 import json
 import sys
 import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.change_detection import ChangeVerdict
+from greybox.change_detection.result import load_changes
 from greybox.cli.study_file import read_study
 from greybox.comparison import load_comparison
 from greybox.discovery import load_discovery
 from greybox.discovery.execution import RefitJournal, RefitOutcome
 from greybox.errors import GreyboxError
+from greybox.experiment_design import CampaignPlan, DesignPolicy, SignalLimit
+from greybox.experiment_design import campaign as campaigns
+from greybox.experiment_design.findings import CampaignCode
+from greybox.experiment_design.policy import InputSearchPolicy, MarginPolicy
+from greybox.findings import Finding
+from greybox.fmu import fit_fmu, read_fmu
 from greybox.model import Model
+from greybox.project.effects import find_own_effects, keep_effect
 from greybox.result import load_fit
+from greybox.schemas import ResultKind, read_json
 from greybox.uncertainty import load_bootstrap, load_profile
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
@@ -123,6 +135,87 @@ def use_comparison(path: Path, _: object) -> None:
     assert all(entry["parameters"] >= 0 for entry in load_comparison(path)["models"].values())
 
 
+def use_law(path: Path, _: object) -> None:
+    """Keep the law of a discovery in a project; what was written states effects and nothing else."""
+    project = path.parent / "project"
+    (project / "models").mkdir(parents=True, exist_ok=True)
+    (project / "models" / "rig.py").write_text("import greybox\n")
+    kept = keep_effect("kept", path, project)
+    kinds = {type(statement).__name__ for statement in ast.parse(kept.read_bytes()).body}
+    try:
+        assert kinds == {"Expr", "ImportFrom", "Assign"}
+        assert find_own_effects(project)[0].name == "kept"
+    finally:
+        kept.unlink()
+
+
+def use_change(path: Path, _: object) -> None:
+    change = load_changes(path)
+    assert ChangeVerdict(change["verdict"]) and all(c["unit"] is not None for c in change["constants"].values())
+
+
+def use_campaign(path: Path, plan: object) -> None:
+    assert isinstance(plan, CampaignPlan)
+    steps = tuple(campaigns._read_steps(plan, path.parent).values())
+    str(campaigns.Campaign(campaigns.CampaignStatus.MEASURING, plan, path.parent, steps))
+
+
+def use_design(path: Path, plan: object) -> None:
+    """What a campaign that goes on reads of the design it has made."""
+    assert isinstance(plan, CampaignPlan)
+    (path.parent / "input.csv").touch()
+    goal, kind = campaigns._prepare(plan, campaigns.Knowledge(), (), path.parent, 1, print, print)
+    str(campaigns.CampaignStep(1, goal, kind))
+
+
+def use_fmu_fit(path: Path, _: object) -> None:
+    assert all(entry["unit"] is not None for entry in read_json(path, ResultKind.FMU_FIT)["parameters"].values())
+
+
+LAW = {
+    "name": "law",
+    "site": "force",
+    "equation": "-4.1e5*max(0, x - 0.121)",
+    "formula": "k*max(0, x - c)",
+    "parameters": {"k": {"value": -4.1e5, "unit": "N/m"}, "c": {"value": 0.121, "unit": "m"}},
+    "grade": "established",
+    "range": {"x": [-0.1, 0.13]},
+}
+SHORT = DesignPolicy(
+    search=InputSearchPolicy(bands=2, iterations=3, rounds=1, starts=1, refined_scenarios=1, crest_iterations=20),
+    margin=MarginPolicy(samples=2),
+)
+
+
+def make_later_ones(folder: Path, search: Path) -> dict[Path, tuple[object, Callable[[Path, object], None]]]:
+    """Results of laws, design, campaign, change detection and FMUs, with what each is used with."""
+    period = 1.6384e-3
+    records = [
+        linear_record(silverbox, multisine(np.random.default_rng(k), 300, period, 5, 200, 0.1), period) for k in (1, 2)
+    ]
+    fit = gb.fit(silverbox, records[0], noise={"y": 1e-4})
+    law = folder / "law.json"
+    law.write_text(json.dumps(json.loads(search.read_text()) | {"effects": [LAW]}))
+    plan = CampaignPlan(
+        silverbox, {"u": SignalLimit(-0.1, 0.1)}, 0.1, period, {"y": 1e-4}, tuple(records), design_policy=SHORT
+    )
+    design = gb.design(fit, limits=plan.limits, duration=0.1, sampling_time=period, policy=SHORT)
+    step = campaigns.CampaignStep(
+        1, "precision", "multisine", "named", ("cubic_stiffness",), (("play",),), {"d": 0.01}, 1.0, {"y": 2.0}
+    )
+    todo = Finding(CampaignCode.MEASURE, subject="02/input.csv", values={"record": "02/record.csv"})
+    campaigns._save(plan, folder, campaigns.CampaignStatus.MEASURING, [step, replace(step, number=2)], todo)
+    plant = read_fmu(gb.export.to_fmu(silverbox, folder / "plant.fmu", dt=period))
+    around = fit_fmu(plant, records[0], free=[silverbox.free_parameters[0].name], noise={"y": 1e-4})
+    return {
+        law: (None, use_law),
+        gb.detect_changes(fit, records[1], search_effects=False).save(folder / "changed.json"): (None, use_change),
+        design.save(folder): (plan, use_design),
+        folder / "campaign.json": (plan, use_campaign),
+        around.save(folder / "fmu_fit.json"): (None, use_fmu_fit),
+    }
+
+
 def make_others(folder: Path) -> dict[Path, Callable[[Path, object], None]]:
     """Saved results that are no fits, and what people do with each."""
     period = 1.6384e-3
@@ -208,6 +301,9 @@ def test_mutated_results_journals_and_studies(tmp_path):
     for path, use in make_others(tmp_path).items():
         use(path, None)
         files[path] = (None, use, False)
+    for path, (value, use) in make_later_ones(tmp_path, tmp_path / "discovery.json").items():
+        use(path, value)
+        files[path] = (value, use, False)
     journal = RefitJournal(tmp_path / "journal.jsonl")
     for k in range(12):
         outcome = RefitOutcome({"M": 0.01 + k, "K": 5000.0}, ((0.0, 1e-6), (1.0, 2.0)), k % 3)
@@ -216,7 +312,7 @@ def test_mutated_results_journals_and_studies(tmp_path):
     (tmp_path / "study.toml").write_text(STUDY)
     files[tmp_path / "study.toml"] = (None, lambda path, _: read_study(path, "fit"), False)
     read_study(tmp_path / "study.toml", "fit")
-    each = size_of(455)
+    each = size_of(5000 // len(files) + 1)
     outcomes, wrong = attack(files, each)
     figures = f"of {len(files)} files; {outcomes['used']} used, {outcomes['refused']} refused"
     note_row("mutated results, journals and studies", each * len(files), sum(wrong.values()), figures)

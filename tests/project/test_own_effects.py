@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import sys
@@ -10,11 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from greybox.errors import ModelError
+from greybox.errors import DataError, GreyboxError, ModelError
 from greybox.project import project_root
 from greybox.project.effects import find_effect, find_own_effects, keep_effect
 from tests.project.test_foreign_projects import STRANGER, needs_superuser
 from tests.project.test_outline import TRAP
+from tests.support.hostile import CODE, MARKUP
 
 OWN = """from greybox import Parameter
 from greybox.effects import formula_effect
@@ -69,6 +71,50 @@ def test_a_law_is_kept_as_an_effect_that_reads_back(project: Path):
         keep_effect("soft_stop")
     with pytest.raises(ModelError, match="letters, digits"):
         keep_effect("end-stop")
+
+
+def write_law(project: Path, **changes: object) -> None:
+    file = project / "results" / "rig-discover" / "discovery.json"
+    data = json.loads(file.read_text())
+    data["effects"] = [{**LAW, **changes}]
+    file.write_text(json.dumps(data))
+
+
+@pytest.mark.parametrize("text", [*CODE, *MARKUP[:2], "\nimport os\nos.environ['HURT'] = '1'\n"])
+@pytest.mark.parametrize("field", ["equation", "range"])
+def test_a_law_of_a_stranger_runs_nothing(project: Path, monkeypatch: pytest.MonkeyPatch, text: str, field: str):
+    monkeypatch.delenv("HURT", raising=False)
+    write_law(project, **{field: text if field == "equation" else {text: [0.0, 1.0]}})
+    if "\ud800" in text:  # a half of a character is no JSON
+        with pytest.raises(DataError, match="Unicode"):
+            keep_effect("soft_stop")
+        return
+    path = keep_effect("soft_stop")
+    kinds = [type(statement).__name__ for statement in ast.parse(path.read_bytes()).body]
+    assert kinds == ["Expr", "ImportFrom", "ImportFrom", "Assign"]
+    assert [e.equation for e in find_own_effects()] == [LAW["formula"]]
+    assert "HURT" not in os.environ
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"formula": "__import__('os').system('true')"},
+        {"formula": "k*max("},
+        {"formula": ""},
+        {"parameters": {}},
+        {"parameters": {"k": {"value": None, "unit": "N/m"}}},
+        {"parameters": {"k": {"value": 1.0, "unit": "N/m); import os"}}},
+        {"parameters": {"k": {"value": 10**400, "unit": "N/m"}}},
+        {"parameters": {"k": {"value": 1.0}}},
+        {"range": {"x": [1.0]}},
+    ],
+)
+def test_what_is_no_law_is_not_kept(project: Path, changes: dict[str, object]):
+    write_law(project, **changes)
+    with pytest.raises(GreyboxError, match=r"discovery\.json"):
+        keep_effect("soft_stop")
+    assert list((project / "effects").iterdir()) == []
 
 
 def test_two_effects_of_one_name_are_told(project: Path):
