@@ -172,6 +172,8 @@ def _run(connection: Connection, kind: JobKind, payload: bytes) -> None:
     """The process: compute, tell, end."""
     stop = threading.Event()
     threading.Thread(target=_hear, args=(connection, stop, kind is JobKind.DISCOVER), daemon=True).start()
+    news: JobNews
+    content: bytes | str | None
     try:
         arguments = unpack(payload)
         compute = _fit if kind is JobKind.FIT else _discover

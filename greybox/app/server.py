@@ -169,6 +169,9 @@ class GuardedHandler(RequestHandler):
             content = await self.server.compute(function)
         except (GreyboxError, OSError) as error:
             self.answer({"error": str(error)}, UNPROCESSABLE)
+        except Exception as error:  # nobody expected it: the terminal gets all of it, the page what it is
+            traceback.print_exc(file=sys.stderr)
+            self.answer({"error": f"{type(error).__name__}: {error}"}, FAILED)
         else:
             self.answer(content)
 
@@ -238,22 +241,22 @@ class ActionHandler(GuardedHandler):
 
     async def post(self, _: str, name: str) -> None:
         """Do it, and answer with the new state or with what was asked for."""
-        action = ACTIONS.get(name)
+        prepare = ACTIONS.get(name)
         try:
             given = json.loads(self.request.body or b"{}")
         except ValueError:
             given = None
-        if action is None or not isinstance(given, dict):
+        if prepare is None or not isinstance(given, dict):
             raise HTTPError(FORBIDDEN)
+        bench = self.server.workbench
 
         def act() -> Any:
             try:
-                result = action(self.server.workbench, given)
-            except (KeyError, TypeError, ValueError, OverflowError) as error:
-                if isinstance(error, GreyboxError):
-                    raise
+                action = prepare(bench, given)
+            except (KeyError, TypeError, ValueError, AttributeError) as error:
                 raise DataError(f"{name}: not understood ({error}); load the page again") from error
-            return self.server.workbench.show() if result is None else result
+            result = action()
+            return bench.show() if result is None else result
 
         await self.answer_with(act)
 
@@ -268,26 +271,30 @@ def _values(given: Mapping[str, Any]) -> dict[str, float]:
     return {str(name): _number(value) for name, value in given["values"].items()}
 
 
-def _put_effect(bench: Workbench, given: Mapping[str, Any]) -> None:
-    (bench.add_effect if given["on"] else bench.remove_effect)(str(given["name"]))
+def _put_effect(bench: Workbench, given: Mapping[str, Any]) -> Callable[[], Any]:
+    return partial(bench.add_effect if given["on"] else bench.remove_effect, str(given["name"]))
 
 
-ACTIONS: Mapping[str, Callable[[Workbench, Mapping[str, Any]], Any]] = {
-    "preview": lambda bench, given: bench.show_run(int(given["record"]), _values(given)),
-    "run": lambda bench, given: bench.show_run(int(given["record"]), inputs=True),
-    "locate": lambda bench, given: bench.show_location(int(given["record"])),
-    "values": lambda bench, given: bench.set_values(_values(given)),
-    "fixed": lambda bench, given: bench.set_fixed(str(given["name"]), bool(given["fixed"])),
+def _export(bench: Workbench) -> dict[str, Any]:
+    return {"files": [str(path) for path in bench.export()], "folder": str(bench.folder)}
+
+
+ACTIONS: Mapping[str, Callable[[Workbench, Mapping[str, Any]], Callable[[], Any]]] = {
+    "preview": lambda bench, given: partial(bench.show_run, int(given["record"]), _values(given)),
+    "run": lambda bench, given: partial(bench.show_run, int(given["record"]), inputs=True),
+    "locate": lambda bench, given: partial(bench.show_location, int(given["record"])),
+    "values": lambda bench, given: partial(bench.set_values, _values(given)),
+    "fixed": lambda bench, given: partial(bench.set_fixed, str(given["name"]), bool(given["fixed"])),
     "effect": _put_effect,
-    "forget": lambda bench, given: bench.forget(int(given["record"])),
-    "role": lambda bench, given: bench.set_role(int(given["record"]), bool(given["validates"])),
-    "undo": lambda bench, given: bench.undo(),
-    "fit": lambda bench, given: bench.start(JobKind.FIT),
-    "discover": lambda bench, given: bench.start(JobKind.DISCOVER),
-    "stop": lambda bench, given: bench.stop(),
-    "export": lambda bench, given: {"files": [str(path) for path in bench.export()], "folder": str(bench.folder)},
+    "forget": lambda bench, given: partial(bench.forget, int(given["record"])),
+    "role": lambda bench, given: partial(bench.set_role, int(given["record"]), bool(given["validates"])),
+    "undo": lambda bench, given: bench.undo,
+    "fit": lambda bench, given: partial(bench.start, JobKind.FIT),
+    "discover": lambda bench, given: partial(bench.start, JobKind.DISCOVER),
+    "stop": lambda bench, given: bench.stop,
+    "export": lambda bench, given: partial(_export, bench),
 }
-"""What a page can ask for, by its name; an action that gives nothing is answered with the new state."""
+"""What a page can ask for, by its name, as a call to make; one that gives nothing is answered with the new state."""
 
 
 @stream_request_body
@@ -348,7 +355,7 @@ class UploadHandler(GuardedHandler):
 
 
 async def serve(workbench: Workbench, port: int, ready: Callable[[str], None]) -> None:
-    """Serve until cancelled; ``ready`` is called with the address."""
+    """Serve until it is cancelled; ``ready`` is called with the address."""
     server = AppServer(workbench, port)
     try:
         ready(server.address)

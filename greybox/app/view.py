@@ -85,7 +85,7 @@ def list_effects(model: Model, beside: tuple[Effect, ...] = ()) -> tuple[EffectP
 def show_run(session: Session, index: int, *, inputs: bool = False) -> dict[str, Any]:
     """One record beside the simulation: the run, the residual, the misfit; with what drove it."""
     result = session.simulate(index)
-    trace, units = result.traces[0], {q.name: q.unit for q in (*session.model.outputs, *session.model.inputs)}
+    trace, units = result.traces[0], _list_units(session.model)
     noise: Mapping[str, float] = session.noise or (session.fit.noise.std if session.fit is not None else {})
     figures = {
         "run": plot_run(trace, units, "run"),
@@ -97,6 +97,10 @@ def show_run(session: Session, index: int, *, inputs: bool = False) -> dict[str,
         "figures": {name: show_figure(figure) for name, figure in figures.items() if figure is not None},
         "misfit": {"heads": ["", *MISFIT_HEADS], "rows": _show_misfits(result.misfit)},
     }
+
+
+def _list_units(model: Model) -> dict[str, str]:
+    return {o.name: o.unit for o in model.outputs} | {i.name: i.unit for i in model.inputs}
 
 
 def _show_misfits(misfit: Mapping[str, Misfit]) -> list[list[str]]:

@@ -26,6 +26,7 @@ from greybox.model.model import Statement
 from greybox.reports import report
 
 STUDY_FILE, SCRIPT_FILE, MODEL_FILE, RECORDS_FOLDER = "study.toml", "repeat.py", "model.py", "records"
+LAST_FILE = "last.toml"
 """What an export is called, in its folder."""
 JOURNAL = "journal.jsonl"
 
@@ -69,6 +70,7 @@ class Workbench:
         self.undone: list[Session] = []
         self.job: Job | None = None
         self._lock = threading.RLock()
+        self._exported_session = session
         self._places: tuple[Statement, tuple[EffectPlace, ...]] | None = None
 
     def show(self) -> dict[str, Any]:
@@ -168,6 +170,7 @@ class Workbench:
         session = self.session
         if not session.records:
             raise DataError("export: no record yet, so there is no study to write; load one first")
+        self._exported_session = self.session
         copies = self._copy_records()
         session = self._with_exported_records(session)
         study, script = self.folder / STUDY_FILE, self.folder / SCRIPT_FILE
@@ -184,6 +187,15 @@ class Workbench:
             files.append(session.discovery.save(self.folder / "discovery.json"))
             files.append(report(session.discovery, self.folder / "discovery.html"))
         return files
+
+    def save_last(self) -> Path | None:
+        """Write the study of a session that has changed since its last export; None where there is nothing to lose."""
+        if not self.session.records or self.session is self._exported_session:
+            return None
+        self._copy_records()
+        session, target = self._with_exported_records(self.session), self.folder / LAST_FILE
+        to_python(session.model, self.folder / MODEL_FILE)
+        return write_file(target, self.study.write_study(session, target))
 
     def close(self) -> None:
         """End what runs."""

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from greybox.experiment import Experiment
     from greybox.model import Model
 
+APP = "app"
 MODEL_FILE = "model.py"
 """The model itself, in the folder of an export."""
 
@@ -117,6 +118,11 @@ def app(
         )
         with suppress(KeyboardInterrupt):  # that is how it ends
             asyncio.run(serve(bench, port, announce))
+        last = bench.save_last()
+    if last is not None and not json:
+        from greybox.rendering.cli import study_line
+
+        typer.echo(study_line(last, APP))
 
 
 def _refuse_idle_options(study: Study) -> None:
@@ -152,12 +158,9 @@ class StudyOnFile:
 
     def read(self, files: Sequence[Path], *, validates: bool = False) -> tuple[Experiment, ...]:
         """The records in ``files``, as the study reads its own. Raises GreyboxError."""
-        groups = (
-            {"estimation": (), "validation": tuple(files)}
-            if validates
-            else {"estimation": tuple(files), "validation": ()}
-        )
-        return tuple(record for group in read_records(replace(self.study, **groups), self.model) for record in group)
+        estimation, validation = ((), tuple(files)) if validates else (tuple(files), ())
+        study = replace(self.study, estimation=estimation, validation=validation)
+        return tuple(record for group in read_records(study, self.model) for record in group)
 
     def write_study(self, session: Session, path: Path) -> str:
         """The text of the study file ``path``, from which ``greybox fit`` computes the same."""
@@ -171,15 +174,22 @@ class StudyOnFile:
     def to_study(self, session: Session, folder: Path) -> Study:
         """The study that a session is by now; its model a file in ``folder`` where it has no name."""
         effects = self._named_effects(session)
-        records = {
-            name: tuple(dict.fromkeys(_beside(r.file, folder) for r in session.records if r.validates is validates))
-            for name, validates in (("estimation", False), ("validation", True))
-        }
-        study = replace(self.study, **records, file=None, from_file=frozenset(), unused=())
+        estimation, validation = (
+            tuple(dict.fromkeys(_beside(r.file, folder) for r in session.records if r.validates is validates))
+            for validates in (False, True)
+        )
+        study = replace(
+            self.study, estimation=estimation, validation=validation, file=None, from_file=frozenset(), unused=()
+        )
         bare = replace(study, start={}, fixed={}, free=())
         if effects is None:
             return replace(
-                bare, model=str(_beside(folder / MODEL_FILE, folder)), effects=(), schedules={}, process_noise={}
+                bare,
+                model=str(_beside(folder / MODEL_FILE, folder)),
+                effects=(),
+                schedules={},
+                process_noise={},
+                ties={},
             )
         bare = replace(bare, effects=effects)
         declared = {q.name: q for q in build_model(bare).all_parameters}

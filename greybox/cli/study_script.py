@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.study import Study
-from greybox.effects import CATALOGUE
-from greybox.effects.placement import AT
 
 FOLDER = "HERE"
 """What the program calls its own folder."""
@@ -38,7 +36,18 @@ def study_script(study: Study, path: Path, *, discovers: bool = False) -> str:
 
 def effect_has_delay(name: str) -> bool:
     """Whether an effect of the catalogue delays an input, so that the records bound how long it may be."""
+    from greybox.effects import CATALOGUE
+    from greybox.effects.placement import AT
+
     return any(e.delay is not None for e in CATALOGUE if e.name == name.partition(AT)[0])
+
+
+def _is_shipped(name: str) -> bool:
+    """Whether an effect is one of the catalogue, and none of the project."""
+    from greybox.effects import CATALOGUE
+    from greybox.effects.placement import AT
+
+    return name.partition(AT)[0] in {e.name for e in CATALOGUE}
 
 
 def _model_lines(study: Study, folder: Path) -> list[str]:
@@ -55,8 +64,7 @@ def _model_lines(study: Study, folder: Path) -> list[str]:
         about = "" if at is None else f", about={at!r}"
         lines.append(f"model = model.schedule({name!r}, by={by!r}{about})")
     for name in study.effects:
-        shipped = name.partition(AT)[0] in {e.name for e in CATALOGUE}
-        lines.append(f"model = model + {'gb.effect' if shipped else 'find_effect'}({name!r})")
+        lines.append(f"model = model + {'gb.effect' if _is_shipped(name) else 'find_effect'}({name!r})")
     steps = [
         _call("with_process_noise", study.process_noise),
         _call("free", dict.fromkeys(study.free)),

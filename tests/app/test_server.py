@@ -153,6 +153,13 @@ def test_bad_input_is_one_message_and_changes_nothing(served: Served, path: str,
     assert served.bench.session is before
 
 
+def test_what_nobody_expected_is_told_too(served: Served, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    monkeypatch.setattr(served.bench, "undo", lambda: 1 / 0)
+    status, _, content = served.ask("do/undo", b"{}")
+    assert status == 500 and json.loads(content) == {"error": "ZeroDivisionError: division by zero"}
+    assert "Traceback" in capsys.readouterr().err
+
+
 def test_a_request_too_large_or_not_understood_is_refused(served: Served) -> None:
     assert served.ask("do/values", b"[]")[0] == 403
     assert served.ask("do/nothing", b"{}")[0] == 403

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 import sys
+import threading
 import tomllib
 from pathlib import Path
 
@@ -13,13 +15,15 @@ import pytest
 
 import greybox as gb
 from greybox.app import Session, Workbench
-from greybox.app.jobs import JobKind
+from greybox.app.jobs import JobKind, _fit
 from greybox.app.session import ValueRange
 from greybox.cli.browser import StudyOnFile
 from greybox.cli.inputs import build_model, constrain, fit_options
 from greybox.cli.study import Study
+from greybox.cli.study_file import read_study
 from greybox.errors import DataError, GreyboxError, ModelError
 from greybox.model.signals import Parameter
+from greybox.project import find_model
 
 NOISE = {"v": 2e-3}
 
@@ -166,3 +170,78 @@ def test_a_stopped_discovery_changes_nothing_and_keeps_its_refits(bench: Workben
     wait(bench)
     assert news[-1] == "stopped" and bench.session is before
     assert (tmp_path / "out" / "journal.jsonl").stat().st_size > 0
+
+
+def test_a_stop_asked_for_twice_ends_at_once(bench: Workbench) -> None:
+    news: list[str] = []
+    before, bench.listener = bench.session, lambda item: news.append(item["news"])
+    bench.start(JobKind.DISCOVER)
+    bench.stop()
+    bench.stop()
+    wait(bench)
+    assert news[-1] == "stopped" and bench.session is before
+
+
+def test_a_fit_that_is_stopped_keeps_its_best_point(bench: Workbench) -> None:
+    told: list[tuple] = []
+
+    class Pipe:
+        def send(self, news: tuple) -> None:
+            told.append(news)
+
+    stop = threading.Event()
+    stop.set()
+    bench.add_effect("coulomb_friction")
+    session = bench.session.with_values({"B": 40.0})
+    fit = _fit(Pipe(), stop, session.model, session.estimation, noise=NOISE, options=session.options)
+    assert fit.status == "interrupted" and fit.parameters["B"].value > 0 and told[0][0] == "progress"
+
+
+def test_what_goes_wrong_in_a_computation_is_told_and_the_next_one_can_begin(bench: Workbench) -> None:
+    told: list[dict] = []
+    bench.listener = told.append
+    bench.session = dataclasses.replace(bench.session, noise={"v": -1.0})
+    before = bench.session
+    bench.start(JobKind.FIT)
+    wait(bench)
+    assert told[-1]["news"] == "failed" and "-1" in told[-1]["content"] and bench.session is before
+    bench.session = dataclasses.replace(before, noise=NOISE)
+    bench.start(JobKind.FIT)
+    wait(bench)
+    assert told[-1]["news"] == "done"
+
+
+def test_a_session_that_was_not_exported_is_not_lost(bench: Workbench, tmp_path: Path) -> None:
+    bench.set_values({"B": 3.0})
+    last = bench.save_last()
+    study = tomllib.loads(last.read_text())
+    assert study["start"] == {"B": 3.0} and (last.parent / study["records"]["estimation"][0]).is_file()
+    bench.export()
+    assert bench.save_last() is None
+
+
+def test_a_model_that_its_effects_do_not_name_goes_with_its_study(bench: Workbench, tmp_path: Path) -> None:
+    law = gb.effects.formula_effect(
+        "own_law", "force", "k*v**3", [Parameter("k", "N*s**3/m**3", -0.1)], amplitude="k", source="a test"
+    )
+    bench.session = dataclasses.replace(bench.session, model=bench.session.model + law)
+    bench.set_values({"k": -0.2})
+    bench.export()
+    study = tomllib.loads((tmp_path / "out" / "study.toml").read_text())
+    assert study["model"] == "model.py" and "effects" not in study
+    again = find_model(str(tmp_path / "out" / "model.py"))
+    assert again.values == bench.session.model.values
+
+
+@pytest.mark.parametrize("options", [{"process_noise": {"v": None}}, {"loss": "huber"}, {"priors": {"B": (2.0, 0.1)}}])
+def test_studies_of_other_kinds_are_shown_and_repeated_too(rig: Path, tmp_path: Path, options: dict) -> None:
+    study = Study(model=str(rig / "carriage.py"), noise=NOISE, **options)
+    model = constrain(build_model(study), study)
+    bench = Workbench(Session(model, noise=NOISE), StudyOnFile(study, model), tmp_path / "out")
+    bench.load(rig / "train.csv")
+    assert bench.show_run(0)["misfit"]["rows"] and bench.show_location(0)["text"]
+    bench.export()
+    again = read_study(tmp_path / "out" / "study.toml", "fit")
+    assert {name: getattr(again, name) for name in options} == options
+    done = subprocess.run([sys.executable, "repeat.py"], cwd=tmp_path / "out", capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
