@@ -1,6 +1,7 @@
 """How probable is an effect that `greybox.discover` puts into a model? Weights and reliability from the answers of `fits.hidden_study`.
 
-Every effect of every answer is one observation: what its evidence was, and whether it is right. The weights of
+Every effect of every answer is one observation: what its evidence was, and whether it is right, or one of those that the answer calls
+its equals. The weights of
 `greybox.discovery.CertaintyPolicy` are a logistic regression on these; the reliability on the page is that of cases that were left out
 of the fit.
 """
@@ -15,20 +16,22 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from scipy.optimize import minimize
+from scipy.special import expit
 
 from greybox.discovery import CertaintyPolicy
 from greybox.discovery.certainty import probability_of, to_features
 
 RIDGE = 1.0  # inverse variance of the prior of each weight
 FOLDS, BINS = 10, 10
-NEWTON_STEPS = 50
+LARGEST = 1e300  # in the place of an infinite measure
 Row = Mapping[str, Any]
 
 
 def list_effects(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """One entry for each effect of each answer."""
     return [
-        {**effect, "case": row["name"], "plant": row["plant"], "left_out": answer["left_out"]}
+        {"among": effect["right"], **effect, "case": row["name"], "plant": row["plant"], "left_out": answer["left_out"]}
         for row in rows
         for answer in row["answers"]
         for effect in answer["effects"]
@@ -37,24 +40,34 @@ def list_effects(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 def compute_features(effect: Row, policy: CertaintyPolicy) -> dict[str, float]:
     """The features of an effect as the library computes them."""
-    infinite = {"loss": 1e300, "loss_t": 1e300, "rival_loss": 1e300, "rival_t": 1e300}
-    measures = {n: infinite.get(n, math.nan) if v is None else v for n, v in effect["measures"].items()}
+    measures = {n: math.nan if v is None else v for n, v in effect["measures"].items()}
+    for test in (
+        "",
+        "rival_",
+        "curve_",
+        "static_",
+    ):  # JSON has no infinity: a test that was made and did not end in a number
+        was_made = test in ("", "rival_") or math.isfinite(measures[f"{test}loss"])
+        for name in (f"{test}loss", f"{test}loss_t" if not test else f"{test}t"):
+            if was_made and math.isnan(measures[name]):
+                measures[name] = LARGEST
     return to_features(measures, policy)
 
 
 def fit_weights(features: np.ndarray, right: np.ndarray, mean: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
-    """Intercept and weights (1 + n,) of a logistic regression by Newton's method.
+    """Intercept and weights (1 + n,) of a logistic regression.
 
     A normal prior about ``mean``, the weights of the library, keeps what the cases do not decide.
     """
     x = np.column_stack([np.ones(len(features)), features])
-    prior = np.full(x.shape[1], ridge)
-    w = mean.copy()
-    for _ in range(NEWTON_STEPS):
-        p = 1 / (1 + np.exp(-np.clip(x @ w, -30, 30)))
-        gradient = x.T @ (p - right) + prior * (w - mean)
-        w = w - np.linalg.solve((x * (p * (1 - p))[:, None]).T @ x + np.diag(prior), gradient)
-    return w
+
+    def cost(w: np.ndarray) -> tuple[float, np.ndarray]:
+        """Minus the logarithm of the posterior, and its gradient."""
+        score, distance = x @ w, w - mean
+        value = np.sum(np.logaddexp(0, score) - right * score) + 0.5 * ridge * distance @ distance
+        return float(value), x.T @ (expit(score) - right) + ridge * distance
+
+    return minimize(cost, mean, jac=True, method="L-BFGS-B").x
 
 
 def cross_validate(effects: Sequence[Row], policy: CertaintyPolicy) -> np.ndarray:
@@ -65,7 +78,7 @@ def cross_validate(effects: Sequence[Row], policy: CertaintyPolicy) -> np.ndarra
     result = np.zeros(len(effects))
     for k in range(FOLDS):
         w = fit_weights(features[fold != k], right[fold != k], _library_weights(policy))
-        result[fold == k] = 1 / (1 + np.exp(-(w[0] + features[fold == k] @ w[1:])))
+        result[fold == k] = expit(w[0] + features[fold == k] @ w[1:])
     return result
 
 
@@ -81,7 +94,7 @@ def format_weights(rows: Sequence[Row]) -> str:
 def write_certainty(rows: Sequence[Row], docs: Path) -> None:
     """``certainty.md`` and ``figures/certainty.svg`` in ``docs``."""
     effects, policy = list_effects(rows), CertaintyPolicy()
-    right = np.array([e["right"] for e in effects], float)
+    right = np.array([e["among"] for e in effects], float)
     stated = np.array([probability_of(compute_features(e, policy), policy) for e in effects])
     predicted = cross_validate(effects, policy)
     (docs / "figures").mkdir(parents=True, exist_ok=True)
@@ -112,7 +125,7 @@ def write_certainty(rows: Sequence[Row], docs: Path) -> None:
 def _tabulate(effects: Sequence[Row], policy: CertaintyPolicy) -> tuple[np.ndarray, np.ndarray]:
     """Features (N, n) and outcomes (N,)."""
     features = [compute_features(e, policy) for e in effects]
-    return np.array([[f[n] for n in policy.weights] for f in features]), np.array([e["right"] for e in effects], float)
+    return np.array([[f[n] for n in policy.weights] for f in features]), np.array([e["among"] for e in effects], float)
 
 
 def _library_weights(policy: CertaintyPolicy) -> np.ndarray:

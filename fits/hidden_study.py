@@ -142,8 +142,11 @@ def _describe(case: Case, discovery: Discovery, right: set[str]) -> dict[str, An
                 "name": e.effect,
                 "site": sites[e.effect],
                 "right": e.effect in right,
+                "among": bool({e.effect, *e.alike} & right),
                 "grade": str(e.grade),
                 "probability": e.probability,
+                "alike": list(e.alike),
+                "rival": e.rival,
                 "measures": {n: v if math.isfinite(v) else None for n, v in e.measures.items()},
             }
             for e in discovery.evidence

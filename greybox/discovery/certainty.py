@@ -36,9 +36,11 @@ def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[
         "rival_size": _clip(_signed_root(measures["rival_loss"]) / size, -1, 1),
         "rival_ratio": _clip(0.5 * math.log(max(1 + measures["rival_loss"], TINY)), -1, 1),
         "rival_t": _clip(measures["rival_t"] / deviations, -1, 1),
+        "rival_parameters": _clip(measures.get("rival_parameters", 0.0) / 2, -1, 1),
         "curve_size": _clip(math.sqrt(max(-curve, 0.0)) / size, 0, 1) if is_tested else 0.0,
         "curve_ratio": _gain(curve),
         "curve_t": _clip(-curve_t / deviations, 0, 1) if is_tested else 0.0,
+        "curve_fit": _gain_on_fitted(measures, policy),
         "curve_untested": float(not is_tested),
         "static_size": _clip(_signed_root(static) / size, -1, 1) if math.isfinite(static) else 1.0,
         "static_t": _clip(measures.get("static_t", math.nan) / deviations, -1, 1) if math.isfinite(static) else 1.0,
@@ -72,6 +74,7 @@ def grade_effect(probability: float, features: Mapping[str, float], has_equal: b
         or features["static_t"] < policy.least_rival
         or features["curve_size"] > policy.most_form
         or (features["curve_ratio"] > policy.most_gain and features["curve_t"] > policy.least_rival)
+        or features["curve_fit"] > policy.most_fitted_gain
         or features["free_size"] < policy.least_free
         or features["remainder"] > policy.most_remainder
         or features["share"] < policy.least_share
@@ -92,6 +95,15 @@ def _clip(value: float, low: float, high: float) -> float:
 def _gain(loss: float) -> float:
     """By how much a relative difference of mean square errors lowers the logarithm of the rms error; 0 where nobody looked."""
     return _clip(-0.5 * math.log(max(1 + loss, TINY)), 0, 1) if math.isfinite(loss) else 0.0
+
+
+def _gain_on_fitted(measures: Mapping[str, float], policy: CertaintyPolicy) -> float:
+    """By how much the curve lowers the logarithm of the rms error of the records it was fitted to, which one of a few heights cannot do
+    by chance; 0 where it does worse on the validation records, beyond chance. These may leave the range in which it was fitted: a curve
+    that is better within is another form even if it is no better there.
+    """
+    is_refuted = measures["curve_t"] > policy.least_rival * policy.most_deviations
+    return 0.0 if is_refuted else _clip(measures.get("curve_gain", 0.0), 0, 1)
 
 
 def _signed_root(value: float) -> float:

@@ -22,9 +22,10 @@ from greybox.discovery.disturbance_sites import (
 )
 from greybox.discovery.failures import SearchStage
 from greybox.discovery.localisation import find_worst_stretch, signal_units
-from greybox.discovery.policy import LocalisationPolicy
+from greybox.discovery.policy import EvidencePolicy, LocalisationPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem, with_start_values
 from greybox.discovery.signal_smoother import SignalSmoother, SmoothedSignal, absorbed_basis, whiten_columns
+from greybox.model import Model
 from greybox.numerics import TINY
 from greybox.values import ReadOnly
 
@@ -126,6 +127,38 @@ def _estimate(
         variables[best.variable][0],
         best,
     )
+
+
+def acts_as_constant(candidate: CandidateFit, name: str, policy: EvidencePolicy) -> bool:
+    """Whether an effect adds the same to every equation at every sample of the estimation records although elsewhere it would not.
+
+    There a constant does as well: an input that never changes its sign shows an offset of a dead zone, not the zone.
+    """
+    model, without = candidate.model, candidate.model.without(name)
+    if model.system.state_names != without.system.state_names or len(model.system.delays) != len(without.system.delays):
+        return False  # it has a memory
+    runs = unwhitened_shooting(candidate).simulate(candidate.variables.here)
+    states, inputs = np.vstack([x for _, x in runs]), np.vstack([record.u for record in candidate.problem.records])
+
+    def spread(states: np.ndarray, inputs: np.ndarray) -> float:
+        """Standard deviation over rms of what the effect adds, all equations relative to their largest."""
+        with_it, plain = (_evaluate_equations(m, states, inputs) for m in (model, without))
+        added = (with_it - plain) / np.maximum(np.abs(with_it).max(axis=0), TINY)
+        return float(np.sqrt(added.var(axis=0).sum() / max(float((added**2).mean(axis=0).sum()), TINY)))
+
+    if not spread(states, inputs) <= policy.same_signal:
+        return False
+    generator = np.random.default_rng(policy.seed)
+    elsewhere = [generator.uniform(-1, 1, v.shape) * np.abs(v).max(axis=0) for v in (states, inputs)]
+    return spread(*elsewhere) > policy.constant_spread
+
+
+def _evaluate_equations(model: Model, states: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    """Rates of the states and outputs (N, nx + ny) at N samples."""
+    system = model.system
+    p = [model.values[n] for n in system.parameter_names]
+    functions = (system.rhs_function, system.output_function)
+    return np.hstack([function(states.T, inputs.T, p).full().T for function in functions])
 
 
 def _without_effect(problem: DiscoveryProblem, candidate: CandidateFit, name: str) -> CandidateFit:

@@ -19,7 +19,7 @@ from greybox.discovery.candidates import family_of
 from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
 from greybox.discovery.dependence import TIME, rank_dependences
 from greybox.discovery.disturbance_sites import unwhitened_shooting
-from greybox.discovery.effect_signal import EffectSignal
+from greybox.discovery.effect_signal import EffectSignal, acts_as_constant
 from greybox.discovery.execution import RefitJob
 from greybox.discovery.failures import SearchStage
 from greybox.discovery.holdout import HoldoutScores, is_level_measured
@@ -79,7 +79,8 @@ class EffectEvidence(Printable, ReadOnly):
         What the probability was computed from. Losses are relative differences of mean square errors from that of the model, all outputs
         together, on the validation records and adapted to them (`HoldoutScores.adapt`): without the effect, with its rival, with a
         flexible curve beside it, and of an effect with memory with a curve in its place; ``_t`` are the same in standard errors of the
-        blocks. For what would be established, ``free_loss`` is the same of the cost on the estimation records, with a free curve over
+        blocks, ``rival_parameters`` how many more parameters the rival has, ``curve_gain`` what the curve beside the effect takes of the logarithm of the rms error of the records it was fitted to. For
+        what would be established, ``free_loss`` is the same of the cost on the estimation records, with a free curve over
         whatever explains most, wherever it does so.
     """
 
@@ -143,6 +144,10 @@ class EvidenceInputs:
         """A refit; None where it fails, with the reason kept."""
         return self.problem.failures.attempt(SearchStage.EVIDENCE, self.selected.effects, run, None)
 
+    def attempt_check(self, check: partial[bool]) -> bool:
+        """A check of the selected model; not met where it cannot be made, with the reason kept."""
+        return self.problem.failures.attempt(SearchStage.EVIDENCE, self.selected.effects, check, False)
+
 
 def lower_grade(evidence: EffectEvidence) -> EffectEvidence:
     """The same evidence where the answer as a whole is open: what was established is only probable."""
@@ -165,12 +170,23 @@ def gather_evidence(inputs: EvidenceInputs) -> tuple[EffectEvidence, ...]:
         for effect in inputs.selected.model.effects
         if not is_shape_correction(effect.name)
     )
-    # Something unknown acts where more than noise is left, and here it wears the name of an effect: the others may share the disguise.
-    # An effect that merely has an equal, or takes little, is none.
-    limits = inputs.policy.certainty
-    is_disguised = any(e.grade is Grade.STAND_IN and not e.alike and e.share > limits.disguise_share for e in weighed)
-    is_open = is_disguised and structure > limits.most_untested
-    return tuple(lower_grade(e) for e in weighed) if is_open else weighed
+    return _lower_doubtful(weighed, structure, inputs.policy.certainty)
+
+
+def _lower_doubtful(
+    weighed: tuple[EffectEvidence, ...], structure: float, limits: CertaintyPolicy
+) -> tuple[EffectEvidence, ...]:
+    """What one effect says about the others: something unknown may wear several names.
+
+    Where more than noise is left, a stand-in for a large part of the error puts all others in doubt. An effect that is not established
+    puts those in doubt that take less than it: they may be what it does not explain. One that merely has an equal does not.
+    """
+    unknown = [e for e in weighed if e.grade is not Grade.ESTABLISHED and not e.alike]
+    is_disguised = structure > limits.most_untested and any(
+        e.grade is Grade.STAND_IN and e.share > limits.disguise_share for e in unknown
+    )
+    largest = max((e.share for e in unknown), default=0.0)
+    return tuple(lower_grade(e) if is_disguised or e.share < largest else e for e in weighed)
 
 
 def _weigh_effect(
@@ -196,6 +212,7 @@ def _weigh_effect(
     nearest = min(others, key=lambda k: behind[k][0], default=None)
     rival_loss, rival_t = (loss, loss_t) if nearest is None else behind[nearest]
     curve_loss, curve_t = (np.nan, np.nan) if corrected is None else _compare(form, square_errors(corrected))
+    curve_gain = 0.0 if corrected is None else 0.5 * math.log(inputs.selected.cost / max(corrected.cost, TINY))
     static = _refit_static_curve(inputs, effect, rest)
     static_loss, static_t = (np.nan, np.nan) if static is None else _compare(form, square_errors(static))
     is_static = static_loss < limits.same_error * min(loss, 1.0)
@@ -208,8 +225,10 @@ def _weigh_effect(
         "loss_t": loss_t,
         "rival_loss": rival_loss,
         "rival_t": rival_t,
+        "rival_parameters": 0.0 if nearest is None else _count_parameters(rivals[nearest]) - _count_parameters(inputs.selected),
         "curve_loss": curve_loss,
         "curve_t": curve_t,
+        "curve_gain": curve_gain,
         "static_loss": static_loss,
         "static_t": static_t,
         "remainder": _remainder_over_variable(inputs, name),
@@ -219,12 +238,13 @@ def _weigh_effect(
         "effects": float(len(inputs.selected.effects)),
         "undetermined": float(_is_undetermined(inputs.fit, name)),
     }
-    has_equal = bool(alike) or is_static
+    is_constant = inputs.attempt_check(partial(acts_as_constant, inputs.selected, name, limits))
+    has_equal = bool(alike) or is_static or is_constant
     probability, grade = _grade(measures, has_equal, inputs.policy.certainty)
     if grade is Grade.ESTABLISHED:  # the dearest test comes last, for what has passed all others
         measures["free_loss"] = _compare_with_free_curves(inputs, name, form, rest)
         probability, grade = _grade(measures, has_equal, inputs.policy.certainty)
-    is_curve = is_static or (grade is not Grade.ESTABLISHED and "free_loss" in measures)
+    is_curve = is_static or is_constant or (grade is not Grade.ESTABLISHED and "free_loss" in measures)
     unit = next(o.unit for o in inputs.selected.model.outputs if o.name == output)
     return EffectEvidence(
         name,
@@ -551,6 +571,10 @@ def _is_undetermined(fit: Fit, name: str) -> bool:
     if bound.effect.amplitudes:
         return any(is_absent[n] for n in bound.effect.amplitudes if n in is_absent)
     return bool(is_absent) and all(is_absent.values())
+
+
+def _count_parameters(candidate: CandidateFit) -> float:
+    return float(sum(len(effect.parameters) for effect in candidate.model.effects))
 
 
 def _other(rival: CandidateFit, selected: CandidateFit) -> str:

@@ -295,6 +295,8 @@ class EvidencePolicy:
     """Effects of other families that are fitted in the place of each effect."""
     constant_spread: float = 0.1
     """Standard deviation of an effect's signal over its rms up to which it is constant."""
+    same_signal: float = 0.02
+    """The same of what it adds to the equations, sample by sample, up to which a constant does as well."""
     drift_correlation: float = 0.95
     """Correlation of an effect's signal with time from which it is a drift."""
     same_error: float = 0.01
@@ -321,29 +323,31 @@ class EvidencePolicy:
 class CertaintyPolicy:
     """How probable it is that an effect is right, and from which probability it may be called so."""
 
-    intercept: float = -5.0
+    intercept: float = -4.1
     """Constant of the logistic function."""
     weights: Mapping[str, float] = field(
         default_factory=lambda: {
-            "share": 0.5,
-            "loss_t": 1.0,
-            "rival_size": 1.0,
-            "rival_ratio": 1.5,
-            "rival_t": 2.5,
-            "curve_size": -3.0,
-            "curve_ratio": -1.0,
-            "curve_t": -2.0,
-            "curve_untested": -0.3,
-            "free_size": 1.0,
-            "remainder": -1.0,
-            "static_size": 1.0,
-            "static_t": 2.0,
-            "structure": -1.0,
+            "share": 0.7,
+            "loss_t": 0.8,
+            "rival_size": 0.0,
+            "rival_ratio": 0.7,
+            "rival_t": 1.0,
+            "rival_parameters": 0.0,
+            "curve_size": -2.5,
+            "curve_ratio": -0.7,
+            "curve_t": -1.5,
+            "curve_fit": -2.0,
+            "curve_untested": -1.7,
+            "free_size": 2.0,
+            "remainder": -1.5,
+            "static_size": 0.4,
+            "static_t": 0.7,
+            "structure": -0.7,
             "left": -2.0,
-            "change": -0.7,
-            "start": 0.5,
-            "several": -0.3,
-            "undetermined": -1.5,
+            "change": -1.9,
+            "start": 1.3,
+            "several": -0.8,
+            "undetermined": -1.1,
         }
     )
     """Weight of each feature of the evidence."""
@@ -351,7 +355,7 @@ class CertaintyPolicy:
     """Largest argument of the exponential: beyond it nothing changes and nothing overflows."""
     most_deviations: float = 10.0
     """Standard errors of a difference between models at which it counts in full."""
-    established: float = 0.9
+    established: float = 0.8
     """Probability from which an effect is established."""
     probable: float = 0.5
     """Probability from which an effect is probable; below it is a stand-in."""
@@ -363,19 +367,23 @@ class CertaintyPolicy:
     most_gain: float = 0.11
     """By how much a flexible curve beside the effect may lower the rms error (as a difference of logarithms): a tenth. More than that,
     and more than chance (`least_rival`), is another form."""
+    most_fitted_gain: float = 0.05
+    """The same on the records to which the curve was fitted, if it does no worse, beyond chance, on the others. A curve beside the right
+    form takes what its heights take from noise, half a percent."""
     least_free: float = 0.2
     """Root of the relative difference by which a free curve in the effect's place must cost more, wherever it is and whatever it is over:
     4 %. Where one does as well, the place or the name is open."""
     most_remainder: float = 0.6
     """What the effect leaves over its own variable, over its signal, in rms."""
-    least_share: float = 0.02
+    least_share: float = 0.05
     """Share of the error that an effect must take."""
-    most_change: float = 0.75
+    most_change: float = 0.4
     """Relative change of the effect's constants from one half of the records to the other: an imposter is fitted anew to each."""
     most_left: float = 0.3
     """What is left beyond noise, over what the effect takes, in rms: an imposter leaves more of the effect whose place it takes."""
     disguise_share: float = 0.3
-    """Share of the error from which a stand-in without an equal puts the other effects in doubt."""
+    """Share of the error from which a stand-in without an equal puts the other effects in doubt. Whatever is not established and has no
+    equal puts those in doubt that take less than it."""
     most_untested: float = 0.3
     """Share of the rms error that may be more than noise beside an effect whose form no curve can test (play, a delay), or beside one
     that is a stand-in."""

@@ -22,6 +22,8 @@ CLEAR = {
     "rival_t": 25.0,
     "curve_loss": 0.01,
     "curve_t": 1.0,
+    "curve_gain": 0.003,
+    "rival_parameters": 0.0,
     "remainder": 0.01,
     "structure": 0.0,
     "change": 0.01,
@@ -49,6 +51,10 @@ def test_a_free_curve_counts_where_it_comes_near():
     assert grade(free_loss=2.0) is Grade.ESTABLISHED
     assert probability(free_loss=2.0) > probability(free_loss=0.05)
     assert grade(curve_loss=-0.3, curve_t=-1.0) is Grade.ESTABLISHED  # by chance
+
+
+def test_a_curve_that_the_validation_records_refute_does_not_count():
+    assert grade(curve_gain=0.06, curve_loss=5.0, curve_t=9.0) is Grade.ESTABLISHED
 
 
 @pytest.mark.parametrize("change", [{"start": 0.0}, {"change": 1.5}], ids=["another start", "the halves"])
@@ -91,6 +97,7 @@ def test_whatever_speaks_against_an_effect_lowers_its_probability(change):
         {"structure": 0.9, "loss": 5.0},
         {"structure": 0.9, "curve_loss": math.nan, "curve_t": math.nan},
         {"curve_loss": -0.3, "curve_t": -3.3},
+        {"curve_gain": 0.06},
         {"free_loss": 0.01},
         {"free_loss": -0.3},
     ],
@@ -103,6 +110,7 @@ def test_whatever_speaks_against_an_effect_lowers_its_probability(change):
         "much is left",
         "form untested and more than noise left",
         "a curve beside it takes a tenth more",
+        "a curve beside it takes much of the records it was fitted to",
         "a free curve in its place does as well",
         "a free curve in its place does better",
     ],
