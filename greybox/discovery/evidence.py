@@ -79,9 +79,9 @@ class EffectEvidence(Printable, ReadOnly):
         What the probability was computed from. Losses are relative differences of mean square errors from that of the model, all outputs
         together, on the validation records and adapted to them (`HoldoutScores.adapt`): without the effect, with its rival, with a
         flexible curve beside it, and of an effect with memory with a curve in its place; ``_t`` are the same in standard errors of the
-        blocks, ``rival_parameters`` how many more parameters the rival has, ``curve_gain`` what the curve beside the effect takes of the logarithm of the rms error of the records it was fitted to. For
-        what would be established, ``free_loss`` is the same of the cost on the estimation records, with a free curve over
-        whatever explains most, wherever it does so.
+        blocks, ``rival_parameters`` how many more parameters the rival has, ``curve_gain`` what the curve beside the effect takes of the
+        logarithm of the rms error of the records it was fitted to. For what would be established, ``free_loss`` is the relative
+        difference of the cost on the estimation records, with a free curve over whatever explains most, wherever it does so.
     """
 
     effect: str
@@ -225,7 +225,9 @@ def _weigh_effect(
         "loss_t": loss_t,
         "rival_loss": rival_loss,
         "rival_t": rival_t,
-        "rival_parameters": 0.0 if nearest is None else _count_parameters(rivals[nearest]) - _count_parameters(inputs.selected),
+        "rival_parameters": 0.0
+        if nearest is None
+        else _count_parameters(rivals[nearest]) - _count_parameters(inputs.selected),
         "curve_loss": curve_loss,
         "curve_t": curve_t,
         "curve_gain": curve_gain,

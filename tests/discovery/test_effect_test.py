@@ -5,7 +5,8 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
-from greybox.discovery import DiscoveryProblem, drop_effect, localise_residual, try_effect
+from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, drop_effect, localise_residual, try_effect
+from greybox.discovery.effect_signal import acts_as_constant
 from greybox.discovery.execution import RefitOutcome
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import validate_candidate
@@ -66,3 +67,27 @@ def test_a_candidate_is_validated_from_the_initial_states_that_it_ended_with():
     assert fit.parameters["k"].value == pytest.approx(3.0, rel=1e-6)
     baseline = validate_candidate(problem, problem.baseline, ())
     assert baseline.traces[0].initial_state["x"] == pytest.approx(2.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("effect", "lowest", "expected"),
+    [("input_dead_zone", 0.5, True), ("input_dead_zone", -2.0, False), ("input_offset", 0.5, False)],
+    ids=["a zone that is never crossed", "a zone that is crossed", "an offset"],
+)
+def test_an_effect_that_only_shifts_what_was_measured_acts_as_a_constant(effect, lowest, expected):
+    lag = Model(
+        "lag",
+        states=[State("x", "V", 0.0, (-5.0, 5.0))],
+        inputs=[Input("u", "V", role="drive")],
+        outputs=[Output("y", "V", lambda x, u, p: x.x)],
+        parameters=[Parameter("k", "1/s", 2.0, (0.1, 10.0), source="a test")],
+        balances=lambda x, u, p: [Balance("rate", "V/s", 1, "x", decay=-p.k * x.x, drive=p.k * u.u)],
+    )
+    t = np.arange(200) * 0.02
+    u = np.random.default_rng(1).uniform(lowest, 2.0, 200)
+    record = Experiment.from_arrays(t, {"u": u}, {"y": u})
+    model = lag + gb.effect(effect)
+    amplitude = gb.effect(effect).amplitudes[0]
+    problem = DiscoveryProblem(lag, (record,), {"y": 1e-3}, (), FitOptions())
+    candidate = problem.restore(model, RefitOutcome({"k": 2.0, amplitude: 0.1}, ((0.0,),)))
+    assert acts_as_constant(candidate, effect, DiscoveryPolicy().evidence) is expected

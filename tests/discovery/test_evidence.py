@@ -101,17 +101,22 @@ def test_a_free_curve_that_fails_elsewhere_does_not_count(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("structure", "share", "alike", "expected"),
+    ("structure", "shares", "alike", "expected"),
     [
-        (0.6, 0.5, (), Grade.PROBABLE),
-        (0.1, 0.5, (), Grade.ESTABLISHED),
-        (0.6, 0.1, (), Grade.ESTABLISHED),
-        (0.6, 0.5, ("c",), Grade.ESTABLISHED),
+        (0.6, (0.6, 0.5), (), Grade.PROBABLE),
+        (0.1, (0.6, 0.5), (), Grade.ESTABLISHED),
+        (0.6, (0.6, 0.1), (), Grade.ESTABLISHED),
+        (0.6, (0.6, 0.5), ("c",), Grade.ESTABLISHED),
+        (0.1, (0.2, 0.3), (), Grade.PROBABLE),
+        (0.1, (0.2, 0.3), ("c",), Grade.ESTABLISHED),
     ],
-    ids=["more than noise is left", "noise is left", "it takes little", "it has an equal"],
+    ids=[
+        *("more than noise is left", "noise is left", "it takes little", "it has an equal"),
+        *("it takes more than the other", "it takes more and has an equal"),
+    ],
 )
-def test_nothing_is_certain_beside_a_stand_in(monkeypatch, structure, share, alike, expected):
-    grades = {"a": Grade.ESTABLISHED, "b": Grade.STAND_IN}
+def test_nothing_is_certain_beside_a_stand_in(monkeypatch, structure, shares, alike, expected):
+    grades = {"a": (Grade.ESTABLISHED, shares[0]), "b": (Grade.STAND_IN, shares[1])}
 
     @dataclass(frozen=True)
     class Weighed:
@@ -126,7 +131,7 @@ def test_nothing_is_certain_beside_a_stand_in(monkeypatch, structure, share, ali
     ):
         monkeypatch.setattr(evidence, name, lambda _, value=value: value)
     monkeypatch.setattr(evidence, "measure_structure", lambda *_: structure)
-    monkeypatch.setattr(evidence, "_weigh_effect", lambda _, effect, *__: Weighed(grades[effect.name], share, alike))
+    monkeypatch.setattr(evidence, "_weigh_effect", lambda _, effect, *__: Weighed(*grades[effect.name], alike))
     scores = SimpleNamespace(square_errors=lambda fit, blocks: ERRORS)
     model = SimpleNamespace(effects=[toy_effect("a"), toy_effect("b")])
     inputs = SimpleNamespace(
