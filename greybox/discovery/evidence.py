@@ -334,19 +334,19 @@ def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) 
         return [_converge(inputs, fit) for fit in near[: limits.rivals]]
     others = [e for e in inputs.candidates if e.name not in family | set(selected.effects)]
     ranked = rank_extensions(inputs.problem, rest, others, inputs.scales, inputs.policy.budget, limits.rivals)
-    jobs = [
+    quick = [
         partial(
             inputs.problem.refit_best,
             rest.model + e,
             list_extension_starts(rest, e, inputs.scales, inputs.policy.budget),
             1,
-            limits.iterations,
+            limits.quick_iterations,
             rest,
         )
         for e in ranked
     ]
-    fits = [inputs.attempt(job) for job in jobs]
-    return [*near, *(fit for fit in fits if fit is not None)]
+    fits = [inputs.attempt(job) for job in quick]
+    return [*near, *(_converge(inputs, fit) for fit in fits if fit is not None)]
 
 
 def _refit_static_curve(inputs: EvidenceInputs, effect: Effect, rest: CandidateFit | None) -> CandidateFit | None:
@@ -374,6 +374,9 @@ def _refit_free_curves(inputs: EvidenceInputs, rest: CandidateFit | None) -> lis
 
 
 def _converge(inputs: EvidenceInputs, fit: CandidateFit) -> CandidateFit:
+    """A rival refitted to the end, if it may still come near."""
+    if fit.cost > inputs.limits.hopeless_cost * inputs.selected.cost:
+        return fit
     again = inputs.attempt(
         partial(inputs.problem.refit_best, fit.model, [fit.model.values], 1, inputs.limits.iterations, fit)
     )

@@ -303,6 +303,11 @@ class EvidencePolicy:
     """Relative difference of mean square errors, over what the effect takes, below which a rival does the same."""
     iterations: int = 30
     """Iterations of these refits; they start near where they end."""
+    quick_iterations: int = 8
+    """Iterations after which a rival is given up..."""
+    hopeless_cost: float = 25.0
+    """...if its cost is still so many times that of the model in question: five times the rms error. Where an effect is left out that
+    takes almost everything, the others turn stiff in its place, and each refit would take minutes to show that it is no rival."""
     least_rows: int = 100
     """Rows of a record below which it is not halved."""
     most_correlation: float = 0.95
