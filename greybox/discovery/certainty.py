@@ -40,7 +40,7 @@ def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[
         "curve_size": _clip(math.sqrt(max(-curve, 0.0)) / size, 0, 1) if is_tested else 0.0,
         "curve_ratio": _gain(curve),
         "curve_t": _clip(-curve_t / deviations, 0, 1) if is_tested else 0.0,
-        "curve_fit": _gain_on_fitted(measures, policy),
+        "curve_fit": _own_form(measures, policy),
         "curve_untested": float(not is_tested),
         "static_size": _clip(_signed_root(static) / size, -1, 1) if math.isfinite(static) else 1.0,
         "static_t": _clip(measures.get("static_t", math.nan) / deviations, -1, 1) if math.isfinite(static) else 1.0,
@@ -74,14 +74,14 @@ def grade_effect(probability: float, features: Mapping[str, float], has_equal: b
         or features["static_t"] < policy.least_rival
         or features["curve_size"] > policy.most_form
         or (features["curve_ratio"] > policy.most_gain and features["curve_t"] > policy.least_rival)
-        or features["curve_fit"] > policy.most_fitted_gain
+        or features["curve_fit"] > policy.most_own_form
         or features["free_size"] < policy.least_free
         or features["remainder"] > policy.most_remainder
         or features["share"] < policy.least_share
         or features["change"] > policy.most_change
         or features["start"] < 1
         or features["left"] > policy.most_left
-        or (features["curve_untested"] > 0 and features["structure"] > policy.most_untested)
+        or (features["curve_untested"] > 0 and features["left"] > policy.most_untested)
     )
     if probability >= policy.established and not contradicted:
         return Grade.ESTABLISHED
@@ -97,13 +97,17 @@ def _gain(loss: float) -> float:
     return _clip(-0.5 * math.log(max(1 + loss, TINY)), 0, 1) if math.isfinite(loss) else 0.0
 
 
-def _gain_on_fitted(measures: Mapping[str, float], policy: CertaintyPolicy) -> float:
-    """By how much the curve lowers the logarithm of the rms error of the records it was fitted to, which one of a few heights cannot do
-    by chance; 0 where it does worse on the validation records, beyond chance. These may leave the range in which it was fitted: a curve
-    that is better within is another form even if it is no better there.
+def _own_form(measures: Mapping[str, float], policy: CertaintyPolicy) -> float:
+    """What a curve beside the effect takes more of the records it was fitted to, over what the effect takes, in rms.
+
+    A few heights take up to `CertaintyPolicy.chance_gain` by chance. The validation records may leave the range in which the curve was
+    fitted: one that is better within is another form even if it is no better there. 0 where it does worse there, beyond chance.
     """
-    is_refuted = measures["curve_t"] > policy.least_rival * policy.most_deviations
-    return 0.0 if is_refuted else _clip(measures.get("curve_gain", 0.0), 0, 1)
+    gain = measures.get("curve_gain", 0.0)
+    if gain < policy.chance_gain or measures["curve_t"] > policy.least_rival * policy.most_deviations:
+        return 0.0
+    gained = 1 - math.exp(-2 * gain)
+    return _clip(math.sqrt(gained / max(measures["loss"], TINY)), 0, 1)
 
 
 def _signed_root(value: float) -> float:

@@ -178,14 +178,11 @@ def _lower_doubtful(
 ) -> tuple[EffectEvidence, ...]:
     """What one effect says about the others: something unknown may wear several names.
 
-    Where more than noise is left, a stand-in for a large part of the error puts all others in doubt. An effect that is not established
-    puts those in doubt that take less than it: they may be what it does not explain. One that merely has an equal does not.
+    Where more than noise is left, a stand-in for a large part of the error puts all others in doubt, and always those that take less
+    than it: they may be what it does not explain. One that merely has an equal does not.
     """
-    unknown = [e for e in weighed if e.grade is not Grade.ESTABLISHED and not e.alike]
-    is_disguised = structure > limits.most_untested and any(
-        e.grade is Grade.STAND_IN and e.share > limits.disguise_share for e in unknown
-    )
-    largest = max((e.share for e in unknown), default=0.0)
+    largest = max((e.share for e in weighed if e.grade is Grade.STAND_IN and not e.alike), default=0.0)
+    is_disguised = structure > limits.visible_structure and largest > limits.disguise_share
     return tuple(lower_grade(e) if is_disguised or e.share < largest else e for e in weighed)
 
 
@@ -279,15 +276,21 @@ def _compare_with_free_curves(inputs: EvidenceInputs, name: str, form: BlockErro
 
     The cost is that on the estimation records: on the validation records a curve of so many constants drifts, or is adapted to the
     noise. There it must only not do worse than the selected model, beyond chance; ``form`` holds the errors of that, adapted. A curve
-    that represents the effect itself counts where Schwarz's criterion, which charges its heights, is for it.
+    that represents the effect itself counts where it shows another form (`CertaintyPolicy.most_own_form`) and Schwarz's criterion, which
+    charges its heights, is for it.
     """
     signal = next((s for s in inputs.signals if s.effect == name), None)
     chance = inputs.policy.certainty.least_rival * inputs.policy.certainty.most_deviations
+    taken = 0.0 if rest is None else rest.cost - inputs.selected.cost
+    other_form = inputs.policy.certainty.most_own_form**2 * taken
     losses = [
         curve.candidate.cost / max(inputs.selected.cost, TINY) - 1
         for curve in _refit_free_curves(inputs, rest)
         if not _represents(curve.variable, signal, inputs.limits)
-        or curve.candidate.criterion < inputs.selected.criterion
+        or (
+            curve.candidate.criterion < inputs.selected.criterion
+            and inputs.selected.cost - curve.candidate.cost > other_form
+        )
         if _compare(form, inputs.scores.square_errors(curve.candidate, inputs.limits.blocks, adapted=True))[1] < chance
     ]
     return min(losses, default=np.nan)

@@ -328,30 +328,30 @@ class EvidencePolicy:
 class CertaintyPolicy:
     """How probable it is that an effect is right, and from which probability it may be called so."""
 
-    intercept: float = -4.1
+    intercept: float = -4.5
     """Constant of the logistic function."""
     weights: Mapping[str, float] = field(
         default_factory=lambda: {
-            "share": 0.7,
-            "loss_t": 0.8,
-            "rival_size": 0.0,
+            "share": 0.6,
+            "loss_t": 0.6,
+            "rival_size": 0.6,
             "rival_ratio": 0.7,
-            "rival_t": 1.0,
-            "rival_parameters": 0.0,
-            "curve_size": -2.5,
-            "curve_ratio": -0.7,
-            "curve_t": -1.5,
+            "rival_t": 1.4,
+            "rival_parameters": 0.2,
+            "curve_size": -2.2,
+            "curve_ratio": -0.4,
+            "curve_t": -1.2,
             "curve_fit": -2.0,
-            "curve_untested": -1.7,
-            "free_size": 2.0,
-            "remainder": -1.5,
-            "static_size": 0.4,
-            "static_t": 0.7,
-            "structure": -0.7,
-            "left": -2.0,
-            "change": -1.9,
-            "start": 1.3,
-            "several": -0.8,
+            "curve_untested": -2.0,
+            "free_size": 2.5,
+            "remainder": -2.0,
+            "static_size": 0.2,
+            "static_t": 0.3,
+            "structure": -0.6,
+            "left": -2.1,
+            "change": -2.5,
+            "start": 1.6,
+            "several": -1.0,
             "undetermined": -1.1,
         }
     )
@@ -372,14 +372,18 @@ class CertaintyPolicy:
     most_gain: float = 0.11
     """By how much a flexible curve beside the effect may lower the rms error (as a difference of logarithms): a tenth. More than that,
     and more than chance (`least_rival`), is another form."""
-    most_fitted_gain: float = 0.05
-    """The same on the records to which the curve was fitted, if it does no worse, beyond chance, on the others. A curve beside the right
-    form takes what its heights take from noise, half a percent."""
+    most_own_form: float = 0.04
+    """What a curve over the effect's own variable, beside it or in its place, takes more on the records it was fitted to, over what the
+    effect takes, in rms. A curve beside the right form takes what its heights take from noise and, as no model is complete, a
+    little more."""
+    chance_gain: float = 0.02
+    """By how much such a curve may lower the logarithm of the rms error of those records by chance: beside the right form it is half a
+    percent."""
     least_free: float = 0.2
     """Root of the relative difference by which a free curve in the effect's place must cost more, wherever it is and whatever it is over:
     4 %. Where one does as well, the place or the name is open."""
-    most_remainder: float = 0.6
-    """What the effect leaves over its own variable, over its signal, in rms."""
+    most_remainder: float = 0.15
+    """What the effect leaves over its own variable, over its signal, in rms: the right one leaves up to a tenth."""
     least_share: float = 0.05
     """Share of the error that an effect must take."""
     most_change: float = 0.4
@@ -387,11 +391,12 @@ class CertaintyPolicy:
     most_left: float = 0.3
     """What is left beyond noise, over what the effect takes, in rms: an imposter leaves more of the effect whose place it takes."""
     disguise_share: float = 0.3
-    """Share of the error from which a stand-in without an equal puts the other effects in doubt. Whatever is not established and has no
-    equal puts those in doubt that take less than it."""
-    most_untested: float = 0.3
-    """Share of the rms error that may be more than noise beside an effect whose form no curve can test (play, a delay), or beside one
-    that is a stand-in."""
+    """Share of the error from which a stand-in without an equal puts the other effects in doubt, where `visible_structure` is left. It
+    always puts those in doubt that take less than it."""
+    visible_structure: float = 0.3
+    """Share of the rms error that is more than noise from which something unknown still acts."""
+    most_untested: float = 0.1
+    """What is left beyond noise, over what the effect takes, in rms, for an effect whose form no curve can test (play, a delay)."""
 
 
 @dataclass(frozen=True)

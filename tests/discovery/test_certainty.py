@@ -54,7 +54,7 @@ def test_a_free_curve_counts_where_it_comes_near():
 
 
 def test_a_curve_that_the_validation_records_refute_does_not_count():
-    assert grade(curve_gain=0.06, curve_loss=5.0, curve_t=9.0) is Grade.ESTABLISHED
+    assert grade(curve_gain=0.06, loss=9.0, curve_loss=5.0, curve_t=9.0) is Grade.ESTABLISHED
 
 
 @pytest.mark.parametrize("change", [{"start": 0.0}, {"change": 1.5}], ids=["another start", "the halves"])
@@ -95,9 +95,9 @@ def test_whatever_speaks_against_an_effect_lowers_its_probability(change):
         {"share": 0.01},
         {"undetermined": 1.0},
         {"structure": 0.9, "loss": 5.0},
-        {"structure": 0.9, "curve_loss": math.nan, "curve_t": math.nan},
+        {"structure": 0.9, "loss": 50.0, "curve_loss": math.nan, "curve_t": math.nan},
         {"curve_loss": -0.3, "curve_t": -3.3},
-        {"curve_gain": 0.06},
+        {"curve_gain": 0.06, "loss": 9.0},
         {"free_loss": 0.01},
         {"free_loss": -0.3},
     ],

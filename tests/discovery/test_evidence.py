@@ -74,7 +74,7 @@ def test_a_curve_over_some_variables_is_the_effect_itself(variable, modelled, ex
     assert _represents(variable, signal, EvidencePolicy()) is expected
 
 
-def compare_with_curves(monkeypatch, *curves, error=1.0):
+def compare_with_curves(monkeypatch, *curves, error=1.0, rest=1000.0):
     """`free_loss` where ``curves`` (variable, cost, criterion) stand in the place of an effect over v; they leave ``error`` elsewhere."""
     signal = SimpleNamespace(effect="a", variable_name="v", time=TIME, modelled=np.sin(30 * TIME))
     fits = [SimpleNamespace(variable=z, candidate=SimpleNamespace(cost=c, criterion=k)) for z, c, k in curves]
@@ -87,13 +87,16 @@ def compare_with_curves(monkeypatch, *curves, error=1.0):
         limits=EvidencePolicy(),
         policy=DiscoveryPolicy(),
     )
-    return evidence._compare_with_free_curves(inputs, "a", ERRORS, None)
+    return evidence._compare_with_free_curves(inputs, "a", ERRORS, SimpleNamespace(cost=rest))
 
 
 def test_the_best_free_curve_counts_unless_it_is_the_effect_itself(monkeypatch):
     assert compare_with_curves(monkeypatch, ("u", 130.0, 200.0), ("x", 300.0, 400.0)) == pytest.approx(0.3)
     assert np.isnan(compare_with_curves(monkeypatch, ("v", 99.0, 200.0)))  # as good, for many more constants
     assert compare_with_curves(monkeypatch, ("v", 60.0, 100.0)) == pytest.approx(-0.4)
+    assert np.isnan(
+        compare_with_curves(monkeypatch, ("v", 60.0, 100.0), rest=1e5)
+    )  # nothing beside what the effect takes
 
 
 def test_a_free_curve_that_fails_elsewhere_does_not_count(monkeypatch):
