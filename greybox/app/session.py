@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from greybox.app.policy import APP_POLICY, AppPolicy
-from greybox.discovery import Discovery, ResidualLocalisation, localise_residual
+from greybox.discovery import Discovery, LocalisationPolicy, ResidualLocalisation, SelectionPolicy, localise_residual
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.starting_points import estimate_scales, generate_starting_points
 from greybox.effects import bound_delays
-from greybox.errors import DataError, GreyboxError, ModelError
+from greybox.errors import DataError, ModelError
 from greybox.estimation import FitOptions, validate
 from greybox.experiment import Experiment
 from greybox.model import Effect, Model
@@ -142,14 +142,13 @@ class Session:
 
     def _visible_values(self, model: Model, effect: Effect) -> dict[str, float]:
         """Values of the constants of a new effect where it is visible and small; none where the present model cannot tell."""
-        try:
-            candidate = self._to_candidate(self.estimation[0])
-            points = generate_starting_points(
-                model, effect, candidate, self.model, estimate_scales(candidate), amplitudes=(1.0,)
-            )
-            point = next(points)
-        except GreyboxError:  # a run that overflows has no size: the effect starts as the catalogue has it
+        candidate = self._to_candidate(self.estimation[0])
+        if not _runs_through(candidate):  # a run that overflows has no size: the effect starts as the catalogue has it
             return {}
+        points = generate_starting_points(
+            model, effect, candidate, self.model, estimate_scales(candidate), amplitudes=(1.0,)
+        )
+        point = next(points)
         return {
             name: _round(model.parameter(name), value) for name, value in point.items() if name not in self.model.values
         }
@@ -184,15 +183,21 @@ class Session:
 
     def simulate(self, index: int) -> Validation:
         """The model's free run over one of the records, as `greybox.validate` makes it, and its misfit."""
-        return validate(self.model, self.record(index).experiment, noise=dict(self.noise), options=self.options)
+        return self._run(self.record(index).experiment)
 
     def localise(self, index: int) -> ResidualLocalisation:
         """Where, when and as a function of what the model falls short on one of the records, at its present constants."""
-        return localise_residual(self._to_candidate(self.record(index).experiment))
+        candidate = self._to_candidate(self.record(index).experiment)
+        if not _runs_through(candidate):
+            return ResidualLocalisation.without_sites(candidate, LocalisationPolicy(), SelectionPolicy())
+        return localise_residual(candidate)
+
+    def _run(self, record: Experiment) -> Validation:
+        return validate(self.model, record, noise=dict(self.noise), options=self.options)
 
     def _to_candidate(self, record: Experiment) -> CandidateFit:
         """The model at its present constants as if they had been fitted to ``record``."""
-        run = validate(self.model, record, noise=dict(self.noise), options=self.options).traces[0]
+        run = self._run(record).traces[0]
         problem = DiscoveryProblem(self.model, (record,), self.noise, self.quiet, self.options).prepare(self.model)
         states = self.model.system.state_names
         guess = np.array([[run.initial_state[name] for name in states]])
@@ -208,3 +213,8 @@ def _round(parameter: Parameter, value: float) -> float:
     low, high = parameter.bounds
     rounded = float(f"{value:.3g}")
     return rounded if low <= rounded <= high else value
+
+
+def _runs_through(candidate: CandidateFit) -> bool:
+    """Whether the run and its derivatives are finite to the end."""
+    return bool(math.isfinite(candidate.cost) and candidate.evaluation.is_finite)

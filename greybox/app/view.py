@@ -96,6 +96,7 @@ def show_run(session: Session, index: int, *, inputs: bool = False) -> dict[str,
         "record": index,
         "figures": {name: show_figure(figure) for name, figure in figures.items() if figure is not None},
         "misfit": {"heads": ["", *MISFIT_HEADS], "rows": _show_misfits(result.misfit)},
+        "overflows": not all(math.isfinite(m.rmse) for m in result.misfit.values()),
     }
 
 
@@ -104,7 +105,11 @@ def _list_units(model: Model) -> dict[str, str]:
 
 
 def _show_misfits(misfit: Mapping[str, Misfit]) -> list[list[str]]:
-    return [[output, *to_misfit_cells(m)] for output, m in misfit.items()]
+    """A row an output; empty cells where the run overflows."""
+    return [
+        [output, *(to_misfit_cells(m) if math.isfinite(m.rmse) else [""] * len(MISFIT_HEADS))]
+        for output, m in misfit.items()
+    ]
 
 
 def show_location(location: ResidualLocalisation, index: int) -> dict[str, Any]:

@@ -13,6 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from greybox.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNews
 from greybox.app.policy import APP_POLICY, AppPolicy
 from greybox.app.session import LoadedRecord, Session
@@ -89,11 +91,13 @@ class Workbench:
                 "job": None if self.job is None else str(self.job.kind),
             }
 
+    @np.errstate(over="ignore", invalid="ignore")  # a constant may be moved to where the run overflows: that is shown
     def show_run(self, index: int, values: Mapping[str, float] | None = None, *, inputs: bool = False) -> dict:
         """One record beside the simulation, at other ``values`` for a look that changes nothing."""
         session = self.session.with_values(values) if values else self.session
         return show_run(session, index, inputs=inputs)
 
+    @np.errstate(over="ignore", invalid="ignore")
     def show_location(self, index: int) -> dict[str, Any]:
         """Where the model falls short on one record."""
         return show_location(self.session.localise(index), index)
@@ -106,6 +110,7 @@ class Workbench:
         """Fix a constant, or free it. Raises ModelError."""
         self._take(self.session.with_fixed(name, fixed))
 
+    @np.errstate(over="ignore", invalid="ignore")
     def add_effect(self, name: str) -> None:
         """Put an effect in. Raises ModelError for a name that has no place in the model."""
         places = {effect.name: effect for effect, _ in self._list_effects()}

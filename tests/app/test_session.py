@@ -245,3 +245,16 @@ def test_studies_of_other_kinds_are_shown_and_repeated_too(rig: Path, tmp_path: 
     assert {name: getattr(again, name) for name in options} == options
     done = subprocess.run([sys.executable, "repeat.py"], cwd=tmp_path / "out", capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_run_that_overflows_is_shown_as_such(bench: Workbench) -> None:
+    law = gb.effects.formula_effect(
+        "own_law", "force", "k*v**3", [Parameter("k", "N*s**3/m**3", -0.1)], amplitude="k", source="a test"
+    )
+    bench.session = dataclasses.replace(bench.session, model=bench.session.model + law)
+    assert not bench.show_run(0, {"k": -0.1})["overflows"]
+    view = bench.show_run(0, {"k": 1e4})
+    assert view["overflows"] and view["misfit"]["rows"] == [["v", "", "", ""]]
+    bench.set_values({"k": 1e4})
+    assert json.dumps([view, bench.show_location(0), bench.show()], allow_nan=False)
+    bench.add_effect("coulomb_friction")

@@ -91,8 +91,9 @@
   };
   by("drive").addEventListener("toggle", redraw);
 
-  const showRun = ({ figures, misfit }) => {
+  const showRun = ({ figures, misfit, overflows }) => {
     Object.assign(shown.figures, figures);
+    by("overflows").hidden = !overflows;
     const row = (cells, tag) => {
       const line = make("tr");
       line.append(...cells.map((text, k) => make(k ? tag : "th", text)));
@@ -142,7 +143,8 @@
       delete shown.figures.windows;
       shown.figures.inputs = null;
       showRun(run);
-      by("where").textContent = "…";
+      by("where").textContent = run.overflows ? by("overflows").textContent : "…";
+      if (run.overflows) return;
       const location = await act("locate", { record: shown.record });
       if (mine !== look) return;
       shown.figures.windows = location.figures.windows;
