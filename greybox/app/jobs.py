@@ -88,7 +88,7 @@ class Job:
         listener: JobListener,
         policy: AppPolicy = APP_POLICY,
     ) -> None:
-        self.kind, self.policy = kind, policy
+        self.kind, self.session, self.policy = kind, session, policy
         self._listener = listener
         self._stops = 0
         context = multiprocessing.get_context("spawn")

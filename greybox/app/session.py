@@ -74,8 +74,8 @@ class Session:
         Range of each constant's slider.
     fit
         The last fit; ``is_fitted`` tells whether the constants are still its own.
-    discovery
-        The last discovery.
+    discovery, searched
+        The last discovery, and the model that it began with.
     """
 
     model: Model
@@ -88,6 +88,7 @@ class Session:
     ranges: Mapping[str, ValueRange] = field(default_factory=dict)
     fit: Fit | None = None
     discovery: Discovery | None = None
+    searched: Model | None = None
 
     def __post_init__(self) -> None:
         kept = {
@@ -171,9 +172,13 @@ class Session:
         changed = replace(self.record(index), validates=validates)
         return replace(self, records=(*self.records[:index], changed, *self.records[index + 1 :]))
 
-    def with_fit(self, fit: Fit, discovery: Discovery | None = None) -> Session:
-        """With the model and the constants of a fit, and the discovery that it came from."""
-        return replace(self, model=fit.model, fit=fit, discovery=discovery or self.discovery, ranges={})
+    def with_fit(self, fit: Fit) -> Session:
+        """With the model and the constants of a fit."""
+        return replace(self, model=fit.model, fit=fit, ranges={})
+
+    def with_discovery(self, discovery: Discovery, searched: Model) -> Session:
+        """With the model that a discovery goes on with, which began with the model ``searched``."""
+        return replace(self.with_fit(discovery.extended), discovery=discovery, searched=searched)
 
     def record(self, index: int) -> LoadedRecord:
         """One of the records. Raises DataError where there is none."""

@@ -243,13 +243,14 @@ class Workbench:
         """What the job tells: its answer becomes the session's."""
         if event.news is JobNews.DONE:
             with self._lock:
-                kind = None if self.job is None else self.job.kind
-                self.job = None
-                if kind is JobKind.DISCOVER:
-                    self._take(self.session.with_fit(event.content.extended, event.content))
+                job, self.job = self.job, None
+                if job is None:
+                    return
+                if job.kind is JobKind.DISCOVER:
+                    self._take(self.session.with_discovery(event.content, job.session.model))
                 else:
                     self._take(self.session.with_fit(event.content))
-            self.listener({"news": str(event.news), "kind": str(kind)})
+            self.listener({"news": str(event.news), "kind": str(job.kind)})
             return
         if event.news in LAST_NEWS:
             with self._lock:

@@ -169,7 +169,9 @@ class StudyOnFile:
     def write_script(self, session: Session, path: Path) -> str:
         """The text of the Python program ``path`` that computes the same."""
         study = self.to_study(session, path.parent)
-        return study_script(study, path, discovers=session.discovery is not None and bool(study.validation))
+        if session.discovery is None or session.searched is None or not study.validation:
+            return study_script(study, path)
+        return study_script(study, path, searched=self.to_study(replace(session, model=session.searched), path.parent))
 
     def to_study(self, session: Session, folder: Path) -> Study:
         """The study that a session is by now; its model a file in ``folder`` where it has no name."""

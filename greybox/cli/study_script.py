@@ -13,16 +13,19 @@ FOLDER = "HERE"
 """What the program calls its own folder."""
 
 
-def study_script(study: Study, path: Path, *, discovers: bool = False) -> str:
-    """The text of a program ``path`` that fits as ``greybox fit`` does with ``study``, and ``discovers`` as well if wanted."""
+def study_script(study: Study, path: Path, *, searched: Study | None = None) -> str:
+    """The text of a program ``path`` that fits as ``greybox fit`` does with ``study``.
+
+    ``searched`` is the study of the plain model, where the program is to look for the effect that it lacks as well.
+    """
     folder = path.absolute().parent
     body = [*_model_lines(study, folder), "", *_record_lines(study, folder), ""]
     if any(effect_has_delay(name) for name in study.effects):
         body += ["longest = max(float(np.median(record.intervals)) for record in records)"]
         body += ["model = gb.effects.bound_delays(model, longest)", ""]
     body += _fit_lines(study)
-    if discovers:
-        body += ["", *_discover_lines(study)]
+    if searched is not None:
+        body += ["", *_model_lines(searched, folder, "plain"), "", *_discover_lines(searched)]
     text = "\n".join(body)
     imports = ["from dataclasses import replace"] * ("replace(" in text) + ["from pathlib import Path", ""]
     imports += ["import numpy as np", ""] * ("np." in text) + [
@@ -50,21 +53,23 @@ def _is_shipped(name: str) -> bool:
     return name.partition(AT)[0] in {e.name for e in CATALOGUE}
 
 
-def _model_lines(study: Study, folder: Path) -> list[str]:
+def _model_lines(study: Study, folder: Path, variable: str = "model") -> list[str]:
     from greybox.project import is_model_path
 
     model = study.model
     if is_model_path(model):
         file, colon, name = model.rpartition(".py:")
         place = _place(Path(f"{file}.py") if colon else Path(model), folder)
-        lines = [f'model = find_model(f"{{{place}}}:{name}")' if colon else f"model = find_model(str({place}))"]
+        lines = [
+            f'{variable} = find_model(f"{{{place}}}:{name}")' if colon else f"{variable} = find_model(str({place}))"
+        ]
     else:
-        lines = [f"model = find_model({model!r})"]
+        lines = [f"{variable} = find_model({model!r})"]
     for name, (by, at) in study.schedules.items():
         about = "" if at is None else f", about={at!r}"
-        lines.append(f"model = model.schedule({name!r}, by={by!r}{about})")
+        lines.append(f"{variable} = {variable}.schedule({name!r}, by={by!r}{about})")
     for name in study.effects:
-        lines.append(f"model = model + {'gb.effect' if _is_shipped(name) else 'find_effect'}({name!r})")
+        lines.append(f"{variable} = {variable} + {'gb.effect' if _is_shipped(name) else 'find_effect'}({name!r})")
     steps = [
         _call("with_process_noise", study.process_noise),
         _call("free", dict.fromkeys(study.free)),
@@ -72,9 +77,9 @@ def _model_lines(study: Study, folder: Path) -> list[str]:
         _call("fix", study.fixed),
         _call("prior", study.priors),
     ]
-    lines += [f"model = model.{step}" for step in steps if step]
+    lines += [f"{variable} = {variable}.{step}" for step in steps if step]
     if study.ties:
-        lines.append(f"model = model.with_ties({dict(study.ties)!r})")
+        lines.append(f"{variable} = {variable}.with_ties({dict(study.ties)!r})")
     return lines
 
 
@@ -168,7 +173,7 @@ def _discover_lines(study: Study) -> list[str]:
     rest = ", options=gb.FitOptions(at_rest=True)" if study.at_rest else ""
     journal = f', journal={FOLDER} / "journal.jsonl"'
     return [
-        f"discovery = gb.discover(model, records{given}{rest}{journal})",
+        f"discovery = gb.discover(plain, records{given}{rest}{journal})",
         "print(discovery)",
         f'discovery.save({FOLDER} / "discovery.json")',
     ]

@@ -168,7 +168,7 @@ def test_discover_can_be_stopped_and_finds_the_friction(page) -> None:
     assert page.is_visible("#discover") and page.is_enabled("#discover")
     page.click("#discover")
     page.wait_for_selector("#discovery-answer:not([hidden])")
-    assert page.text_content("#verdict") == "named"
+    assert page.text_content("#outcome") == "named"
     assert "coulomb friction" in page.text_content("#title")
     settled(page)
 

@@ -258,3 +258,23 @@ def test_a_run_that_overflows_is_shown_as_such(bench: Workbench) -> None:
     bench.set_values({"k": 1e4})
     assert json.dumps([view, bench.show_location(0), bench.show()], allow_nan=False)
     bench.add_effect("coulomb_friction")
+
+
+def test_a_discovery_is_repeated_from_the_model_that_it_began_with(bench: Workbench) -> None:
+    fit = gb.fit(bench.session.model + gb.effect("coulomb_friction"), bench.session.estimation, noise=NOISE)
+    plain = bench.session.model.start(B=2.5)
+    found = gb.discover(
+        plain,
+        bench.session.estimation,
+        validation=bench.session.validation,
+        noise=NOISE,
+        effects=[gb.effect("coulomb_friction")],
+        options=gb.FitOptions(at_rest=True),
+    )
+    bench.session = bench.session.with_discovery(found, plain)
+    assert bench.session.is_fitted and bench.session.fit is found.best
+    lines = bench.show()["script"].splitlines()
+    assert "plain = plain.start(B=2.5)" in lines and "model = model + gb.effect('coulomb_friction')" in lines
+    assert not [line for line in lines if line.startswith("plain") and "coulomb" in line]
+    assert [line for line in lines if line.startswith("discovery = gb.discover(plain, records, validation=validation")]
+    assert bench.session.with_fit(fit).discovery is found

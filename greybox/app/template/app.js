@@ -76,7 +76,8 @@
     })));
   };
 
-  const redraw = () => {
+  // While a constant moves, only what depends on it is drawn anew.
+  const redraw = (moving = false) => {
     const { run, residual, inputs, windows } = shown.figures;
     const outputs = run ? run.views.map(({ name }) => name) : [], channels = inputs ? inputs.views.map(({ name }) => name) : [];
     if (!outputs.includes(shown.output)) shown.output = outputs[0] ?? "";
@@ -85,13 +86,14 @@
     choose("channels", channels, shown.input, (name) => ((shown.input = name), redraw()));
     draw("run", run, shown.output);
     draw("residual", residual, shown.output);
+    if (moving === true) return;
     draw("windows", windows, windows?.views[0].name);
     by("drive").hidden = !inputs;
     if (by("drive").open) draw("inputs", inputs, shown.input);
   };
   by("drive").addEventListener("toggle", redraw);
 
-  const showRun = ({ figures, misfit, overflows }) => {
+  const showRun = ({ figures, misfit, overflows }, moving = false) => {
     Object.assign(shown.figures, figures);
     by("overflows").hidden = !overflows;
     const row = (cells, tag) => {
@@ -101,7 +103,7 @@
     };
     by("misfit").tHead.replaceChildren(row(misfit.heads, "th"));
     by("misfit").tBodies[0].replaceChildren(...misfit.rows.map((cells) => row(cells, "td")));
-    redraw();
+    redraw(moving);
   };
 
   // ---- one request at a time while a slider moves: the newest values win --------------------------------------------
@@ -115,7 +117,7 @@
       while (wanted) {
         const values = wanted;
         wanted = null;
-        showRun(await act("preview", { record: shown.record, values }));
+        showRun(await act("preview", { record: shown.record, values }), true);
         tell("");
         root.dataset.redraws = Number(root.dataset.redraws ?? 0) + 1;
       }
@@ -248,7 +250,7 @@
     by("stale").hidden = !state.fit || state.fit.current;
     by("discovery-answer").hidden = !state.discovery;
     if (state.discovery) {
-      by("verdict").textContent = state.discovery.verdict;
+      by("outcome").textContent = state.discovery.verdict;
       by("discovery-answer").querySelector("pre").textContent = state.discovery.text;
     }
     for (const name of ["study", "script", "equations", "folder"]) by(name).textContent = state[name];
