@@ -122,10 +122,12 @@ def _draw(result: Any) -> bytes:
     from greybox.plots.records import liveliest_window, plot_residuals_before_after, plot_run
     from greybox.plots.sheet import Cell, Sheet
 
-    window = None
+    window, panel = None, 0
     match type(result).__name__:
         case "Discovery" if result.effect_signals:
-            figure = plot_effect_signal(result.effect_signals[0], "missing")
+            signal = result.effect_signals[0]
+            figure = plot_effect_signal(signal, "missing")
+            panel = 0 if signal.dependence.share > 0.5 else 1  # over time, where it is a function of no variable
         case "Discovery" if result.surrogate is not None:
             figure = plot_surrogate(result.surrogate)
         case "Discovery":  # a law: no site of the catalogue, so the error that it takes away
@@ -140,9 +142,10 @@ def _draw(result: Any) -> bytes:
             figure = plot_model_errors(result)
         case _:
             figure = plot_changes(result)
-    sheet = Sheet("study", (Cell(figure.panels[0], 0, window=window),), figure.caption, SIZE)
-    file = io.BytesIO()
-    draw_sheet(sheet).savefig(file, format="png")
+    sheet = Sheet("study", (Cell(figure.panels[panel], 0, window=window),), figure.caption, SIZE)
+    picture, file = draw_sheet(sheet), io.BytesIO()
+    picture.suptitle("")  # the page has a title
+    picture.savefig(file, format="png")
     return file.getvalue()
 
 

@@ -136,7 +136,11 @@ def _points(points: Points, panel: Panel, style: PageStyle) -> dict[str, Any]:
             "width": 0,
         }
     if points.texts:
-        trace |= {"text": [f"\u2002{text}" for text in points.texts], "textposition": "middle right", "cliponaxis": False}
+        trace |= {
+            "text": [f"\u2002{text}" for text in points.texts],
+            "textposition": "middle right",
+            "cliponaxis": False,
+        }
     if panel.categories:
         trace["hovertemplate"] = _pointed_at(f"%{{y}}: %{{x:.4g}} {escape(panel.x.unit)}", points.label)
     return trace

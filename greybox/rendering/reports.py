@@ -353,7 +353,12 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.COMPARISON_QUESTION: _comparison_question,
     PageText.COMPARISON_TRAINING: "On the estimation records",
     PageText.COMPARISON_ERRORS: lambda f: (
-        f"{f.subject}, {'validation' if f.values['validation'] else 'estimation'} records"
+        f"{f.subject}, {'validation' if f.values['validation'] else 'estimation'} records, "
+        + (
+            f"{f.values['rows'][0]} rows"
+            if len(f.values["rows"]) == 1
+            else f"{join_names([str(n) for n in f.values['rows']])} rows: not the same for every model"
+        )
     ),
     PageText.COMPARISON_LEGEND: "Click a name in the legend to hide that model; double-click to show it alone.",
     PageText.COMPARISON_MODELS: "Models",

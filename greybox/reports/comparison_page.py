@@ -128,7 +128,9 @@ def _error_table(comparison: Comparison, output: str, *, validation: bool) -> Pa
         for name, s in ranked
     ]
     ahead = ["one sample ahead (rms)", *(f"{k} samples ahead (rms)" for k in steps)]
-    title = phrase(PageText.COMPARISON_ERRORS, output, validation=validation)
+    title = phrase(
+        PageText.COMPARISON_ERRORS, output, validation=validation, rows=sorted({s.samples for s in scores.values()})
+    )
     return PageTable(title, ["model", "box", "free run (rms)", "best fit", *ahead], rows)
 
 

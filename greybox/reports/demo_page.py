@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from greybox.plots.discovery import plot_holdout_error
 from greybox.rendering.english import phrase
 from greybox.rendering.reports import PageText
 from greybox.reports.comparison_page import comparison_verdict, error_blocks, models_table
@@ -13,7 +14,7 @@ from greybox.reports.equations import typeset_equations
 from greybox.reports.fit_blocks import fit_verdict
 from greybox.reports.fit_page import misfit_table
 from greybox.reports.linearisation_page import linear_sections
-from greybox.reports.page import Block, Page, PageTable, Paragraphs, Section
+from greybox.reports.page import Block, FigureBlock, Page, PageTable, Paragraphs, Section
 from greybox.reports.provenance import fit_provenance_section
 from greybox.reports.records import records_section
 from greybox.reports.typography import format_number, typeset_number, typeset_unit
@@ -34,7 +35,7 @@ def build_demo_page(demo: Demo, *, command: str = "") -> Page:
                 misfit_table(phrase(PageText.MISFIT_FITTED), demo.plain.misfit, demo.plain.noise),
             ],
         ),
-        *discovery_sections(demo.discovery),
+        *discovery_sections(demo.discovery, beside_verdict=True),
         Section("truth", [_parameters(demo)]),
         Section("extended", [typeset_equations(best.model)]),
         Section("errors", list(_comparison(demo))),
@@ -42,7 +43,10 @@ def build_demo_page(demo: Demo, *, command: str = "") -> Page:
         records_section([*best.traces], [*best.validation.traces], best),
         fit_provenance_section(best, command),
     ]
-    return Page(phrase(PageText.DEMO_TITLE), phrase(PageText.DEMO_QUESTION), _verdict(demo), sections, "demonstration")
+    evidence = FigureBlock(plot_holdout_error(demo.discovery))
+    return Page(
+        phrase(PageText.DEMO_TITLE), phrase(PageText.DEMO_QUESTION), _verdict(demo), sections, "demonstration", evidence
+    )
 
 
 def _verdict(demo: Demo) -> Paragraphs:

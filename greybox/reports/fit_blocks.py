@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 from greybox.estimation.findings import EstimationCode
 from greybox.findings import Finding
@@ -67,7 +68,7 @@ def _misfit(fit: Fit) -> Finding:
     )
 
 
-def _over_noise(fit: Fit, misfit: Mapping[str, Misfit]) -> dict[str, object]:
+def _over_noise(fit: Fit, misfit: Mapping[str, Misfit]) -> dict[str, Any]:
     """Residual over noise by output, and the outputs whose noise is only bounded: there it is at least that."""
     ceilings = {
         name: bound.level

@@ -139,7 +139,7 @@ GOLDEN = [
         "Which model of x is best? 1 model, compared on the same rows of the records that they were fitted to.",
     ),
     (phrase(T.COMPARISON_TRAINING), "On the estimation records"),
-    (phrase(T.COMPARISON_ERRORS, "x", validation=True), "x, validation records"),
+    (phrase(T.COMPARISON_ERRORS, "x", validation=True, rows=[290]), "x, validation records, 290 rows"),
     (phrase(T.COMPARISON_LEGEND), "Click a name in the legend to hide that model; double-click to show it alone."),
     (phrase(T.COMPARISON_MODELS), "Models"),
     (
