@@ -157,7 +157,7 @@ def use_change(path: Path, _: object) -> None:
 def use_campaign(path: Path, plan: object) -> None:
     assert isinstance(plan, CampaignPlan)
     steps = tuple(campaigns._read_steps(plan, path.parent).values())
-    str(campaigns.Campaign(campaigns.CampaignStatus.MEASURING, plan, path.parent, steps))
+    str(campaigns.Campaign(campaigns.CampaignStatus.MEASURING, plan, path.parent, steps, ()))
 
 
 def use_design(path: Path, plan: object) -> None:
