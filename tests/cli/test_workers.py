@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,39 @@ def test_workers_give_the_fit_that_one_process_gives(record, tmp_path):
         fits.append({name: e["value"] for name, e in data["parameters"].items()})
         assert not (out / "starts.jsonl").exists()
     assert fits[0] == fits[1]
+
+
+SHARED = {
+    "starts": "fit micro_actuator {record} --fix M --fix Ra --starts 3 -q",
+    "bootstrap": "fit micro_actuator {record} --fix M --fix Ra --bootstrap 100 --profile K --json",
+    "compare": "compare micro_actuator {record} --validate {other} --fix M --fix Ra --starts 3 -q",
+    "discover": "discover micro_actuator {record} --validate {other} --fix M --effects coulomb_friction,cubic_stiffness",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+@pytest.mark.skipif(find_spec("distributed") is None, reason="the extra 'dask' is not installed")
+@pytest.mark.parametrize("work", SHARED)
+def test_a_cluster_gives_what_one_process_gives(record, tmp_path, work):
+    other = tmp_path / "other.csv"
+    other.write_bytes(record.read_bytes())
+    answers = []
+    for number, place in enumerate(("--workers 1", "--workers 2 --cluster local")):
+        out = tmp_path / str(number)
+        words = f"{SHARED[work].format(record=record, other=other)} --no-report {place} --output {out}"
+        done = subprocess.run([*COMMAND, *words.split()], env=ENVIRONMENT, capture_output=True, text=True, timeout=500)
+        assert done.returncode == 0, done.stderr
+        (file,) = (f for f in out.glob("*.json"))
+        answers.append(without_times(json.loads(file.read_text())))
+    assert answers[0] == answers[1]
+
+
+def without_times(data):
+    """What a file says, but for how long it took and when."""
+    if isinstance(data, dict):
+        return {k: without_times(v) for k, v in data.items() if not {"seconds", "time", "date"} & set(k.split("_"))}
+    return [without_times(v) for v in data] if isinstance(data, list) else data
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals as POSIX has them")

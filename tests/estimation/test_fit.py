@@ -1,5 +1,6 @@
 """Constants come back; what cannot be known is said."""
 
+import re
 from dataclasses import replace
 
 import casadi as ca
@@ -347,3 +348,22 @@ def test_what_is_odd_about_a_record_stands_in_the_fit():
     ]
     remark = fit(truth, odd, options=REST).findings[-1]
     assert remark.code == RecordCode.COLUMNS_IGNORED and list(remark.values["records"]) == ["a", "b"]
+
+
+@pytest.mark.parametrize("kind", ["decay", "drift"])
+def test_what_records_do_not_determine_is_told_in_words_and_not_as_a_number_that_is_none(kind):
+    """Without input its gain has no influence: no interval, nothing widened "up to nan times"."""
+    rig = Model(
+        "rig",
+        [State("x", "m", 1.0)],
+        [Input("u", "m")],
+        [Output("x", "m")],
+        [Parameter("T", "s", 0.1, (1e-3, 10.0)), Parameter("a", "1", 1.0, (1e-3, 1e3))],
+        lambda x, u, p: [Balance("lag", "m", p.T, "x", drive=p.a * u.u, own=-x.x)],
+    )
+    rng, t = np.random.default_rng(0), 0.01 * np.arange(200)
+    noise = rng.normal(size=200)
+    answer = np.exp(-t / 0.1) + 1e-3 * noise if kind == "decay" else np.cumsum(noise)
+    text = str(fit(rig, Experiment("free", t, {"u": 0 * t}, {"x": answer})))
+    assert "a has no influence" in text
+    assert not re.search(r"\b(nan|inf)\b", text)

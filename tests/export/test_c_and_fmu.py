@@ -3,6 +3,7 @@
 import ctypes
 import shutil
 import subprocess
+import sys
 import zipfile
 
 import numpy as np
@@ -10,11 +11,13 @@ import pytest
 
 import greybox as gb
 from greybox.effects import applicable_effects
+from greybox.errors import GreyboxError
 from greybox.kernel.c_compiler import find_compiler
 from models.cascaded_tanks import cascaded_tanks
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from models.pneumatic_full import pneumatic_full
+from models.silverbox import silverbox
 
 pytestmark = pytest.mark.skipif(
     not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="there is no C compiler on the path"
@@ -311,3 +314,18 @@ def test_the_state_of_an_fmu_can_be_kept_and_taken_up_again(tmp_path, fmu):
     slave.freeFMUState(kept)
     slave.terminate()
     slave.freeInstance()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a compiler that is a shell script")
+@pytest.mark.parametrize("program", ["printf '\\033[2J no room' >&2; exit 1", "kill -9 $$", None, 'gcc "'])
+def test_a_compiler_that_fails_leaves_the_old_fmu_and_is_named(tmp_path, monkeypatch, program):
+    compiler, old = tmp_path / "cc", tmp_path / "plant.fmu"
+    compiler.write_text(f"#!/bin/sh\n{program}\n")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("CC", {None: "/no/such/program", 'gcc "': 'gcc "'}.get(program, str(compiler)))
+    monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path / "cache"))
+    old.write_text("the old one")
+    with pytest.raises(GreyboxError, match="plant\\.fmu: cannot be written") as error:
+        gb.export.to_fmu(silverbox, old, dt=1e-3)
+    assert str(error.value).isprintable()
+    assert old.read_text() == "the old one"

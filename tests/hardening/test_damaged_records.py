@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import resource
 import sys
 import time
 import zipfile
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -182,6 +184,13 @@ def test_a_parquet_file_that_unpacks_to_much_is_refused_before(tmp_path):
         file.write_table(pa.table(dict.fromkeys(SIGNALS, column), schema=schema))
     assert (tmp_path / "run.parquet").stat().st_size < 1_000_000
     refused(tmp_path / "run.parquet")
+
+
+def test_the_oldest_parquet_reader_that_is_allowed_runs_no_code_of_a_file():
+    """CVE-2023-47248: before 14.0.1 pyarrow unpickled extension types."""
+    text = (Path(__file__).resolve().parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    floors = re.findall(r"pyarrow>=([\d.]+)", text)
+    assert floors and all(tuple(map(int, floor.split("."))) >= (14, 0, 1) for floor in floors)
 
 
 # --- text
