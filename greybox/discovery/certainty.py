@@ -34,7 +34,7 @@ def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[
         "share": _clip(measures["share"], 0, 1),
         "loss_t": _clip(measures["loss_t"] / deviations, -1, 1),
         "rival_size": _clip(_signed_root(measures["rival_loss"]) / size, -1, 1),
-        "rival_ratio": _clip(0.5 * math.log(max(1 + measures["rival_loss"], TINY)), -1, 1),
+        "rival_ratio": _clip(0.25 * math.log(max(1 + measures["rival_loss"], TINY)), -1, 1),
         "rival_t": _clip(measures["rival_t"] / deviations, -1, 1),
         "rival_parameters": _clip(measures.get("rival_parameters", 0.0) / 2, -1, 1),
         "curve_size": _clip(math.sqrt(max(-curve, 0.0)) / size, 0, 1) if is_tested else 0.0,
@@ -42,6 +42,7 @@ def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[
         "curve_t": _clip(-curve_t / deviations, 0, 1) if is_tested else 0.0,
         "curve_fit": _own_form(measures, policy),
         "curve_untested": float(not is_tested),
+        "untested_left": 0.0 if is_tested else _clip(measures["structure"] / size, 0, 1),
         "static_size": _clip(_signed_root(static) / size, -1, 1) if math.isfinite(static) else 1.0,
         "static_t": _clip(measures.get("static_t", math.nan) / deviations, -1, 1) if math.isfinite(static) else 1.0,
         "free_size": _clip(_signed_root(free), -1, 1) if math.isfinite(free) else 1.0,
@@ -73,7 +74,11 @@ def grade_effect(probability: float, features: Mapping[str, float], has_equal: b
         or features["rival_t"] < policy.least_rival
         or features["static_t"] < policy.least_rival
         or features["curve_size"] > policy.most_form
-        or (features["curve_ratio"] > policy.most_gain and features["curve_t"] > policy.least_rival)
+        or (
+            features["curve_ratio"] > policy.most_gain
+            and features["curve_t"] > policy.least_rival
+            and features["curve_size"] > policy.most_own_form
+        )
         or features["curve_fit"] > policy.most_own_form
         or features["free_size"] < policy.least_free
         or features["remainder"] > policy.most_remainder

@@ -7,6 +7,7 @@ right the two agree, whatever way the effect enters.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -43,7 +44,8 @@ class EffectSignal(ReadOnly):
     modelled
         The same signal from the extended model (K,).
     variable, variable_name, variable_unit
-        Values (K,), name and unit of the variable that the signal depends on most.
+        Values (K,), name and unit of the variable of which the effect adds a function; where there is none, of that on which the signal
+        depends most.
     dependence
         The data's signal as a function of it.
     """
@@ -112,7 +114,8 @@ def _estimate(
     ranked = [d for d in rank_dependences(time, from_data.value, variables, policy) if d.tone is None]
     if not ranked:
         return None
-    best = ranked[0]
+    own_variable = find_own_variable(candidate, effect, EvidencePolicy())
+    best = next((d for d in ranked if d.variable == own_variable), ranked[0])
     return EffectSignal(
         effect,
         site.label,
@@ -134,23 +137,76 @@ def acts_as_constant(candidate: CandidateFit, name: str, policy: EvidencePolicy)
 
     There a constant does as well: an input that never changes its sign shows an offset of a dead zone, not the zone.
     """
-    model, without = candidate.model, candidate.model.without(name)
-    if model.system.state_names != without.system.state_names or len(model.system.delays) != len(without.system.delays):
-        return False  # it has a memory
-    runs = unwhitened_shooting(candidate).simulate(candidate.variables.here)
-    states, inputs = np.vstack([x for _, x in runs]), np.vstack([record.u for record in candidate.problem.records])
-
-    def spread(states: np.ndarray, inputs: np.ndarray) -> float:
-        """Standard deviation over rms of what the effect adds, all equations relative to their largest."""
-        with_it, plain = (_evaluate_equations(m, states, inputs) for m in (model, without))
-        added = (with_it - plain) / np.maximum(np.abs(with_it).max(axis=0), TINY)
-        return float(np.sqrt(added.var(axis=0).sum() / max(float((added**2).mean(axis=0).sum()), TINY)))
-
-    if not spread(states, inputs) <= policy.same_signal:
+    added = _AddedSignal.along_run(candidate, name)
+    if added is None or not _spread(added.values) <= policy.same_signal:
         return False
     generator = np.random.default_rng(policy.seed)
-    elsewhere = [generator.uniform(-1, 1, v.shape) * np.abs(v).max(axis=0) for v in (states, inputs)]
-    return spread(*elsewhere) > policy.constant_spread
+    elsewhere = [generator.uniform(-1, 1, v.shape) * np.abs(v).max(axis=0) for v in (added.states, added.inputs)]
+    return _spread(_AddedSignal.at(candidate, name, *elsewhere).values) > policy.constant_spread
+
+
+def find_own_variable(candidate: CandidateFit, name: str, policy: EvidencePolicy) -> str:
+    """The state or input of which an effect adds a function, sample by sample; "" for one of several, and for one with a memory.
+
+    Of dry friction it is the velocity, even if the body never slides.
+    """
+    system = candidate.model.system
+    dry = next((d for d in system.dry if d.effect == name), None)
+    if dry is not None:
+        return system.state_names[dry.state]
+    added = _AddedSignal.along_run(candidate, name)
+    if added is None:
+        return ""
+    columns = np.column_stack([added.states, added.inputs]).T
+    names = [*system.state_names, *system.input_names]
+    scatter = {variable: _scatter(z, added.values, policy) for variable, z in zip(names, columns, strict=True)}
+    best = min(scatter, key=lambda variable: scatter[variable])
+    return best if scatter[best] <= policy.function_scatter else ""
+
+
+@dataclass(frozen=True, eq=False)
+class _AddedSignal:
+    """What an effect without memory adds to rates and outputs at N samples of the estimation records, each relative to its largest value.
+
+    ``states`` (N, nx), ``inputs`` (N, nu), ``values`` (N, nx + ny).
+    """
+
+    states: np.ndarray
+    inputs: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def along_run(cls, candidate: CandidateFit, name: str) -> _AddedSignal | None:
+        """None for an effect with a memory."""
+        system, plain = candidate.model.system, candidate.model.without(name).system
+        if system.state_names != plain.state_names or len(system.delays) != len(plain.delays):
+            return None
+        runs = unwhitened_shooting(candidate).simulate(candidate.variables.here)
+        states, inputs = (
+            np.vstack(rows) for rows in ([x for _, x in runs], [record.u for record in candidate.problem.records])
+        )
+        return cls.at(candidate, name, states, inputs)
+
+    @classmethod
+    def at(cls, candidate: CandidateFit, name: str, states: np.ndarray, inputs: np.ndarray) -> _AddedSignal:
+        """At any samples."""
+        models = (candidate.model, candidate.model.without(name))
+        with_it, plain = (_evaluate_equations(model, states, inputs) for model in models)
+        return cls(states, inputs, (with_it - plain) / np.maximum(np.abs(with_it).max(axis=0), TINY))
+
+
+def _spread(values: np.ndarray) -> float:
+    """Standard deviation over rms of signals (N, n) together."""
+    return float(np.sqrt(values.var(axis=0).sum() / max(float((values**2).mean(axis=0).sum()), TINY)))
+
+
+def _scatter(z: np.ndarray, values: np.ndarray, policy: EvidencePolicy) -> float:
+    """How far signals (N, n) are from functions of ``z`` (N,), over their own standard deviation: from sample to sample along ``z``."""
+    ordered = values[np.argsort(z, kind="stable")]
+    if np.ptp(z) == 0 or len(z) < policy.least_rows:
+        return math.inf
+    steps = 0.5 * (np.diff(ordered, axis=0) ** 2).mean(axis=0).sum()
+    return float(np.sqrt(steps / max(float(values.var(axis=0).sum()), TINY)))
 
 
 def _evaluate_equations(model: Model, states: np.ndarray, inputs: np.ndarray) -> np.ndarray:

@@ -37,6 +37,7 @@ from greybox.discovery.starting_points import count_shapes
 from greybox.discovery.surrogate import FreeCurve, refit_free_curves
 from greybox.discovery.surrogate_effects import CURVE
 from greybox.effects import Scales
+from greybox.effects.placement import AT
 from greybox.model import Effect
 from greybox.noise import fit_autoregression, join_series
 from greybox.numerics import TINY
@@ -170,20 +171,26 @@ def gather_evidence(inputs: EvidenceInputs) -> tuple[EffectEvidence, ...]:
         for effect in inputs.selected.model.effects
         if not is_shape_correction(effect.name)
     )
-    return _lower_doubtful(weighed, structure, inputs.policy.certainty)
+    return _lower_doubtful(weighed, structure, len(inputs.selected.model.outputs), inputs.policy.certainty)
 
 
 def _lower_doubtful(
-    weighed: tuple[EffectEvidence, ...], structure: float, limits: CertaintyPolicy
+    weighed: tuple[EffectEvidence, ...], structure: float, outputs: int, limits: CertaintyPolicy
 ) -> tuple[EffectEvidence, ...]:
     """What one effect says about the others: something unknown may wear several names.
 
     Where more than noise is left, a stand-in for a large part of the error puts all others in doubt, and always those that take less
-    than it: they may be what it does not explain. One that merely has an equal does not.
+    than it: they may be what it does not explain. One that merely has an equal does not. The same effect at each of several outputs is
+    as well one of the input or of the plant.
     """
+    kinds = [e.effect.partition(AT)[0] for e in weighed]
+    repeated = {kind for kind in kinds if outputs > 1 and kinds.count(kind) == outputs}
     largest = max((e.share for e in weighed if e.grade is Grade.STAND_IN and not e.alike), default=0.0)
     is_disguised = structure > limits.visible_structure and largest > limits.disguise_share
-    return tuple(lower_grade(e) if is_disguised or e.share < largest else e for e in weighed)
+    return tuple(
+        lower_grade(e) if is_disguised or e.share < largest or kind in repeated else e
+        for e, kind in zip(weighed, kinds, strict=True)
+    )
 
 
 def _weigh_effect(

@@ -297,6 +297,9 @@ class EvidencePolicy:
     """Standard deviation of an effect's signal over its rms up to which it is constant."""
     same_signal: float = 0.02
     """The same of what it adds to the equations, sample by sample, up to which a constant does as well."""
+    function_scatter: float = 0.15
+    """How far what an effect adds may be from a function of one variable, over its standard deviation, for that to be its own variable.
+    Neighbouring samples of a smooth law differ by a few percent, those of a step by a tenth."""
     drift_correlation: float = 0.95
     """Correlation of an effect's signal with time from which it is a drift."""
     same_error: float = 0.01
@@ -328,31 +331,32 @@ class EvidencePolicy:
 class CertaintyPolicy:
     """How probable it is that an effect is right, and from which probability it may be called so."""
 
-    intercept: float = -4.5
+    intercept: float = -3.8
     """Constant of the logistic function."""
     weights: Mapping[str, float] = field(
         default_factory=lambda: {
             "share": 0.6,
             "loss_t": 0.6,
-            "rival_size": 0.6,
-            "rival_ratio": 0.7,
-            "rival_t": 1.4,
-            "rival_parameters": 0.2,
-            "curve_size": -2.2,
-            "curve_ratio": -0.4,
-            "curve_t": -1.2,
-            "curve_fit": -2.0,
-            "curve_untested": -2.0,
-            "free_size": 2.5,
-            "remainder": -2.0,
-            "static_size": 0.2,
-            "static_t": 0.3,
+            "rival_size": 0.3,
+            "rival_ratio": 1.3,
+            "rival_t": 1.1,
+            "rival_parameters": 0.4,
+            "curve_size": -1.8,
+            "curve_ratio": -0.3,
+            "curve_t": -1.1,
+            "curve_fit": -1.5,
+            "curve_untested": -1.3,
+            "untested_left": -3.8,
+            "free_size": 2.4,
+            "remainder": -2.2,
+            "static_size": 0.3,
+            "static_t": 0.1,
             "structure": -0.6,
             "left": -2.1,
-            "change": -2.5,
-            "start": 1.6,
-            "several": -1.0,
-            "undetermined": -1.1,
+            "change": -2.6,
+            "start": 1.8,
+            "several": -1.2,
+            "undetermined": -1.3,
         }
     )
     """Weight of each feature of the evidence."""

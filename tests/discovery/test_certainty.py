@@ -96,7 +96,7 @@ def test_whatever_speaks_against_an_effect_lowers_its_probability(change):
         {"undetermined": 1.0},
         {"structure": 0.9, "loss": 5.0},
         {"structure": 0.9, "loss": 50.0, "curve_loss": math.nan, "curve_t": math.nan},
-        {"curve_loss": -0.3, "curve_t": -3.3},
+        {"curve_loss": -0.3, "curve_t": -3.3, "loss": 9.0},
         {"curve_gain": 0.06, "loss": 9.0},
         {"free_loss": 0.01},
         {"free_loss": -0.3},
@@ -119,6 +119,10 @@ def test_no_probability_establishes_an_effect_against_a_single_test(change):
     sure = replace(POLICY, intercept=20.0)
     features = to_features(CLEAR | change, sure)
     assert grade_effect(0.999, features, False, sure) is Grade.PROBABLE
+
+
+def test_a_curve_that_takes_a_little_beside_a_large_effect_is_no_other_form():
+    assert grade(curve_loss=-0.3, curve_t=-12.0, curve_gain=0.2, loss=500.0) is Grade.ESTABLISHED
 
 
 def test_what_another_effect_equals_is_probable_at_most():

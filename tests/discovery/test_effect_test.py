@@ -6,7 +6,7 @@ import pytest
 import greybox as gb
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
 from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, drop_effect, localise_residual, try_effect
-from greybox.discovery.effect_signal import acts_as_constant
+from greybox.discovery.effect_signal import acts_as_constant, find_own_variable
 from greybox.discovery.execution import RefitOutcome
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import validate_candidate
@@ -91,3 +91,19 @@ def test_an_effect_that_only_shifts_what_was_measured_acts_as_a_constant(effect,
     problem = DiscoveryProblem(lag, (record,), {"y": 1e-3}, (), FitOptions())
     candidate = problem.restore(model, RefitOutcome({"k": 2.0, amplitude: 0.1}, ((0.0,),)))
     assert acts_as_constant(candidate, effect, DiscoveryPolicy().evidence) is expected
+
+
+@pytest.mark.parametrize(
+    ("name", "variable"),
+    [("cubic_stiffness", "x"), ("cubic_damping", "v"), ("coulomb_friction", "v"), ("viscoelastic_creep", "")],
+)
+def test_an_effect_has_the_variable_of_which_it_adds_a_function(name, variable):
+    record = simulate_records(micro_actuator, {}, tuple(NOISE.values()), rows=600)[0]
+    problem = DiscoveryProblem(plain_model(micro_actuator), (record,), NOISE, (), AT_REST)
+    candidate = problem.baseline
+    model = candidate.model + gb.effect(name)
+    amplitude = model.bound_effects[-1].model_names[gb.effect(name).amplitudes[0]]
+    values = {**model.values, amplitude: 1.0}
+    states = ((0.0,) * len(model.system.state_names),)
+    extended = problem.restore(model, RefitOutcome(values, states))
+    assert find_own_variable(extended, name, DiscoveryPolicy().evidence) == variable

@@ -9,7 +9,14 @@ import pytest
 from greybox.discovery import evidence
 from greybox.discovery.adaptation import AdaptedRun
 from greybox.discovery.certainty import Grade
-from greybox.discovery.evidence import _compare, _measure_change, _represents, _share_of_error, measure_structure
+from greybox.discovery.evidence import (
+    EffectEvidence,
+    _compare,
+    _measure_change,
+    _represents,
+    _share_of_error,
+    measure_structure,
+)
 from greybox.discovery.policy import DiscoveryPolicy, EvidencePolicy
 from greybox.noise import BoundDirection, NoiseBound, NoiseSource
 from tests.support.fake_candidates import candidate, toy_effect
@@ -123,6 +130,7 @@ def test_nothing_is_certain_beside_a_stand_in(monkeypatch, structure, shares, al
 
     @dataclass(frozen=True)
     class Weighed:
+        effect: str
         grade: Grade
         share: float
         alike: tuple[str, ...]
@@ -134,13 +142,27 @@ def test_nothing_is_certain_beside_a_stand_in(monkeypatch, structure, shares, al
     ):
         monkeypatch.setattr(evidence, name, lambda _, value=value: value)
     monkeypatch.setattr(evidence, "measure_structure", lambda *_: structure)
-    monkeypatch.setattr(evidence, "_weigh_effect", lambda _, effect, *__: Weighed(*grades[effect.name], alike))
+    monkeypatch.setattr(
+        evidence, "_weigh_effect", lambda _, effect, *__: Weighed(effect.name, *grades[effect.name], alike)
+    )
     scores = SimpleNamespace(square_errors=lambda fit, blocks: ERRORS)
-    model = SimpleNamespace(effects=[toy_effect("a"), toy_effect("b")])
+    model = SimpleNamespace(effects=[toy_effect("a"), toy_effect("b")], outputs=["x"])
     inputs = SimpleNamespace(
         scores=scores, selected=SimpleNamespace(model=model), limits=EvidencePolicy(), policy=DiscoveryPolicy()
     )
     assert [e.grade for e in evidence.gather_evidence(inputs)] == [expected, Grade.STAND_IN]
+
+
+@pytest.mark.parametrize(("outputs", "expected"), [(2, Grade.PROBABLE), (3, Grade.ESTABLISHED)])
+def test_the_same_effect_at_every_output_may_be_one_of_the_input(outputs, expected):
+    weighed = [
+        EffectEvidence(
+            name, 0.9, Grade.ESTABLISHED, "x", "m", 2.0, 1.0, 0.5, (0.4, 0.6), "", np.nan, (), 0.0, True, True, {}
+        )
+        for name in ("sensor_lag", "sensor_lag_at_p")
+    ]
+    graded = evidence._lower_doubtful(tuple(weighed), 0.0, outputs, DiscoveryPolicy().certainty)
+    assert {e.grade for e in graded} == {expected}
 
 
 def structure_of(residual, bound, ratio=1.0):
