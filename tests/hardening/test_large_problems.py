@@ -29,6 +29,7 @@ FACTOR = 4.0
 PROBLEMS = {"rod": 200, "curve": 500, "long_sum": 5000, "records": 500}
 """States, constants (a tenth of them free), terms of a sum, records."""
 
+WHAT = "200 states, 500 constants (50 free), a sum of 5000 terms, 500 records, 5 million rows read, and fitted"
 SCRIPT = """
 import json, resource, sys
 import greybox as gb
@@ -55,21 +56,32 @@ def run_alone(task: str, size: int | Path) -> dict[str, Any]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+def find_faults(task: str, answer: dict[str, Any], data: float) -> list[str]:
+    """What is wrong with the answer of one problem; ``data``: bytes of the long record."""
+    most = LARGEST_MEMORY if task in PROBLEMS else FACTOR * data
+    faults = [f"{task}: {answer}"] if answer.get("error", 0.0) > 5 or "Traceback" in str(answer) else []
+    return faults + [f"{task}: {answer['memory'] / 1e6:.0f} MB"] * (answer["memory"] > most)
+
+
+def describe(answers: dict[str, dict[str, Any]], rows: int, data: float) -> str:
+    """The figures of the problems that were solved so far."""
+    most = max((answer["memory"] for task, answer in answers.items() if task in PROBLEMS), default=0)
+    parts = [f"{sum('error' in answer for answer in answers.values())} right answers; {most / 1e6:.0f} MB at most"]
+    for task, verb in (("reading", "read"), ("fitting", "fitted")):
+        if task in answers:
+            parts.append(f"{rows} rows are {verb} in {answers[task]['memory'] / data:.1f} times their size")
+    return "; ".join(parts)
+
+
 def test_problems_that_are_too_large(tmp_path):
     rows = size_of(5_000_000)
-    answers = {task: run_alone(task, size_of(size)) for task, size in PROBLEMS.items()}
-    answers |= {"reading": run_alone("read", write_lag_file(tmp_path / "long.csv", rows))}
-    answers |= {"fitting": run_alone("rows", tmp_path / "long.csv")}
-    data = 3 * NUMBER * rows
-    faults = [task for task, answer in answers.items() if answer.get("error", 0.0) > 5 or "Traceback" in str(answer)]
-    faults += [task for task in PROBLEMS if answers[task]["memory"] > LARGEST_MEMORY]
-    factors = {task: answers[task]["memory"] / data for task in ("reading", "fitting")}
-    faults += [task for task, factor in factors.items() if factor > FACTOR]
-    most = max(answers[task]["memory"] for task in PROBLEMS)
-    figures = (
-        f"{sum('error' in answer for answer in answers.values())} right answers; {most / 1e6:.0f} MB at most;"
-        f" {rows} rows are read in {factors['reading']:.1f} and fitted in {factors['fitting']:.1f} times their size"
-    )
-    what = "200 states, 500 constants (50 free), a sum of 5000 terms, 500 records, 5 million rows read, and fitted"
-    note_row(what, len(answers), len(faults), figures)
+    file, data = write_lag_file(tmp_path / "long.csv", rows), 3.0 * NUMBER * rows
+    tasks = {task: (task, size_of(size)) for task, size in PROBLEMS.items()}
+    tasks |= {"reading": ("read", file), "fitting": ("rows", file)}
+    answers: dict[str, dict[str, Any]] = {}
+    faults: list[str] = []
+    for task, arguments in tasks.items():
+        answers[task] = run_alone(*arguments)
+        faults += find_faults(task, answers[task], data)
+        note_row(WHAT, len(answers), len(faults), describe(answers, rows, data))
     assert not faults, answers
