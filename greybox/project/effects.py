@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keyword
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -155,9 +156,10 @@ def _write_law(variable: str, law: Mapping[str, Any], source: str) -> list[str]:
     for q, values in law["parameters"].items():
         value = float(values["value"])
         parse_unit(values["unit"])
-        bounds = (abs(value) / 1e3, abs(value) * 1e3) if q != amplitude and value > 0 else None
-        parameters.append(Parameter(q, values["unit"], value, *([] if bounds is None else [bounds])))
-        ends = "" if bounds is None else f", {literal(bounds)}"
+        has_bounds = q != amplitude and value > 0
+        bounds = (abs(value) / 1e3, abs(value) * 1e3) if has_bounds else (-math.inf, math.inf)
+        parameters.append(Parameter(q, values["unit"], value, bounds))
+        ends = f", {literal(bounds)}" if has_bounds else ""
         lines.append(f"        Parameter({literal(q)}, {literal(values['unit'])}, {literal(value)}{ends}),")
     options = {"amplitude": amplitude}
     if law.get("memory"):
