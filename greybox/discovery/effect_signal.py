@@ -114,7 +114,7 @@ def _estimate(
     ranked = [d for d in rank_dependences(time, from_data.value, variables, policy) if d.tone is None]
     if not ranked:
         return None
-    own_variable = find_own_variable(candidate, effect, EvidencePolicy())
+    own_variable = find_own_variable(candidate, effect, policy)
     best = next((d for d in ranked if d.variable == own_variable), ranked[0])
     return EffectSignal(
         effect,
@@ -145,7 +145,7 @@ def acts_as_constant(candidate: CandidateFit, name: str, policy: EvidencePolicy)
     return _spread(_AddedSignal.at(candidate, name, *elsewhere).values) > policy.constant_spread
 
 
-def find_own_variable(candidate: CandidateFit, name: str, policy: EvidencePolicy) -> str:
+def find_own_variable(candidate: CandidateFit, name: str, policy: LocalisationPolicy) -> str:
     """The state or input of which an effect adds a function, sample by sample; "" for one of several, and for one with a memory.
 
     Of dry friction it is the velocity, even if the body never slides.
@@ -159,7 +159,7 @@ def find_own_variable(candidate: CandidateFit, name: str, policy: EvidencePolicy
         return ""
     columns = np.column_stack([added.states, added.inputs]).T
     names = [*system.state_names, *system.input_names]
-    scatter = {variable: _scatter(z, added.values, policy) for variable, z in zip(names, columns, strict=True)}
+    scatter = {variable: _scatter(z, added.values) for variable, z in zip(names, columns, strict=True)}
     best = min(scatter, key=lambda variable: scatter[variable])
     return best if scatter[best] <= policy.function_scatter else ""
 
@@ -200,10 +200,10 @@ def _spread(values: np.ndarray) -> float:
     return float(np.sqrt(values.var(axis=0).sum() / max(float((values**2).mean(axis=0).sum()), TINY)))
 
 
-def _scatter(z: np.ndarray, values: np.ndarray, policy: EvidencePolicy) -> float:
+def _scatter(z: np.ndarray, values: np.ndarray) -> float:
     """How far signals (N, n) are from functions of ``z`` (N,), over their own standard deviation: from sample to sample along ``z``."""
     ordered = values[np.argsort(z, kind="stable")]
-    if np.ptp(z) == 0 or len(z) < policy.least_rows:
+    if np.ptp(z) == 0:
         return math.inf
     steps = 0.5 * (np.diff(ordered, axis=0) ** 2).mean(axis=0).sum()
     return float(np.sqrt(steps / max(float(values.var(axis=0).sum()), TINY)))

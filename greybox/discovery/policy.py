@@ -217,6 +217,9 @@ class LocalisationPolicy:
     """...if it happens in at most this share of the windows."""
     shape: ShapePolicy = field(default_factory=ShapePolicy)
     """How the curve over the best variable is classified."""
+    function_scatter: float = 0.15
+    """How far what an effect adds may be from a function of one variable, over its standard deviation, for that to be its own variable.
+    Neighbouring samples of a smooth law differ by a few percent, those of a step by a tenth."""
 
 
 @dataclass(frozen=True)
@@ -297,9 +300,6 @@ class EvidencePolicy:
     """Standard deviation of an effect's signal over its rms up to which it is constant."""
     same_signal: float = 0.02
     """The same of what it adds to the equations, sample by sample, up to which a constant does as well."""
-    function_scatter: float = 0.15
-    """How far what an effect adds may be from a function of one variable, over its standard deviation, for that to be its own variable.
-    Neighbouring samples of a smooth law differ by a few percent, those of a step by a tenth."""
     drift_correlation: float = 0.95
     """Correlation of an effect's signal with time from which it is a drift."""
     same_error: float = 0.01
