@@ -341,7 +341,7 @@ def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) 
     }
     near = sorted((fit for key, fit in sets.items() if not key - kept & family), key=lambda fit: fit.cost)
     if len(near) >= limits.rivals:
-        return [_converge(inputs, fit) for fit in near[: limits.rivals]]
+        return _keep_hopeful(inputs, near[: limits.rivals])
     others = [e for e in inputs.candidates if e.name not in family | set(selected.effects)]
     ranked = rank_extensions(inputs.problem, rest, others, inputs.scales, inputs.policy.budget, limits.rivals)
     quick = [
@@ -356,7 +356,14 @@ def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) 
         for e in ranked
     ]
     fits = [inputs.attempt(job) for job in quick]
-    return [*near, *(_converge(inputs, fit) for fit in fits if fit is not None)]
+    return _keep_hopeful(inputs, [*near, *(fit for fit in fits if fit is not None)])
+
+
+def _keep_hopeful(inputs: EvidenceInputs, rivals: list[CandidateFit]) -> list[CandidateFit]:
+    """The rivals that may still come near, refitted to the end; the best where none may: one shows how far behind they are."""
+    limit = inputs.limits.hopeless_cost * inputs.selected.cost
+    hopeful = [_converge(inputs, fit) for fit in rivals if fit.cost <= limit]
+    return hopeful or sorted(rivals, key=lambda fit: fit.cost)[:1]
 
 
 def _refit_static_curve(inputs: EvidenceInputs, effect: Effect, rest: CandidateFit | None) -> CandidateFit | None:
@@ -384,9 +391,6 @@ def _refit_free_curves(inputs: EvidenceInputs, rest: CandidateFit | None) -> lis
 
 
 def _converge(inputs: EvidenceInputs, fit: CandidateFit) -> CandidateFit:
-    """A rival refitted to the end, if it may still come near."""
-    if fit.cost > inputs.limits.hopeless_cost * inputs.selected.cost:
-        return fit
     again = inputs.attempt(
         partial(inputs.problem.refit_best, fit.model, [fit.model.values], 1, inputs.limits.iterations, fit)
     )

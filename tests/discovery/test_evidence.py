@@ -153,6 +153,15 @@ def test_nothing_is_certain_beside_a_stand_in(monkeypatch, structure, shares, al
     assert [e.grade for e in evidence.gather_evidence(inputs)] == [expected, Grade.STAND_IN]
 
 
+def test_a_rival_that_is_far_behind_is_not_refitted_to_the_end(monkeypatch):
+    monkeypatch.setattr(evidence, "_converge", lambda inputs, fit: SimpleNamespace(cost=fit.cost - 1))
+    inputs = SimpleNamespace(limits=EvidencePolicy(), selected=SimpleNamespace(cost=1.0))
+    rivals = [SimpleNamespace(cost=cost) for cost in (900.0, 20.0, 300.0)]
+    assert [fit.cost for fit in evidence._keep_hopeful(inputs, rivals)] == [19.0]
+    assert [fit.cost for fit in evidence._keep_hopeful(inputs, [rivals[0], rivals[2]])] == [300.0]
+    assert evidence._keep_hopeful(inputs, []) == []
+
+
 @pytest.mark.parametrize(("outputs", "expected"), [(2, Grade.PROBABLE), (3, Grade.ESTABLISHED)])
 def test_the_same_effect_at_every_output_may_be_one_of_the_input(outputs, expected):
     weighed = [
