@@ -138,11 +138,17 @@ def acts_as_constant(candidate: CandidateFit, name: str, policy: EvidencePolicy)
     There a constant does as well: an input that never changes its sign shows an offset of a dead zone, not the zone.
     """
     added = _AddedSignal.along_run(candidate, name)
-    if added is None or not _spread(added.values) <= policy.same_signal:
+    if added is None or not adds_constant(candidate, name, policy):
         return False
     generator = np.random.default_rng(policy.seed)
     elsewhere = [generator.uniform(-1, 1, v.shape) * np.abs(v).max(axis=0) for v in (added.states, added.inputs)]
     return _spread(_AddedSignal.at(candidate, name, *elsewhere).values) > policy.constant_spread
+
+
+def adds_constant(candidate: CandidateFit, name: str, policy: EvidencePolicy) -> bool:
+    """Whether an effect without memory adds the same at every sample of the estimation records."""
+    added = _AddedSignal.along_run(candidate, name)
+    return added is not None and _spread(added.values) <= policy.same_signal
 
 
 def find_own_variable(candidate: CandidateFit, name: str, policy: LocalisationPolicy) -> str:

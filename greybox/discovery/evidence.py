@@ -19,7 +19,7 @@ from greybox.discovery.candidates import family_of
 from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
 from greybox.discovery.dependence import TIME, rank_dependences
 from greybox.discovery.disturbance_sites import unwhitened_shooting
-from greybox.discovery.effect_signal import EffectSignal, acts_as_constant
+from greybox.discovery.effect_signal import EffectSignal, acts_as_constant, adds_constant
 from greybox.discovery.execution import RefitJob
 from greybox.discovery.failures import SearchStage
 from greybox.discovery.holdout import HoldoutScores, is_level_measured
@@ -288,12 +288,13 @@ def _compare_with_free_curves(inputs: EvidenceInputs, name: str, form: BlockErro
     """
     signal = next((s for s in inputs.signals if s.effect == name), None)
     chance = inputs.policy.certainty.least_rival * inputs.policy.certainty.most_deviations
+    is_constant = inputs.attempt_check(partial(adds_constant, inputs.selected, name, inputs.limits))
     taken = 0.0 if rest is None else rest.cost - inputs.selected.cost
     other_form = inputs.policy.certainty.most_own_form**2 * taken
     losses = [
         curve.candidate.cost / max(inputs.selected.cost, TINY) - 1
         for curve in _refit_free_curves(inputs, rest)
-        if not _represents(curve.variable, signal, inputs.limits)
+        if not (is_constant or _represents(curve.variable, signal, inputs.limits))
         or (
             curve.candidate.criterion < inputs.selected.criterion
             and inputs.selected.cost - curve.candidate.cost > other_form

@@ -386,8 +386,9 @@ class CertaintyPolicy:
     least_free: float = 0.2
     """Root of the relative difference by which a free curve in the effect's place must cost more, wherever it is and whatever it is over:
     4 %. Where one does as well, the place or the name is open."""
-    most_remainder: float = 0.15
-    """What the effect leaves over its own variable, over its signal, in rms: the right one leaves up to a tenth."""
+    most_remainder: float = 0.6
+    """What the effect leaves over its own variable, over its signal, in rms. Much of a weak signal is noise: what is no noise, the curve
+    beside the effect takes."""
     least_share: float = 0.05
     """Share of the error that an effect must take."""
     most_change: float = 0.4

@@ -81,7 +81,7 @@ def test_a_curve_over_some_variables_is_the_effect_itself(variable, modelled, ex
     assert _represents(variable, signal, EvidencePolicy()) is expected
 
 
-def compare_with_curves(monkeypatch, *curves, error=1.0, rest=1000.0):
+def compare_with_curves(monkeypatch, *curves, error=1.0, rest=1000.0, is_constant=False):
     """`free_loss` where ``curves`` (variable, cost, criterion) stand in the place of an effect over v; they leave ``error`` elsewhere."""
     signal = SimpleNamespace(effect="a", variable_name="v", time=TIME, modelled=np.sin(30 * TIME))
     fits = [SimpleNamespace(variable=z, candidate=SimpleNamespace(cost=c, criterion=k)) for z, c, k in curves]
@@ -93,6 +93,7 @@ def compare_with_curves(monkeypatch, *curves, error=1.0, rest=1000.0):
         scores=scores,
         limits=EvidencePolicy(),
         policy=DiscoveryPolicy(),
+        attempt_check=lambda check: is_constant,
     )
     return evidence._compare_with_free_curves(inputs, "a", ERRORS, SimpleNamespace(cost=rest))
 
@@ -104,6 +105,11 @@ def test_the_best_free_curve_counts_unless_it_is_the_effect_itself(monkeypatch):
     assert np.isnan(
         compare_with_curves(monkeypatch, ("v", 60.0, 100.0), rest=1e5)
     )  # nothing beside what the effect takes
+
+
+def test_any_curve_can_be_a_constant(monkeypatch):
+    assert compare_with_curves(monkeypatch, ("u", 99.0, 105.0)) == pytest.approx(-0.01)
+    assert np.isnan(compare_with_curves(monkeypatch, ("u", 99.9, 105.0), is_constant=True))
 
 
 def test_a_free_curve_that_fails_elsewhere_does_not_count(monkeypatch):
