@@ -1,9 +1,8 @@
 """How probable is an effect that `greybox.discover` puts into a model? Weights and reliability from the answers of `fits.hidden_study`.
 
 Every effect of every answer is one observation: what its evidence was, and whether it is right, or one of those that the answer calls
-its equals. The weights of
-`greybox.discovery.CertaintyPolicy` are a logistic regression on these; the reliability on the page is that of cases that were left out
-of the fit.
+its equals. The weights of `greybox.discovery.CertaintyPolicy` are a logistic regression on these; the reliability on the page is that of
+cases that were left out of the fit.
 """
 
 from __future__ import annotations
@@ -31,7 +30,13 @@ Row = Mapping[str, Any]
 def list_effects(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """One entry for each effect of each answer."""
     return [
-        {"among": effect["right"], **effect, "case": row["name"], "plant": row["plant"], "left_out": answer["left_out"]}
+        {
+            "right_or_equal": effect["right"],
+            **effect,
+            "case": row["name"],
+            "plant": row["plant"],
+            "left_out": answer["left_out"],
+        }
         for row in rows
         for answer in row["answers"]
         for effect in answer["effects"]
@@ -41,16 +46,12 @@ def list_effects(rows: Sequence[Row]) -> list[dict[str, Any]]:
 def compute_features(effect: Row, policy: CertaintyPolicy) -> dict[str, float]:
     """The features of an effect as the library computes them."""
     measures = {n: math.nan if v is None else v for n, v in effect["measures"].items()}
-    for test in (
-        "",
-        "rival_",
-        "curve_",
-        "static_",
-    ):  # JSON has no infinity: a test that was made and did not end in a number
-        was_made = test in ("", "rival_") or math.isfinite(measures[f"{test}loss"])
-        for name in (f"{test}loss", f"{test}loss_t" if not test else f"{test}t"):
-            if was_made and math.isnan(measures[name]):
-                measures[name] = LARGEST
+    # JSON has no infinity: a test that was made has one where its number is missing.
+    for loss, deviations in (("loss", "loss_t"), ("rival_loss", "rival_t")):
+        measures |= {name: LARGEST for name in (loss, deviations) if math.isnan(measures[name])}
+    for loss, deviations in (("curve_loss", "curve_t"), ("static_loss", "static_t")):
+        if math.isfinite(measures[loss]) and math.isnan(measures[deviations]):
+            measures[deviations] = LARGEST
     return to_features(measures, policy)
 
 
@@ -94,7 +95,7 @@ def format_weights(rows: Sequence[Row]) -> str:
 def write_certainty(rows: Sequence[Row], docs: Path) -> None:
     """``certainty.md`` and ``figures/certainty.svg`` in ``docs``."""
     effects, policy = list_effects(rows), CertaintyPolicy()
-    right = np.array([e["among"] for e in effects], float)
+    right = np.array([e["right_or_equal"] for e in effects], float)
     stated = np.array([probability_of(compute_features(e, policy), policy) for e in effects])
     predicted = cross_validate(effects, policy)
     (docs / "figures").mkdir(parents=True, exist_ok=True)
@@ -131,7 +132,9 @@ def write_certainty(rows: Sequence[Row], docs: Path) -> None:
 def _tabulate(effects: Sequence[Row], policy: CertaintyPolicy) -> tuple[np.ndarray, np.ndarray]:
     """Features (N, n) and outcomes (N,)."""
     features = [compute_features(e, policy) for e in effects]
-    return np.array([[f[n] for n in policy.weights] for f in features]), np.array([e["among"] for e in effects], float)
+    return np.array([[f[n] for n in policy.weights] for f in features]), np.array(
+        [e["right_or_equal"] for e in effects], float
+    )
 
 
 def _library_weights(policy: CertaintyPolicy) -> np.ndarray:

@@ -142,7 +142,7 @@ def _describe(case: Case, discovery: Discovery, right: set[str]) -> dict[str, An
                 "name": e.effect,
                 "site": sites[e.effect],
                 "right": e.effect in right,
-                "among": bool({e.effect, *e.alike} & right),
+                "right_or_equal": bool({e.effect, *e.alike} & right),
                 "grade": str(e.grade),
                 "probability": e.probability,
                 "alike": list(e.alike),

@@ -11,6 +11,8 @@ import pytest
 from hypothesis import settings
 from typer.testing import CliRunner, Result
 
+from tests.support.browser import browser
+
 # Before anything imports numpy: a pool of threads on 4x4 matrices costs a hundred times the arithmetic.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
@@ -19,6 +21,7 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 settings.register_profile("ci", derandomize=True, max_examples=25, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
+__all__ = ["browser"]
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 

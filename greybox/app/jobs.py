@@ -231,10 +231,15 @@ def _figures(progress: Any) -> Mapping[str, float | None]:
 def _discover(connection: Connection, stop: threading.Event, model: Any, records: Any, **options: Any) -> Any:
     from greybox.discovery import discover
 
+    def tell(news: JobNews, content: Any) -> None:
+        connection.send((str(news), content))
+        if stop.is_set():  # an interrupt that arrives inside a callback of a library is lost
+            raise KeyboardInterrupt
+
     return discover(
         model,
         records,
-        on_message=lambda text: connection.send((str(JobNews.MESSAGE), text.strip())),
-        on_refit=lambda count: connection.send((str(JobNews.REFIT), count)),
+        on_message=lambda text: tell(JobNews.MESSAGE, text.strip()),
+        on_refit=lambda count: tell(JobNews.REFIT, count),
         **options,
     )

@@ -73,11 +73,13 @@ class Workbench:
         self.job: Job | None = None
         self._lock = threading.RLock()
         self._exported_session = session
+        self._shown = 0
         self._places: tuple[Statement, tuple[EffectPlace, ...]] | None = None
 
     def show(self) -> dict[str, Any]:
-        """The state of everything, as the page shows it."""
+        """The state of everything, as the page shows it; of two, the one with the higher ``number`` is the later."""
         with self._lock:
+            self._shown += 1
             texts = {"study": "", "script": ""}
             if self.session.records:
                 session = self._with_exported_records(self.session)
@@ -86,6 +88,7 @@ class Workbench:
             return {
                 **show_session(self.session, self._list_effects()),
                 **texts,
+                "number": self._shown,
                 "folder": str(self.folder),
                 "undo": len(self.undone),
                 "job": None if self.job is None else str(self.job.kind),

@@ -138,7 +138,7 @@ def acts_as_constant(candidate: CandidateFit, name: str, policy: EvidencePolicy)
     There a constant does as well: an input that never changes its sign shows an offset of a dead zone, not the zone.
     """
     added = _AddedSignal.along_run(candidate, name)
-    if added is None or not adds_constant(candidate, name, policy):
+    if added is None or not _spread(added.values) <= policy.same_signal:
         return False
     generator = np.random.default_rng(policy.seed)
     elsewhere = [generator.uniform(-1, 1, v.shape) * np.abs(v).max(axis=0) for v in (added.states, added.inputs)]

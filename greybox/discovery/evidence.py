@@ -216,7 +216,12 @@ def _weigh_effect(
     nearest = min(others, key=lambda k: behind[k][0], default=None)
     rival_loss, rival_t = (loss, loss_t) if nearest is None else behind[nearest]
     curve_loss, curve_t = (np.nan, np.nan) if corrected is None else _compare(form, square_errors(corrected))
-    curve_gain = 0.0 if corrected is None else 0.5 * math.log(inputs.selected.cost / max(corrected.cost, TINY))
+    curve_gain = 0.0
+    if corrected is not None:
+        curve_gain = 0.5 * math.log(max(inputs.selected.cost, TINY) / max(corrected.cost, TINY))
+    rival_parameters = 0.0
+    if nearest is not None:
+        rival_parameters = _count_parameters(rivals[nearest]) - _count_parameters(inputs.selected)
     static = _refit_static_curve(inputs, effect, rest)
     static_loss, static_t = (np.nan, np.nan) if static is None else _compare(form, square_errors(static))
     is_static = static_loss < limits.same_error * min(loss, 1.0)
@@ -229,9 +234,7 @@ def _weigh_effect(
         "loss_t": loss_t,
         "rival_loss": rival_loss,
         "rival_t": rival_t,
-        "rival_parameters": 0.0
-        if nearest is None
-        else _count_parameters(rivals[nearest]) - _count_parameters(inputs.selected),
+        "rival_parameters": rival_parameters,
         "curve_loss": curve_loss,
         "curve_t": curve_t,
         "curve_gain": curve_gain,

@@ -115,7 +115,8 @@ def minimise(
                     search.status = TerminationStatus.STUCK
             else:
                 _search_with_ipopt(search, low, high, tolerance, iterations, thorough)
-    status = search.status or (TerminationStatus.INTERRUPTED if search.stop else TerminationStatus.FAILED)
+    # Whoever asked for an end must hear of it, also where the last iteration was the last anyway: the caller would go on.
+    status = TerminationStatus.INTERRUPTED if search.stop else search.status or TerminationStatus.FAILED
     z, seconds = np.clip(search.best, low, high), time.perf_counter() - began
     return MinimisationResult(
         z,

@@ -282,6 +282,8 @@ class MultipleShooting:
                     last = self._linearise(linearised.z + self._compute_step(linearised))
                     if last and last.cost <= linearised.cost and self._is_converged(last, termination):
                         linearised = last
+                if monitor.stop:  # also where the last iteration was the last anyway: the caller would go on
+                    status = TerminationStatus.INTERRUPTED
         return self._make_joined(linearised, status, iteration, time.perf_counter() - began)
 
     def _initialise(self) -> SegmentedProblem:

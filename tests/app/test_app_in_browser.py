@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -14,10 +13,11 @@ from pathlib import Path
 
 import pytest
 
-BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
+from tests.support.browser import collect_faults
+
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no browser to look with")
 pytest.importorskip("tornado", reason="the app's server is not installed")
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed to open the app with")
+LATE = 3.0  # seconds by which an answer is held back
 PATIENCE = 150_000  # milliseconds: other tests may run beside this one
 
 
@@ -40,31 +40,17 @@ def served(rig: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tupl
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        one = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield one
-        one.close()
-
-
-@pytest.fixture(scope="module")
 def page(browser, served):
     """The page, opened once; an error in its console or a request to elsewhere fails the test that comes last."""
     address, _ = served
     one = browser.new_page(viewport={"width": 1300, "height": 900})
     one.set_default_timeout(PATIENCE)
-    wrong: list[str] = []
-    one.on("pageerror", lambda error: wrong.append(str(error)))
-    one.on(
-        "console", lambda m: wrong.append(m.text) if m.type in ("error", "warning") and "422" not in m.text else None
-    )
-    allowed = (address, "data:", "blob:")
-    one.on("request", lambda r: None if r.url.startswith(allowed) else wrong.append(r.url))
+    faults = collect_faults(one, (address,), expected="422")
     one.goto(address)
     until(one, "window.greyboxReady === true")
     yield one
     one.close()
-    assert not wrong
+    assert not faults
 
 
 def until(page, expression: str) -> None:
@@ -92,6 +78,13 @@ def load(page, selector: str, file: Path, count: int) -> None:
 def settled(page) -> None:
     """Wait until the page has looked where the residual lives."""
     until(page, "!['', '…'].includes(document.getElementById('where').textContent)")
+
+
+def answer_late(route) -> None:
+    """Let an answer of the server come after the news of what it led to."""
+    answer = route.fetch()
+    time.sleep(LATE)
+    route.fulfill(response=answer)
 
 
 def test_a_person_loads_records(page, rig: Path, tmp_path: Path) -> None:
@@ -163,9 +156,12 @@ def test_discover_can_be_stopped_and_finds_the_friction(page) -> None:
     settled(page)
     page.click("#discover")
     until(page, "document.getElementById('stage').textContent.includes('refit')")
+    page.route("**/do/stop", answer_late)
     page.click("#stop")
     page.wait_for_selector("#message.good:not([hidden])")
-    assert page.is_visible("#discover") and page.is_enabled("#discover")
+    page.wait_for_timeout(1000 * LATE)  # by then the answer has come, and tells of a time before the news
+    page.unroute("**/do/stop")
+    assert page.is_visible("#message.good") and page.is_enabled("#discover")
     page.click("#discover")
     page.wait_for_selector("#discovery-answer:not([hidden])")
     assert page.text_content("#outcome") == "named"

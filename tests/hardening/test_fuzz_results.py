@@ -41,6 +41,7 @@ from models.silverbox import silverbox
 from tests.hardening.mutations import mutate_bytes, mutate_json, places_of
 from tests.oracles.independent import linear_record, multisine
 from tests.support.child import run_in_child
+from tests.support.kept_law import LAW
 from tests.support.reliability import note_row, size_of
 
 pytestmark = [
@@ -172,15 +173,6 @@ def use_fmu_fit(path: Path, _: object) -> None:
     assert all(entry["unit"] is not None for entry in read_json(path, ResultKind.FMU_FIT)["parameters"].values())
 
 
-LAW = {
-    "name": "law",
-    "site": "force",
-    "equation": "-4.1e5*max(0, x - 0.121)",
-    "formula": "k*max(0, x - c)",
-    "parameters": {"k": {"value": -4.1e5, "unit": "N/m"}, "c": {"value": 0.121, "unit": "m"}},
-    "grade": "established",
-    "range": {"x": [-0.1, 0.13]},
-}
 SHORT = DesignPolicy(
     search=InputSearchPolicy(bands=2, iterations=3, rounds=1, starts=1, refined_scenarios=1, crest_iterations=20),
     margin=MarginPolicy(samples=2),

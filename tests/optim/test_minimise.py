@@ -1,12 +1,21 @@
 """IPOPT as it is used here: kinds of ends, bounds, kinks, failures, and one solver for one search after another."""
 
+import signal
 import threading
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from greybox.optim import MinimisationPolicy, QuadraticModel, Termination, TerminationStatus, ipopt_dense, minimise
+from greybox.optim import (
+    MinimisationMethod,
+    MinimisationPolicy,
+    QuadraticModel,
+    Termination,
+    TerminationStatus,
+    ipopt_dense,
+    minimise,
+)
 
 
 def bowl(z, target=3.0):
@@ -227,3 +236,19 @@ def test_steps_that_gain_nothing_cost_no_derivatives():
     )
     assert result.z == pytest.approx([1, 1], abs=1e-6)
     assert len(evaluated) == result.evaluations == result.iterations + 1 < len(tried)
+
+
+@pytest.mark.parametrize("method", list(MinimisationMethod))
+def test_an_interrupt_in_the_last_iteration_is_heard(method):
+    asked = []
+
+    def objective(z):
+        value = bowl(z)
+        if value.cost < 1e-9 and not asked:
+            asked.append(z)
+            signal.raise_signal(signal.SIGINT)
+        return value
+
+    result = minimise(objective, np.zeros(2), *free(2), method=method)
+    assert asked and result.z == pytest.approx([3, 3], abs=1e-4)
+    assert result.status is TerminationStatus.INTERRUPTED

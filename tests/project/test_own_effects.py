@@ -17,21 +17,13 @@ from greybox.project.effects import find_effect, find_own_effects, keep_effect
 from tests.project.test_foreign_projects import STRANGER, needs_superuser
 from tests.project.test_outline import TRAP
 from tests.support.hostile import CODE, MARKUP
+from tests.support.kept_law import LAW
 
 OWN = """from greybox import Parameter
 from greybox.effects import formula_effect
 
 drag = formula_effect("drag", "force", "k*abs(v)*v", [Parameter("k", "N*s^2/m^2", -0.3)])
 """
-LAW = {
-    "name": "law",
-    "site": "force",
-    "equation": "-4.1e5*max(0, x - 0.121)",
-    "formula": "k*max(0, x - c)",
-    "parameters": {"k": {"value": -4.1e5, "unit": "N/m"}, "c": {"value": 0.121, "unit": "m"}},
-    "grade": "established",
-    "range": {"x": [-0.1, 0.13]},
-}
 
 
 @pytest.fixture

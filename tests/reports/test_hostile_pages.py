@@ -23,11 +23,9 @@ from greybox.reports.html import mathml, render_page
 from greybox.reports.page import Page
 from models.micro_actuator import micro_actuator
 from tests.experiment_design.test_design import QUICK
-from tests.reports.test_pages_in_browser import BROWSER, opened
+from tests.support.browser import opened
 from tests.support.hostile import CODE, MARKUP, poison
 
-browsing = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed to open reports with")
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no browser to look with")
 KINDS = (
     "campaign",
     "changed",
@@ -40,14 +38,6 @@ KINDS = (
     "linearisation",
     "simulation",
 )
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        one = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield one
-        one.close()
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +86,6 @@ def pages(tmp_path_factory) -> dict[str, Page]:
     return {kind: build_page(value, command="greybox", **more) for kind, (value, more) in values.items()}
 
 
-@browsing
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_text_of_a_page_runs_or_becomes_markup(browser, pages, tmp_path, kind):
     count = itertools.count()
@@ -115,7 +104,6 @@ def test_no_text_of_a_page_runs_or_becomes_markup(browser, pages, tmp_path, kind
     assert next(count) > 20
 
 
-@browsing
 def test_what_is_injected_all_the_same_does_not_run(browser, pages, tmp_path):
     html = render_page(pages["check"])
     for place in ("</header>", "</body>"):

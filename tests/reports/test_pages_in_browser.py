@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,36 +12,10 @@ from greybox.check import check
 from greybox.comparison import compare
 from greybox.reports import build_page, write_page
 from models.micro_actuator import micro_actuator
-
-BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no browser to look with")
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed to open reports with")
+from tests.support.browser import opened
 
 REST = gb.FitOptions(at_rest=True)
 HOSTILE = """<script>window.hurt=1</script></script>"><img src=x onerror="window.hurt=1">&amp;'`${1}"""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        one = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
-        yield one
-        one.close()
-
-
-@contextmanager
-def opened(browser, path: Path, **context) -> Iterator:
-    """The page of a report; any error in its console and any request to elsewhere fails the test."""
-    page = browser.new_page(**context)
-    wrong: list[str] = []
-    page.on("pageerror", lambda error: wrong.append(str(error)))
-    page.on("console", lambda message: wrong.append(message.text) if message.type in ("error", "warning") else None)
-    page.on("request", lambda r: None if r.url.startswith(("file:", "data:", "blob:")) else wrong.append(r.url))
-    page.goto(path.as_uri())
-    page.wait_for_function("window.greyboxReady === true", timeout=60_000)
-    yield page
-    page.close()
-    assert not wrong
 
 
 @pytest.fixture(scope="module")

@@ -227,6 +227,7 @@
   by("filter").addEventListener("input", listCatalogue);
 
   const render = (next) => {
+    if (state && next.number < state.number) return; // overtaken on its way by a newer one
     const focus = document.activeElement, focused = focus?.getAttribute("aria-label");
     state = next;
     document.title = `${state.title} · greybox`;
@@ -258,9 +259,9 @@
   };
 
   const take = async (name, given = {}) => {
+    tell(""); // now, not with the answer: news of a computation may come before it
     try {
       render(await act(name, given));
-      tell("");
       await lookAgain();
     } catch (error) {
       tell(error.message);
@@ -269,14 +270,16 @@
   };
 
   const load = async (list, validates) => {
+    const refused = [];
+    tell("");
     for (const file of list)
       try {
         render(await ask(`records?name=${encodeURIComponent(file.name)}&validates=${validates ? 1 : 0}`, file));
         shown.record = state.records.length - 1;
-        tell("");
       } catch (error) {
-        tell(error.message);
+        refused.push(error.message);
       }
+    tell(refused.join(" "));
     await lookAgain();
   };
   for (const [id, validates] of [["load", false], ["load-validation", true]])
@@ -326,7 +329,7 @@
   by("discover").addEventListener("click", () => compute("discover"));
   by("stop").addEventListener("click", () => {
     by("stage").textContent = "stopping …";
-    take("stop");
+    take("stop"); // what it ended with comes as news
   });
   const elapsed = () => (began ? ` · ${Math.round((Date.now() - began) / 1000)} s` : "");
   const write = (text) => {

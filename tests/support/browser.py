@@ -1,0 +1,55 @@
+"""The Chromium in which pages are tested."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """A browser to open pages with; skips where there is none."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed: no browser to look with"
+    )
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no Chromium is installed to open pages with")
+    with playwright.sync_playwright() as driver:
+        one = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield one
+        one.close()
+
+
+def collect_faults(page: Any, allowed: tuple[str, ...], expected: str = "") -> list[str]:
+    """A list that fills with errors and warnings of the page's console and with requests to elsewhere.
+
+    ``allowed`` are beginnings of addresses, ``expected`` is a part of a text that is no fault.
+    """
+    faults: list[str] = []
+
+    def hear(message: Any) -> None:
+        if message.type in ("error", "warning") and not (expected and expected in message.text):
+            faults.append(message.text)
+
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("console", hear)
+    page.on("request", lambda r: None if r.url.startswith((*allowed, "data:", "blob:")) else faults.append(r.url))
+    return faults
+
+
+@contextmanager
+def opened(browser: Any, path: Path, **context: Any) -> Iterator[Any]:
+    """The page of a report; any error in its console and any request to elsewhere fails the test."""
+    page = browser.new_page(**context)
+    faults = collect_faults(page, ("file:",))
+    page.goto(path.as_uri())
+    page.wait_for_function("window.greyboxReady === true", timeout=60_000)
+    yield page
+    page.close()
+    assert not faults
