@@ -356,6 +356,7 @@ def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) 
             1,
             limits.quick_iterations,
             rest,
+            refines=False,
         )
         for e in ranked
     ]

@@ -28,7 +28,8 @@ from greybox.schemas import ResultKind, find_offence
 class RefitJob:
     """One refit: ``model`` from the ``keep`` most promising of ``starts``, ``iterations`` at most.
 
-    ``beginning`` holds the first guess of initial states by name, one value a record; the others start as model and record say.
+    ``beginning`` holds the first guess of initial states by name, one value a record; the others start as model and record say. Whether
+    ``refines`` says that the integration step may become finer on the way: a look at a model that may be hopeless need not.
     """
 
     model: Model
@@ -36,6 +37,7 @@ class RefitJob:
     keep: int
     iterations: int
     beginning: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    refines: bool = True
 
 
 @dataclass(frozen=True)

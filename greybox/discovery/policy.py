@@ -79,8 +79,8 @@ class SearchBudget:
     refit_iterations: int = 60
     """Iterations of a refit: what has not converged by then is not the answer, or is finished in the last fit."""
     max_substeps: int = 32
-    """Substeps of a sample from which a refit of the search is made no finer: a candidate that needs more is stiff by its constants
-    alone, and a minute of refinement would not make it the answer. The last fit knows no such limit."""
+    """Substeps of a sample that a refit of the search takes at most, unless the plain model needs more: a candidate that does is stiff by
+    its constants alone, and minutes would not make it the answer. The last fit knows no such limit."""
     refit_starts: int = 2
     """Most promising starting points from which a model is refitted."""
     screening_iterations: int = 12

@@ -143,6 +143,9 @@ class DiscoveryProblem:
     def prepare(self, model: Model, experiments: tuple[Experiment, ...] | None = None) -> EstimationProblem:
         """The estimation problem of ``model`` on the records (or on others); the noise is that of the baseline."""
         known = self.noise if model is self.model or isinstance(self.noise, NoiseModel) else self._baseline_noise
+        policy = self.options.policy
+        if model is not self.model:
+            policy = replace(policy, discretisation=replace(policy.discretisation, max_substeps=self._most_substeps))
         return prepare_problem(
             model,
             experiments or self.experiments,
@@ -151,8 +154,13 @@ class DiscoveryProblem:
             method=self.options.method,
             substeps=self.options.substeps,
             quiet=self.quiet,
-            policy=self.options.policy,
+            policy=policy,
         )
+
+    @cached_property
+    def _most_substeps(self) -> int:
+        """Substeps of a candidate at most: those of the budget, or twice those that the plain model needs itself."""
+        return max(self.budget.max_substeps, 2 * self.prepare(self.model).step.substeps)
 
     @cached_property
     def refit_options(self) -> FitOptions:
@@ -166,11 +174,12 @@ class DiscoveryProblem:
         of_baseline = select_transcription(self.baseline.problem, self.options).transcription
         return replace(self.options, transcription=of_baseline) if of_baseline is Transcription.SINGLE else self.options
 
-    @property
-    def _quick_options(self) -> FitOptions:
+    def _job_options(self, job: RefitJob) -> FitOptions:
         """Those of one refit of the search: from its start straight to an optimum, with steps that do not become ever finer."""
-        options = self.refit_options
-        refinement = replace(options.policy.step_refinement, max_substeps=self.budget.max_substeps)
+        options = replace(self.refit_options, iterations=job.iterations)
+        refinement = replace(options.policy.step_refinement, max_substeps=self._most_substeps)
+        if not job.refines:
+            refinement = replace(refinement, halvings=0)
         policy = replace(options.policy, step_refinement=refinement)
         return replace(options, progressive=False, thorough=False, policy=policy)
 
@@ -197,13 +206,16 @@ class DiscoveryProblem:
         keep: int | None = None,
         iterations: int | None = None,
         like: CandidateFit | None = None,
+        refines: bool = True,
     ) -> CandidateFit | None:
         """``model`` refitted from the ``keep`` most promising of ``starts``; None if it cannot be simulated from any of them.
 
-        The records start from the initial states of the fit ``like``, as far as it has the same states.
+        The records start from the initial states of the fit ``like``, as far as it has the same states. Whether it ``refines`` its
+        integration step is as in `RefitJob`.
         """
         keep, iterations = keep or self.budget.refit_starts, iterations or self.budget.refit_iterations
-        return self.refit_all([RefitJob(model, tuple(starts), keep, iterations, _initial_states(like))])[0]
+        job = RefitJob(model, tuple(starts), keep, iterations, _initial_states(like), refines)
+        return self.refit_all([job])[0]
 
     def refit_all(self, jobs: Sequence[RefitJob]) -> list[CandidateFit | None]:
         """Independent refits, in order, wherever they run."""
@@ -220,7 +232,7 @@ class DiscoveryProblem:
         problem = _with_initial_states(self.prepare(job.model), job.beginning)
         points = (point for s in job.starts if (point := _predict_cost(problem, s)) is not None)
         ranked = sorted(points, key=lambda point: point[0])
-        options = replace(self._quick_options, iterations=job.iterations)
+        options = self._job_options(job)
         solutions = [solve(replace(problem, variables=v), options) for _, v in ranked[: job.keep]]
         if any(s.status is TerminationStatus.INTERRUPTED for s in solutions):
             raise KeyboardInterrupt
@@ -275,6 +287,7 @@ class DiscoveryProblem:
             [sorted(s.items()) for s in job.starts],
             job.keep,
             job.iterations,
+            job.refines,
             sorted(job.beginning.items()),
             [e.hold for e in job.model.effects],  # the equations do not show it
             [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in self.experiments],
