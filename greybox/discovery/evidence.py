@@ -330,7 +330,10 @@ def _refit_without(inputs: EvidenceInputs, name: str) -> CandidateFit | None:
     known = inputs.known.get(frozenset(selected.effects) - {name})
     model = selected.model.without(name)
     values = {n: value for n, value in selected.model.values.items() if n in model.values}
-    again = inputs.attempt(partial(inputs.problem.refit_best, model, [values], 1, inputs.limits.iterations, selected))
+    iterations = inputs.limits.iterations
+    again = inputs.attempt(partial(inputs.problem.refit_best, model, [values], 1, iterations, selected, refines=False))
+    if again is not None and _is_hopeful(inputs, again):
+        again = _converge(inputs, again)
     return min((fit for fit in (known, again) if fit is not None), key=lambda fit: fit.cost, default=None)
 
 
@@ -366,9 +369,13 @@ def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) 
 
 def _keep_hopeful(inputs: EvidenceInputs, rivals: list[CandidateFit]) -> list[CandidateFit]:
     """The rivals that may still come near, refitted to the end; the best where none may: one shows how far behind they are."""
-    limit = inputs.limits.hopeless_cost * inputs.selected.cost
-    hopeful = [_converge(inputs, fit) for fit in rivals if fit.cost <= limit]
+    hopeful = [_converge(inputs, fit) for fit in rivals if _is_hopeful(inputs, fit)]
     return hopeful or sorted(rivals, key=lambda fit: fit.cost)[:1]
+
+
+def _is_hopeful(inputs: EvidenceInputs, fit: CandidateFit) -> bool:
+    """Whether a model that was fitted with the step it started with may still come near the selected one."""
+    return fit.cost <= inputs.limits.hopeless_cost * inputs.selected.cost
 
 
 def _refit_static_curve(inputs: EvidenceInputs, effect: Effect, rest: CandidateFit | None) -> CandidateFit | None:
