@@ -133,8 +133,9 @@ class RefinementPolicy:
 
     estimation_share: float = 0.02
     """Share of the remaining rms misfit that the effect must remove on the estimation records."""
-    validation_share: float = 0.05
-    """The same on the validation records."""
+    validation_share: float = 0.1
+    """The same on the validation records: with less, both models explain the records equally well (`alike_share`), and what is added or
+    exchanged makes the other effects less certain for nothing."""
     alike_share: float = 0.1
     """Models whose misfits differ by less than this share explain a measured record equally well."""
     most_steps: int = 5

@@ -28,6 +28,8 @@ from greybox.transcription.select import select_transcription
 from greybox.transcription.solve import Solution, solve
 
 StartValues = Mapping[str, float]
+# Cost that one step predicts from a starting point, and the variables there.
+_Start = tuple[float, DecisionVector]
 
 
 @dataclass(frozen=True)
@@ -140,12 +142,17 @@ class DiscoveryProblem:
             raise KeyboardInterrupt
         return _from_solution(self.model, solution)
 
-    def prepare(self, model: Model, experiments: tuple[Experiment, ...] | None = None) -> EstimationProblem:
-        """The estimation problem of ``model`` on the records (or on others); the noise is that of the baseline."""
+    def prepare(
+        self, model: Model, experiments: tuple[Experiment, ...] | None = None, most_substeps: int = 0
+    ) -> EstimationProblem:
+        """The estimation problem of ``model`` on the records (or on others); the noise is that of the baseline.
+
+        A sample has ``most_substeps`` at most (0: as many as the options of the fits allow).
+        """
         known = self.noise if model is self.model or isinstance(self.noise, NoiseModel) else self._baseline_noise
         policy = self.options.policy
-        if model is not self.model:
-            policy = replace(policy, discretisation=replace(policy.discretisation, max_substeps=self._most_substeps))
+        if most_substeps:
+            policy = replace(policy, discretisation=replace(policy.discretisation, max_substeps=most_substeps))
         return prepare_problem(
             model,
             experiments or self.experiments,
@@ -159,8 +166,20 @@ class DiscoveryProblem:
 
     @cached_property
     def _most_substeps(self) -> int:
-        """Substeps of a candidate at most: those of the budget, or twice those that the plain model needs itself."""
+        """Substeps of a candidate, unless it is unstable with so few: those of the budget, or twice those of the plain model."""
         return max(self.budget.max_substeps, 2 * self.prepare(self.model).step.substeps)
+
+    def _prepare_starts(
+        self, model: Model, starts: Iterable[StartValues], beginning: Mapping[str, Sequence[float]]
+    ) -> tuple[EstimationProblem, list[_Start]]:
+        """The estimation problem of a candidate, and those of its starts from which it can be simulated, most promising first."""
+        starts, most = tuple(starts), self._most_substeps
+        problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
+        points = _rank_starts(problem, starts)
+        if not points and problem.step.substeps >= most:
+            problem = _with_initial_states(self.prepare(model), beginning)
+            points = _rank_starts(problem, starts)
+        return problem, points
 
     @cached_property
     def refit_options(self) -> FitOptions:
@@ -229,11 +248,9 @@ class DiscoveryProblem:
         KeyboardInterrupt
             If the user interrupted it.
         """
-        problem = _with_initial_states(self.prepare(job.model), job.beginning)
-        points = (point for s in job.starts if (point := _predict_cost(problem, s)) is not None)
-        ranked = sorted(points, key=lambda point: point[0])
+        problem, points = self._prepare_starts(job.model, job.starts, job.beginning)
         options = self._job_options(job)
-        solutions = [solve(replace(problem, variables=v), options) for _, v in ranked[: job.keep]]
+        solutions = [solve(replace(problem, variables=v), options) for _, v in points[: job.keep]]
         if any(s.status is TerminationStatus.INTERRUPTED for s in solutions):
             raise KeyboardInterrupt
         finite = [fit for fit in (_from_solution(job.model, s) for s in solutions) if np.isfinite(fit.cost)]
@@ -271,8 +288,8 @@ class DiscoveryProblem:
             return np.inf
 
         def predict() -> float:
-            problem = _with_initial_states(self.prepare(model), _initial_states(like))
-            return min((point[0] for s in starts if (point := _predict_cost(problem, s)) is not None), default=np.inf)
+            _, points = self._prepare_starts(model, starts, _initial_states(like))
+            return points[0][0] if points else np.inf
 
         return self.failures.attempt(SearchStage.SCREENING, tuple(e.name for e in model.effects), predict, np.inf)
 
@@ -331,7 +348,13 @@ def _from_solution(model: Model, solution: Solution) -> CandidateFit:
     )
 
 
-def _predict_cost(problem: EstimationProblem, start: StartValues) -> tuple[float, DecisionVector] | None:
+def _rank_starts(problem: EstimationProblem, starts: Sequence[StartValues]) -> list[_Start]:
+    """The starts from which the model can be simulated, most promising first."""
+    points = (point for start in starts if (point := _predict_cost(problem, start)) is not None)
+    return sorted(points, key=lambda point: point[0])
+
+
+def _predict_cost(problem: EstimationProblem, start: StartValues) -> _Start | None:
     """Cost that one step predicts from one start, and the variables there; None if the model cannot be simulated."""
     variables = with_start_values(problem.variables, start)
     e = problem.shooting(variables).evaluate(variables.here)
