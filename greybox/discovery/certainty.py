@@ -106,10 +106,11 @@ def _own_form(measures: Mapping[str, float], policy: CertaintyPolicy) -> float:
     """What a curve beside the effect takes more of the records it was fitted to, over what the effect takes, in rms.
 
     A few heights take up to `CertaintyPolicy.chance_gain` by chance. The validation records may leave the range in which the curve was
-    fitted: one that is better within is another form even if it is no better there. 0 where it does worse there, beyond chance.
+    fitted: one that is better within is another form even if it is no better there. 0 where it does worse there: what it takes is
+    not seen again.
     """
     gain = measures.get("curve_gain", 0.0)
-    if gain < policy.chance_gain or measures["curve_t"] > policy.least_rival * policy.most_deviations:
+    if gain < policy.chance_gain or measures["curve_t"] > policy.least_worse:
         return 0.0
     gained = 1 - math.exp(-2 * gain)
     return _clip(math.sqrt(gained / max(measures["loss"], TINY)), 0, 1)

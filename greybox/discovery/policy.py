@@ -385,6 +385,8 @@ class CertaintyPolicy:
     chance_gain: float = 0.02
     """By how much such a curve may lower the logarithm of the rms error of those records by chance: beside the right form it is half a
     percent."""
+    least_worse: float = 1.0
+    """Standard errors from which such a curve does worse on the validation records than the effect alone."""
     least_free: float = 0.2
     """Root of the relative difference by which a free curve in the effect's place must cost more, wherever it is and whatever it is over:
     4 %. Where one does as well, the place or the name is open."""
