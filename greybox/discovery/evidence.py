@@ -15,6 +15,7 @@ from functools import partial
 
 import numpy as np
 
+from greybox.discovery.block_errors import BlockErrors, compare_errors, mean_error
 from greybox.discovery.candidates import family_of
 from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
 from greybox.discovery.dependence import TIME, rank_dependences
@@ -43,9 +44,6 @@ from greybox.noise import fit_autoregression, join_series
 from greybox.numerics import TINY
 from greybox.result import Fit
 from greybox.values import Printable, ReadOnly
-
-# Mean square errors (B,) of a model by output, in blocks of the validation records.
-BlockErrors = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -209,13 +207,13 @@ def _weigh_effect(
     rival_errors = [inputs.scores.square_errors(rival, limits.blocks) for rival in rivals]
     square_errors = partial(inputs.scores.square_errors, blocks=limits.blocks, adapted=True)
     form = square_errors(inputs.selected)
-    behind = [_compare(form, square_errors(rival)) for rival in rivals]
-    loss, loss_t = _compare(form, square_errors(rest) if rest is not None else {})
+    behind = [compare_errors(form, square_errors(rival)) for rival in rivals]
+    loss, loss_t = compare_errors(form, square_errors(rest) if rest is not None else {})
     alike = [k for k in range(len(rivals)) if abs(behind[k][0]) < limits.same_error * min(loss, 1.0)]
     others = [k for k in range(len(rivals)) if k not in alike]
     nearest = min(others, key=lambda k: behind[k][0], default=None)
     rival_loss, rival_t = (loss, loss_t) if nearest is None else behind[nearest]
-    curve_loss, curve_t = (np.nan, np.nan) if corrected is None else _compare(form, square_errors(corrected))
+    curve_loss, curve_t = (np.nan, np.nan) if corrected is None else compare_errors(form, square_errors(corrected))
     curve_gain = 0.0
     if corrected is not None:
         curve_gain = 0.5 * math.log(max(inputs.selected.cost, TINY) / max(corrected.cost, TINY))
@@ -223,10 +221,10 @@ def _weigh_effect(
     if nearest is not None:
         rival_parameters = _count_parameters(rivals[nearest]) - _count_parameters(inputs.selected)
     static = _refit_static_curve(inputs, effect, rest)
-    static_loss, static_t = (np.nan, np.nan) if static is None else _compare(form, square_errors(static))
+    static_loss, static_t = (np.nan, np.nan) if static is None else compare_errors(form, square_errors(static))
     is_static = static_loss < limits.same_error * min(loss, 1.0)
     change = _measure_change(inputs.selected, effect, halves)
-    output = max(errors, key=lambda o: _mean(without.get(o)) / max(_mean(errors[o]), TINY))
+    output = max(errors, key=lambda o: mean_error(without.get(o)) / max(mean_error(errors[o]), TINY))
     share, interval = _share_of_error(errors[output], without.get(output), limits)
     measures = {
         "share": share,
@@ -261,12 +259,12 @@ def _weigh_effect(
         grade,
         output,
         unit,
-        float(np.sqrt(_mean(without.get(output)))),
-        float(np.sqrt(_mean(errors[output]))),
+        float(np.sqrt(mean_error(without.get(output)))),
+        float(np.sqrt(mean_error(errors[output]))),
         share,
         interval,
         "" if nearest is None else _other(rivals[nearest], inputs.selected),
-        np.nan if nearest is None else float(np.sqrt(_mean(rival_errors[nearest].get(output)))),
+        np.nan if nearest is None else float(np.sqrt(mean_error(rival_errors[nearest].get(output)))),
         (*(_other(rivals[k], inputs.selected) for k in alike), *((CURVE,) if is_curve else ())),
         change,
         survives_start,
@@ -302,7 +300,8 @@ def _compare_with_free_curves(inputs: EvidenceInputs, name: str, form: BlockErro
             curve.candidate.criterion < inputs.selected.criterion
             and inputs.selected.cost - curve.candidate.cost > other_form
         )
-        if _compare(form, inputs.scores.square_errors(curve.candidate, inputs.limits.blocks, adapted=True))[1] < chance
+        if compare_errors(form, inputs.scores.square_errors(curve.candidate, inputs.limits.blocks, adapted=True))[1]
+        < chance
     ]
     return min(losses, default=np.nan)
 
@@ -479,29 +478,6 @@ def _ends_in_the_same_place(inputs: EvidenceInputs) -> bool:
 # Comparisons
 
 
-def _compare(errors: BlockErrors, others: BlockErrors) -> tuple[float, float]:
-    """How much larger the mean square errors of another model are, and how many standard errors of the blocks that is.
-
-    Each output counts relative to the error that the first model leaves in it. The standard errors are those of the logarithm, so that
-    blocks of large motion do not hide the others, or those of the errors themselves where these tell more: an effect that acts in a
-    few blocks only (a stop, an overflow). Infinitely larger for a model that cannot be run.
-    """
-    shared = [o for o in errors if o in others and len(others[o]) == len(errors[o])]
-    if not shared or not all(np.isfinite(others[o]).all() for o in shared):
-        return 1 / TINY, np.inf
-    blocks = min(len(errors[o]) for o in shared)
-    loss = float(np.mean([_mean(others[o]) / max(_mean(errors[o]), TINY) for o in shared])) - 1
-    relative = [[each[o][:blocks] / max(_mean(errors[o]), TINY) for o in shared] for each in (errors, others)]
-    first, second = (np.maximum(np.mean(each, axis=0), TINY) for each in relative)
-    return loss, max((_standard_errors(each) for each in (np.log(second / first), second - first)), key=abs)
-
-
-def _standard_errors(values: np.ndarray) -> float:
-    """The mean of ``values`` (B,) in standard errors."""
-    spread = float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.inf
-    return float(values.mean()) / max(spread, TINY)
-
-
 def _share_of_error(
     errors: np.ndarray, without: np.ndarray | None, limits: EvidencePolicy
 ) -> tuple[float, tuple[float, float]]:
@@ -512,7 +488,7 @@ def _share_of_error(
     shares = 1 - np.sqrt(errors[draws].mean(axis=1) / np.maximum(without[draws].mean(axis=1), TINY))
     tail = (1 - limits.confidence) / 2
     low, high = np.quantile(shares, (tail, 1 - tail))
-    return 1 - float(np.sqrt(_mean(errors) / max(_mean(without), TINY))), (float(low), float(high))
+    return 1 - float(np.sqrt(mean_error(errors) / max(mean_error(without), TINY))), (float(low), float(high))
 
 
 def _helps_on_every_record(inputs: EvidenceInputs, rest: CandidateFit | None, output: str) -> bool:
@@ -610,7 +586,3 @@ def _count_parameters(candidate: CandidateFit) -> float:
 
 def _other(rival: CandidateFit, selected: CandidateFit) -> str:
     return next((name for name in rival.effects if name not in selected.effects), "")
-
-
-def _mean(values: np.ndarray | None) -> float:
-    return np.nan if values is None else float(np.mean(values))

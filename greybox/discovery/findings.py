@@ -27,6 +27,7 @@ class DiscoveryRule(StrEnum):
     HOLDOUT_NOISE = "holdout_noise"
     ESTIMATION_DECREASE = "estimation_decrease"
     VALIDATION_DECREASE = "validation_decrease"
+    CONSISTENT_DECREASE = "consistent_decrease"
     REFINED_ERROR = "refined_error"
     ESTABLISHED = "established"
     LAW_CURVE = "law_curve"

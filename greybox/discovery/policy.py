@@ -133,11 +133,14 @@ class RefinementPolicy:
 
     estimation_share: float = 0.02
     """Share of the remaining rms misfit that the effect must remove on the estimation records."""
-    validation_share: float = 0.1
-    """The same on the validation records: with less, both models explain the records equally well (`alike_share`), and what is added or
-    exchanged makes the other effects less certain for nothing."""
+    validation_share: float = 0.05
+    """The same on the validation records."""
+    least_deviations: float = 2.0
+    """Standard errors, over blocks of the validation records, of what an added effect removes there at least: what helps in a few blocks
+    and harms in others is chance, and makes the other effects less certain for nothing."""
     alike_share: float = 0.1
-    """Models whose misfits differ by less than this share explain a measured record equally well."""
+    """Models whose misfits differ by less than this share explain a measured record equally well: an effect that takes the place of
+    another must remove more than that."""
     most_steps: int = 5
     """Effects added or replaced at most."""
     most_effects: int = 4

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greybox.discovery.block_errors import compare_errors
 from greybox.discovery.candidates import list_candidates
 from greybox.discovery.decision import make_check
 from greybox.discovery.execution import RefitExecutor, RefitJournal
@@ -242,11 +243,17 @@ def _judge_extension(
     if not (gains and fits):
         return None
     after = scores.score(larger)
-    predicts = Check.at_most(
-        DiscoveryRule.VALIDATION_DECREASE, after, (1 - policy.refinement.validation_share) * misfit, name
-    )
+    is_exchange = len(larger.effects) == len(smaller.effects)
+    least = policy.refinement.alike_share if is_exchange else policy.refinement.validation_share
+    predicts = Check.at_most(DiscoveryRule.VALIDATION_DECREASE, after, (1 - least) * misfit, name)
     checks.append(predicts)
-    return _Extension(larger, name, after, share) if predicts else None
+    if not predicts:
+        return None
+    errors, before = (scores.square_errors(c, policy.evidence.blocks, adapted=True) for c in (larger, smaller))
+    deviations = compare_errors(errors, before)[1]
+    lasts = Check.at_least(DiscoveryRule.CONSISTENT_DECREASE, deviations, policy.refinement.least_deviations, name)
+    checks.append(lasts)
+    return _Extension(larger, name, after, share) if lasts else None
 
 
 def _criterion_gain(smaller: CandidateFit, larger: CandidateFit) -> float:

@@ -661,6 +661,9 @@ register(
         DiscoveryRule.HOLDOUT_NOISE: _check("validation error of the extended model over noise", "<="),
         DiscoveryRule.ESTIMATION_DECREASE: _check("share of the rms misfit removed", ">="),
         DiscoveryRule.VALIDATION_DECREASE: _check("validation misfit", "<="),
+        DiscoveryRule.CONSISTENT_DECREASE: _check(
+            "decrease over blocks of the validation records, in standard errors", ">="
+        ),
         DiscoveryRule.REFINED_ERROR: _check("validation misfit, against the model with corrected shapes,", "<="),
         DiscoveryRule.LAW_CURVE: _check(
             "share of the law's validation error that a free curve in its place takes away", "<="

@@ -8,10 +8,10 @@ import pytest
 
 from greybox.discovery import evidence
 from greybox.discovery.adaptation import AdaptedRun
+from greybox.discovery.block_errors import compare_errors
 from greybox.discovery.certainty import Grade
 from greybox.discovery.evidence import (
     EffectEvidence,
-    _compare,
     _measure_change,
     _represents,
     _share_of_error,
@@ -26,20 +26,20 @@ ERRORS = {"x": 1.0 + 0.1 * RNG.standard_normal(24) ** 2}
 
 
 def test_a_loss_is_relative_to_what_the_model_leaves():
-    loss, deviations = _compare(ERRORS, {"x": 4 * ERRORS["x"]})
+    loss, deviations = compare_errors(ERRORS, {"x": 4 * ERRORS["x"]})
     assert loss == pytest.approx(3.0)
     assert deviations > 1e6  # the same in every block
 
 
 def test_chance_differences_are_no_loss():
     others = {"x": ERRORS["x"] * np.exp(0.05 * RNG.standard_normal(24))}
-    loss, deviations = _compare(ERRORS, others)
+    loss, deviations = compare_errors(ERRORS, others)
     assert abs(loss) < 0.05 and abs(deviations) < 3
 
 
 def test_a_model_that_cannot_be_run_loses_without_limit():
-    assert _compare(ERRORS, {}) == (pytest.approx(1e300), np.inf)
-    assert _compare(ERRORS, {"x": np.full(24, np.inf)}) == (pytest.approx(1e300), np.inf)
+    assert compare_errors(ERRORS, {}) == (pytest.approx(1e300), np.inf)
+    assert compare_errors(ERRORS, {"x": np.full(24, np.inf)}) == (pytest.approx(1e300), np.inf)
 
 
 def test_the_share_of_the_error_has_an_interval_that_holds_it():

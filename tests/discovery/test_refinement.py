@@ -95,24 +95,42 @@ def test_a_model_that_fails_on_the_validation_records_is_replaced(hardening):
     assert kept(wrong, [wrong]) is wrong
 
 
+STEADY, SCATTERED = 0.5 + 0.01 * np.arange(10), np.array([0.3, 1.4] * 5)
+
+
 @pytest.mark.parametrize(
-    ("smaller", "larger", "after", "accepted", "rules"),
+    ("smaller", "larger", "after", "left", "accepted", "rules"),
     [
-        (9000.0, 4000.0, 0.5, True, [True, True, True]),
-        (9000.0, 8990.0, 0.5, False, [False, False]),  # the criterion does not pay for the constant
-        (9000.0, 8700.0, 0.5, False, [True, False]),  # 1.7 % of the rms misfit, two are needed
-        (9000.0, 4000.0, 0.91, False, [True, True, False]),  # 9 % on the validation records, ten are needed
-        (9000.0, 4000.0, 0.89, True, [True, True, True]),
+        (9000.0, 4000.0, 0.5, STEADY, True, [True, True, True, True]),
+        (9000.0, 8990.0, 0.5, STEADY, False, [False, False]),  # the criterion does not pay for the constant
+        (9000.0, 8700.0, 0.5, STEADY, False, [True, False]),  # 1.7 % of the rms misfit, two are needed
+        (9000.0, 4000.0, 0.96, STEADY, False, [True, True, False]),  # 4 % on the validation records, five are needed
+        (9000.0, 4000.0, 0.94, STEADY, True, [True, True, True, True]),
+        (9000.0, 4000.0, 0.5, SCATTERED, False, [True, True, True, False]),  # it harms half of the blocks
     ],
 )
-def test_a_further_effect_must_remove_a_share_on_both_records(smaller, larger, after, accepted, rules):
-    scores, checks = SimpleNamespace(score=lambda _: after), []
+def test_a_further_effect_must_remove_a_share_on_both_records(smaller, larger, after, left, accepted, rules):
+    of = {"": np.ones(10), "a": left}
+    scores = SimpleNamespace(
+        score=lambda _: after, square_errors=lambda fit, _, adapted: {"y": of["".join(fit.effects)]}
+    )
+    checks = []
     extension = refinement._judge_extension(
         scores, candidate(smaller), candidate(larger, "a"), 1.0, DiscoveryPolicy(), checks
     )
     assert (extension is not None) is accepted
     assert [check.passed for check in checks] == rules
     assert {check.subject for check in checks} == {"a"}
+
+
+@pytest.mark.parametrize(("after", "accepted"), [(0.93, False), (0.89, True)])
+def test_an_effect_in_the_place_of_another_must_do_more_than_as_well(after, accepted):
+    of = {"b": np.ones(10), "a": STEADY}
+    scores = SimpleNamespace(score=lambda _: after, square_errors=lambda fit, _, adapted: {"y": of[fit.effects[0]]})
+    other = candidate(4000.0, "a")
+    assert (
+        bool(refinement._judge_extension(scores, candidate(9000.0, "b"), other, 1.0, DiscoveryPolicy(), [])) is accepted
+    )
 
 
 @pytest.mark.parametrize(("of_parent", "chosen"), [(1.08, "coulomb_friction"), (1.2, "stribeck_friction")])

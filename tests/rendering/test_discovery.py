@@ -377,6 +377,7 @@ CHECKS = {
     Rule.HOLDOUT_NOISE: "backlash: validation error of the extended model over noise 18.2 <= 20: no",
     Rule.ESTIMATION_DECREASE: "backlash: share of the rms misfit removed 18.2 >= 20: no",
     Rule.VALIDATION_DECREASE: "backlash: validation misfit 18.2 <= 20: no",
+    Rule.CONSISTENT_DECREASE: "backlash: decrease over blocks of the validation records, in standard errors 18.2 >= 20: no",
     Rule.REFINED_ERROR: "backlash: validation misfit, against the model with corrected shapes, 18.2 <= 20: no",
     Rule.LAW_CURVE: "backlash: share of the law's validation error that a free curve in its place takes away 18.2 <= 20: no",
     Rule.ESTABLISHED: "backlash: established, with probability 18.2 >= 20: no",
