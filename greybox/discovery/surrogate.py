@@ -229,7 +229,9 @@ def fit_curve_surrogate(
     stable = [
         (d, fit)
         for d, fit in refits
-        if fit is not None and (_needs_segments(problem, problem.baseline) or not _needs_segments(problem, fit))
+        if fit is not None
+        and fit.cost < candidate.cost
+        and (_needs_segments(problem, problem.baseline) or not _needs_segments(problem, fit))
     ]
     if not stable:
         return None
@@ -323,8 +325,15 @@ def _to_curve_surrogate(
     policy: DiscoveryPolicy,
 ) -> Surrogate:
     """The surrogate of a refitted ``candidate``, validated, with its curve over the range of the ``signal``."""
-    # The refit is over: a curve of many heights would go on for long with what does not show.
-    brief = replace(problem.options, transcription="single", iterations=policy.surrogate.interval_iterations)
+    # The refit is over: a curve of many heights would go on for long with what does not show, and with ever smaller steps.
+    solver = problem.options.policy
+    limited = replace(solver.step_refinement, max_substeps=policy.budget.max_substeps)
+    brief = replace(
+        problem.options,
+        transcription="single",
+        iterations=policy.surrogate.interval_iterations,
+        policy=replace(solver, step_refinement=limited),
+    )
     fit = validate_candidate(replace(problem, options=brief), candidate, validation)
     holdout = compare_holdout_errors(base, fit)
     names = next(b.model_names for b in candidate.model.bound_effects if b.effect.name == CURVE)

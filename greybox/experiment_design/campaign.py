@@ -406,7 +406,7 @@ def design_next(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Expe
     missing or nothing seems to be; else to narrow intervals. Every explanation that is left keeps the limits.
     """
     policy = plan.policy
-    models: list[Model] = [plan.model if knowledge.best is None else knowledge.best.model]
+    models: list[Model] = [plan.model if knowledge.best is None else _away_from_bounds(plan, knowledge.best)]
     if knowledge.plain is not None:
         for names in knowledge.alternatives[: policy.rivals]:
             models.append(fit_rival(knowledge.plain, "+".join(names) or "none"))
@@ -427,6 +427,15 @@ def design_next(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Expe
         policy=plan.design_policy,
     )
     return answer(question)
+
+
+def _away_from_bounds(plan: CampaignPlan, best: Fit) -> Model:
+    """The fitted model; a constant that a missing effect drove to its bound is where the user has it.
+
+    At a bound it says nothing of the rig, and may make every prediction stiff (an inductance of next to nothing).
+    """
+    begun = plan.model.values
+    return best.model.start(**{n: begun[n] for n, e in best.parameters.items() if e.at_bound and n in begun})
 
 
 def _hidden_effects(plan: CampaignPlan) -> tuple[str, ...]:
