@@ -41,7 +41,7 @@ from greybox.values import Printable, ReadOnly
 
 @dataclass(frozen=True)
 class RefinementStep(Printable, ReadOnly):
-    """One further effect.
+    """One further effect, or one that is out again.
 
     Parameters
     ----------
@@ -53,6 +53,8 @@ class RefinementStep(Printable, ReadOnly):
         What does nearly as well in its place, with the share that it removes on the validation records.
     replaced
         The effect whose place it takes; empty for one that is added.
+    dropped
+        Whether it was taken out, because beside the effects that came after it it removes too little.
     """
 
     name: str
@@ -60,6 +62,7 @@ class RefinementStep(Printable, ReadOnly):
     validation_share: float
     alike: Mapping[str, float]
     replaced: str = ""
+    dropped: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +156,8 @@ def refine_candidate(
 ) -> RefinedCandidate:
     """Further effects for ``start``, one at a time, as long as they remove a share of what is left on the validation records.
 
-    Where none does, an effect may still be replaced by a better one: what was chosen first was chosen beside a larger misfit.
+    After each, an effect that no longer passes the test by which it would come in is out. Where none is to be added, an effect may still
+    be replaced by a better one: what was chosen first was chosen beside a larger misfit.
 
     Parameters
     ----------
@@ -178,7 +182,10 @@ def refine_candidate(
         )
     steps: list[RefinementStep] = []
     checks: list[Check] = []
-    while len(steps) < policy.refinement.most_steps and len(selected.effects) < policy.refinement.most_effects:
+    while (
+        sum(not s.dropped for s in steps) < policy.refinement.most_steps
+        and len(selected.effects) < policy.refinement.most_effects
+    ):
         replaced = ""
         extensions = [
             extension
@@ -213,6 +220,17 @@ def refine_candidate(
         if on_message:
             on_message(str(steps[-1]))
         selected, misfit = best.candidate, best.validation_misfit
+        for name in [n for n in selected.effects if n != best.name]:
+            rest = _refit_without(problem, selected, name)
+            if rest is None:
+                continue
+            without = scores.score(rest)
+            if _judge_extension(scores, rest, selected, without, policy, checks) is None:
+                removed = 1 - (selected.cost / rest.cost) ** 0.5
+                steps.append(RefinementStep(name, removed, 1 - misfit / without, {}, dropped=True))
+                if on_message:
+                    on_message(str(steps[-1]))
+                selected, misfit = rest, without
     return RefinedCandidate(selected, tuple(steps), tuple(checks))
 
 
@@ -307,14 +325,7 @@ def _replace_each(
     policy: DiscoveryPolicy,
 ) -> list[CandidateFit]:
     """``selected`` with one of its effects replaced by each of those whose predicted cost is lowest."""
-    model = selected.model.without(name)
-    values = {n: value for n, value in selected.model.values.items() if n in model.values}
-    rest = problem.failures.attempt(
-        SearchStage.REFINEMENT,
-        tuple(e.name for e in model.effects),
-        partial(problem.refit_best, model, [values], 1, like=selected),
-        None,
-    )
+    rest = _refit_without(problem, selected, name)
     if rest is None:
         return []
     others = [e for e in candidates if e.name != name]
@@ -324,6 +335,14 @@ def _replace_each(
         for fit in _extend_each(problem, rest, others, scales, replace(policy, refinement=limits))
         if set(fit.effects) != set(selected.effects)
     ]
+
+
+def _refit_without(problem: DiscoveryProblem, selected: CandidateFit, name: str) -> CandidateFit | None:
+    """``selected`` without one of its effects; None where that cannot be fitted."""
+    model = selected.model.without(name)
+    values = {n: value for n, value in selected.model.values.items() if n in model.values}
+    refit = partial(problem.refit_best, model, [values], 1, like=selected)
+    return problem.failures.attempt(SearchStage.REFINEMENT, tuple(e.name for e in model.effects), refit, None)
 
 
 def _without_shape_corrections(model: Model) -> Model:

@@ -313,6 +313,7 @@ def _refinement(refinement: Refinement | None) -> dict[str, Any] | None:
                 "held_out": s.validation_share,
                 "alike": s.alike,
                 "replaced": s.replaced,
+                "dropped": s.dropped,
             }
             for s in refinement.steps
         ],

@@ -206,6 +206,11 @@ def _effect_test(test: EffectTest) -> str:
 
 @renders("RefinementStep")
 def _refinement_step(step: RefinementStep) -> str:
+    if step.dropped:
+        return (
+            f"{step.name} is out again: beside the others it removes {100 * step.estimation_share:.0f} % of the misfit, and"
+            f" {100 * step.validation_share:.0f} % on the validation records, which may be chance"
+        )
     alike = ", ".join(f"{name} {100 * share:.0f} %" for name, share in step.alike.items())
     replaces = f", in the place of {step.replaced}," if step.replaced else ""
     return (

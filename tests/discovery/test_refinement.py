@@ -52,6 +52,18 @@ def test_refining_finds_the_small_effect_and_stops(hardening):
     assert (DiscoveryRule.VALIDATION_DECREASE, "quadratic_stiffness") in passed
 
 
+def test_an_effect_that_a_later_one_makes_needless_is_out_again(hardening):
+    large, (record, test), plain = hardening
+    useless = fit(large.model + effect("constant_load"), record, noise={"y": NOISE})
+    refined = refine(useless, test, plain=plain)
+    assert [(step.name, step.dropped) for step in refined.steps] == [
+        ("quadratic_stiffness", False),
+        ("constant_load", True),
+    ]
+    assert [e.name for e in refined.fit.model.effects] == ["cubic_stiffness", "quadratic_stiffness"]
+    assert refined.steps[1].validation_share < 0.05
+
+
 def test_what_is_left_is_searched_for_further_effects_without_being_asked(tmp_path, monkeypatch):
     truth = (silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")).start(K3=7e5, K2=-4e3)
     monkeypatch.chdir(tmp_path)
@@ -70,7 +82,7 @@ def test_what_is_left_is_searched_for_further_effects_without_being_asked(tmp_pa
     assert step["name"] == "quadratic_stiffness"
     assert step["fitted"] > 0.9
     assert answer["gap"]["y"]["after"] == answer["further"]["validation"]["y"]["rmse"]
-    assert set(step) == {"name", "fitted", "held_out", "alike", "replaced"}
+    assert set(step) == {"name", "fitted", "held_out", "alike", "replaced", "dropped"}
     assert answer["further"]["validation"]["y"]["rmse"] < 1.2 * NOISE
     # The extended model that was written has both.
     assert find_model("out/model.py").values["K2"] == pytest.approx(-4e3, rel=0.02)

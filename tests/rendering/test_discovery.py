@@ -473,6 +473,9 @@ def test_errors_and_steps_fit_on_a_line():
     assert str(swap) == (
         "backlash, in the place of constant_load, removes 21 % of the misfit, and 18 % on the validation records"
     )
+    assert str(RefinementStep("backlash", 0.03, 0.07, {}, dropped=True)) == (
+        "backlash is out again: beside the others it removes 3 % of the misfit, and 7 % on the validation records, which may be chance"
+    )
 
 
 @pytest.mark.parametrize(
