@@ -13,6 +13,7 @@ from greybox.cli.exit_codes import ExitCode
 from greybox.cli.exits import exit_with_error, print_note
 from greybox.cli.limits import parse_limits
 from greybox.cli.options import (
+    Cluster,
     Fixed,
     Json,
     Limits,
@@ -78,6 +79,7 @@ def campaign(
         bool, typer.Option("--at-rest", help="Records begin at the initial state of the model.")
     ] = False,
     workers: Workers = 0,
+    cluster: Cluster = "",
     output: Annotated[
         Path | None,
         typer.Option("--output", metavar="DIR", help="Folder of the campaign. [default: results/MODEL-campaign]"),
@@ -103,6 +105,7 @@ def campaign(
     from greybox.experiment_design.campaign import campaign_data
     from greybox.experiment_design.policy import CAMPAIGN_POLICY
     from greybox.experiment_design.problem import DesignProblem
+    from greybox.parallel import open_workers
     from greybox.rendering.cli import report_line
     from greybox.result import format_json, to_json_data
 
@@ -131,7 +134,10 @@ def campaign(
             write_report(value, path)
 
     try:
-        result = run_campaign(plan, folder, rig=rig, on_step=write_page, on_message=print_note, workers=workers)
+        with open_workers(workers, cluster) as executor:
+            result = run_campaign(
+                plan, folder, rig=rig, on_step=write_page, on_message=print_note, executor=executor, workers=workers
+            )
     except KeyboardInterrupt:
         exit_with_error(f"interrupted; what is finished is in {folder}, the same command goes on", ExitCode.INTERRUPTED)
     except DataError as error:

@@ -11,7 +11,7 @@ import typer
 
 from greybox.cli.export import load_fit_with_model
 from greybox.cli.inputs import print_record_notes
-from greybox.cli.options import Json, NoReport, Workers, check_writable
+from greybox.cli.options import Cluster, Json, NoReport, Workers, check_writable
 from greybox.cli.progress import show_search_progress
 from greybox.cli.reporting import write_report
 from greybox.errors import DataError, GreyboxError
@@ -67,6 +67,7 @@ def changed(
         typer.Option("--output", metavar="DIR", help="Folder for the results. [default: results/MODEL-changed]"),
     ] = None,
     workers: Workers = 0,
+    cluster: Cluster = "",
     no_report: NoReport = False,
     json: Json = False,
 ) -> None:
@@ -85,12 +86,15 @@ def changed(
         raise GreyboxError("--population and --chart exclude each other: several machines, or one over time; keep one")
     if validate and (population or chart):
         raise GreyboxError("--validate has no effect here: no effect is looked for; leave it out")
+    if (workers or cluster) and (population or chart or no_effects):
+        given = f"--cluster {cluster}" if cluster else f"--workers {workers}"
+        raise GreyboxError(f"{given} has no effect here: no effect is looked for; leave it out")
     result = (
         _survey(known, new, sampling_time)
         if population
         else _chart(known, new, sampling_time)
         if chart
-        else _detect(known, new, validate or [], skip, sampling_time, not no_effects, workers)
+        else _detect(known, new, validate or [], skip, sampling_time, not no_effects, workers, cluster)
     )
     _write(result, folder, json=json, page=not no_report)
 
@@ -103,19 +107,22 @@ def _detect(
     sampling_time: float | None,
     search_effects: bool,
     workers: int,
+    cluster: str,
 ) -> ChangeDetection:
     from greybox.change_detection import detect_changes
+    from greybox.parallel import open_workers
 
     records = read_like(known, list_record_files(new), sampling_time)
     validation = read_like(known, validate, sampling_time) if validate else ()
     print_record_notes(records, validation)
-    with show_search_progress() as (say, report):
+    with open_workers(workers, cluster) as executor, show_search_progress() as (say, report):
         return detect_changes(
             known,
             records,
             validation=validation,
             skip=skip,
             search_effects=search_effects,
+            executor=executor,
             workers=workers,
             on_message=say,
             on_refit=report,

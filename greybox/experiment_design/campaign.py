@@ -7,6 +7,7 @@ interrupted anywhere goes on with the same call.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -218,6 +219,7 @@ def run_campaign(
     rig: str = "",
     on_step: StepCallback | None = None,
     on_message: Callable[[str], None] | None = None,
+    executor: Executor | None = None,
     workers: int = 0,
 ) -> Campaign:
     """Carry a campaign on as far as it goes.
@@ -235,8 +237,8 @@ def run_campaign(
         Called with each design, fit and discovery, and where its page belongs.
     on_message
         Called with a line when something begins.
-    workers
-        Processes of a discovery.
+    executor, workers
+        Where the refits of a discovery run; without an executor in as many processes here.
 
     Returns
     -------
@@ -254,7 +256,7 @@ def run_campaign(
             raise DataError(
                 f"{place}: a campaign, or the rig that it started, is at work here; wait until it has ended, or give another folder"
             )
-        return _carry_on(plan, place, rig, held, on_step, on_message, workers)
+        return _carry_on(plan, place, rig, held, on_step, on_message, executor, workers)
 
 
 def _carry_on(
@@ -264,6 +266,7 @@ def _carry_on(
     held: BinaryIO,
     on_step: StepCallback | None,
     on_message: Callable[[str], None] | None,
+    executor: Executor | None,
     workers: int,
 ) -> Campaign:
     """`run_campaign` in a folder that nobody else works in: the rig holds the file ``held`` as well."""
@@ -271,7 +274,7 @@ def _carry_on(
     say, show = on_message or (lambda _: None), on_step or (lambda *_: None)
     steps: list[CampaignStep] = []
     records = list(plan.records)
-    knowledge = _learn(plan, records, place / "before", show, workers) if records else Knowledge()
+    knowledge = _learn(plan, records, place / "before", show, executor, workers) if records else Knowledge()
     for number in range(1, plan.policy.experiments + 1):
         if records and _is_done(plan, knowledge, steps):
             return _save(plan, place, CampaignStatus.DONE, steps, _ending(CampaignCode.ONE_LEFT, knowledge))
@@ -307,7 +310,7 @@ def _carry_on(
             steps[-1] = before[number]  # the next record is designed: what was learnt from this one is in it
             continue
         say(f"experiment {number}: fit and discovery on {len(records)} record{'s' * (len(records) != 1)}")
-        knowledge = _learn(plan, records, step_folder, show, workers)
+        knowledge = _learn(plan, records, step_folder, show, executor, workers)
         steps[-1] = replace(
             steps[-1],
             verdict=knowledge.verdict,
@@ -479,7 +482,12 @@ def _reached_share(values: np.ndarray, limit: SignalLimit, noise: float) -> floa
 
 
 def _learn(
-    plan: CampaignPlan, records: Sequence[Experiment], place: Path, show: StepCallback, workers: int
+    plan: CampaignPlan,
+    records: Sequence[Experiment],
+    place: Path,
+    show: StepCallback,
+    executor: Executor | None,
+    workers: int,
 ) -> Knowledge:
     """Fit and discovery on the records so far; the last one judges. Refits of a discovery that was interrupted are kept."""
     plain = fit(plan.model, records, noise=dict(plan.noise), options=plan.options)
@@ -500,6 +508,7 @@ def _learn(
         effects=[effect(name) for name in plan.effects] or None,
         options=plan.options,
         journal=place / "journal.jsonl",
+        executor=executor,
         workers=workers,
     )
     discovery.save(place / "discovery.json")

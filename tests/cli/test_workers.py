@@ -11,10 +11,14 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import greybox as gb
 from greybox.cli.app import app
+from models.silverbox import silverbox
+from tests.oracles.independent import linear_record, multisine
 
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, sys.path)])}
@@ -28,6 +32,16 @@ def record(tmp_path_factory) -> Path:
     done = CliRunner().invoke(app, [*words.split(), "--output", str(file), "--no-report"], prog_name="greybox")
     assert done.exit_code == 0
     return file
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory) -> Path:
+    """A saved fit, with its record.csv beside it."""
+    folder = tmp_path_factory.mktemp("reference")
+    period = 1.6384e-3
+    record = linear_record(silverbox, multisine(np.random.default_rng(1), 120, period, 5, 200, 0.1), period)
+    gb.simulation.write_csv(record, silverbox, folder / "record.csv")
+    return gb.fit(silverbox, record, noise={"y": 1e-4}).save(folder / "fit.json")
 
 
 @pytest.mark.parametrize("command", ["fit", "compare"])
@@ -59,6 +73,30 @@ def test_a_cluster_that_does_not_answer_is_bad_input(record, tmp_path, command, 
     done = CliRunner().invoke(app, words, prog_name="greybox")
     assert done.exit_code == 2
     assert "pip install" in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("command", ["campaign", "changed"])
+def test_searches_within_other_commands_go_to_the_cluster(command, reference, tmp_path, monkeypatch):
+    """It is opened for them: here it cannot be."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    words = {
+        "campaign": "campaign silverbox --limit u=-0.1:0.1 --noise y=1e-4 --duration 0.2 --sampling-time 1.6384e-3",
+        "changed": f"changed {reference} {reference.parent / 'record.csv'}",
+    }[command]
+    words += f" --cluster local --output {tmp_path / 'out'}"
+    done = CliRunner().invoke(app, words.split(), prog_name="greybox")
+    assert done.exit_code == 2
+    assert "pip install" in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("option", [("--workers", "2"), ("--cluster", "local")])
+@pytest.mark.parametrize("kind", ["--no-effects", "--chart"])
+def test_changes_without_a_search_share_nothing(kind, option, reference, tmp_path):
+    words = ["changed", str(reference), "record.csv", kind, "--output", str(tmp_path / "out"), *option]
+    done = CliRunner().invoke(app, words, prog_name="greybox")
+    assert done.exit_code == 2
+    assert f"{' '.join(option)} has no effect" in done.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def test_workers_give_the_fit_that_one_process_gives(record, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -23,7 +24,7 @@ pytestmark = [
     pytest.mark.timeout(3600),
     pytest.mark.skipif(sys.platform != "linux", reason="processes are counted in /proc"),
 ]
-START = "fit micro_actuator {record} --fix M --fix Ra --starts 12"
+START = "fit micro_actuator {record} --fix M --fix Ra --starts 40"
 SEARCH = "discover micro_actuator {record} --validate {record} --fix M --effects coulomb_friction,cubic_stiffness,stribeck_friction"
 COMMANDS = {
     "multi-start": f"{START} --workers 1 --no-report -q",
@@ -32,8 +33,23 @@ COMMANDS = {
     "search, 2 workers": f"{SEARCH} --workers 2 --no-report",
     "writing": "fit micro_actuator {record} --fix M --fix Ra",
 }
-MOMENTS = {"writing": (0.8, 1.0)}
-"""When a command is killed, as shares of its time; from the first third on if nothing stands here, when its modules are loaded."""
+EAGER = """
+from greybox.discovery.execution import RefitExecutor
+from greybox.cli import main
+RefitExecutor.parallel_seconds = property(lambda _: 0.0, lambda *_: None)
+main()
+"""
+"""The command, with processes for a search of any length: those of a trial would be done before processes pay."""
+MOMENTS = {
+    "multi-start": (0.5, 1.0),
+    "multi-start, 2 workers": (0.6, 1.0),
+    "search": (0.7, 1.0),
+    "search, 2 workers": (0.7, 1.0),
+    "writing": (0.8, 1.0),
+}
+"""When a command is killed, as shares of the CPU time that it takes, which other work on the machine does not change: when its modules and
+those of its workers are loaded."""
+LOOK_SECONDS = 0.02
 USUAL_TRIALS = 52
 END_SECONDS = 5.0
 MARK = "GREYBOX_TRIAL"
@@ -42,7 +58,8 @@ MARK = "GREYBOX_TRIAL"
 def start(command: str, data: Path, folder: Path, trial: str) -> subprocess.Popen:
     words = [*COMMANDS[command].format(record=data).split(), "--output", str(folder)]
     environment = ENVIRONMENT | {MARK: trial}
-    return subprocess.Popen([*COMMAND, *words], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    program = [sys.executable, "-c", EAGER] if command.startswith("search") else COMMAND
+    return subprocess.Popen([*program, *words], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
 def living(trial: str) -> list[int]:
@@ -57,6 +74,28 @@ def living(trial: str) -> list[int]:
         if inside and state != "Z":
             pids.append(int(folder.name))
     return pids
+
+
+def measure_cpu_seconds(trial: str) -> float:
+    """CPU time of the living processes of a trial, and of their children that have ended."""
+    ticks = 0
+    for pid in living(trial):
+        try:
+            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:  # it has ended meanwhile
+            continue
+        ticks += sum(map(int, fields[11:15]))
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
+def kill_after(seconds: float, process: subprocess.Popen, trial: str) -> bool:
+    """Kill a command when it has worked for as many CPU seconds; whether it was still at work."""
+    while process.poll() is None and measure_cpu_seconds(trial) < seconds:
+        time.sleep(LOOK_SECONDS)
+    at_work = process.poll() is None
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    return at_work
 
 
 def read_answer(folder: Path) -> dict[str, Any]:
@@ -78,12 +117,15 @@ def read_keys(folder: Path) -> set[str]:
 
 
 def run_whole(command: str, data: Path, folder: Path) -> tuple[float, dict[str, Any]]:
-    """Seconds and answer of a command that nobody disturbs."""
-    began = time.monotonic()
+    """CPU seconds and answer of a command that nobody disturbs."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     process = start(command, data, folder, "whole")
     process.communicate()
     assert process.returncode in (0, 1)
-    return time.monotonic() - began, read_answer(folder)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+    print(f"{command}: {seconds:.1f} CPU s", flush=True)
+    return seconds, read_answer(folder)
 
 
 def find_processes_left(trial: str, command: str) -> list[str]:
@@ -119,10 +161,7 @@ def test_killed_commands_go_on(record, tmp_path):  # noqa: F811
         seconds, answer = whole[command]
         folder, trial = tmp_path / str(number), uuid.uuid4().hex
         process = start(command, record, folder, trial)
-        time.sleep(generator.uniform(*MOMENTS.get(command, (0.35, 1.0))) * seconds)
-        at_work += process.poll() is None
-        process.send_signal(signal.SIGKILL)
-        process.communicate()
+        at_work += kill_after(generator.uniform(*MOMENTS[command]) * seconds, process, trial)
         faults += find_processes_left(trial, command)
         before = read_keys(folder)
         for file in folder.glob("*.json"):
@@ -132,6 +171,7 @@ def test_killed_commands_go_on(record, tmp_path):  # noqa: F811
         ]
         faults += go_on(command, record, folder, before, answer)
         kept += len(before)
+        print(f"{number} {command}: {len(before)} finished when it was killed, faults {faults}", flush=True)
         note_row(
             "kill -9 at random points of search, multi-start and write, with and without workers, then the same command",
             number + 1,
