@@ -201,6 +201,12 @@ long record is in memory a few times only."""
 NUMBERS_AT_A_TIME = 4_000_000
 """Numbers that one Fourier transform of several columns, or one call of the interpreted kernel, may hold: a limit of memory alone."""
 
+SIEVE_ROWS = 500
+"""Rows of a long record by whose values the lags are sieved that may be its period: most lags are gone after a few of them."""
+
+FEWEST_SIEVED = 50
+"""Lags that are few enough to be compared row by row."""
+
 ALGEBRAIC_NEWTON_STEPS = 10
 """Newton steps to a state whose balance stores nothing: from a start value of the right size the error squares with each."""
 

@@ -37,6 +37,11 @@ def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
                 exit_with_error(f"{error}; the same command goes on from them", ExitCode.UNSUCCESSFUL)
             except GreyboxError as error:
                 exit_with_error(str(error), ExitCode.BAD_INPUT)
+            except MemoryError:
+                exit_with_error(
+                    "not enough memory for this; give shorter or fewer records, fewer --workers, or a machine with more",
+                    ExitCode.UNSUCCESSFUL,
+                )
             except BrokenPipeError:  # the reader of the pipe has closed it: nobody is left to read a message
                 raise
             except OSError as error:

@@ -14,6 +14,7 @@ from greybox.estimation.policy import ConstancyPolicy, EstimationPolicy
 from greybox.estimation.sandwich import ResidualColour, sum_scores
 from greybox.linear_algebra import decompose_symmetric
 from greybox.noise import AutoRegression, NoiseModel
+from greybox.numerics import ROWS_AT_A_TIME
 from greybox.transcription import DecisionVector
 from greybox.transcription.decision_vector import SHARED
 from greybox.transcription.solution import Runs
@@ -110,12 +111,20 @@ def find_parameter_shifts(tested: ConstancyInput, rows: Runs, policy: ConstancyP
 
 def compute_running_mean(values: np.ndarray, width: int) -> np.ndarray:
     """Mean (N,) of ``width`` samples around each of ``values`` (N,), which go on beyond their ends as they end."""
-    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
-    sums = np.zeros(len(padded) + 1)
-    np.cumsum(padded, out=sums[1:])
-    del padded  # a long record is in memory a few times only
-    mean = sums[width:] - sums[:-width]
-    mean /= width
+    before, count = width // 2, len(values)
+    sums = np.empty(count + width)
+    sums[: before + 1], sums[before + 1 : before + 1 + count], sums[before + 1 + count :] = (
+        values[0],
+        values,
+        values[-1],
+    )
+    sums[0] = 0.0
+    del values  # a long record is in memory a few times only
+    np.cumsum(sums[1:], out=sums[1:])
+    mean = sums[:count]
+    for first in range(0, count, ROWS_AT_A_TIME):  # in its place: what a block needs lies in it or behind it
+        last = min(first + ROWS_AT_A_TIME, count)
+        mean[first:last] = (sums[first + width : last + width] - mean[first:last]) / width
     return mean
 
 
@@ -150,7 +159,8 @@ def _split_by_motion(tested: ConstancyInput, policy: ConstancyPolicy) -> list[Da
     size = {}
     for e, y in enumerate(outputs):
         width = int(min(max(len(y) / policy.motion_windows, policy.correlation_times * time), len(y)))
-        squares = compute_running_mean(np.square((y - mean)[:, moving] / spread[moving]).mean(axis=1), max(width, 1))
+        used = y if moving.all() else y[:, moving]
+        squares = compute_running_mean(_square_motion(used, mean[moving], spread[moving]), max(width, 1))
         size[e] = np.sqrt(squares, out=squares)
     ordered = np.concatenate(list(size.values()))
     ordered.sort()
@@ -163,6 +173,15 @@ def _split_by_motion(tested: ConstancyInput, policy: ConstancyPolicy) -> list[Da
         DataPart(PartKind.SMALL_MOTION, records, parts),
         DataPart(PartKind.LARGE_MOTION, records, {e: ~mask for e, mask in parts.items()}),
     ]
+
+
+def _square_motion(y: np.ndarray, mean: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Mean square (N,) over the outputs ``y`` (N, n) of their distance from the ``mean`` in units of ``spread``."""
+    squares = np.empty(len(y))
+    for first in range(0, len(y), ROWS_AT_A_TIME):
+        block = slice(first, first + ROWS_AT_A_TIME)
+        squares[block] = np.square((y[block] - mean) / spread).mean(axis=1)
+    return squares
 
 
 def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel, policy: EstimationPolicy) -> ResidualColour:

@@ -8,9 +8,9 @@ on strongly correlated noise, however its bandwidth is chosen.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
@@ -18,7 +18,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from greybox.estimation.policy import DEFAULT_POLICY, IntervalPolicy
 from greybox.noise import AutoRegression, NoisePolicy, fit_autoregression, join_series
-from greybox.numerics import NUMBERS_AT_A_TIME
+from greybox.numerics import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class ResidualColour:
         """For each output the sums of its autocorrelation, and of its square, over positive and negative lags."""
         result = []
         for model, count in zip(self.models, self.counts, strict=True):
-            rho = model.autocorrelation(max(count, 1))
+            rho = _compute_correlations(model, max(count, 1))
             result.append((float(2 * np.abs(rho).sum() - 1), float(2 * (rho @ rho) - 1)))
         return result
 
@@ -122,17 +122,18 @@ def sum_scores(
     """
     score, (information, white, coloured) = np.zeros(variables.size), np.zeros((3, variables.size, variables.size))
     for e, (r, jacobian) in zip(experiments or range(len(rows)), rows, strict=True):
-        measured = np.isfinite(r)
-        slopes = jacobian if measured.all() else np.where(measured[:, :, None], jacobian, 0.0)
         block = np.ix_(variables.columns(e), variables.columns(e))
         for j, process in enumerate(colour.models):
-            columns = np.ascontiguousarray(slopes[:, j])
-            score[block[1][0]] += np.where(measured[:, j], r[:, j], 0.0) @ columns
-            squares = columns.T @ columns
+            squares = np.zeros_like(information[block])
+            for part in _split_rows(len(r)):
+                columns = _take_slopes(r, jacobian, j, part)
+                score[block[1][0]] += np.where(np.isfinite(r[part, j]), r[part, j], 0.0) @ columns
+                squares += columns.T @ columns
             information[block] += squares
             white[block] += colour.variance[j] * squares
             if process.order:
-                squares = compute_toeplitz_form(columns, process.autocorrelation(len(r)))
+                take = partial(_take_slopes, r, jacobian, j)
+                squares = _compute_form(take, len(r), _compute_correlations(process, len(r)))
             coloured[block] += colour.variance[j] * squares
     return ScoreSums(score, information, white, coloured)
 
@@ -151,23 +152,55 @@ def estimate_kernel_score_covariance(
     total = np.zeros((len(projector), len(projector)))
     reach = max((time for time, _ in colour.times), default=1.0) * policy.correlation_times
     for e, (r, jacobian) in enumerate(rows):
-        measured = np.isfinite(r)
-        slopes, residual = np.where(measured[:, :, None], jacobian, 0.0), np.where(measured, r, 0.0)
-        scores = np.einsum("tjk,tj->tk", slopes, residual) @ projector[:, variables.columns(e)].T
+        scores, lanes = np.empty((len(r), len(projector))), projector[:, variables.columns(e)].T
+        for part in _split_rows(len(r)):
+            measured = np.isfinite(r[part])
+            slopes, residual = np.where(measured[:, :, None], jacobian[part], 0.0), np.where(measured, r[part], 0.0)
+            scores[part] = np.einsum("tjk,tj->tk", slopes, residual) @ lanes
         lags = int(min(max(reach, 1.0), max(policy.record_share * len(r), 1.0)))
-        total += compute_toeplitz_form(scores, np.append(1 - np.arange(lags) / lags, np.zeros(len(r) - lags)))
+        total += compute_toeplitz_form(scores, 1 - np.arange(lags) / lags)
     return total
 
 
+def _split_rows(count: int) -> Iterator[slice]:
+    """Rows of a record that are looked at together: a long record is in memory a few times only."""
+    return (slice(first, min(first + ROWS_AT_A_TIME, count)) for first in range(0, count, ROWS_AT_A_TIME))
+
+
+def _take_slopes(r: np.ndarray, jacobian: np.ndarray, output: int, rows: slice) -> np.ndarray:
+    """Slopes (n, L) of one output in some rows, zero where it was not measured."""
+    columns, measured = np.ascontiguousarray(jacobian[rows, output]), np.isfinite(r[rows, output])
+    return columns if measured.all() else np.where(measured[:, None], columns, 0.0)
+
+
+def _compute_correlations(process: AutoRegression, count: int) -> np.ndarray:
+    """Autocorrelation over ``count`` rows; of a long record no further than it reaches, which is seldom far."""
+    if _is_long(count):
+        rho = process.autocorrelation(ROWS_AT_A_TIME)
+        if (reach := _find_reach(rho)) < ROWS_AT_A_TIME // 2:
+            return rho[: reach + 1]
+    return process.autocorrelation(count)
+
+
+def _is_long(count: int) -> bool:
+    """Whether a Fourier transform of so many rows takes too much memory."""
+    return 2 * count - 1 > NUMBERS_AT_A_TIME
+
+
 def compute_toeplitz_form(columns: np.ndarray, rho: np.ndarray) -> np.ndarray:
-    """``X' T X`` (L, L) of ``columns`` X (N, L) with the symmetric Toeplitz matrix T whose first column is ``rho`` (N,)."""
+    """``X' T X`` (L, L) of ``columns`` X (N, L) with the symmetric Toeplitz matrix T whose first column is ``rho`` (up to N), then zero."""
+    return _compute_form(columns.__getitem__, len(columns), rho)
+
+
+def _compute_form(take: Callable[[slice], np.ndarray], n: int, rho: np.ndarray) -> np.ndarray:
+    """The same of ``n`` rows of columns, of which ``take`` gives some."""
+    if _is_long(n):
+        return _compute_long_form(take, n, rho)
+    columns = take(slice(0, n))
     if not rho[1:].any():
         return columns.T @ columns
-    n = len(columns)
-    if 2 * n - 1 > NUMBERS_AT_A_TIME:
-        return _compute_long_toeplitz_form(columns, rho)
     size = next_fast_len(2 * n - 1, real=True)
-    circle = np.concatenate([rho, np.zeros(size - 2 * n + 1), rho[:0:-1]])
+    circle = np.concatenate([rho, np.zeros(size - 2 * len(rho) + 1), rho[:0:-1]])
     spectrum = rfft(circle)
     filtered = np.empty_like(columns)
     step = max(1, NUMBERS_AT_A_TIME // size)
@@ -179,22 +212,34 @@ def compute_toeplitz_form(columns: np.ndarray, rho: np.ndarray) -> np.ndarray:
     return (form + form.T) / 2
 
 
-def _compute_long_toeplitz_form(columns: np.ndarray, rho: np.ndarray) -> np.ndarray:
+def _compute_long_form(take: Callable[[slice], np.ndarray], n: int, rho: np.ndarray) -> np.ndarray:
     """The same a block of rows at a time, each with the rows around it that ``rho`` reaches: FFTs of a bounded size.
 
     Correlations that are below the last digit of the first one, and stay there, are taken for zero.
     """
-    reach = int(np.flatnonzero(np.abs(rho) > np.finfo(float).eps * abs(rho[0]))[-1])
+    reach = _find_reach(rho)
     step = max(NUMBERS_AT_A_TIME // 4, reach)
     size = next_fast_len(step + 2 * reach, real=True)
     kernel = np.zeros(size)
     kernel[: reach + 1] = rho[: reach + 1]
     kernel[size - reach :] = rho[reach:0:-1]
     spectrum = rfft(kernel)
-    form = np.zeros((columns.shape[1], columns.shape[1]))
-    for first in range(0, len(columns), step):
-        last, before, after = min(first + step, len(columns)), max(first - reach, 0), first + step + reach
-        for k in range(columns.shape[1]):
-            filtered = irfft(rfft(columns[before:after, k], size) * spectrum, size)
-            form[:, k] += filtered[first - before : last - before] @ columns[first:last]
+    form = np.zeros((take(slice(0, 0)).shape[1],) * 2)
+    for first in range(0, n, step):
+        last, before, after = min(first + step, n), max(first - reach, 0), min(first + step + reach, n)
+        columns = take(slice(before, after))
+        within = columns[first - before : last - before]
+        for k in range(len(form)):
+            filtered = irfft(rfft(columns[:, k], size) * spectrum, size)
+            form[:, k] += filtered[first - before : last - before] @ within
     return (form + form.T) / 2
+
+
+def _find_reach(rho: np.ndarray) -> int:
+    """The last lag at which ``rho`` is more than the last digit of its first value."""
+    least = np.finfo(float).eps * abs(rho[0])
+    for first in reversed(range(0, len(rho), ROWS_AT_A_TIME)):
+        beyond = np.flatnonzero(np.abs(rho[first : first + ROWS_AT_A_TIME]) > least)
+        if len(beyond):
+            return first + int(beyond[-1])
+    return 0

@@ -9,7 +9,7 @@ import numpy as np
 from greybox.experiment import Experiment
 from greybox.experiment.experiment import stack_signals
 from greybox.noise.policy import NOISE_POLICY, NoisePolicy
-from greybox.numerics import PERIOD_CLOSURE, ROWS_AT_A_TIME
+from greybox.numerics import FEWEST_SIEVED, NUMBERS_AT_A_TIME, PERIOD_CLOSURE, ROWS_AT_A_TIME, SIEVE_ROWS
 
 
 def find_period(inputs: np.ndarray, policy: NoisePolicy = NOISE_POLICY) -> int | None:
@@ -19,6 +19,8 @@ def find_period(inputs: np.ndarray, policy: NoisePolicy = NOISE_POLICY) -> int |
     moving = inputs[:, span > 0] / span[span > 0]
     if not moving.size:
         return None
+    if 2 * rows > NUMBERS_AT_A_TIME:
+        return _find_long_period(moving, policy)
     # sum over t of (u[t + lag] - u[t])^2 for all lags at once
     product = np.zeros(max(0, rows // 2 + 1 - policy.min_period_rows))
     for column in moving.T:  # one after another, and nothing kept of them: a long record is in memory a few times only
@@ -30,6 +32,45 @@ def find_period(inputs: np.ndarray, policy: NoisePolicy = NOISE_POLICY) -> int |
         if np.abs(moving[lag:] - moving[:-lag]).max() <= policy.same_input:
             return int(lag)
     return None
+
+
+def _find_long_period(moving: np.ndarray, policy: NoisePolicy) -> int | None:
+    """The same without a Fourier transform of the whole record, which would take ten times its memory.
+
+    A period repeats each value, first of all those at the largest steps: the lags are sieved by these rows, then by rows all over the
+    record, and what is left is compared whole, from the shortest lag on.
+    """
+    rows, reach = len(moving), len(moving) // 2
+    lags = np.arange(policy.min_period_rows, reach + 1, dtype=np.int32)
+    for row in _choose_rows(moving[: rows - reach]):
+        if len(lags) <= FEWEST_SIEVED:
+            break
+        left = np.ones(len(lags), bool)
+        for column in moving.T:
+            left &= np.abs(column[lags + row] - column[row]) <= policy.same_input
+        lags = lags[left]
+    return next((int(lag) for lag in lags if _repeats_after(moving, int(lag), policy)), None)
+
+
+def _choose_rows(moving: np.ndarray) -> list[int]:
+    """Rows by which lags are sieved: both sides of the largest steps of any column, and rows all over the record."""
+    steps = np.zeros(max(len(moving) - 1, 0))
+    for column in moving.T:
+        np.maximum(steps, np.abs(np.diff(column)), out=steps)
+    count = min(SIEVE_ROWS, len(steps))
+    largest = np.argpartition(steps, -count)[-count:] if count else np.zeros(0, int)
+    evenly = np.linspace(0, len(moving) - 1, SIEVE_ROWS).astype(int)
+    return list(dict.fromkeys([*np.stack([largest, largest + 1], axis=1).ravel().tolist(), *evenly.tolist()]))
+
+
+def _repeats_after(moving: np.ndarray, lag: int, policy: NoisePolicy) -> bool:
+    """Whether every row of ``moving`` (N, n) is that of ``lag`` rows before."""
+    starts = range(lag, len(moving), ROWS_AT_A_TIME)
+    return all(
+        np.abs(moving[k : k + ROWS_AT_A_TIME] - moving[k - lag : k - lag + len(moving[k : k + ROWS_AT_A_TIME])]).max()
+        <= policy.same_input
+        for k in starts
+    )
 
 
 def _correlate_with_itself(values: np.ndarray) -> np.ndarray:

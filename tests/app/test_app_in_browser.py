@@ -10,10 +10,13 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.support.browser import collect_faults
+from tests.support.hostile import ELEMENTS, MARKUP, RARER_MARKUP
+from tests.support.reliability import note_row
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no browser to look with")
 pytest.importorskip("tornado", reason="the app's server is not installed")
@@ -217,3 +220,71 @@ def test_it_fits_a_phone_and_follows_dark_and_light(browser, served) -> None:
     one.click("#theme")
     assert one.evaluate(paper) == "rgb(255, 255, 255)" != dark
     one.close()
+
+
+def poison_answer(value: Any, text: str) -> Any:
+    """An answer of the server with ``text`` in the place of each of its texts; a figure's own are escaped before they are sent."""
+    if isinstance(value, dict):
+        return {
+            key: inner if key in ("data", "views", "signals") else poison_answer(inner, text)
+            for key, inner in value.items()
+        }
+    if isinstance(value, list):
+        return [poison_answer(inner, text) for inner in value]
+    return text if isinstance(value, str) else value
+
+
+def show_poisoned(browser, address: str, text: str) -> tuple[int, list[str]]:
+    """How many texts were exchanged in a page that has ``text`` for every text of a session, and what is wrong with it."""
+    one = browser.new_page()
+    one.set_default_timeout(PATIENCE)
+    faults, shown = collect_faults(one, (address,)), 0
+
+    def exchange(route) -> None:
+        nonlocal shown
+        answer = route.fetch()
+        content = poison_answer(answer.json(), text)
+        shown += json.dumps(content).count(json.dumps(text))
+        route.fulfill(response=answer, json=content)
+
+    one.route(re.compile(r"/(state|do/[a-z]+)$"), exchange)
+    one.goto(address)
+    until(one, "window.greyboxReady === true")
+    one.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+    for place in ("#description", "#equations", "#where", "#records small", "#misfit tbody th", ".constant .what b"):
+        if text not in one.locator(place).first.text_content():
+            faults.append(f"{place} does not show the text")
+    if one.evaluate("window.hurt") is not None or one.locator(ELEMENTS).count():
+        faults.append("the text became markup")
+    one.close()
+    return shown, faults
+
+
+@pytest.mark.parametrize("text", MARKUP[:3])
+def test_no_text_of_a_session_becomes_markup(browser, served, rig: Path, page, text: str) -> None:
+    if not page.locator("#records li").count():
+        load(page, "#load", rig / "train.csv", 1)
+    shown, faults = show_poisoned(browser, served[0], text)
+    assert shown > 100 and not faults
+
+
+def test_a_refused_file_is_named_as_text(page, tmp_path: Path) -> None:
+    file = tmp_path / '<img src=x onerror="window.hurt=1">.csv'
+    file.write_text("time,pressure\n0,1\n", encoding="utf-8")
+    page.set_input_files("#load", str(file))
+    page.wait_for_selector("#message:not([hidden])")
+    assert file.name in page.text_content("#message")
+    assert page.evaluate("window.hurt") is None and not page.locator(ELEMENTS).count()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_each_text_in_every_answer_of_the_app(browser, served, rig: Path, page) -> None:
+    if not page.locator("#records li").count():
+        load(page, "#load", rig / "train.csv", 1)
+    texts = (*MARKUP, *RARER_MARKUP)
+    results = [show_poisoned(browser, served[0], text) for text in texts]
+    faults = [fault for _, some in results for fault in some]
+    fields = f"{sum(shown for shown, _ in results)} texts of answers; none executed, none became markup"
+    note_row("hostile texts in every answer of the app, in Chromium", len(texts), len(faults), fields)
+    assert not faults

@@ -9,11 +9,10 @@ import pytest
 from tests.export import test_hostile_texts as languages
 from tests.export.test_hostile_texts import plain  # noqa: F401
 from tests.reports.test_hostile_pages import KINDS, browser, browsing, opened, pages, poison, write_page  # noqa: F401
-from tests.support.hostile import CODE, MARKUP, RARER_MARKUP
+from tests.support.hostile import CODE, ELEMENTS, MARKUP, RARER_MARKUP
 from tests.support.reliability import note_row
 
 TEXTS = (*MARKUP, *RARER_MARKUP, *CODE)
-ELEMENTS = "img, iframe, object, embed, base, [onerror], [onload], [ontoggle], [onfocus]"
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 
 

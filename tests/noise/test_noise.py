@@ -158,6 +158,24 @@ def test_periods_of_the_input_tell_level_and_colour():
     assert find_period(once[:, None]) is None and find_period(np.ones((100, 1))) is None
 
 
+@pytest.mark.parametrize("held", [1, 7])
+@pytest.mark.parametrize("rows", [1600, 1777])
+@pytest.mark.parametrize("period", [21, 300, 800, 801, None])
+def test_the_period_of_a_long_record_is_that_of_a_short_one(monkeypatch, period, rows, held):
+    """The sieve of long records gives what the Fourier transform gives: also where the input is at rest for most of the time."""
+    rng = np.random.default_rng(rows + held)
+    once = np.repeat(rng.integers(0, 2, size=(period or rows) // held + 1), held)[: period or rows].astype(float)
+    once[: len(once) // 3] = 0.0
+    inputs = np.stack([np.resize(once, rows), np.resize(np.roll(once, 5), rows)], axis=1)
+    expected = find_period(inputs)
+    monkeypatch.setattr("greybox.noise.repeats.NUMBERS_AT_A_TIME", 1000)
+    monkeypatch.setattr("greybox.noise.repeats.ROWS_AT_A_TIME", 100)
+    assert find_period(inputs) == expected
+    assert expected == (period if period and 2 * period <= rows and np.ptp(once) else expected)
+    inputs[-1, 0] += 0.5  # the last row breaks it
+    assert find_period(inputs) is None
+
+
 def test_deviations_leave_out_how_the_repeats_began():
     rng = np.random.default_rng(7)
     decay = np.exp(-np.arange(1000) / 50)

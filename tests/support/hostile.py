@@ -32,6 +32,9 @@ RARER_MARKUP = (
 )
 """The same by roads that fewer pages leave open; for the slow study."""
 
+ELEMENTS = "img, iframe, object, embed, base, [onerror], [onload], [ontoggle], [onfocus]"
+"""What no page has, and the texts would make."""
+
 CODE = (
     "*/ int hurt(void){return 1;} /*",
     "x\n*/ void __attribute__((constructor)) hurt(void){} /*",
