@@ -251,7 +251,7 @@ def show_poisoned(browser, address: str, text: str) -> tuple[int, list[str]]:
     one.goto(address)
     until(one, "window.greyboxReady === true")
     one.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-    for place in ("#description", "#equations", "#where", "#records small", "#misfit tbody th", ".constant .what b"):
+    for place in ("#description", "#equations", "#where", "#records li span", "#misfit tbody th", ".constant .what b"):
         if text not in one.locator(place).first.text_content():
             faults.append(f"{place} does not show the text")
     if one.evaluate("window.hurt") is not None or one.locator(ELEMENTS).count():
@@ -273,7 +273,7 @@ def test_a_refused_file_is_named_as_text(page, tmp_path: Path) -> None:
     file.write_text("time,pressure\n0,1\n", encoding="utf-8")
     page.set_input_files("#load", str(file))
     page.wait_for_selector("#message:not([hidden])")
-    assert file.name in page.text_content("#message")
+    assert "img src=x onerror" in page.text_content("#message")  # its odd signs are gone already
     assert page.evaluate("window.hurt") is None and not page.locator(ELEMENTS).count()
 
 

@@ -13,10 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.cli.app import app
+from greybox.cli.exits import exit_on_error
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
 
@@ -170,6 +172,16 @@ def test_a_request_to_end_keeps_what_is_finished_and_the_same_command_goes_on(re
     assert "interrupted" in err and "Traceback" not in err
     assert journal.read_text().endswith("\n")
     assert len(json.loads((out / "fit.json").read_text())["ends"]) >= 3
+
+
+def test_too_little_memory_is_told(capsys):
+    def starve() -> None:
+        np.empty(2**55)
+
+    with pytest.raises(typer.Exit) as ended:
+        exit_on_error(starve)()
+    assert ended.value.exit_code == 1
+    assert capsys.readouterr().err.startswith("error: not enough memory")
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-8"])
