@@ -12,7 +12,7 @@ that no sensor sees are as good as the others. (L. Ljung 1979, Asymptotic behavi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -247,9 +247,16 @@ def _integrate(
 
 
 def observe_records(
-    problem: DiscoveryProblem, model: Model, initial: Mapping[str, Sequence[float]], most_rows: int
+    problem: DiscoveryProblem,
+    model: Model,
+    initial: Mapping[str, Sequence[float]],
+    pushed: Collection[str],
+    most_rows: int,
 ) -> list[ObservedRecord]:
-    """The estimation records for an observer of ``model``; ``initial`` are first states by name, one value a record."""
+    """The estimation records for an observer of ``model``; ``initial`` are first states by name, one value a record.
+
+    Only states that are ``pushed`` have process noise: nothing is missing in the definition of a state that no sensor reads.
+    """
     estimation = problem.prepare(model)
     names = model.system.state_names
     measured = {
@@ -275,7 +282,8 @@ def observe_records(
                     start[j] = column[0]
             else:
                 start[j] = initial[name][e] if name in initial else start[j]
-                scale[j] = spread[j] = abs(start[j]) or 1.0
+                spread[j] = abs(start[j]) or 1.0
+                scale[j] = spread[j] if name in pushed else 0.0
         holds = problem.experiments[e].hold != "first"
         observed.append(ObservedRecord(y, u, np.diff(time), start, spread, scale, holds))
     return observed

@@ -44,6 +44,12 @@ class LawPolicy:
     """Gauss-Newton steps of the plain model's constants in the observer."""
     term_steps: int = 3
     """The same with a term in the model."""
+    unseen_draws: int = 12
+    """Where a state has no sensor: other constants and first states from which the terms are ranked as well."""
+    unseen_spread: float = 0.5
+    """Standard deviation of the first states that are drawn, over their values."""
+    unseen_steps: int = 10
+    """Gauss-Newton steps in the observer with a term in the model where a state has no sensor: its start is a guess."""
     most_rows: int = 600
     """Rows of a record that the observer runs over; of longer records every second, third... row."""
     observed_terms: tuple[int, ...] = (18, 24)

@@ -6,7 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import casadi as ca
 import numpy as np
+from scipy.stats import norm, qmc
 
 from greybox.discovery.failures import SearchStage
 from greybox.discovery.laws.observer import FilteredRun, FilterTape, ObservedRecord, StateObserver, observe_records
@@ -47,13 +49,31 @@ class TermStart:
 
 def list_law_sites(model: Model) -> list[tuple[str, str]]:
     """Name and unit of each balance of the plant that is no definition (``dx/dt = v``)."""
-    system, plant = model.system, {s.name for s in model.states}
+    plant, definitions = {s.name for s in model.states}, _list_definitions(model)
+    return [(b.name, b.unit) for b in model.system.balances if b.state in plant and b.state not in definitions]
 
-    def is_definition(state: str) -> bool:
-        rate = system.rhs[system.state_names.index(state)]
-        return bool(rate.is_symbolic()) and rate.name() in system.state_names
 
-    return [(b.name, b.unit) for b in system.balances if b.state in plant and not is_definition(b.state)]
+def _list_definitions(model: Model) -> dict[str, str]:
+    """State -> the state that its rate is, where ``dx/dt = v``; a fixed factor of 1 may stand before it."""
+    system = model.system
+    fixed = [q for q in model.parameters if q.fixed]
+    symbols = ca.vertcat(*[system.p[system.parameter_names.index(q.name)] for q in fixed]) if fixed else ca.SX(0, 1)
+    rates = ca.substitute(system.rhs, symbols, ca.DM([q.value for q in fixed]) if fixed else ca.DM(0, 1))
+    return {
+        state: rates[k].name()
+        for k, state in enumerate(system.state_names)
+        if rates[k].is_symbolic() and rates[k].name() in system.state_names
+    }
+
+
+def list_unseen_states(model: Model) -> list[str]:
+    """States that no sensor reads and that are not the rate of one that a sensor reads.
+
+    Where they were is what the plain model makes of its constants, which may be far from the truth.
+    """
+    measured = {y.name() for k in range(len(model.outputs)) if (y := model.system.outputs[k]).is_symbolic()}
+    rates = {rate for state, rate in _list_definitions(model).items() if state in measured}
+    return [s.name for s in model.states if s.name not in measured | rates]
 
 
 def fit_in_observer(
@@ -72,7 +92,9 @@ def fit_in_observer(
     names = [q.name for q in model.free_parameters]
     substeps = max(1, min(problem.prepare(model).step.substeps, policy.most_substeps))
     observer = StateObserver(model, names, [name for name, _ in list_law_sites(model)], substeps)
-    records = observe_records(problem, model, initial, policy.most_rows)
+    definitions = _list_definitions(model)
+    pushed = [s for s in model.system.state_names if s not in list_unseen_states(model) or s not in definitions]
+    records = observe_records(problem, model, initial, pushed, policy.most_rows)
     noise = problem.noise_model.std
     bounds = np.array([model.parameter(n).bounds for n in names]).reshape(-1, 2)
     mean = np.array([model.values[n] for n in names])
@@ -194,37 +216,91 @@ def rank_terms(observed: ObservedFit, policy: LawPolicy) -> list[TermStart]:
     return sorted(starts.values(), key=lambda s: policy.complexity_cost * s.term.complexity - s.decrease)
 
 
-def choose_terms(ranked: Sequence[TermStart], count: int, policy: LawPolicy) -> list[TermStart]:
+def rank_everywhere(variants: Sequence[ObservedFit], policy: LawPolicy) -> list[tuple[TermStart, ObservedFit]]:
+    """Every term beside the variant of the observed model where it promises most; best first."""
+    best: dict[LawTerm, tuple[float, TermStart, ObservedFit]] = {}
+    for observed in variants:
+        for start in rank_terms(observed, policy):
+            promise = observed.objective - start.decrease + policy.complexity_cost * start.term.complexity
+            if start.term not in best or promise < best[start.term][0]:
+                best[start.term] = promise, start, observed
+    return [(start, observed) for _, start, observed in sorted(best.values(), key=lambda one: one[0])]
+
+
+def observe_variants(
+    problem: DiscoveryProblem, observed: ObservedFit, nominal: Mapping[str, float], policy: LawPolicy
+) -> list[ObservedFit]:
+    """The observed model, and where a state is unseen the same from other constants and first states that are as likely beforehand.
+
+    A term in a state that nothing shows is computed along a guess of it: one guess would hide the right term.
+    """
+    model = observed.model
+    unseen = list_unseen_states(model)
+    if not unseen:
+        return [observed]
+    names = [n for n in nominal if n in observed.values]
+    points = norm.ppf(qmc.Halton(len(names) + len(unseen), scramble=False).random(policy.unseen_draws + 1)[1:])
+    starts = {s.name: s.start for s in model.states if s.name in unseen}
+    variants = [observed]
+    for point in points:
+        # Constants keep their signs.
+        values = {n: nominal[n] * float(np.exp(policy.constant_spread * z)) for n, z in zip(names, point, strict=False)}
+        first = {
+            n: (starts[n] + policy.unseen_spread * float(z) * (abs(starts[n]) or 1.0),) * len(observed.records)
+            for n, z in zip(unseen, point[len(names) :], strict=True)
+        }
+        one = problem.failures.attempt(
+            SearchStage.SCREENING,
+            (),
+            partial(
+                fit_in_observer,
+                problem,
+                model.start(**values),
+                nominal,
+                {**observed.initial, **first},
+                policy.intensities,
+                0,
+                policy,
+            ),
+            None,
+        )
+        if one is not None:
+            variants.append(one)
+    return variants
+
+
+def choose_terms(
+    ranked: Sequence[tuple[TermStart, ObservedFit]], count: int, policy: LawPolicy
+) -> list[tuple[TermStart, ObservedFit]]:
     """The leading terms; a third of the places is for simple ones, that a complicated one of the same shape would hide."""
-    simple = [s for s in ranked if s.term.complexity <= policy.simple_complexity][: count // 3]
-    rest = [s for s in ranked if s not in simple][: count - len(simple)]
-    return sorted((*simple, *rest), key=ranked.index)
+    places = range(len(ranked))
+    simple = [k for k in places if ranked[k][0].term.complexity <= policy.simple_complexity][: count // 3]
+    rest = [k for k in places if k not in simple][: count - len(simple)]
+    return [ranked[k] for k in sorted((*simple, *rest))]
 
 
 def observe_terms(
     problem: DiscoveryProblem,
-    observed: ObservedFit,
     nominal: Mapping[str, float],
-    starts: Sequence[TermStart],
+    starts: Sequence[tuple[TermStart, ObservedFit]],
     name: str,
     policy: LawPolicy,
 ) -> list[tuple[TermStart, ObservedFit]]:
-    """Each term in the model and run through the observer; those that can be, best first."""
+    """Each term in the model beside which it was ranked and run through the observer; those that can be, best first."""
     fits: list[tuple[TermStart, ObservedFit]] = []
-    model = observed.model.start(**observed.values)
-    for start in starts:
+    for start, observed in starts:
 
-        def fit(start: TermStart = start) -> ObservedFit | None:
+        def fit(start: TermStart = start, observed: ObservedFit = observed) -> ObservedFit | None:
             effect = start.term.to_effect(
                 name, start.amplitude, start.shape, start.lag, start.bounds, observed.records[0].duration
             )
             return fit_in_observer(
                 problem,
-                model + effect,
+                observed.model.start(**observed.values) + effect,
                 nominal,
                 observed.initial,
                 policy.finer_intensities,
-                policy.term_steps,
+                policy.unseen_steps if list_unseen_states(observed.model) else policy.term_steps,
                 policy,
             )
 

@@ -29,7 +29,8 @@ from greybox.discovery.laws.screening import (
     choose_terms,
     fit_in_observer,
     observe_terms,
-    rank_terms,
+    observe_variants,
+    rank_everywhere,
 )
 from greybox.discovery.laws.terms import LAW, LawTerm
 from greybox.discovery.policy import DiscoveryPolicy
@@ -179,12 +180,14 @@ class _LawSelection:
     def find_terms(self, observed: ObservedFit, terms: tuple[LawTerm, ...], most: int) -> None:
         """The laws that have one term more than the observed model: the leading ones refitted, more of them while none is clean."""
         limits, name = self.limits, LAW if not terms else f"{LAW}_{len(terms) + 1}"
-        ranked = rank_terms(observed, limits)
+        # Beside a law whose constants the records have settled there is one variant.
+        variants = [observed] if terms else observe_variants(self.problem, observed, self.nominal, limits)
+        ranked = rank_everywhere(variants, limits)
         self.tried += len(ranked)
         chosen = choose_terms(ranked, sum(limits.observed_terms), limits)
         first = 0
         for count in limits.observed_terms[: 1 if terms else None]:
-            batch = observe_terms(self.problem, observed, self.nominal, chosen[first : first + count], name, limits)
+            batch = observe_terms(self.problem, self.nominal, chosen[first : first + count], name, limits)
             first += count
             if self._refit_leading(terms, batch, most) or self.problem.executor.is_late:
                 return
