@@ -9,7 +9,9 @@ Right is a law at the right balance that is the dropped term up to algebra: with
 plain model has there, it equals the dropped term everywhere in a box of twice the range of the records. Beside it pysindy gets all states
 of the same records and the cubic library that holds the truth of most systems, with thresholds chosen on the second record.
 
-    python -m fits.law_study run STUDY.jsonl [--kind dropped|complete|hidden|pysindy] [--noise 0.01] [--only NAME]
+``plants``: terms hidden in two rigs and six plants by twins that know nothing of greybox (`fits.law_plants`), catalogue off.
+
+    python -m fits.law_study run STUDY.jsonl [--kind dropped|complete|hidden|pysindy|plants] [--noise 1] [--only NAME]
     python -m fits.law_study report STUDY.jsonl
 """
 
@@ -30,13 +32,18 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 import greybox as gb
+from fits.law_plants import RIGS, TERMS, HiddenTerm, is_family, make_case
 from fits.law_systems import SYSTEMS, PublishedSystem
 from greybox import Balance, Experiment, Model, Output, Parameter, State
 from greybox.expressions.formula import evaluate_formula
+from greybox.project import find_model
 
 CONSTANT = re.compile(r"\{([^}]*)\}")
 NOISES = {"0": 1e-4, "1": 0.01, "5": 0.05}
 ROWS = 241
+SEED = 52001
+VISIBLE = 1.1
+"""Error of the plain model on the second record, over the noise, from which a term counts as visible."""
 UNKNOWN = 0.4
 FUNCTIONS = {"log", "sin", "cos", "sqrt", "abs", "exp", "tanh"}
 
@@ -274,6 +281,40 @@ def is_determined(system: PublishedSystem) -> bool:
     return estimate.std is not None and estimate.std < 0.25 * abs(estimate.value)
 
 
+def run_plant(term: HiddenTerm) -> dict:
+    """One plant with a term hidden in it."""
+    case = make_case(term, SEED)
+    model = find_model(case.model).fix(**case.known).start(**case.start)
+    began = time.process_time()
+    found = gb.discover(
+        model,
+        case.estimation,
+        validation=case.validation,
+        noise=case.sigma,
+        effects=(),
+        laws=True,
+        options=gb.FitOptions(at_rest=term.plant in RIGS),
+        workers=1,
+    )
+    seconds = time.process_time() - began
+    laws = [e for e in found.effects if "equation" in e]
+    worst = max(found.holdout.values(), key=lambda e: e.before / e.floor)
+    return {
+        "system": term.name,
+        "kind": "plants",
+        "noise": "1",
+        "verdict": str(found.verdict),
+        "grade": str(laws[0]["grade"]) if laws else None,
+        "laws": [law["equation"] + " @ " + law["site"] for law in laws],
+        "alternatives": [list(a) for a in found.alternatives],
+        "misfit": worst.before / worst.floor,
+        "after": worst.after / worst.floor,
+        "explained": worst.explained_fraction if laws else 0.0,
+        "right": is_family(term, case, laws),
+        "cpu": round(seconds, 2),
+    }
+
+
 def run_pysindy(system: PublishedSystem, level: str) -> dict:
     import pysindy
 
@@ -335,6 +376,17 @@ def run_pysindy(system: PublishedSystem, level: str) -> dict:
 
 def run(path: Path, kinds: list[str], levels: list[str], only: str) -> None:
     done = {(c["system"], c["kind"], c["noise"]) for c in _cases(path)} if path.exists() else set()
+    for term in TERMS if "plants" in kinds else ():
+        if (only and term.name not in only.split(",")) or (term.name, "plants", "1") in done:
+            continue
+        try:
+            case = run_plant(term)
+        except Exception as error:  # the study goes on; the report counts it
+            case = {"system": term.name, "kind": "plants", "noise": "1", "error": repr(error)}
+        with path.open("a") as file:
+            file.write(json.dumps(case) + "\n")
+        print(json.dumps({k: v for k, v in case.items() if k != "alternatives"}), flush=True)
+    kinds = [kind for kind in kinds if kind != "plants"]
     for kind in kinds:
         for level in levels if kind != "hidden" else [n for n in levels if n == "1"]:
             for system in SYSTEMS:
@@ -365,7 +417,7 @@ def _cases(path: Path) -> list[dict]:
 
 def report(path: Path) -> None:
     cases = _cases(path)
-    for kind in ("dropped", "hidden", "complete", "pysindy"):
+    for kind in ("dropped", "hidden", "complete", "plants", "pysindy"):
         for level in NOISES:
             some = [c for c in cases if c["kind"] == kind and c["noise"] == level]
             if not some:
@@ -375,6 +427,13 @@ def report(path: Path) -> None:
             line = f"{kind:9s} {level:>2s} %: {len(some)} cases, {len(failed)} failed"
             if kind == "complete":
                 line += f", laws claimed {sum(bool(c['laws']) for c in some)}, verdicts {dict(Counter(c['verdict'] for c in some))}"
+            elif kind == "plants":
+                seen = [c for c in some if c["misfit"] > VISIBLE]
+                line += (
+                    f", visible {len(seen)}, family right {sum(c['right'] for c in seen)}, error above the noise down by nine tenths"
+                    f" {sum(c['explained'] >= 0.9 for c in seen)}, verdicts {dict(Counter(c['verdict'] for c in some))}, established and"
+                    f" of another family {[c['system'] for c in seen if not c['right'] and c['grade'] == 'established']}"
+                )
             elif kind == "pysindy":
                 line += f", right support {sum(c['right'] for c in some)}, of polynomial systems {sum(c['could'] for c in some)}"
             else:
@@ -405,7 +464,7 @@ def main() -> None:
     else:
         run(
             given.path,
-            given.kind or ["dropped", "complete", "hidden", "pysindy"],
+            given.kind or ["dropped", "complete", "hidden", "plants", "pysindy"],
             given.noise or ["1", "0", "5"],
             given.only,
         )
