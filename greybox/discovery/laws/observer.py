@@ -270,7 +270,11 @@ def observe_records(
         y, u = record.samples(record.y), record.samples(record.u)
         time = problem.experiments[e].time
         every = max(1, -(-len(time) // most_rows))
-        y, u, time = y[::every], u[::every], time[::every]
+        holds = problem.experiments[e].hold != "first"
+        if holds and every > 1:  # what acts from one row that is kept to the next
+            starts = np.arange(0, len(time), every)
+            u = np.add.reduceat(u, starts, axis=0) / np.diff(np.append(starts, len(time)))[:, None]
+        y, u, time = y[::every], u if holds and every > 1 else u[::every], time[::every]
         start = estimation.variables.initial.guess[e].astype(float).copy()
         spread, scale = np.empty(len(names)), np.empty(len(names))
         for j, name in enumerate(names):
@@ -284,6 +288,5 @@ def observe_records(
                 start[j] = initial[name][e] if name in initial else start[j]
                 spread[j] = abs(start[j]) or 1.0
                 scale[j] = spread[j] if name in pushed else 0.0
-        holds = problem.experiments[e].hold != "first"
         observed.append(ObservedRecord(y, u, np.diff(time), start, spread, scale, holds))
     return observed
