@@ -52,6 +52,8 @@ class LawPolicy:
     """Gauss-Newton steps in the observer with a term in the model where a state has no sensor: its start is a guess."""
     most_rows: int = 600
     """Rows of a record that the observer runs over; of longer records every second, third... row."""
+    most_driven_rows: int = 1500
+    """The same of a record with inputs: between rows that are skipped their mean acts, which a fast part of the plant does not believe."""
     observed_terms: tuple[int, ...] = (18, 24)
     """Terms that are run through the observer after the linear ranking, those that promise most first; the next batch only where none of
     the one before leaves mere noise."""
