@@ -14,6 +14,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from greybox.expressions.derivatives import FLAT
+from greybox.expressions.graph import as_scalar, count_operands, nodes
+from greybox.expressions.operations import OPERATIONS
 from greybox.model.algebraic import AlgebraicState, eliminate
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
@@ -270,8 +273,17 @@ class System:
     def linear(self) -> bool:
         """Whether state and output equations are affine in ``x`` and ``u`` (``dx/dt = A x + B u + c``), with no state that is set."""
         xu = ca.vertcat(self.x, self.u)
-        jacobian = ca.jacobian(ca.vertcat(self.rhs, self.outputs), xu)
-        return not self.dry and not self.updates and not ca.depends_on(jacobian, xu)
+        equations = ca.vertcat(self.rhs, self.outputs)
+        if self.dry or self.updates or ca.depends_on(ca.jacobian(equations, xu), xu):
+            return False
+        # `sign(v)` has no slope: alone it would pass for a constant.
+        return not any(
+            count_operands(node)
+            and node.op() in OPERATIONS
+            and OPERATIONS[node.op()].derivative is FLAT
+            and ca.depends_on(node, xu)
+            for node in nodes([as_scalar(equations[k]) for k in range(equations.numel())])
+        )
 
     @cached_property
     def jacobian(self) -> ca.Function:
