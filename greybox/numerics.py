@@ -88,6 +88,9 @@ REAL_POLE = 1e-12
 TINY = 1e-300
 """Smallest divisor: keeps a quotient finite where numerator and denominator vanish together."""
 
+OFF_REST = 1e-3
+"""Share of a velocity's size that an observer's first state is off rest: at rest the slope of a root of it is infinite."""
+
 RANK_CUTOFF = 1e-12
 """Eigenvalues of an information or curvature matrix, its diagonal scaled to one, below this share of the largest are rounding: a product
 of sensitivities whose entries are sums over long records, exact to some 1e-14."""

@@ -21,7 +21,7 @@ import numpy as np
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.model import Model
 from greybox.model.system import System
-from greybox.numerics import TINY
+from greybox.numerics import OFF_REST, TINY
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,16 +246,26 @@ def _integrate(
     return z
 
 
+def _size_of_rate(y: np.ndarray, time: np.ndarray, measured: Mapping[str, int], of: str) -> float:
+    """Root-mean-square rate of a state that a sensor reads; 0 for another one."""
+    if of not in measured:
+        return 0.0
+    quotient = np.diff(y[:, measured[of]]) / np.diff(time)
+    return float(np.sqrt(np.nanmean(quotient**2))) if np.isfinite(quotient).any() else 0.0
+
+
 def observe_records(
     problem: DiscoveryProblem,
     model: Model,
     initial: Mapping[str, Sequence[float]],
     pushed: Collection[str],
+    rates: Mapping[str, str],
     most_rows: int,
 ) -> list[ObservedRecord]:
     """The estimation records for an observer of ``model``; ``initial`` are first states by name, one value a record.
 
     Only states that are ``pushed`` have process noise: nothing is missing in the definition of a state that no sensor reads.
+    ``rates``: state -> the state whose rate it is by definition, and whose readings then show how large it is.
     """
     estimation = problem.prepare(model)
     names = model.system.state_names
@@ -286,7 +296,9 @@ def observe_records(
                     start[j] = column[0]
             else:
                 start[j] = initial[name][e] if name in initial else start[j]
-                spread[j] = abs(start[j]) or 1.0
-                scale[j] = spread[j] if name in pushed else 0.0
+                size = _size_of_rate(y, time, measured, rates.get(name, ""))
+                spread[j] = abs(start[j]) or size or 1.0
+                scale[j] = (size or spread[j]) if name in pushed else 0.0
+                start[j] = start[j] or OFF_REST * size  # where a root of it has a slope
         observed.append(ObservedRecord(y, u, np.diff(time), start, spread, scale, holds))
     return observed

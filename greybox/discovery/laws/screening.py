@@ -93,9 +93,10 @@ def fit_in_observer(
     substeps = max(1, min(problem.prepare(model).step.substeps, policy.most_substeps))
     observer = StateObserver(model, names, [name for name, _ in list_law_sites(model)], substeps)
     definitions = _list_definitions(model)
+    rates = {rate: state for state, rate in definitions.items()}
     pushed = [s for s in model.system.state_names if s not in list_unseen_states(model) or s not in definitions]
     records = observe_records(
-        problem, model, initial, pushed, policy.most_driven_rows if model.inputs else policy.most_rows
+        problem, model, initial, pushed, rates, policy.most_driven_rows if model.inputs else policy.most_rows
     )
     noise = problem.noise_model.std
     bounds = np.array([model.parameter(n).bounds for n in names]).reshape(-1, 2)

@@ -20,7 +20,7 @@ from greybox.discovery.failures import SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, validate_candidate
 from greybox.discovery.laws.curve import curve_effects
-from greybox.discovery.laws.equation import write_equation
+from greybox.discovery.laws.equation import law_values, write_equation
 from greybox.discovery.laws.likeness import Likeness, find_likeness
 from greybox.discovery.laws.policy import LawPolicy
 from greybox.discovery.laws.screening import (
@@ -207,6 +207,37 @@ class _LawSelection:
                 is_any_clean = is_any_clean or self.is_clean_everywhere(fit)
         return is_any_clean
 
+    def refit_second_terms(self) -> None:
+        """The second term of each of the leading laws of two terms alone: the first may have stood in for it."""
+        tried = {law.terms for law in self.fits}
+        for law in [law for law in self.ranked() if len(law.terms) > 1][: self.limits.second_terms]:
+            term, model = law.terms[-1], law.candidate.model
+            names = [e.name for e in model.effects if e.name.partition("_")[0] == LAW]
+            if (term,) in tried or self.problem.executor.is_late:
+                continue
+            tried.add((term,))
+            values, constants = law_values(model, names[-1]), term.constants
+            bound = next(b for b in model.bound_effects if b.effect.name == names[-1])
+            limits = model.parameter(bound.model_names[constants.shape]).bounds if term.shape else (-np.inf, np.inf)
+            duration = max(float(e.time[-1] - e.time[0]) for e in self.problem.experiments)
+            effect = term.to_effect(
+                LAW,
+                values[constants.amplitude],
+                values.get(constants.shape, 1.0),
+                values.get(constants.lag, 0.0),
+                limits,
+                duration,
+            )
+            for name in names:
+                model = model.without(name)
+            alone = model + effect
+            job = RefitJob(alone, (alone.values,), 1, self.limits.refit_iterations, _first_states(law.candidate))
+            fit = self.problem.refit_all([job])[0]
+            if fit is not None:
+                self.fits.append(LawFit((term,), fit))
+        if any(len(law.terms) == 1 and self.is_clean_everywhere(law.candidate) for law in self.fits):
+            self.fits = [law for law in self.fits if len(law.terms) == 1]
+
     def refit(self, observed: ObservedFit, iterations: int) -> CandidateFit | None:
         job = RefitJob(observed.model, (observed.values,), 1, iterations, observed.initial)
         return self.problem.refit_all([job])[0]
@@ -274,6 +305,7 @@ def search_laws(
             beside = _observe_law(search, law)
             if beside is not None:
                 search.find_terms(beside, law.terms, limits.second_terms)
+        search.refit_second_terms()
     search.finish_leading()
     return _judge(search, _retest_baseline(search, baseline))
 
