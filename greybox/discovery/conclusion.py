@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from greybox.discovery.certainty import Grade
+from greybox.discovery.certainty import Grade, grade_effect, to_features
 from greybox.discovery.decision import Conclusion, Verdict, make_check
 from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import CertaintyPolicy
+from greybox.discovery.surrogate_effects import CURVE
 
 
 def weigh_evidence(conclusion: Conclusion, evidence: Sequence[EffectEvidence], policy: CertaintyPolicy) -> Conclusion:
@@ -17,7 +18,7 @@ def weigh_evidence(conclusion: Conclusion, evidence: Sequence[EffectEvidence], p
 
     A model whose residual is noise is ``named`` only if every effect is established. Where some are, and the residual is not noise or
     other effects are doubtful, the verdict is ``partly``; where none is, ``unknown``. Sets that the records cannot tell apart stay
-    ``ambiguous``.
+    ``ambiguous``, and so is a model whose effects fall short of certainty by nothing but an equal of the catalogue.
     """
     if conclusion.verdict is Verdict.COMPLETE or not evidence:
         return conclusion if conclusion.verdict is not Verdict.NAMED else replace(conclusion, verdict=Verdict.UNKNOWN)
@@ -28,7 +29,28 @@ def weigh_evidence(conclusion: Conclusion, evidence: Sequence[EffectEvidence], p
     established = [check.passed for check in checks]
     verdict = conclusion.verdict
     if verdict is Verdict.NAMED and not all(established):
-        verdict = Verdict.UNKNOWN
+        certain = [sure or _is_tied(e, policy) for e, sure in zip(evidence, established, strict=True)]
+        verdict = Verdict.AMBIGUOUS if all(certain) else Verdict.UNKNOWN
     if verdict is Verdict.UNKNOWN and any(established):
         verdict = Verdict.PARTLY
     return Conclusion(verdict, (*conclusion.checks, *checks))
+
+
+def list_tied_sets(evidence: Sequence[EffectEvidence]) -> list[tuple[str, ...]]:
+    """The sets of effects that would do the same as those of the model, with one of them replaced by its equal."""
+    names = [e.effect for e in evidence]
+    return [
+        tuple(other if name == e.effect else name for name in names)
+        for e in evidence
+        for other in e.alike
+        if other != CURVE
+    ]
+
+
+def _is_tied(evidence: EffectEvidence, policy: CertaintyPolicy) -> bool:
+    """Whether the effect would be established if no other effect of the catalogue did the same."""
+    if not evidence.alike or CURVE in evidence.alike:
+        return False
+    return (
+        grade_effect(evidence.probability, to_features(evidence.measures, policy), False, policy) is Grade.ESTABLISHED
+    )

@@ -246,12 +246,14 @@ def _weigh_effect(
         "undetermined": float(_is_undetermined(inputs.fit, name)),
     }
     is_constant = inputs.attempt_check(partial(acts_as_constant, inputs.selected, name, limits))
-    has_equal = bool(alike) or is_static or is_constant
-    probability, grade = _grade(measures, has_equal, inputs.policy.certainty)
+    does_a_curve = is_static or is_constant
+    probability, grade = _grade(measures, does_a_curve, inputs.policy.certainty)
     if grade is Grade.ESTABLISHED:  # the dearest test comes last, for what has passed all others
         measures["free_loss"] = _compare_with_free_curves(inputs, name, form, rest)
-        probability, grade = _grade(measures, has_equal, inputs.policy.certainty)
-    is_curve = is_static or is_constant or (grade is not Grade.ESTABLISHED and "free_loss" in measures)
+        probability, grade = _grade(measures, does_a_curve, inputs.policy.certainty)
+        does_a_curve = grade is not Grade.ESTABLISHED
+    if alike and grade is Grade.ESTABLISHED:
+        grade = Grade.PROBABLE
     unit = next(o.unit for o in inputs.selected.model.outputs if o.name == output)
     return EffectEvidence(
         name,
@@ -265,7 +267,7 @@ def _weigh_effect(
         interval,
         "" if nearest is None else _other(rivals[nearest], inputs.selected),
         np.nan if nearest is None else float(np.sqrt(mean_error(rival_errors[nearest].get(output)))),
-        (*(_other(rivals[k], inputs.selected) for k in alike), *((CURVE,) if is_curve else ())),
+        (*(_other(rivals[k], inputs.selected) for k in alike), *((CURVE,) if does_a_curve else ())),
         change,
         survives_start,
         _helps_on_every_record(inputs, rest, output),

@@ -16,7 +16,7 @@ from typing import Any
 
 from greybox.discovery.candidates import CandidateList, failed_candidates, list_candidates
 from greybox.discovery.certainty import Grade
-from greybox.discovery.conclusion import weigh_evidence
+from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
 from greybox.discovery.decision import (
     Conclusion,
     Verdict,
@@ -530,7 +530,7 @@ def _conclude(
     is_probable = any(e.grade is Grade.PROBABLE for e in evidence)
     if verdict is Verdict.UNKNOWN and not is_probable:
         next_steps = _propose_for_unknown(judged, location, surrogate)
-    elif verdict in (Verdict.PARTLY, Verdict.UNKNOWN):
+    elif verdict in (Verdict.PARTLY, Verdict.UNKNOWN) or (verdict is Verdict.AMBIGUOUS and not judged.rivals):
         next_steps = _propose_for_part(judged, left_location, evidence, bool(refinement and refinement.steps))
     elif verdict is Verdict.COMPLETE:
         next_steps = propose_noise_check(judged.base)
@@ -547,7 +547,10 @@ def _conclude(
     ranking = [RankedCandidate(f.effects, f.per_sample**0.5, f.criterion - fits[0].criterion) for f in fits]
     search = answer.search if answer is not None else None
     has_law = search is not None and answer is not None and answer.best is not None
-    summary = _summarise(judged, decided, evidence, left, location, surrogate)
+    alternatives = [rival.effects for rival in judged.rivals]
+    if verdict is Verdict.AMBIGUOUS and not alternatives:
+        alternatives = list_tied_sets(evidence)
+    summary = _summarise(judged, decided, evidence, alternatives, left, location, surrogate)
     if search is not None and answer is not None and verdict is not Verdict.COMPLETE:
         summary = _summarise_laws(judged, search, has_law, summary, left)
         findings = (*findings, *_law_ranges(search)) if has_law else findings
@@ -555,7 +558,7 @@ def _conclude(
         verdict,
         judged.base,
         judged.best,
-        list(search.alternatives) if search is not None and has_law else [rival.effects for rival in judged.rivals],
+        list(search.alternatives) if search is not None and has_law else alternatives,
         holdout,
         ranking,
         location,
@@ -732,6 +735,7 @@ def _summarise(
     judged: JudgedSelection,
     decided: Conclusion,
     evidence: Sequence[EffectEvidence],
+    alternatives: Sequence[Sequence[str]],
     left: Mapping[str, RemainingError],
     location: ResidualLocalisation,
     surrogate: Surrogate | None,
@@ -754,7 +758,7 @@ def _summarise(
     if decided.verdict is Verdict.NAMED:
         return (Finding(DiscoveryCode.EFFECT_NAMED, subject=name), *reduced)
     if decided.verdict is Verdict.AMBIGUOUS:
-        rivals = [_name(rival) for rival in judged.rivals]
+        rivals = [" + ".join(names) for names in alternatives]
         return (Finding(DiscoveryCode.EFFECTS_TIED, subject=name, values={**explained, "rivals": rivals}), *reduced)
     if decided.verdict is Verdict.PARTLY:
         others = {e: grades[e] for e in effects if e in grades and e not in established}

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
-from greybox.discovery.conclusion import weigh_evidence
+from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
 from greybox.discovery.decision import Conclusion, Verdict
 from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.findings import DiscoveryRule
@@ -145,6 +145,27 @@ def evidence(name, given):
     return EffectEvidence(
         name, values[given], given, "x", "m", 2.0, 1.0, 0.5, interval, "", math.nan, (), 0.0, True, True, {}
     )
+
+
+def tied(name, *alike, **changes):
+    measures = CLEAR | changes
+    return replace(evidence(name, Grade.PROBABLE), alike=alike, measures=measures, probability=probability(**changes))
+
+
+@pytest.mark.parametrize(
+    ("effects", "verdict", "sets"),
+    [
+        ([tied("a", "b")], Verdict.AMBIGUOUS, [("b",)]),
+        ([evidence("c", Grade.ESTABLISHED), tied("a", "b", "d")], Verdict.AMBIGUOUS, [("c", "b"), ("c", "d")]),
+        ([tied("a", "b", change=1.5)], Verdict.UNKNOWN, [("b",)]),  # more than its equal speaks against it
+        ([tied("a", "b", "fitted_curve")], Verdict.UNKNOWN, [("b",)]),  # so may be something else
+        ([tied("a")], Verdict.UNKNOWN, []),
+    ],
+)
+def test_effects_that_only_an_equal_keeps_from_certainty_are_ambiguous(effects, verdict, sets):
+    assert weigh_evidence(Conclusion(Verdict.NAMED, ()), effects, POLICY).verdict is verdict
+    assert weigh_evidence(Conclusion(Verdict.UNKNOWN, ()), effects[-1:], POLICY).verdict is Verdict.UNKNOWN
+    assert list_tied_sets(effects) == sets
 
 
 SURE, LIKELY, DOUBTFUL = Grade.ESTABLISHED, Grade.PROBABLE, Grade.STAND_IN
