@@ -58,6 +58,7 @@ COMMANDS = {
     "compare": ["compare", "silverbox", "record.csv", "--validate", "other.csv", "--at-rest", "--output", "out"],
     "changed": ["changed", "fit.json", "other.csv", "--no-effects", "--no-report", "--output", "out"],
     "design": [*ASKED.split(), "--at-rest", "--no-report", "--output", "out"],
+    "campaign": [*ASKED.replace("design", "campaign", 1).split(), "--no-report", "--output", "out"],
     **{
         f"export {kind}": ["export", "fit.json", "--to", kind, "--output", f"out/plant{suffix}"]
         for kind, suffix in {
@@ -73,6 +74,8 @@ COMMANDS = {
     },
 }
 STEP = 4096
+BEGUN_ANEW = ("study", "campaign")
+"""Commands that refuse a file that is there, or go on from it: they find an empty folder."""
 WHILE_AT_WORK = "starts.jsonl"
 """A file that is there until its command has ended."""
 
@@ -142,7 +145,7 @@ def test_a_full_disk_leaves_the_old_result_or_the_new_one(tmp_path, monkeypatch)
         for size in sizes:
             for path in [p for p in out.rglob("*") if p.is_file()]:
                 path.unlink()
-            if name != "study":  # it refuses a file that is there
+            if name not in BEGUN_ANEW:
                 for path, data in old.items():
                     if not path.endswith(".jsonl"):  # without it the search begins anew
                         (out / path).write_bytes(data)
