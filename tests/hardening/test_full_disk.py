@@ -162,8 +162,8 @@ def test_a_full_disk_leaves_the_old_result_or_the_new_one(tmp_path, monkeypatch)
                     wrong[f"{name} at {size}: the file is not named: {output[-300:]}"] += 1
         for path in [p for p in out.rglob("*") if p.is_file()]:
             path.unlink()
-    figures = (
-        f"of {len(COMMANDS)} commands; {refused} ended with exit code 1 and the name of the file, the others had room"
-    )
-    note_row("full disk at 4 KB steps of every command", tried, sum(wrong.values()), figures)
+        done = list(COMMANDS).index(name) + 1
+        figures = f"of {done} commands; {refused} ended with exit code 1 and the name of the file, the others had room"
+        note_row("full disk at 4 KB steps of every command", tried, sum(wrong.values()), figures)
+        print(f"{name}: {len(sizes)} sizes, {len(wrong)} faults so far", flush=True)
     assert not wrong, "\n".join(wrong)

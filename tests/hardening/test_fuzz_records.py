@@ -166,6 +166,8 @@ def test_odd_files_through_the_command(tmp_path, monkeypatch):
         outcomes[outcome if outcome in ("done", "refused") else "wrong"] += 1
         if outcome not in ("done", "refused"):
             wrong[f"{command[0]} {name}: {outcome}"] += 1
-    figures = f"of {len(files)} files; {outcomes['done']} answered, {outcomes['refused']} refused with exit code 2 and nothing written"
-    note_row("odd and malformed files, through the command", tried, sum(wrong.values()), figures)
+        if (number + 1) % 50 == 0 or number + 1 == tried:
+            figures = f"of {len(files)} files; {outcomes['done']} answered, {outcomes['refused']} refused with exit code 2 and nothing written"
+            note_row("odd and malformed files, through the command", number + 1, sum(wrong.values()), figures)
+            print(number + 1, dict(outcomes), flush=True)
     assert not wrong, wrong.most_common(20)
