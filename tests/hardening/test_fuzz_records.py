@@ -167,7 +167,8 @@ def test_odd_files_through_the_command(tmp_path, monkeypatch):
         if outcome not in ("done", "refused"):
             wrong[f"{command[0]} {name}: {outcome}"] += 1
         if (number + 1) % 50 == 0 or number + 1 == tried:
-            figures = f"of {len(files)} files; {outcomes['done']} answered, {outcomes['refused']} refused with exit code 2 and nothing written"
+            refused = f"{outcomes['refused']} refused with exit code 2 and nothing written"
+            figures = f"of {len(files)} files; {outcomes['done']} answered, {refused}"
             note_row("odd and malformed files, through the command", number + 1, sum(wrong.values()), figures)
             print(number + 1, dict(outcomes), flush=True)
     assert not wrong, wrong.most_common(20)
