@@ -30,7 +30,7 @@ from tornado.web import Application, HTTPError, RequestHandler, stream_request_b
 from greybox.app.jobs import JobKind
 from greybox.app.page import page_policy, page_text
 from greybox.app.policy import APP_POLICY
-from greybox.app.workbench import Workbench
+from greybox.app.workbench import UnmatchedRecordError, Workbench
 from greybox.errors import DataError, GreyboxError
 from greybox.experiment.formats import SUFFIXES
 from greybox.experiment.policy import READING_POLICY
@@ -167,6 +167,8 @@ class GuardedHandler(RequestHandler):
         """Finish with what ``function`` gives, or with what it refuses."""
         try:
             content = await self.server.compute(function)
+        except UnmatchedRecordError as error:
+            self.answer({"error": str(error), "choice": error.choice}, UNPROCESSABLE)
         except (GreyboxError, OSError) as error:
             self.answer({"error": str(error)}, UNPROCESSABLE)
         except Exception as error:  # nobody expected it: the terminal gets all of it, the page what it is
@@ -299,7 +301,7 @@ ACTIONS: Mapping[str, Callable[[Workbench, Mapping[str, Any]], Callable[[], Any]
 
 @stream_request_body
 class UploadHandler(GuardedHandler):
-    """A record that a person loads in the page: its bytes, with ``name`` and ``validates`` in the address."""
+    """A record that a person loads in the page: its bytes, with ``name``, ``validates`` and ``columns`` in the address."""
 
     def initialize(self, server: AppServer) -> None:
         """Nothing is open yet."""
@@ -328,15 +330,26 @@ class UploadHandler(GuardedHandler):
 
         def load() -> Any:
             bench = self.server.workbench
+            columns = self._columns()
             file = self._store(bench.uploads, name)
             try:
-                bench.load(file, validates=validates)
+                bench.load(file, validates=validates, columns=columns)
             except BaseException:
                 file.unlink(missing_ok=True)
                 raise
             return bench.show()
 
         await self.answer_with(load)
+
+    def _columns(self) -> dict[str, str]:
+        """Which column is which signal, as a person said it in the page. Raises DataError."""
+        try:
+            given = json.loads(self.get_query_argument("columns", "{}"))
+        except ValueError:
+            given = None
+        if not isinstance(given, dict) or not all(isinstance(column, str) for column in given.values()):
+            raise DataError("columns: not understood; load the page again")
+        return given
 
     def _store(self, folder: Path | None, name: str) -> Path:
         """The bytes as a file in the folder for uploads, under a name that is safe and new there."""

@@ -70,6 +70,8 @@ class Session:
         What it is held against.
     noise, quiet, options, skip, beginning
         As `greybox.fit` takes them.
+    columns
+        Which column is which signal, where a record's headers do not say it; the same for all records.
     ranges
         Range of each constant's slider.
     fit
@@ -85,6 +87,7 @@ class Session:
     options: FitOptions = field(default_factory=FitOptions)
     skip: int = 0
     beginning: int = 0
+    columns: Mapping[str, str] = field(default_factory=dict)
     ranges: Mapping[str, ValueRange] = field(default_factory=dict)
     fit: Fit | None = None
     discovery: Discovery | None = None

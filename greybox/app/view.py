@@ -10,6 +10,7 @@ from greybox.app.policy import APP_POLICY
 from greybox.app.session import Session, ValueRange
 from greybox.discovery import ResidualLocalisation
 from greybox.effects import CATALOGUE, find_placements
+from greybox.experiment.columns import ColumnChoice
 from greybox.model import Effect, Model
 from greybox.model.equations import equations_text
 from greybox.plots.discovery import plot_misfit_windows
@@ -53,6 +54,23 @@ def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[s
         "discovery": None
         if session.discovery is None
         else {"verdict": str(session.discovery.verdict), "text": str(session.discovery)},
+    }
+
+
+def show_choice(columns: Sequence[str], choices: Sequence[ColumnChoice]) -> dict[str, Any]:
+    """The columns of a file, and the signals that a person says the columns of."""
+    return {
+        "columns": list(columns),
+        "signals": [
+            {
+                "name": c.signal.name,
+                "unit": format_unit(c.signal.unit),
+                "kind": str(c.signal.kind),
+                "column": c.column,
+                "matched": c.matched,
+            }
+            for c in choices
+        ],
     }
 
 

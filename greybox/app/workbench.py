@@ -19,7 +19,7 @@ from greybox.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNews
 from greybox.app.policy import APP_POLICY, AppPolicy
 from greybox.app.session import LoadedRecord, Session
 from greybox.app.study_book import StudyBook
-from greybox.app.view import EffectPlace, list_effects, show_location, show_run, show_session
+from greybox.app.view import EffectPlace, list_effects, show_choice, show_location, show_run, show_session
 from greybox.errors import DataError, GreyboxError, ModelError, nearest
 from greybox.export import to_python
 from greybox.files import write_file
@@ -31,6 +31,14 @@ STUDY_FILE, SCRIPT_FILE, MODEL_FILE, RECORDS_FOLDER = "study.toml", "repeat.py",
 LAST_FILE = "last.toml"
 """What an export is called, in its folder."""
 JOURNAL = "journal.jsonl"
+
+
+class UnmatchedRecordError(DataError):
+    """A record whose headers do not say which column is which signal; ``choice`` is what a person can choose from."""
+
+    def __init__(self, text: str, choice: Mapping[str, Any]) -> None:
+        super().__init__(text)
+        self.choice = choice
 
 
 class Workbench:
@@ -127,10 +135,36 @@ class Workbench:
         """Take an effect out. Raises ModelError."""
         self._take(self.session.without_effect(name))
 
-    def load(self, file: Path, *, validates: bool = False) -> None:
-        """Read a record. Raises GreyboxError, and then nothing has changed."""
-        records = self.study.read([file])
-        self._take(self.session.with_records([LoadedRecord(record, file, validates) for record in records]))
+    def load(self, file: Path, *, validates: bool = False, columns: Mapping[str, str] | None = None) -> None:
+        """Read a record. Raises GreyboxError, and then nothing has changed.
+
+        ``columns`` says which column is which signal, as ``--column`` does: for all records, so those that are there are read anew.
+        """
+        session = self.session
+        if columns:
+            merged = {**session.columns, **columns}
+            session = replace(session, columns=merged, records=self._read_again(merged))
+        try:
+            records = self.study.read([file], session.columns)
+        except DataError as error:
+            proposal = self.study.propose_columns(file, session.columns)
+            if proposal is None:
+                raise
+            raise UnmatchedRecordError(str(error), show_choice(*proposal)) from error
+        self._take(session.with_records([LoadedRecord(record, file, validates) for record in records]))
+
+    def _read_again(self, columns: Mapping[str, str]) -> tuple[LoadedRecord, ...]:
+        """The records of the session with other columns. Raises GreyboxError."""
+        present = self.session.records
+        fresh = {}
+        for file in dict.fromkeys(r.file for r in present):
+            try:
+                fresh |= {(str(file), r.name): r for r in self.study.read([file], columns)}
+            except DataError as error:
+                raise DataError(
+                    f"{error}. One choice of columns holds for all records: remove {file.name} first, or give both files the same headers"
+                ) from error
+        return tuple(replace(r, experiment=fresh[str(r.file), r.experiment.name]) for r in present)
 
     def forget(self, index: int) -> None:
         """Put a record away. Raises DataError."""

@@ -7,7 +7,7 @@ import json as json_format
 import os
 import tempfile
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from greybox.cli.inputs import (
     check_substeps,
     constrain,
     fit_options,
+    layout_of,
     print_record_notes,
     read_quiet_records,
     read_records,
@@ -34,6 +35,7 @@ from greybox.errors import GreyboxError, ModelError
 if TYPE_CHECKING:
     from greybox.app import Session
     from greybox.experiment import Experiment
+    from greybox.experiment.columns import ColumnChoice
     from greybox.model import Model
 
 APP = "app"
@@ -89,7 +91,7 @@ def app(
         LoadedRecord(record, file, validates)
         for files, validates in ((study.estimation, False), (study.validation, True))
         for file in files
-        for record in book.read([file], validates=validates)
+        for record in book.read([file], study.columns, validates=validates)
     ]
     judges = [r.experiment for r in records if r.validates]
     check_skip(replace(study, skip=0, beginning=0) if not judges else study, judges)
@@ -102,6 +104,7 @@ def app(
         fit_options(study),
         study.skip,
         study.beginning,
+        study.columns,
     )
 
     def announce(address: str) -> None:
@@ -156,11 +159,26 @@ class StudyOnFile:
     def __init__(self, study: Study, model: Model) -> None:
         self.study, self.model = study, model
 
-    def read(self, files: Sequence[Path], *, validates: bool = False) -> tuple[Experiment, ...]:
-        """The records in ``files``, as the study reads its own. Raises GreyboxError."""
+    def read(
+        self, files: Sequence[Path], columns: Mapping[str, str], *, validates: bool = False
+    ) -> tuple[Experiment, ...]:
+        """The records in ``files``, as the study reads its own but for the ``columns``. Raises GreyboxError."""
         estimation, validation = ((), tuple(files)) if validates else (tuple(files), ())
-        study = replace(self.study, estimation=estimation, validation=validation)
+        study = replace(self.study, estimation=estimation, validation=validation, columns=columns)
         return tuple(record for group in read_records(study, self.model) for record in group)
+
+    def propose_columns(
+        self, file: Path, columns: Mapping[str, str]
+    ) -> tuple[tuple[str, ...], tuple[ColumnChoice, ...]] | None:
+        """The columns of a file that lacks some of the model's, and which each signal may be; None where no choice would help."""
+        from greybox.experiment.columns import propose_columns
+        from greybox.experiment.formats import open_record_file
+        from greybox.experiment.policy import READING_POLICY
+
+        if self.study.headers:
+            return None
+        table = open_record_file(file, policy=layout_of(self.study).get("reading", READING_POLICY)).table
+        return propose_columns(table, self.model, columns, has_clock=self.study.sampling_time > 0)
 
     def write_study(self, session: Session, path: Path) -> str:
         """The text of the study file ``path``, from which ``greybox fit`` computes the same."""
@@ -181,7 +199,13 @@ class StudyOnFile:
             for validates in (False, True)
         )
         study = replace(
-            self.study, estimation=estimation, validation=validation, file=None, from_file=frozenset(), unused=()
+            self.study,
+            estimation=estimation,
+            validation=validation,
+            columns=session.columns,
+            file=None,
+            from_file=frozenset(),
+            unused=(),
         )
         bare = replace(study, start={}, fixed={}, free=())
         if effects is None:

@@ -56,6 +56,15 @@ class RequestedSignal:
 
 
 @dataclass(frozen=True)
+class ColumnChoice:
+    """A signal and the column that it is or may be; ``column`` is empty where none is likely, ``matched`` if it is by name."""
+
+    signal: RequestedSignal
+    column: str
+    matched: bool
+
+
+@dataclass(frozen=True)
 class ColumnMatch:
     """Signals with their columns in the model's order, headers not asked for, outputs without a column, problems."""
 
@@ -154,6 +163,41 @@ def match_columns(
     )
 
 
+def propose_columns(
+    table: DataTable, model: Model, mapping: ColumnMapping | None = None, *, has_clock: bool = False
+) -> tuple[tuple[str, ...], tuple[ColumnChoice, ...]] | None:
+    """For a table that lacks columns of the model: its columns as a mapping names them, and which each signal may be.
+
+    None where no choice of columns would help.
+    """
+    known = {TIME, *(s.name for s in (*model.inputs, *model.outputs))}
+    columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
+    kept = {n: h for n, h in (mapping or {}).items() if n in known and _find_columns(columns, h, table.numbered)}
+    if table.headless or not any(c.header for c in columns):
+        return None
+    match = match_columns(table, model, kept, has_clock=has_clock)
+    if not match.problems and kept == dict(mapping or {}):
+        return None
+    headers = [c.header for c in columns]
+    names = {
+        c.position: c.header if headers.count(c.header) == 1 else str(table.numbered.index(c.position) + 1)
+        for c in columns
+        if c.header and (headers.count(c.header) == 1 or c.position in table.numbered)
+    }
+    used = {c.position for c in match.columns.values()}
+    spare = [c for c in columns if c.position not in used and c.position in names]
+    signals = [] if has_clock else [RequestedSignal(SignalKind.TIME, TIME, "s")]
+    signals += [RequestedSignal(SignalKind.INPUT, i.name, i.unit) for i in model.inputs]
+    signals += [RequestedSignal(SignalKind.OUTPUT, o.name, o.unit) for o in model.outputs]
+    choices = []
+    for signal in signals:
+        at = match.columns.get(signal)
+        likely = [] if at else _find_of_unit(signal, spare)
+        column = names.get(at.position, "") if at else names[likely[0].position] if likely else ""
+        choices.append(ColumnChoice(signal, column, at is not None and signal.name not in kept))
+    return tuple(names.values()), tuple(choices)
+
+
 def convert_column(values: np.ndarray, signal: RequestedSignal, column: Column, problems: list[str]) -> np.ndarray:
     """``values`` (N,) in the signal's unit; a unit that does not convert is added to ``problems``."""
     if not column.unit or column.unit == signal.unit:
@@ -249,11 +293,26 @@ def _suggest_headers(signal: RequestedSignal, spare: Sequence[Column]) -> str:
         for c in spare
         if c.name.lower() in close or wanted in re.split(r"[\W_]+", c.name.lower())
     ]
+    near = near or [repr(shorten(c.header)) for c in _find_of_unit(signal, spare)]
     guess = f"did you mean {' or '.join(near[:3])}? " if near else ""
     listing = ", ".join(_list_headers(spare))
     if not listing:
         return f"every other column is in use; add a column for it, or {_explain_mapping(signal)}"
     return f"{guess}unused headers: {listing}; rename one, or {_explain_mapping(signal)}"
+
+
+def _find_of_unit(signal: RequestedSignal, spare: Sequence[Column]) -> list[Column]:
+    """The only column of a unit that converts to the signal's; none where there are several."""
+    hits = [c for c in spare if c.unit and _converts(c.unit, signal.unit)]
+    return hits if len(hits) == 1 else []
+
+
+def _converts(source: str, target: str) -> bool:
+    try:
+        unit_converter(source, target)
+    except ModelError:
+        return False
+    return True
 
 
 def _explain_mapping(signal: RequestedSignal) -> str:

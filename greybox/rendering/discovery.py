@@ -397,8 +397,8 @@ def _parameter(name: str, values: Mapping[str, Any]) -> str:
 
 
 def _effects_tied(finding: Finding) -> str:
-    rivals = "; ".join(finding.values["rivals"])
-    return f"The records are consistent with {finding.subject}, and equally with: {rivals}. They cannot distinguish these effects."
+    equals = "; ".join((finding.subject, *finding.values["rivals"]))
+    return f"The plain model lacks one of these effects: {equals}. The records cannot distinguish them."
 
 
 def _laws_text(laws: Sequence[Mapping[str, str]]) -> str:
@@ -422,8 +422,8 @@ def _law_established(finding: Finding) -> str:
 def _laws_tied(finding: Finding) -> str:
     v = finding.values
     return (
-        f"The records are consistent with the law {_laws_text(v['laws'])}, and equally with: {'; '.join(v['rivals'])}. They cannot"
-        " distinguish these laws."
+        f"The plain model lacks one of these laws: {'; '.join((_laws_text(v['laws']), *v['rivals']))}. The records cannot"
+        " distinguish them."
     )
 
 
@@ -535,7 +535,7 @@ register(
     {
         # The answer.
         DiscoveryCode.NOTHING_MISSING: "No effect is missing: the plain model explains the records down to the noise.",
-        DiscoveryCode.EFFECT_NAMED: "The records are consistent with {subject}, and nothing visible is left.",
+        DiscoveryCode.EFFECT_NAMED: "The plain model lacks {subject}: with it, only noise is left.",
         DiscoveryCode.EFFECTS_ESTABLISHED: _effects_established,
         DiscoveryCode.ERROR_REDUCED: _error_reduced,
         DiscoveryCode.ERROR_LEFT: lambda f: f"{_remaining_text(f.subject, f.values)}.",

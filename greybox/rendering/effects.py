@@ -119,8 +119,9 @@ def write_places(placements: Sequence[Placement]) -> list[str]:
     at_site = {", ".join(group): names for names, group in alike.items()}
     lines = _listed({f"at {site}" if site else "anywhere": names for site, names in at_site.items()})
     lacking: dict[str, list[str]] = {}
+    placed = {p.name.partition(AT)[0] for p in placements if p.effect is not None}
     for p in placements:
-        if p.effect is None and (needed := describe_missing(p)):
+        if p.effect is None and p.name not in placed and (needed := describe_missing(p)):
             lacking.setdefault(needed, []).append(p.name)
     if lacking:
         lines += ["the others need", *_listed(lacking)]

@@ -324,7 +324,7 @@ TEMPLATES: Mapping[str, Template] = {
         "The residual was not tested: states that are estimated along the record absorb the missing effects."
     ),
     PageText.TESTS_ALARM: _alarms,
-    PageText.TESTS_CLEAR: "None of {tests} tests raises an alarm: the residual is consistent with noise.",
+    PageText.TESTS_CLEAR: "None of {tests} tests raises an alarm: the residual shows nothing but noise.",
     PageText.TESTS: "Tests of the residual",
     PageText.TESTS_NOTE: "Each test raises a false alarm (p below {level:g}) in one of a hundred correct fits.",
     # The page of a check

@@ -22,7 +22,7 @@ _SENTENCES: dict[ResidualTestKind, tuple[Callable[[ResidualTest], str], Callable
         lambda t: f"correlated with the input {t.input}: the model lacks part of its effect",
     ),
     ResidualTestKind.NORMALITY: (
-        lambda t: "consistent with a normal distribution",
+        lambda t: "normally distributed",
         lambda t: "not normal: look for outliers, quantisation or two regimes",
     ),
     ResidualTestKind.EQUAL_VARIANCE: (

@@ -95,8 +95,11 @@ def test_a_person_loads_records(page, rig: Path, tmp_path: Path) -> None:
     wrong = tmp_path / "other.csv"
     wrong.write_text("time [s],pressure [bar]\n0,1\n0.1,2\n", encoding="utf-8")
     page.set_input_files("#load", str(wrong))
-    page.wait_for_selector("#message:not([hidden])")
-    assert "other.csv" in page.text_content("#message") and page.is_visible("#empty")
+    page.wait_for_selector("#choice:not([hidden])")
+    assert page.text_content("#unmatched") == "other.csv" and page.is_visible("#empty")
+    assert page.input_value("#signals select[name=f]") == ""
+    page.click("#leave")
+    assert page.is_hidden("#choice")
     load(page, "#load", rig / "train.csv", 1)
     load(page, "#load-validation", rig / "test.csv", 2)
     assert page.is_hidden("#message")
@@ -190,6 +193,40 @@ def test_undo_goes_back_to_the_model_before(page) -> None:
     assert page.text_content("#title") == "carriage"
 
 
+def test_a_person_says_which_column_is_which_signal(page, rig: Path, tmp_path: Path) -> None:
+    foreign = tmp_path / "bench.csv"
+    lines = (rig / "train.csv").read_text(encoding="utf-8").splitlines()
+    foreign.write_text("\n".join(["Zeit [s],Kraft [N],Schlitten [mm/s]", *lines[1:]]), encoding="utf-8")
+    for attempt in range(2):
+        page.set_input_files("#load", str(foreign))
+        page.wait_for_selector("#choice:not([hidden])")
+        chosen = {n: page.input_value(f"#signals select[name={n}]") for n in ("time", "f", "v")}
+        assert chosen == {
+            "time": "Zeit [s]",
+            "f": "Kraft [N]",
+            "v": "Schlitten [mm/s]",
+        }  # each is the only one of its unit
+        page.click("#choice button[type=submit]")
+        if attempt:
+            break
+        page.wait_for_selector("#message:not([hidden])")  # the records that are there have other headers
+        assert "train.csv" in page.text_content("#message") and page.locator("#records li").count() == 2
+        for count in (1, 0):
+            page.locator("#records li button[aria-label^=Remove]").first.click()
+            until(page, f"document.querySelectorAll('#records li').length === {count}")
+    until(page, "document.querySelectorAll('#records li').length === 1")
+    assert page.is_hidden("#choice") and page.is_hidden("#message")
+    settled(page)
+    study = page.text_content("#study")
+    assert 'f = "Kraft [N]"' in study and 'v = "Schlitten [mm/s]"' in study and 'time = "Zeit [s]"' in study
+    for _ in range(3):
+        page.click("#undo")
+        page.wait_for_timeout(200)
+    until(page, "document.querySelectorAll('#records li').length === 2")
+    assert "Kraft" not in page.text_content("#study")
+    settled(page)
+
+
 def test_a_second_window_without_the_token_gets_nothing(browser, served) -> None:
     address, _ = served
     origin = address.rsplit("/", 2)[0]
@@ -272,8 +309,8 @@ def test_why_a_file_is_refused_is_shown_as_text(page, tmp_path: Path) -> None:
     file = tmp_path / '<img src=x onerror="window.hurt=1">.csv'
     file.write_text("time,<img src=x onerror=window.hurt=2>\n0,1\n", encoding="utf-8")
     page.set_input_files("#load", str(file))
-    page.wait_for_selector("#message:not([hidden])")
-    assert "onerror=window.hurt=2" in page.text_content("#message")
+    page.wait_for_selector("#choice:not([hidden])")
+    assert "onerror=window.hurt=2" in page.text_content("#choice")
     assert page.evaluate("window.hurt") is None and not page.locator(ELEMENTS).count()
 
 

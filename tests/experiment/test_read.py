@@ -503,6 +503,10 @@ HEADERS = [
         ["time", "voltage", "x"],
         "no column for input 'u' [V]; unused headers: voltage; rename one, or set columns={'u': <header>} (shell: --column u=<header>)",
     ),
+    (
+        ["time", "drive [mV]", "x"],
+        "no column for input 'u' [V]; did you mean 'drive [mV]'? unused headers: drive [mV]; rename one, or set",
+    ),
     (["T", "u", "x"], "no column for time [s]; "),
     (
         ["time", "x", "i"],

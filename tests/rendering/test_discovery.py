@@ -50,12 +50,12 @@ FINDINGS = [
     (
         Code.EFFECT_NAMED,
         *("coulomb_friction", {}),
-        "The records are consistent with coulomb_friction, and nothing visible is left.",
+        "The plain model lacks coulomb_friction: with it, only noise is left.",
     ),
     (
         Code.EFFECTS_TIED,
         *("input_offset", {"share": 0.998, "output": "x", "rivals": ["constant_load"]}),
-        "The records are consistent with input_offset, and equally with: constant_load. They cannot distinguish these effects.",
+        "The plain model lacks one of these effects: input_offset; constant_load. The records cannot distinguish them.",
     ),
     (Code.UNKNOWN_EFFECT, *("", {}), "The model lacks an effect, and no effect of the catalogue is established."),
     (
@@ -102,8 +102,7 @@ FINDINGS = [
     (
         Code.LAWS_TIED,
         *("", {"laws": [{"equation": "-0.2*x**3", "site": "force", "unit": "-"}], "rivals": ["0.9*sin(x)"]}),
-        "The records are consistent with the law -0.2*x**3 in the force balance, and equally with: 0.9*sin(x). They cannot distinguish"
-        " these laws.",
+        "The plain model lacks one of these laws: -0.2*x**3 in the force balance; 0.9*sin(x). The records cannot distinguish them.",
     ),
     (
         Code.LAW_STAND_IN,

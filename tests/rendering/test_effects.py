@@ -2,7 +2,7 @@
 
 from greybox.effects import CATALOGUE, EffectListing, Placement, effect, place_effect
 from greybox.model.signals import Parameter
-from greybox.rendering.effects import write_catalogue_page
+from greybox.rendering.effects import write_catalogue_page, write_places
 
 FRICTION = effect("coulomb_friction")
 
@@ -42,6 +42,17 @@ def test_places_and_why_there_is_none():
         "  eddy_current  it needs a balance 'voltage'\n"
         "  input_offset  the model contains it already"
     )
+
+
+def test_an_effect_that_finds_one_place_is_not_said_to_need_another():
+    at_load = place_effect(FRICTION, "load")
+    lines = write_places(
+        (
+            Placement(FRICTION.name, "lag", None, "no velocity", missing=("role", "velocity")),
+            Placement(at_load.name, "load", at_load, ""),
+        )
+    )
+    assert lines == ["  at load: coulomb_friction"]
 
 
 def test_a_section_of_the_page():

@@ -101,7 +101,7 @@ GOLDEN = [
         "1 of 14 tests raises an alarm: the residual contains more than noise.",
     ),
     (phrase(T.TESTS_ALARM, alarms=3, tests=14), "3 of 14 tests raise an alarm: the residual contains more than noise."),
-    (phrase(T.TESTS_CLEAR, tests=14), "None of 14 tests raises an alarm: the residual is consistent with noise."),
+    (phrase(T.TESTS_CLEAR, tests=14), "None of 14 tests raises an alarm: the residual shows nothing but noise."),
     (phrase(T.TESTS), "Tests of the residual"),
     (
         phrase(T.TESTS_NOTE, level=0.01),

@@ -17,7 +17,7 @@ GOLDEN = {
         "independence of u",
         "correlated with the input u: the model lacks part of its effect",
     ),
-    (ResidualTestKind.NORMALITY, False): ("normality", "consistent with a normal distribution"),
+    (ResidualTestKind.NORMALITY, False): ("normality", "normally distributed"),
     (ResidualTestKind.NORMALITY, True): (
         "normality",
         "not normal: look for outliers, quantisation or two regimes",

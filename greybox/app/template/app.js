@@ -33,7 +33,7 @@
     } catch {
       throw new Error(answer ? `The app refused this (${answer.status}).` : "The app does not answer: it has ended, or is busy. Look at its terminal.");
     }
-    if (!answer.ok) throw new Error(content.error);
+    if (!answer.ok) throw Object.assign(new Error(content.error), { choice: content.choice });
     return content;
   };
   const act = (name, given = {}) => ask(`do/${name}`, JSON.stringify(given));
@@ -269,19 +269,51 @@
     }
   };
 
-  const load = async (list, validates) => {
+  // Files that wait until a person has said which column of the first is which signal.
+  let waiting = null;
+  const askForColumns = (files, validates, { columns, signals }) => {
+    waiting = { files, validates, matched: Object.fromEntries(signals.filter(({ matched }) => matched).map(({ name, column }) => [name, column])) };
+    by("unmatched").textContent = files[0].name;
+    by("signals").replaceChildren(...signals.map(({ name, unit, kind, column }) => {
+      const row = make("label"), list = make("select", "", { name });
+      list.append(make("option", kind === "output" ? "not in this file" : "…", { value: "" }), ...columns.map((text) => make("option", text, { value: text })));
+      list.required = kind !== "output";
+      list.value = column;
+      row.append(make("span", kind === name ? `${name} [${unit}]` : `${kind} ${name} [${unit}]`), list);
+      return row;
+    }));
+    by("choice").hidden = false;
+    by("choice").scrollIntoView({ block: "nearest" });
+    by("signals").querySelector("select").focus({ preventScroll: true });
+  };
+
+  const load = async (list, validates, columns = {}) => {
     const refused = [];
     tell("");
-    for (const file of list)
+    by("choice").hidden = true;
+    waiting = null;
+    for (const [k, file] of list.entries())
       try {
-        render(await ask(`records?name=${encodeURIComponent(file.name)}&validates=${validates ? 1 : 0}`, file));
+        const chosen = k ? {} : columns, query = new URLSearchParams({ name: file.name, validates: validates ? 1 : 0, columns: JSON.stringify(chosen) });
+        render(await ask(`records?${query}`, file));
         shown.record = state.records.length - 1;
       } catch (error) {
+        if (error.choice) {
+          askForColumns(list.slice(k), validates, error.choice);
+          if (Object.keys(columns).length) refused.push(error.message);
+          break;
+        }
         refused.push(error.message);
       }
     tell(refused.join(" "));
     await lookAgain();
   };
+  by("choice").addEventListener("submit", (event) => {
+    event.preventDefault();
+    const chosen = [...new FormData(by("choice"))].filter(([name, column]) => column && column !== waiting.matched[name]);
+    load(waiting.files, waiting.validates, Object.fromEntries(chosen));
+  });
+  by("leave").addEventListener("click", () => (waiting.files.length > 1 ? load(waiting.files.slice(1), waiting.validates) : (by("choice").hidden = true)));
   for (const [id, validates] of [["load", false], ["load-validation", true]])
     by(id).addEventListener("change", async ({ target }) => {
       await load([...target.files], validates);
