@@ -28,6 +28,7 @@ def _write(model: Model, name: str, term: LawTerm) -> str:
     for inner, value in values.items():
         number = number_text(value)
         text = re.sub(rf"\b{re.escape(inner)}\b", f"({number})" if value < 0 else number, text)
-    text = text.removeprefix("(").replace(")*", "*", 1) if text.startswith("(-") else text
+    if text.startswith("(-"):  # the amplitude, which comes first
+        text = text[1:].replace(")", "", 1)
     lag = values.get(term.constants.lag) if term.has_memory else None
     return text if lag is None else f"lag({text}, {number_text(lag)})"
