@@ -5,6 +5,7 @@ import pytest
 import sympy
 
 from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.discovery.laws.equation import write_equation
 from greybox.discovery.laws.policy import LawPolicy
 from greybox.discovery.laws.terms import ConstantNames, list_terms
 from greybox.units import parse_unit
@@ -65,3 +66,11 @@ def test_a_sine_needs_an_angle_or_a_number(terms):
 
 def test_constants_do_not_hide_variables():
     assert ConstantNames.beside(["c", "a"]) == ConstantNames("k", "c_law", "T")
+
+
+def test_a_negative_constant_is_written_as_a_number():
+    """The equation must be one that SymPy reads."""
+    (bias,) = [t for t in list_terms(rig(), [("force", "N")], VALUES, LawPolicy()) if not t.factors]
+    model = rig() + bias.to_effect("law", -2.5, 1.0, 0.0, (-np.inf, np.inf), 1.0)
+    (text,) = write_equation(model, (bias,))
+    assert float(sympy.sympify(text)) == -2.5
