@@ -243,13 +243,14 @@ def observe_variants(
         return [observed]
     names = [n for n in nominal if n in observed.values]
     points = norm.ppf(qmc.Halton(len(names) + len(unseen), scramble=False).random(policy.unseen_draws + 1)[1:])
-    starts = {s.name: s.start for s in model.states if s.name in unseen}
+    places = {n: model.system.state_names.index(n) for n in unseen}
+    starts = {n: [float(record.start[j]) for record in observed.records] for n, j in places.items()}
     variants = [observed]
     for point in points:
         # Constants keep their signs.
         values = {n: nominal[n] * float(np.exp(policy.constant_spread * z)) for n, z in zip(names, point, strict=False)}
         first = {
-            n: (starts[n] + policy.unseen_spread * float(z) * (abs(starts[n]) or 1.0),) * len(observed.records)
+            n: tuple(start + policy.unseen_spread * float(z) * (abs(start) or 1.0) for start in starts[n])
             for n, z in zip(unseen, point[len(names) :], strict=True)
         }
         one = problem.failures.attempt(
