@@ -145,7 +145,8 @@ def plot_spectrum(
         if len(curve.x):
             peak = float(curve.x[int(np.argmax(curve.y))])
             description.append(phrase(FigureText.SPECTRUM_PEAK, output, frequency=peak))
-    return Figure(name, tuple(panels), phrase(FigureText.SPECTRUM, trace.name), tuple(description))
+    caption = phrase(FigureText.SPECTRUM, trace.name, line=any(map(known_noise, noise.values())))
+    return Figure(name, tuple(panels), caption, tuple(description))
 
 
 def plot_residuals_before_after(

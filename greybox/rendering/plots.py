@@ -159,9 +159,14 @@ TEMPLATES: Mapping[str, Template] = {
         f"Residual (measured minus simulated) of record {f.subject}"
         + ("; the band is two standard deviations of the noise." if f.values["band"] else ".")
     ),
-    FigureText.SPECTRUM: (
-        "Spectrum of the residual of record {subject}; the dashed line is white noise of the same standard deviation as the sensor noise."
-        " Zoom into the residual over time to see the spectrum of that interval."
+    FigureText.SPECTRUM: lambda f: (
+        f"Spectrum of the residual of record {f.subject}"
+        + (
+            "; the dashed line is white noise of the same standard deviation as the sensor noise."
+            if f.values["line"]
+            else "."
+        )
+        + " Zoom into the residual over time to see the spectrum of that interval."
     ),
     FigureText.RESIDUALS_BEFORE_AFTER: lambda f: (
         f"Residual of record {f.subject} with the plain and with the extended model"

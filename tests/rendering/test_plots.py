@@ -23,7 +23,11 @@ GOLDEN = [
     ),
     (phrase(T.RESIDUAL, "a", band=False), "Residual (measured minus simulated) of record a."),
     (
-        phrase(T.SPECTRUM, "a"),
+        phrase(T.SPECTRUM, "a", line=False),
+        "Spectrum of the residual of record a. Zoom into the residual over time to see the spectrum of that interval.",
+    ),
+    (
+        phrase(T.SPECTRUM, "a", line=True),
         "Spectrum of the residual of record a; the dashed line is white noise of the same standard deviation as the sensor noise."
         " Zoom into the residual over time to see the spectrum of that interval.",
     ),
