@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from greybox.cli.app import app
-from greybox.result import load_fit
+from greybox.schemas import ResultKind, read_json
 from models.silverbox import silverbox
 from tests.hardening.test_fuzz_records import time_limit
 from tests.oracles.independent import linear_record, multisine
@@ -83,7 +83,7 @@ def judge(command: list[str], out: Path) -> str:
     if result.exit_code not in (0, 1):
         return f"code {result.exit_code}: {result.output[-200:]}"
     if out.exists():
-        load_fit(out / "fit.json", silverbox)
+        read_json(out / "fit.json", ResultKind.FIT)
     found = NO_NUMBER.search(result.output)
     return (
         "answered" if found is None else f"says nan: {result.output[max(found.start() - 80, 0) : found.end() + 20]!r}"
