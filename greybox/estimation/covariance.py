@@ -81,6 +81,7 @@ class ParameterCovariance:
         )
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of numbers near the largest there are; what is not finite is told
 def estimate_covariance(
     variables: DecisionVector,
     evaluation: Evaluation,

@@ -84,7 +84,7 @@ def judge(command: list[str], out: Path) -> str:
         return f"code {result.exit_code}: {result.output[-200:]}"
     if out.exists():
         read_json(out / "fit.json", ResultKind.FIT)
-    found = NO_NUMBER.search(result.output)
+    found = NO_NUMBER.search(result.output) if result.exit_code == 0 else None  # a run that overflows has no misfit
     return (
         "answered" if found is None else f"says nan: {result.output[max(found.start() - 80, 0) : found.end() + 20]!r}"
     )
