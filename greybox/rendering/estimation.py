@@ -132,12 +132,18 @@ def _write_part(label: str) -> str:
 
 
 def _write_shifts(finding: Finding) -> str:
+    by_parts: dict[tuple[str, ...], list[str]] = {}
+    for s in finding.values["shifts"]:
+        change = f"{s['name']} changes from {s['before']:.4g} to {s['after']:.4g} {s['unit']}"
+        deviations = float(f"{s['deviations']:.2g}")
+        by_parts.setdefault(tuple(s["parts"]), []).append(f"{change} ({deviations:g} standard deviations of the noise)")
     shifts = "; ".join(
-        f"{s['name']} changes from {s['before']:.4g} to {s['after']:.4g} {s['unit']} between {_write_part(s['parts'][0])} and"
-        f" {_write_part(s['parts'][1])}, {s['deviations']:.2g} standard deviations of the noise"
-        for s in finding.values["shifts"]
+        f"between {_write_part(first)} and {_write_part(second)}, {', '.join(changes)}"
+        for (first, second), changes in by_parts.items()
     )
-    return f"not constant: {shifts}; it compensates for an effect that the model lacks, or the plant changes"
+    several = len(finding.values["shifts"]) > 1
+    words = "they compensate" if several else "it compensates"
+    return f"not constant: {shifts}; {words} for an effect that the model lacks, or the plant changes"
 
 
 def _write_residual_correlated(finding: Finding) -> str:

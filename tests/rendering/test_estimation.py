@@ -139,8 +139,8 @@ GOLDEN = [
                 }
             ]
         },
-        "not constant: K changes from 10 to 12 N/m between experiment 'day 1' and experiment 'day 2', 4 standard deviations of"
-        " the noise; it compensates for an effect that the model lacks, or the plant changes",
+        "not constant: between experiment 'day 1' and experiment 'day 2', K changes from 10 to 12 N/m (4 standard deviations of"
+        " the noise); it compensates for an effect that the model lacks, or the plant changes",
     ),
     (
         "parameter_not_constant",
@@ -154,11 +154,20 @@ GOLDEN = [
                     "after": 12.0,
                     "deviations": 4.0,
                     "parts": ["first_half:1", "second_half:1"],
-                }
+                },
+                {
+                    "name": "B",
+                    "unit": "N*s/m",
+                    "before": 2.0,
+                    "after": 1.0,
+                    "deviations": 213.4,
+                    "parts": ["first_half:1", "second_half:1"],
+                },
             ]
         },
-        "not constant: K changes from 10 to 12 N/m between the first half of the record and the second half of the record, 4"
-        " standard deviations of the noise; it compensates for an effect that the model lacks, or the plant changes",
+        "not constant: between the first half of the record and the second half of the record, K changes from 10 to 12 N/m (4 standard"
+        " deviations of the noise), B changes from 2 to 1 N*s/m (210 standard deviations of the noise); "
+        "they compensate for an effect that the model lacks, or the plant changes",
     ),
     (
         "residual_correlated",
