@@ -84,9 +84,13 @@ def judge(command: list[str], out: Path) -> str:
         return f"code {result.exit_code}: {result.output[-200:]}"
     if out.exists():
         read_json(out / "fit.json", ResultKind.FIT)
-    found = NO_NUMBER.search(result.output) if result.exit_code == 0 else None  # a run that overflows has no misfit
+    place_of_nan = (
+        NO_NUMBER.search(result.output) if result.exit_code == 0 else None
+    )  # a run that overflows has no misfit
     return (
-        "answered" if found is None else f"says nan: {result.output[max(found.start() - 80, 0) : found.end() + 20]!r}"
+        "answered"
+        if place_of_nan is None
+        else f"says nan: {result.output[max(place_of_nan.start() - 80, 0) : place_of_nan.end() + 20]!r}"
     )
 
 
