@@ -21,6 +21,7 @@ from greybox.app.session import LoadedRecord, Session
 from greybox.app.study_book import StudyBook
 from greybox.app.view import EffectPlace, list_effects, show_choice, show_location, show_run, show_session
 from greybox.errors import DataError, GreyboxError, ModelError, nearest
+from greybox.experiment import Experiment
 from greybox.export import to_python
 from greybox.files import write_file
 from greybox.model import Effect
@@ -156,7 +157,7 @@ class Workbench:
     def _read_again(self, columns: Mapping[str, str]) -> tuple[LoadedRecord, ...]:
         """The records of the session with other columns. Raises GreyboxError."""
         present = self.session.records
-        fresh = {}
+        fresh: dict[tuple[str, str], Experiment] = {}
         for file in dict.fromkeys(r.file for r in present):
             try:
                 fresh |= {(str(file), r.name): r for r in self.study.read([file], columns)}
