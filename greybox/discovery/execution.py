@@ -20,7 +20,7 @@ from greybox.errors import FitError
 from greybox.findings import Finding
 from greybox.journal import add_entry, read_journal
 from greybox.model import Model
-from greybox.parallel import JobResult, count_cores, open_local_pool, run_jobs
+from greybox.parallel import JobResult, count_cores, note_interrupts, open_local_pool, run_jobs
 from greybox.schemas import ResultKind, find_offence
 
 
@@ -157,14 +157,17 @@ class RefitExecutor:
         if len(remaining) > 1 and self._parallel_pays(len(remaining)):
             self._run_in_parallel(problem, jobs, keys, remaining, results)
             return results
-        for k in remaining:
-            if self.is_late:
-                self.skipped += 1
-                continue
-            began = time.perf_counter()
-            results[k] = _attempt(problem, jobs[k], partial(problem.refit, jobs[k]))
-            self.seconds.append(time.perf_counter() - began)
-            self._keep(keys[k], results[k] and problem.to_outcome(results[k]))
+        with note_interrupts() as is_interrupted:
+            for k in remaining:
+                if self.is_late:
+                    self.skipped += 1
+                    continue
+                began = time.perf_counter()
+                results[k] = _attempt(problem, jobs[k], partial(problem.refit, jobs[k]))
+                self.seconds.append(time.perf_counter() - began)
+                self._keep(keys[k], results[k] and problem.to_outcome(results[k]))
+                if is_interrupted():
+                    raise KeyboardInterrupt
         return results
 
     @property

@@ -170,7 +170,7 @@ def propose_columns(
 
     None where no choice of columns would help.
     """
-    known = {TIME, *(s.name for s in (*model.inputs, *model.outputs))}
+    known = {TIME, *(i.name for i in model.inputs), *(o.name for o in model.outputs)}
     columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
     kept = {n: h for n, h in (mapping or {}).items() if n in known and _find_columns(columns, h, table.numbered)}
     if table.headless or not any(c.header for c in columns):

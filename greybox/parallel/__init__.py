@@ -1,6 +1,7 @@
 """Many independent jobs here, in processes of this machine or on a cluster."""
 
 from greybox.parallel.cluster import open_cluster
+from greybox.parallel.interrupts import note_interrupts
 from greybox.parallel.jobs import (
     JobProgressCallback,
     JobResult,
@@ -18,6 +19,7 @@ __all__ = [
     "JobResultCallback",
     "RetryPolicy",
     "count_cores",
+    "note_interrupts",
     "open_cluster",
     "open_local_pool",
     "open_workers",

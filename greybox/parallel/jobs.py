@@ -12,6 +12,7 @@ from typing import Any
 
 from greybox.errors import GreyboxError, WorkersLostError
 from greybox.parallel.cluster import WorkersHealth, adopt_executor, open_cluster, watch_executor
+from greybox.parallel.interrupts import note_interrupts
 from greybox.parallel.local_pool import LocalPool, count_cores, open_local_pool
 from greybox.parallel.packing import describe_version, pack, unpack, unpack_shared
 from greybox.parallel.policy import RETRY_POLICY
@@ -142,10 +143,13 @@ class _Book:
 
     def run_here(self) -> None:
         """All jobs one after the other in this process."""
-        for k in self.open:
-            if self.is_late:
-                return
-            self.enter(k, _run_timed(self.job, self.common, self.items[k]))
+        with note_interrupts() as is_interrupted:
+            for k in self.open:
+                if self.is_late:
+                    return
+                self.enter(k, _run_timed(self.job, self.common, self.items[k]))
+                if is_interrupted():
+                    raise KeyboardInterrupt
 
     def run_through(self, executor: Executor) -> None:
         """All jobs in workers; a job that was lost twice with its worker runs alone, and is given up if that kills its worker."""

@@ -8,7 +8,8 @@ import pytest
 
 from tests.export import test_hostile_texts as languages
 from tests.export.test_hostile_texts import plain  # noqa: F401
-from tests.reports.test_hostile_pages import KINDS, browser, browsing, opened, pages, poison, write_page  # noqa: F401
+from tests.reports.test_hostile_pages import KINDS, pages, poison, write_page  # noqa: F401
+from tests.support.browser import opened
 from tests.support.hostile import CODE, ELEMENTS, MARKUP, RARER_MARKUP
 from tests.support.reliability import note_row
 
@@ -16,7 +17,6 @@ TEXTS = (*MARKUP, *RARER_MARKUP, *CODE)
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 
 
-@browsing
 def test_each_text_in_every_field_of_every_page(browser, pages, tmp_path):  # noqa: F811
     fields = opened_pages = 0
     faults = []

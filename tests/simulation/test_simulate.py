@@ -150,7 +150,9 @@ def test_inputs_are_read_without_outputs(tmp_path: Path) -> None:
     assert np.allclose(record.inputs["u"], [1, 2, 0.5])
     assert record.hold == "first"
     assert not record.outputs
-    with pytest.raises(DataError, match=r"no column for input 'u' \[V\]; unused headers: drive \[mV\], other"):
+    with pytest.raises(
+        DataError, match=r"no column for input 'u' \[V\]; did you mean 'drive \[mV\]'\? unused headers: drive"
+    ):
         read_inputs(file, micro_actuator)
     with pytest.raises(DataError, match="file not found"):
         read_inputs(tmp_path / "none.csv", micro_actuator)

@@ -8,7 +8,7 @@ from functools import partial
 
 import casadi as ca
 import numpy as np
-from scipy.stats import norm, qmc
+from scipy.special import ndtri
 
 from greybox.discovery.failures import SearchStage
 from greybox.discovery.laws.observer import FilteredRun, FilterTape, ObservedRecord, StateObserver, observe_records
@@ -242,7 +242,9 @@ def observe_variants(
     if not unseen:
         return [observed]
     names = [n for n in nominal if n in observed.values]
-    points = norm.ppf(qmc.Halton(len(names) + len(unseen), scramble=False).random(policy.unseen_draws + 1)[1:])
+    from scipy.stats import qmc  # half a second to import
+
+    points = ndtri(qmc.Halton(len(names) + len(unseen), scramble=False).random(policy.unseen_draws + 1)[1:])
     places = {n: model.system.state_names.index(n) for n in unseen}
     starts = {n: [float(record.start[j]) for record in observed.records] for n, j in places.items()}
     variants = [observed]
