@@ -33,6 +33,7 @@ from greybox.discovery.shape_correction import (
     is_shape_correction,
     list_shape_corrections,
     prepare_curve,
+    prepare_power,
 )
 from greybox.discovery.starting_points import count_shapes
 from greybox.discovery.surrogate import FreeCurve, refit_free_curves
@@ -66,8 +67,8 @@ class EffectEvidence(Printable, ReadOnly):
         The best effect of another family in its place, and the rms error with that; "" and NaN where none could be fitted.
     alike
         Effects of other families that do the same in its place, and `fitted_curve` where a curve does as well: one without memory in
-        the place of an effect with one, or one over another variable or at another site. No record of this kind separates them. The
-        probability is that of one of these being right.
+        the place of an effect with one, a power law in that of one of many constants, or a curve over another variable or at another
+        site. No record of this kind separates them. The probability is that of one of these being right.
     change
         Relative change of its constants from one half of the estimation records to the other; NaN where a half could not be fitted.
     survives_start
@@ -77,7 +78,8 @@ class EffectEvidence(Printable, ReadOnly):
     measures
         What the probability was computed from. Losses are relative differences of mean square errors from that of the model, all outputs
         together, on the validation records and adapted to them (`HoldoutScores.adapt`): without the effect, with its rival, with a
-        flexible curve beside it, and of an effect with memory with a curve in its place; ``_t`` are the same in standard errors of the
+        flexible curve beside it, and with something simpler in its place (``static``: of an effect with memory a curve, of one of many
+        constants a power law); ``_t`` are the same in standard errors of the
         blocks, ``rival_parameters`` how many more parameters the rival has, ``curve_gain`` what the curve beside the effect takes of the
         logarithm of the rms error of the records it was fitted to. For what would be established, ``free_loss`` is the relative
         difference of the cost on the estimation records, with a free curve over whatever explains most, wherever it does so.
@@ -220,7 +222,7 @@ def _weigh_effect(
     rival_parameters = 0.0
     if nearest is not None:
         rival_parameters = _count_parameters(rivals[nearest]) - _count_parameters(inputs.selected)
-    static = _refit_static_curve(inputs, effect, rest)
+    static = _refit_simpler(inputs, effect, rest)
     static_loss, static_t = (np.nan, np.nan) if static is None else compare_errors(form, square_errors(static))
     is_static = static_loss < limits.same_error * min(loss, 1.0)
     change = _measure_change(inputs.selected, effect, halves)
@@ -379,12 +381,20 @@ def _is_hopeful(inputs: EvidenceInputs, fit: CandidateFit) -> bool:
     return fit.cost <= inputs.limits.hopeless_cost * inputs.selected.cost
 
 
-def _refit_static_curve(inputs: EvidenceInputs, effect: Effect, rest: CandidateFit | None) -> CandidateFit | None:
-    """A smooth curve in the place of an effect with memory: where that does as well, the records do not show that there is a memory."""
+def _refit_simpler(inputs: EvidenceInputs, effect: Effect, rest: CandidateFit | None) -> CandidateFit | None:
+    """Something simpler in the place of an effect: where that does as well, the records do not show what the effect has beyond it.
+
+    For an effect with memory a smooth curve without one, for one of many constants a power of its variable. None for all others.
+    """
     signal = next((s for s in inputs.signals if s.effect == effect.name), None)
-    if rest is None or signal is None or not has_memory(effect):
+    if rest is None or signal is None:
         return None
-    prepare = partial(prepare_curve, rest, signal, inputs.policy)
+    if has_memory(effect):
+        prepare = partial(prepare_curve, rest, signal, inputs.policy)
+    elif _count_free(inputs.selected, effect) >= inputs.limits.many_constants:
+        prepare = partial(prepare_power, inputs.selected, rest, signal, inputs.policy.surrogate)
+    else:
+        return None
     job = inputs.problem.failures.attempt(SearchStage.SHAPE_CORRECTION, inputs.selected.effects, prepare, None)
     return None if job is None else inputs.problem.refit_all([job])[0]
 
@@ -580,6 +590,12 @@ def _is_undetermined(fit: Fit, name: str) -> bool:
     if bound.effect.amplitudes:
         return any(is_absent[n] for n in bound.effect.amplitudes if n in is_absent)
     return bool(is_absent) and all(is_absent.values())
+
+
+def _count_free(candidate: CandidateFit, effect: Effect) -> int:
+    """How many constants of an effect are not fixed."""
+    names = next(b.model_names for b in candidate.model.bound_effects if b.effect.name == effect.name)
+    return sum(not candidate.model.parameter(names[q.name]).fixed for q in effect.parameters)
 
 
 def _count_parameters(candidate: CandidateFit) -> float:

@@ -81,6 +81,8 @@ class SearchBudget:
     max_substeps: int = 32
     """Substeps of a sample that a refit of the search takes at most, unless the plain model needs more: a candidate that does is stiff by
     its constants alone, and minutes would not make it the answer. The last fit knows no such limit."""
+    unstable_factor: int = 2
+    """How many times as many it takes if it is unstable with so few. One that is so still is out."""
     refit_starts: int = 2
     """Most promising starting points from which a model is refitted."""
     screening_iterations: int = 12
@@ -244,6 +246,10 @@ class SurrogatePolicy:
     """Share by which a period may move from the one that the signal shows."""
     period_starts: tuple[float, ...] = (1.0, 0.985, 1.015)
     """Periods from which a sinusoid is refitted, over the one that the signal shows."""
+    powers: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 1.5, 2.0, 3.0)
+    """Exponents from which a power is fitted; it stays between the first and the last. The straight line is the model's own."""
+    straight_share: float = 0.01
+    """Share of the variable's rms below which a power is straight."""
     refit_iterations: int = 30
     """Iterations of the refit."""
     refit_starts: int = 1
@@ -290,6 +296,8 @@ class ProposalPolicy:
 class EvidencePolicy:
     """How the evidence for each effect is gathered."""
 
+    many_constants: int = 3
+    """Constants from which an effect without memory is held against a power of its variable: so many imitate other simple laws."""
     blocks: int = 24
     """Blocks in which the validation records are divided: errors of neighbouring samples are not independent."""
     resamples: int = 400
@@ -375,7 +383,7 @@ class CertaintyPolicy:
     """Probability from which an effect is probable; below it is a stand-in."""
     least_rival: float = 0.3
     """The best rival must be behind by this share of `most_deviations`: three standard errors. So must be, of an effect with memory, a
-    curve in its place."""
+    curve in its place, and of one of many constants a power law."""
     most_form: float = 0.5
     """What a flexible curve beside the effect takes more, over what the effect takes, in rms."""
     most_gain: float = 0.11

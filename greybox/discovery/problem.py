@@ -177,7 +177,8 @@ class DiscoveryProblem:
         problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
         points = _rank_starts(problem, starts)
         if not points and problem.step.substeps >= most:
-            problem = _with_initial_states(self.prepare(model), beginning)
+            most *= self.budget.unstable_factor
+            problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
             points = _rank_starts(problem, starts)
         return problem, points
 

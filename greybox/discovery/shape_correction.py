@@ -12,13 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.discovery.disturbance_sites import list_disturbance_sites
+from greybox.discovery.disturbance_sites import DisturbanceSite, list_disturbance_sites
 from greybox.discovery.effect_signal import EffectSignal, estimate_effect_signals
 from greybox.discovery.execution import RefitJob
-from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.policy import DiscoveryPolicy, SurrogatePolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.starting_points import generate_starting_points
-from greybox.discovery.surrogate_effects import CURVE, make_curve_effect
+from greybox.discovery.surrogate_effects import CURVE, make_curve_effect, make_power_effect
 from greybox.effects import Scales
 from greybox.model import Effect
 
@@ -72,6 +72,19 @@ def prepare_curve(rest: CandidateFit, signal: EffectSignal, policy: DiscoveryPol
     return _prepare_curve(rest, signal, signal.value, policy)
 
 
+def prepare_power(
+    selected: CandidateFit, rest: CandidateFit, signal: EffectSignal, policy: SurrogatePolicy
+) -> RefitJob:
+    """The refit of ``rest`` with a power of the variable of ``signal`` that stands for the whole signal of an effect of ``selected``."""
+    power, values = make_power_effect(_site_of(rest, signal), signal.dependence, signal.variable, signal.value, policy)
+    model = rest.model + power
+    names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
+    begin = {names[n]: v for n, v in values.items()}
+    kept = {n: v for n, v in selected.model.values.items() if n in rest.model.values}
+    starts = ({**rest.model.values, **begin}, {**rest.model.values, **kept, **begin})
+    return RefitJob(model, starts, 2, policy.refit_iterations)
+
+
 def _curves(
     problem: DiscoveryProblem, candidate: CandidateFit, policy: DiscoveryPolicy
 ) -> Iterator[tuple[str, RefitJob]]:
@@ -86,9 +99,8 @@ def _prepare_curve(
     candidate: CandidateFit, signal: EffectSignal, values: np.ndarray, policy: DiscoveryPolicy
 ) -> RefitJob:
     """``candidate`` with a curve at the site of ``signal`` over its variable, which begins as the regression of ``values`` (K,)."""
-    sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
     curve, heights = make_curve_effect(
-        next(s for s in sites if s.label == signal.site),
+        _site_of(candidate, signal),
         signal.dependence,
         signal.variable,
         values,
@@ -100,3 +112,8 @@ def _prepare_curve(
     names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
     starts = ({**candidate.model.values, **{names[n]: v for n, v in heights.items()}}, candidate.model.values)
     return RefitJob(model, starts, 1, policy.budget.correction_iterations)
+
+
+def _site_of(candidate: CandidateFit, signal: EffectSignal) -> DisturbanceSite:
+    sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
+    return next(s for s in sites if s.label == signal.site)

@@ -1,4 +1,4 @@
-"""Surrogates of an unknown effect: a smooth curve over a variable, a sinusoid over it, or a tone in time.
+"""Surrogates of an unknown effect: a smooth curve, a power or a sinusoid over a variable, or a tone in time.
 
 The curve is ``sum c_k exp(-(t - k)^2)``, ``t = (z - lowest) / pitch``: bumps so close that their sum is smooth (equal ones make a constant
 to 1e-4), and short enough to be read in a model file. Outside the range that was seen the curve goes to zero. Weak priors on the
@@ -68,6 +68,40 @@ def make_curve_effect(
     c = regression.solve(np.append(w * weight, np.zeros(len(heights))))
     effect = _curve_effect(site, dependence, curve, parameters, heights, f"smooth curve over {variable}")
     return effect, dict(zip(heights, map(float, c), strict=True))
+
+
+def make_power_effect(
+    site: DisturbanceSite, dependence: Dependence, z: np.ndarray, w: np.ndarray, policy: SurrogatePolicy
+) -> tuple[Effect, dict[str, float]]:
+    """A power of the variable of ``dependence``, with its sign, as an effect at ``site``, and its start values.
+
+    These are those of the regression of the signal ``w`` (K,) on the variable ``z`` (K,) that leaves least. Close to zero the power is
+    straight: the slope of a root is infinite there.
+    """
+    size = float(np.sqrt(np.mean(z**2)))
+    low, high = min(policy.powers), max(policy.powers)
+    parameters = [
+        Parameter("scale", dependence.unit, size, fixed=True, source="rms of the record", description="where it is 1"),
+        Parameter("height", site.unit, 0.0, source="zero, until fitted", description="its value there"),
+        Parameter("power", "1", 1.0, (low, high), source="between a step and a steep curve", description="exponent"),
+    ]
+
+    def curve(value: Expression, p: NamedValues) -> Expression:
+        return p.height * _power(value / p.scale, p.power, policy.straight_share)
+
+    def regress(power: float) -> tuple[float, float]:
+        basis = np.stack([_power(z / size, power, policy.straight_share), z / size, np.ones_like(z)], axis=1)
+        coefficients = decompose_columns(basis).solve(w)
+        return float(np.sum((w - basis @ coefficients) ** 2)), float(coefficients[0])
+
+    best = min(policy.powers, key=lambda power: regress(power)[0])
+    effect = _curve_effect(site, dependence, curve, parameters, ["height"], f"power of {dependence.variable}")
+    return effect, {"height": regress(best)[1], "power": best}
+
+
+def _power(t: Expression, power: Expression, straight: float) -> Expression:
+    """``sign(t) |t|**power``, straight for ``t`` below ``straight``."""
+    return t * (t**2 + straight**2) ** ((power - 1) / 2)
 
 
 def make_sinusoid_effect(
