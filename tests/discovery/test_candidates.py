@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.discovery import DiscoveryProblem
 from greybox.discovery.candidates import failed_candidates, family_of, list_candidates
 from greybox.discovery.failures import NOT_SIMULATED, FailureLog, SearchStage
 from greybox.discovery.findings import DiscoveryCode as Code
@@ -13,6 +14,7 @@ from greybox.errors import ModelError
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
 from tests.support.fake_candidates import toy_effect
+from tests.support.hidden_rigs import AT_REST, simulate_records
 
 
 @pytest.fixture(scope="module")
@@ -79,3 +81,13 @@ def test_the_reason_of_a_failure_tells_an_overflow_from_an_error():
     codes = {name: finding.code for name, finding in failed_candidates(effects, failures, ()).items()}
     assert codes == {"a": Code.CANDIDATE_NOT_SIMULATED, "b": Code.CANDIDATE_FAILED}
     assert failed_candidates(effects, failures, {"b"}).keys() == {"a"}
+
+
+def test_a_stiff_candidate_is_tried_with_a_bounded_number_of_steps(monkeypatch):
+    train, _ = simulate_records(micro_actuator, {}, (2e-7, 5e-3), rows=100)
+    problem = DiscoveryProblem(micro_actuator, (train,), {"x": 2e-7, "i": 5e-3}, (), AT_REST)
+    stiff = (micro_actuator + gb.effect("cubic_damping")).bound(B=(0.0, 1e10)).start(B=1e9)
+    tried = []
+    monkeypatch.setattr(gb.discovery.problem, "_rank_starts", lambda p, starts: tried.append(p.step.substeps) or [])
+    assert np.isinf(problem.predict_cost(stiff, [stiff.values]))
+    assert tried == [problem.budget.max_substeps, problem.budget.unstable_factor * problem.budget.max_substeps]

@@ -1,13 +1,18 @@
 """The curve in the place of an effect that the catalogue does not have, and what is proposed then. Rigs simulated without greybox."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import greybox as gb
 from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, ShapeKind, localise_residual
+from greybox.discovery.curve_shape import Parity
+from greybox.discovery.disturbance_sites import list_disturbance_sites
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.proposals import propose_next_steps, propose_noise_check
 from greybox.discovery.surrogate import fit_curve_surrogate
+from greybox.discovery.surrogate_effects import make_power_effect
 from greybox.findings import with_code
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
@@ -79,3 +84,18 @@ def test_an_estimated_noise_is_doubted_where_nothing_seems_missing():
     assert doubt.code == DiscoveryCode.CHECK_NOISE
     assert doubt.values["outputs"] == ["s"]
     assert propose_noise_check(gb.fit(model, train, noise={"s": 2e-4}, options=AT_REST)) == ()
+
+
+@pytest.mark.parametrize("power", [0.3, 0.5, 2.0])
+def test_a_power_starts_as_the_signal_shows_it(power):
+    v = np.random.default_rng(2).normal(0.0, 0.1, 400)
+    signal = -4.0 * np.sign(v) * np.abs(v) ** power + 7.0 * v  # the model has the straight part
+    dependence = SimpleNamespace(variable="v", unit="m/s", shape=SimpleNamespace(parity=Parity.ODD))
+    site = next(s for s in list_disturbance_sites(micro_actuator, ["x"]) if s.name == "force")
+    effect, start = make_power_effect(site, dependence, v, signal, POLICY.surrogate)
+    size = effect.parameters[0].value
+    assert start["power"] == power
+    assert start["height"] == pytest.approx(-4.0 * size**power, rel=0.02)
+    named = {q.name: q.value for q in effect.parameters} | start
+    added = effect.terms(SimpleNamespace(v=0.05), None, SimpleNamespace(**named))
+    assert added == pytest.approx(-4.0 * 0.05**power, rel=0.02)

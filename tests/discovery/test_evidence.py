@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import greybox as gb
 from greybox.discovery import evidence
 from greybox.discovery.adaptation import AdaptedRun
 from greybox.discovery.block_errors import compare_errors
@@ -17,8 +18,10 @@ from greybox.discovery.evidence import (
     _share_of_error,
     measure_structure,
 )
+from greybox.discovery.failures import FailureLog
 from greybox.discovery.policy import DiscoveryPolicy, EvidencePolicy
 from greybox.noise import BoundDirection, NoiseBound, NoiseSource
+from models.micro_actuator import micro_actuator
 from tests.support.fake_candidates import candidate, toy_effect
 
 RNG = np.random.default_rng(1)
@@ -114,6 +117,26 @@ def test_any_curve_can_be_a_constant(monkeypatch):
 
 def test_a_free_curve_that_fails_elsewhere_does_not_count(monkeypatch):
     assert np.isnan(compare_with_curves(monkeypatch, ("u", 60.0, 100.0), error=3.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("lugre_friction", "prepare_curve"), ("stribeck_friction", "prepare_power"), ("coulomb_friction", None)],
+)
+def test_what_stands_in_the_place_of_an_effect_is_simpler(monkeypatch, name, expected):
+    model = micro_actuator + gb.effect(name)
+    asked = []
+    for prepare in ("prepare_curve", "prepare_power"):
+        monkeypatch.setattr(evidence, prepare, lambda *_, prepare=prepare: asked.append(prepare))
+    inputs = SimpleNamespace(
+        signals=[SimpleNamespace(effect=name)],
+        selected=SimpleNamespace(model=model, effects=(name,)),
+        limits=EvidencePolicy(),
+        policy=DiscoveryPolicy(),
+        problem=SimpleNamespace(failures=FailureLog(), refit_all=lambda jobs: ["fit"]),
+    )
+    evidence._refit_simpler(inputs, gb.effect(name), SimpleNamespace())
+    assert asked == ([expected] if expected else [])
 
 
 @pytest.mark.parametrize(
