@@ -225,7 +225,7 @@ def _weigh_effect(
     static = _refit_simpler(inputs, effect, rest)
     static_loss, static_t = (np.nan, np.nan) if static is None else compare_errors(form, square_errors(static))
     is_static = static_loss < limits.same_error * min(loss, 1.0)
-    change = _measure_change(inputs.selected, effect, halves)
+    change = _measure_change(inputs.selected, effect, halves, inputs.fit)
     output = max(errors, key=lambda o: mean_error(without.get(o)) / max(mean_error(errors[o]), TINY))
     share, interval = _share_of_error(errors[output], without.get(output), limits)
     measures = {
@@ -555,15 +555,21 @@ def _remainder_over_variable(inputs: EvidenceInputs, name: str) -> float:
     return float(np.clip(np.sqrt(share * float(np.var(rest)) / max(power, TINY)), 0, 1))
 
 
-def _measure_change(selected: CandidateFit, effect: Effect, halves: Sequence[CandidateFit]) -> float:
-    """Relative difference of the effect's amplitudes between the halves of the records; the median of several."""
+def _measure_change(selected: CandidateFit, effect: Effect, halves: Sequence[CandidateFit], fit: Fit) -> float:
+    """Relative difference of the effect's amplitudes between the halves of the records; the median of several.
+
+    An amplitude that its bounds stopped is only known to be large enough: where all are, the constants of shape count.
+    """
     if len(halves) < 2:
         return np.nan
     names = next(b.model_names for b in selected.model.bound_effects if b.effect.name == effect.name)
-    wanted = [names[n] for n in (effect.amplitudes or [q.name for q in effect.parameters])]
-    free = [n for n in wanted if not selected.model.parameter(n).fixed]
+    amplitudes = [names[n] for n in effect.amplitudes]
+    shapes = [names[q.name] for q in effect.parameters if q.name not in effect.amplitudes]
+    free = [n for n in (*amplitudes, *shapes) if not selected.model.parameter(n).fixed]
+    inside = [n for n in free if n not in fit.parameters or not fit.parameters[n].at_bound] or free
+    counted = [n for n in inside if n in amplitudes] or inside
     changes = []
-    for name in free:
+    for name in counted:
         one, other = (half.model.values[name] for half in halves)
         changes.append(abs(one - other) / max((abs(one) + abs(other)) / 2, TINY))
     return float(np.median(changes)) if changes else 0.0

@@ -54,15 +54,29 @@ def test_the_share_of_the_error_has_an_interval_that_holds_it():
     assert _share_of_error(ERRORS["x"], None, EvidencePolicy())[0] == 1.0
 
 
-def test_a_change_is_that_of_the_amplitude_between_the_halves():
-    effect = toy_effect("a")
+@pytest.mark.parametrize(
+    ("halves", "is_at_bound", "expected"),
+    [
+        ([{"a_size": 1.0, "a_edge": 5.0}, {"a_size": 3.0, "a_edge": 5.0}], False, 1.0),
+        ([{"a_size": 1.0, "a_edge": 5.0}, {"a_size": 3.0, "a_edge": 5.0}], True, 0.0),
+        ([{"a_size": 1.0, "a_edge": 1.0}, {"a_size": 1.0, "a_edge": 3.0}], True, 1.0),
+        ([], False, np.nan),
+    ],
+    ids=["the amplitude counts", "one at its bound does not", "then the shape does", "a half could not be fitted"],
+)
+def test_a_change_is_that_of_what_the_records_determine(halves, is_at_bound, expected):
+    names = {"a_size": "a_size", "a_edge": "a_edge"}
+    effect = SimpleNamespace(
+        name="a", amplitudes=("a_size",), parameters=[SimpleNamespace(name=name) for name in names]
+    )
     model = SimpleNamespace(
-        bound_effects=[SimpleNamespace(effect=effect, model_names={"a_size": "a_size"})],
+        bound_effects=[SimpleNamespace(effect=effect, model_names=names)],
         parameter=lambda name: SimpleNamespace(fixed=False),
     )
-    halves = [SimpleNamespace(model=SimpleNamespace(values={"a_size": value})) for value in (1.0, 3.0)]
-    assert _measure_change(SimpleNamespace(model=model), effect, halves) == pytest.approx(1.0)
-    assert np.isnan(_measure_change(SimpleNamespace(model=model), effect, []))
+    fit = SimpleNamespace(parameters={"a_size": SimpleNamespace(at_bound=is_at_bound)})
+    fits = [SimpleNamespace(model=SimpleNamespace(values=values)) for values in halves]
+    change = _measure_change(SimpleNamespace(model=model), effect, fits, fit)
+    assert change == pytest.approx(expected, nan_ok=True)
 
 
 TIME = np.linspace(0, 1, 200)
