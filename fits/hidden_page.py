@@ -130,7 +130,8 @@ def tied(row: Row) -> bool:
 def knows_place(row: Row) -> bool:
     """Whether the answer without the truth gives the site of the true effect."""
     answer = _left_out(row)
-    return bool(set(row["true_sites"]) & ({*answer["sites"]} | {e["site"] for e in answer["effects"]}))
+    suspected = {label.rpartition(" ")[2] for label in answer["sites"]}  # "balance force", "input u", "sensor of s"
+    return bool(set(row["true_sites"]) & (suspected | {e["site"] for e in answer["effects"]}))
 
 
 def knows_shape(row: Row) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fits.hidden_cases import FOREIGN, PERIOD, make
+from fits.hidden_page import knows_place
 from fits.rig_twins import simulate
 
 
@@ -31,3 +32,14 @@ def test_a_random_disturbance_is_another_one_in_each_record() -> None:
     plain = [np.array(simulate(case.model, case.base, {}, u, 2.5e-4, 20))[:, 0] for u in records]
     first, second = (run - base for run, base in zip(runs, plain, strict=True))
     assert np.corrcoef(first, second)[0, 1] < 0.99
+
+
+@pytest.mark.parametrize(
+    ("sites", "effects", "expected"),
+    [(["balance force", "input u"], [], True), (["sensor of s"], [], False), ([], ["u"], True)],
+)
+def test_a_place_is_known_by_its_label_or_by_what_acts_there(
+    sites: list[str], effects: list[str], expected: bool
+) -> None:
+    answer = {"left_out": True, "sites": sites, "effects": [{"site": site} for site in effects]}
+    assert knows_place({"answers": [answer], "true_sites": ["u"]}) is expected
