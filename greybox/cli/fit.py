@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -143,11 +143,14 @@ def fit(
         with hold_interrupts():
             saved = result.save(folder / "fit.json")
         tests = None if interrupted else _residual_tests(result)
+        intervals: dict[str, Any] = {}
+        if (profiled or study.bootstrap) and result.success and not interrupted:
+            intervals = _intervals(result, profiled, study.bootstrap, _share(executor, workers))
+            _store_intervals(saved, intervals)
         if json:
             typer.echo(saved.read_text(encoding="utf-8"), nl=False)
         elif not silent:
-            share = _share(executor, workers)
-            typer.echo(str(_answer(result, tests, study, validation, profiled, share, short=interrupted)))
+            typer.echo(str(_answer(result, tests, study, validation, intervals, short=interrupted)))
     if interrupted or result.status == "interrupted":
         older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
         exit_with_error(
@@ -163,12 +166,11 @@ def _answer(
     tests: ResidualTests | None,
     study: Study,
     validation: Sequence[Experiment],
-    profiled: Sequence[str],
-    share: ShareWork,
+    intervals: Mapping[str, Any],
     *,
     short: bool,
 ) -> FitAnswer:
-    """The fit with everything that was asked for; ``short`` without what takes further computation."""
+    """The fit with everything that was asked for, ``intervals`` among it; ``short`` without what takes further computation."""
     from greybox.identifiability import recommend_after_fit
 
     tables: dict[str, Any] = {
@@ -178,9 +180,8 @@ def _answer(
     }
     if short:
         return FitAnswer(result, **tables)
-    further = _intervals(result, profiled, study.bootstrap, share) if result.success else {}
     return FitAnswer(
-        result, remedies=tuple(recommend_after_fit(result)), **further, **_scores(result, study, validation), **tables
+        result, remedies=tuple(recommend_after_fit(result)), **intervals, **_scores(result, study, validation), **tables
     )
 
 
@@ -253,6 +254,20 @@ def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: Sha
     except FitError as error:
         intervals["refusal"] = str(error)
     return intervals
+
+
+def _store_intervals(saved: Path, intervals: Mapping[str, Any]) -> None:
+    """Put the intervals that were asked for into fit.json, which was written before they took their time."""
+    from greybox.files import write_file
+    from greybox.result.json_data import iterate_json
+    from greybox.schemas import ResultKind, read_json
+
+    stored = {name: value for name, value in intervals.items() if name != "bootstrap" and value}
+    if "profiles" in stored:
+        stored["profiles"] = [profile.to_data() for profile in stored["profiles"]]
+    if "bootstrap" in intervals:
+        stored["bootstrap"] = intervals["bootstrap"].to_data()
+    write_file(saved, iterate_json({**read_json(saved, ResultKind.FIT), **stored}))
 
 
 def _labels(result: Fit, names: Iterable[str]) -> Iterator[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
@@ -202,16 +202,14 @@ class PredictionErrorObjective:
         gradient[:n] += slope
         hessian[np.arange(n), np.arange(n)] += curvature
         for e, innovations in enumerate(self.slopes(z)):
-            if innovations is None:
+            sums = None if innovations is None else _sum_innovations(innovations)
+            if innovations is None or sums is None:
                 nothing = np.zeros(v.size), np.zeros((v.size, v.size)), np.zeros(ny), np.zeros(ny, int)
                 return Evaluation(np.inf, *nothing, (e, 0))
             columns = v.columns(e)
-            mean = innovations.mean_slopes
-            gradient[columns] += 2 * innovations.e @ innovations.de + innovations.dlog_variance.sum(axis=0)
-            hessian[np.ix_(columns, columns)] += (
-                2 * mean.T @ mean + innovations.dlog_variance.T @ innovations.dlog_variance
-            )
-            cost += float(np.sum(innovations.e**2 + innovations.logarithm + LOG_TWO_PI))
+            gradient[columns] += sums.gradient
+            hessian[np.ix_(columns, columns)] += sums.hessian
+            cost += sums.cost
             squares += np.bincount(innovations.outputs, innovations.e**2, ny)
             counts += np.bincount(innovations.outputs, minlength=ny)
         return Evaluation(cost, gradient, hessian, squares, counts)
@@ -264,3 +262,23 @@ class PredictionErrorObjective:
             y, _ = BatchFilter(self.kalman, record, self.start(e)[0]).outputs(x, np.arange(len(x)))
             runs.append((y, x))
         return tuple(runs)
+
+
+class _LikelihoodSums(NamedTuple):
+    """What one record adds to the cost, its gradient (L,) and its expected Hessian (L, L)."""
+
+    cost: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+
+
+def _sum_innovations(innovations: InnovationSensitivities) -> _LikelihoodSums | None:
+    """None where squares overflow although the numbers themselves do not."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        mean = innovations.mean_slopes
+        sums = _LikelihoodSums(
+            float(np.sum(innovations.e**2 + innovations.logarithm + LOG_TWO_PI)),
+            2 * innovations.e @ innovations.de + innovations.dlog_variance.sum(axis=0),
+            2 * mean.T @ mean + innovations.dlog_variance.T @ innovations.dlog_variance,
+        )
+    return sums if all(np.isfinite(part).all() for part in sums) else None

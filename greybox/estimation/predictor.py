@@ -52,7 +52,7 @@ def fix_parameters(
 def restore_integration_options(fit: Fit) -> FitOptions:
     """How ``fit`` integrated and began its records."""
     saved = FitOptions.from_data(fit.provenance.options)
-    return FitOptions(at_rest=saved.at_rest, method=saved.method, policy=saved.policy)
+    return FitOptions(at_rest=saved.at_rest, method=saved.method, substeps=saved.substeps, policy=saved.policy)
 
 
 def make_likelihood(

@@ -218,7 +218,7 @@ def _compute_long_form(take: Callable[[slice], np.ndarray], n: int, rho: np.ndar
     Correlations that are below the last digit of the first one, and stay there, are taken for zero.
     """
     reach = _find_reach(rho)
-    step = max(NUMBERS_AT_A_TIME // 4, reach)
+    step = max(NUMBERS_AT_A_TIME // 16, reach)
     size = next_fast_len(step + 2 * reach, real=True)
     kernel = np.zeros(size)
     kernel[: reach + 1] = rho[: reach + 1]

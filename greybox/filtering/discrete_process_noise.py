@@ -49,7 +49,10 @@ def _exponential_column(
     scaled = generator * lengths[:, None, None]
     if not (np.isfinite(scaled).all() and np.isfinite(slopes).all()):
         return np.full((nh, size - 1), np.nan), np.full((nh, size - 1, n), np.nan)
-    values = expm(scaled)[:, :-1, -1]
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # of an unstable model far off; the run that follows tells what is not finite
+        values = expm(scaled)[:, :-1, -1]
     moving = np.flatnonzero(slopes.any(axis=(1, 2)))
     change = np.zeros((nh, size - 1, n))
     if len(moving):
@@ -57,5 +60,6 @@ def _exponential_column(
         pairs = np.zeros((nh, len(moving), 2 * size, 2 * size))
         pairs[:, :, :size, :size] = pairs[:, :, size:, size:] = scaled[:, None]
         pairs[:, :, :size, size:] = slopes[moving] * lengths[:, None, None, None]
-        change[:, :, moving] = expm(pairs)[:, :, : size - 1, -1].transpose(0, 2, 1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            change[:, :, moving] = expm(pairs)[:, :, : size - 1, -1].transpose(0, 2, 1)
     return values, change

@@ -70,7 +70,7 @@ def write_residual_tests(tests: ResidualTests) -> str:
 
 @renders("PredictionScores")
 def write_prediction_scores(scores: PredictionScores) -> str:
-    """A table with a row for each output: errors of the free run and of predictions."""
+    """A table with a row for each output: errors of the free run and of predictions; infinite where a run overflows."""
     ahead = sorted({k for s in scores.outputs.values() for k in s.prediction})
     head = ["rmse", "free run", *(f"{k} step{'s' if k > 1 else ''} ahead" for k in ahead), "movement", "unit"]
     rows = [

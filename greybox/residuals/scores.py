@@ -102,8 +102,8 @@ def score(
         if np.isfinite(measured).any():
             outputs[name] = OutputScore(
                 units.get(name, ""),
-                _rms([(y - free[name])[skip:] for y, free, _ in pairs]),
-                {k: _rms([(y - ahead[k][name])[max(skip, k) :] for y, _, ahead in pairs]) for k in steps},
+                _compute_rms([(y, free[name]) for y, free, _ in pairs], skip),
+                {k: _compute_rms([(y, ahead[k][name]) for y, _, ahead in pairs], max(skip, k)) for k in steps},
                 float(np.nanstd(measured)),
                 correction,
             )
@@ -137,7 +137,21 @@ def _units(model: Predictor) -> dict[str, str]:
     return dict(getattr(model, "units", {}))
 
 
-def _rms(parts: Sequence[np.ndarray]) -> float:
-    """Root mean square over several records (N,), gaps left out; NaN where nothing is left."""
-    values = np.concatenate(parts)
-    return float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else float("nan")
+def _compute_rms(pairs: Sequence[tuple[np.ndarray, np.ndarray]], skip: int) -> float:
+    """Root mean square difference of measured and computed values (N,) without the first ``skip`` rows of each record.
+
+    Gaps are left out; NaN where nothing was measured, infinite where what was computed overflows.
+    """
+    measured, computed = (np.concatenate([pair[k][skip:] for pair in pairs]) for k in (0, 1))
+    is_measured = np.isfinite(measured)
+    if not is_measured.any():
+        return float("nan")
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = (measured - computed)[is_measured]
+        if not np.isfinite(error).all():
+            return float("inf")
+        square = np.mean(error**2)
+    if np.isfinite(square):
+        return float(np.sqrt(square))
+    largest = float(np.abs(error).max())
+    return largest * float(np.sqrt(np.mean((error / largest) ** 2)))

@@ -19,6 +19,10 @@ FORMAT = 1
 class IntervalFile:
     """A value about intervals that can be saved: its fields are the keys of the file."""
 
+    def to_data(self) -> dict[str, Any]:
+        """The file as plain values; numbers that are not finite become None."""
+        return {"format": FORMAT, "kind": type(self).__name__.lower(), **to_json_data(self)}
+
     def save(self, path: str | Path) -> Path:
         """Write it as JSON; `load_profile` or `load_bootstrap` reads it back without loss.
 
@@ -32,8 +36,7 @@ class IntervalFile:
         Path
             The file that was written.
         """
-        data = {"format": FORMAT, "kind": type(self).__name__.lower(), **to_json_data(self)}
-        return write_file(path, iterate_json(data))
+        return write_file(path, iterate_json(self.to_data()))
 
 
 def read_intervals(path: str | Path, kind: ResultKind) -> dict[str, Any]:

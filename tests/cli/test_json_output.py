@@ -14,8 +14,11 @@ from typer.testing import CliRunner
 
 from greybox import FitOptions, fit, simulate
 from greybox.cli.app import app
-from greybox.schemas import PRINTED, schema_of_command
+from greybox.result import load_fit
+from greybox.schemas import PRINTED, ResultKind, schema_of_command
+from greybox.simulation import write_csv
 from models.micro_actuator import micro_actuator
+from tests.support.result_schema import strict_offences
 
 
 def test_every_command_has_it_and_a_schema() -> None:
@@ -94,3 +97,26 @@ def test_an_export_says_its_matrices_and_files(tmp_path: Path, monkeypatch: pyte
     done = CliRunner().invoke(app, ["export", "fit.json", "--to", "python", "--json", "--no-report"])
     printed = json.loads(done.stdout)
     assert printed["linear"] is None and printed["report"] is None and Path(printed["files"][0]).exists()
+
+
+def test_intervals_that_were_asked_for_are_in_the_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    data = {"time": 2.5e-4 * np.arange(200), "u": np.random.default_rng(1).normal(0, 1, 200)}
+    noise = {"x": 2e-7, "i": 5e-3}
+    write_csv(simulate(micro_actuator, data).record(noise, np.random.default_rng(2)), micro_actuator, "train.csv")
+    words = "fit micro_actuator train.csv --at-rest --fix M --fix Ra --fix Kf --fix La --fix B"
+    words += " --noise x=2e-7 --noise i=5e-3 --no-report --output out"
+    plain = run(*words.split(), "--json")
+    assert plain.exit_code == 0, plain.output
+    assert not {"profiles", "bootstrap"} & set(json.loads(plain.stdout))
+    done = run(*words.split(), "--json", "--profile", "K", "--bootstrap", "100")
+    assert done.exit_code == 0, done.output
+    printed = json.loads(done.stdout)
+    assert accepts("fit", printed) and strict_offences(printed, ResultKind.FIT) == []
+    assert json.loads(Path("out/fit.json").read_text()) == printed
+    (profile,) = printed["profiles"]
+    assert (
+        profile["name"] == "K" and profile["interval"][0] < printed["parameters"]["K"]["value"] < profile["interval"][1]
+    )
+    assert np.shape(printed["bootstrap"]["samples"]) == (100, len(printed["free"]))
+    assert load_fit("out/fit.json", micro_actuator).parameters["K"].value == printed["parameters"]["K"]["value"]

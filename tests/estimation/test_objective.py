@@ -1,5 +1,6 @@
 """Simulation error and prediction error are two objectives over one decision vector: their derivatives, rows and steps."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -87,3 +88,13 @@ def test_a_few_steps_nearby_find_what_a_search_finds(kind):
     assert near.status.success and far.status.success
     assert near.evaluation.cost == pytest.approx(far.evaluation.cost, abs=1e-4)
     assert near.evaluation.cost > objective.evaluate(objective.variables.here).cost
+
+
+def test_slopes_whose_squares_overflow_are_a_point_that_cannot_be_reached(monkeypatch):
+    """Warnings are errors: a trial point far off is left, as one where the run itself overflows."""
+    objective = optimum("prediction")
+    (slopes,) = objective.slopes(objective.variables.here)
+    steep = replace(slopes, dlog_variance=1e200 * slopes.dlog_variance)
+    monkeypatch.setattr(PredictionErrorObjective, "slopes", lambda *_: [steep])
+    evaluation = objective.evaluate(objective.variables.here)
+    assert evaluation.cost == np.inf and evaluation.failed == (0, 0)

@@ -165,6 +165,14 @@ def test_noise_that_gathers_over_a_stiff_interval_stays_finite():
     assert found == pytest.approx(forever - decay @ forever @ decay.T, rel=1e-6)
 
 
+def test_noise_of_a_model_that_runs_away_overflows_without_a_warning():
+    """Warnings are errors: that the numbers are not finite is told by the run that follows."""
+    constants = values(ACTUATOR)
+    constants[[q.name for q in ACTUATOR.all_parameters].index("K")] = -1e14
+    added, _ = discretise_process_noise(ACTUATOR.system)(constants, np.array([2.5e-4]), np.arange(7))
+    assert not np.isfinite(added).all()
+
+
 def extended_filter(model, data, x0, noise, sub=2000):
     """The textbook extended filter of a scalar model by itself: fine Euler steps of mean and variance, joint update."""
     c, gust = model.values["c"], model.values["gust"]

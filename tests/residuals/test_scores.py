@@ -62,3 +62,37 @@ def test_the_free_run_is_that_of_the_simulation():
             np.sqrt(np.mean((data.outputs[name] - run.outputs[name]) ** 2)), rel=1e-6
         )
         assert outcome.prediction == pytest.approx({1: outcome.free_run, 10: outcome.free_run}, rel=0.02)
+
+
+class Told:
+    """Predicts what it was given."""
+
+    def __init__(self, values):
+        self.values = values
+
+    def simulate(self, experiment):
+        return {"x": self.values}
+
+    def predict(self, experiment, steps=1):
+        return {"x": self.values}
+
+
+@pytest.mark.parametrize(
+    ("values", "rms"),
+    [
+        ([0.0, 1e200, -1e200, 1e200], 1e200 * np.sqrt(3 / 4)),  # their squares overflow
+        ([0.0, 1.0, np.inf, 1.0], np.inf),
+        ([0.0, 1.0, np.nan, 1.0], np.inf),  # a run that went beyond all numbers, and no gap
+    ],
+)
+def test_runs_that_overflow_have_no_score_of_their_first_rows(values, rms):
+    other = Experiment("far off", np.arange(4.0), {}, {"x": np.zeros(4)})
+    outcome = score(Told(np.array(values)), other, steps=(1,)).outputs["x"]
+    assert outcome.free_run == pytest.approx(rms)
+
+
+def test_predictions_keep_the_substeps_of_the_fit():
+    """A stiff fit that converged with many substeps is not predicted with a few."""
+    data = record(1, rows=100, intensity=INTENSITY)
+    result = fit(MASS, data, options=FitOptions(method="rk4", substeps=70))
+    assert gb.estimation.predictor(result).options.substeps == 70
