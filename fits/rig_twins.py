@@ -190,7 +190,7 @@ class Rig:
         """Force of the effects that the catalogue does not have, or has in another form."""
         e, s, v, total = self.e, x[0], x[1], 0.0
         if "cogging" in e:
-            total -= e["cogging"]["F"] * sin(2 * pi * s / e["cogging"]["pitch"])
+            total += e["cogging"]["F"] * sin(2 * pi * s / e["cogging"]["pitch"])
         if "end_stop" in e:
             gap = e["end_stop"]["gap"]
             total -= e["end_stop"]["kc"] * (s - clip(s, -gap, gap))

@@ -558,7 +558,8 @@ def _remainder_over_variable(inputs: EvidenceInputs, name: str) -> float:
 def _measure_change(selected: CandidateFit, effect: Effect, halves: Sequence[CandidateFit], fit: Fit) -> float:
     """Relative difference of the effect's amplitudes between the halves of the records; the median of several.
 
-    An amplitude that its bounds stopped is only known to be large enough: where all are, the constants of shape count.
+    An amplitude that its bounds stopped is only known to be large enough: where all are, the constants of shape count. Each is compared
+    with the largest of its unit: the sine and the cosine of one wave are one size.
     """
     if len(halves) < 2:
         return np.nan
@@ -568,10 +569,13 @@ def _measure_change(selected: CandidateFit, effect: Effect, halves: Sequence[Can
     free = [n for n in (*amplitudes, *shapes) if not selected.model.parameter(n).fixed]
     inside = [n for n in free if n not in fit.parameters or not fit.parameters[n].at_bound] or free
     counted = [n for n in inside if n in amplitudes] or inside
-    changes = []
-    for name in counted:
-        one, other = (half.model.values[name] for half in halves)
-        changes.append(abs(one - other) / max((abs(one) + abs(other)) / 2, TINY))
+    units = {n: selected.model.parameter(n).unit for n in counted}
+    pairs = {n: tuple(half.model.values[n] for half in halves) for n in counted}
+    sizes = {n: (abs(one) + abs(other)) / 2 for n, (one, other) in pairs.items()}
+    changes = [
+        abs(one - other) / max(*(sizes[m] for m in counted if units[m] == units[n]), TINY)
+        for n, (one, other) in pairs.items()
+    ]
     return float(np.median(changes)) if changes else 0.0
 
 

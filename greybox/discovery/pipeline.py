@@ -260,7 +260,7 @@ def discover(
         problem = DiscoveryProblem(
             model, _as_tuple(estimation), dict(noise or {}), _as_tuple(quiet), options, refits, policy.budget
         )
-        scales = estimate_scales(problem.baseline)
+        scales = _estimate_scales(problem, policy)
         given = (
             effects
             if not beside or (laws and effects is not None and not effects)
@@ -297,6 +297,16 @@ def discover(
             failures=tuple(problem.failures.entries.values()),
             seconds=time.perf_counter() - began,
         )
+
+
+def _estimate_scales(problem: DiscoveryProblem, policy: DiscoveryPolicy) -> Scales:
+    """Peaks and times of the plain model, and the distances after which what it leaves repeats."""
+    plain = problem.baseline
+    locate = partial(localise_residual, plain, policy=policy.localisation, selection=policy.selection)
+    located = problem.failures.attempt(SearchStage.LOCALISATION, (), locate, None)
+    dependences = located.dependences if located else ()
+    periods = {d.variable: d.period for d in dependences if d.period and d.is_relevant}
+    return estimate_scales(plain).with_periods(plain.model, periods)
 
 
 def _select_and_judge(

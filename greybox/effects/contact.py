@@ -80,7 +80,9 @@ def _cogging_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression
 
 
 def _pitch_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"pitch": [_travel(s) / periods for periods in START.cogging_periods]}
+    longest, shortest = _pitch_limits(s)["pitch"][::-1]
+    seen = [share * s.pitch for share in START.seen_pitches if shortest <= share * s.pitch <= longest]
+    return {"pitch": [*seen, *(_travel(s) / periods for periods in START.cogging_periods)]}
 
 
 def _pitch_limits(s: Scales) -> Mapping[str, tuple[float, float]]:

@@ -35,8 +35,12 @@ class StartingValues:
     """Share of the travel that a body goes into a stop of visible size."""
     nearest_stop: float = 0.05
     """Share of the travel within which no stop is looked for about zero, and beyond its ends."""
-    cogging_periods: tuple[float, ...] = (2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 16.0)
-    """Periods of a periodic force over the travel of the record that a search starts from."""
+    cogging_periods: tuple[float, ...] = (2, 2.33, 2.67, 3, 3.5, 4, 4.5, 5, 6, 7, 8, 9, 10, 12, 14, 16)
+    """Periods of a periodic force over the travel of the record that a search starts from. A refit finds the pitch only next to its start,
+    so they are close."""
+    seen_pitches: tuple[float, ...] = (1.0, 0.99, 1.01, 0.98, 1.02)
+    """Pitches that it starts from where the residual repeats over the position, over the period seen: each refit stays at the minimum next
+    to its start."""
     fewest_cogging_periods: float = 1.5
     """Fewest periods over the travel: with fewer a sinusoid imitates any curve of the position."""
     laminar_share: float = 1e-3

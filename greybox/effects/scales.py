@@ -30,6 +30,8 @@ class SiteScales:
         Peak of the pressure or level that the balance stores.
     input, sensor, reading
         Of an input, and of an output: how far it moves from its first value, and its peak.
+    pitch
+        Distance along the displacement after which what the plain model leaves repeats; 0 where it does not.
     """
 
     displacement: float = 0.0
@@ -42,6 +44,7 @@ class SiteScales:
     input: float = 0.0
     sensor: float = 0.0
     reading: float = 0.0
+    pitch: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,8 @@ class Scales:
         Between which the displacement lies.
     store
         Peak of the first pressure or level.
+    pitch
+        Distance along a displacement after which what the plain model leaves repeats; 0 where it does not, or where nobody looked.
     sites
         Scales at every site of the model, by the names and labels of the sites.
     """
@@ -95,12 +100,24 @@ class Scales:
     lowest: float = 0.0
     highest: float = 0.0
     store: float = 0.0
+    pitch: float = 0.0
     sites: Mapping[str, SiteScales] = field(default_factory=dict)
 
     def at(self, site: str) -> Scales:
         """The same as an effect at ``site`` sees it: peaks there in the place of those at the first site of their kind."""
         shown = {f.name: getattr(self.sites[site], f.name) for f in fields(SiteScales)} if site in self.sites else {}
         return replace(self, **{name: value for name, value in shown.items() if value})
+
+    def with_periods(self, model: Model, periods: Mapping[str, float]) -> Scales:
+        """The same where what the plain ``model`` leaves repeats over states: ``periods`` by the name of the state, in its unit."""
+        pitches = {
+            name: periods[displacement]
+            for site in model.sites
+            if (displacement := site.states.get("displacement", "")) in periods
+            for name in (site.name, site.label)
+        }
+        sites = {name: replace(at_site, pitch=pitches.get(name, at_site.pitch)) for name, at_site in self.sites.items()}
+        return replace(self, pitch=next(iter(pitches.values()), self.pitch), sites=sites)
 
     @property
     def visible_force(self) -> float:

@@ -60,18 +60,27 @@ def test_the_share_of_the_error_has_an_interval_that_holds_it():
         ([{"a_size": 1.0, "a_edge": 5.0}, {"a_size": 3.0, "a_edge": 5.0}], False, 1.0),
         ([{"a_size": 1.0, "a_edge": 5.0}, {"a_size": 3.0, "a_edge": 5.0}], True, 0.0),
         ([{"a_size": 1.0, "a_edge": 1.0}, {"a_size": 1.0, "a_edge": 3.0}], True, 1.0),
+        ([{"a_size": 0.01, "a_cosine": 4.0}, {"a_size": -0.01, "a_cosine": 4.0}], False, 0.0025),
         ([], False, np.nan),
     ],
-    ids=["the amplitude counts", "one at its bound does not", "then the shape does", "a half could not be fitted"],
+    ids=[
+        "the amplitude counts",
+        "one at its bound does not",
+        "then the shape does",
+        "a part of one size",
+        "a half could not be fitted",
+    ],
 )
 def test_a_change_is_that_of_what_the_records_determine(halves, is_at_bound, expected):
-    names = {"a_size": "a_size", "a_edge": "a_edge"}
+    names = {name: name for name in (halves[0] if halves else ("a_size",))}
     effect = SimpleNamespace(
-        name="a", amplitudes=("a_size",), parameters=[SimpleNamespace(name=name) for name in names]
+        name="a",
+        amplitudes=[name for name in names if name != "a_edge"],
+        parameters=[SimpleNamespace(name=name) for name in names],
     )
     model = SimpleNamespace(
         bound_effects=[SimpleNamespace(effect=effect, model_names=names)],
-        parameter=lambda name: SimpleNamespace(fixed=False),
+        parameter=lambda name: SimpleNamespace(fixed=False, unit="N"),
     )
     fit = SimpleNamespace(parameters={"a_size": SimpleNamespace(at_bound=is_at_bound)})
     fits = [SimpleNamespace(model=SimpleNamespace(values=values)) for values in halves]

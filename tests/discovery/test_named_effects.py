@@ -62,6 +62,8 @@ SHORT = [
     (pneumatic_cylinder, {"valve_dead_zone": {"d": 0.2}}, AIR, ("coulomb_friction", "input_saturation")),
     (pneumatic_cylinder, {"valve_lag": {"tau_v": 0.08}}, AIR, ("transport_delay", "sensor_lag")),
     (pneumatic_cylinder, {"backlash": {"gap": 2e-3}}, AIR, ("coulomb_friction", "sensor_lag")),
+    # Between the pitches of the grid each refit is lost: the residual shows the pitch.
+    (micro_actuator, {"cogging": {"F": 0.05, "pitch": 3.4e-5}}, WELL, ("stribeck_friction", "bouc_wen_hysteresis")),
     # Refits from afar are lost without damped steps, a weak effect beside a strong one unless it is looked for nearly absent.
     (
         micro_actuator,

@@ -430,3 +430,15 @@ def test_effects_at_the_sensor_start_where_it_is_and_see_one_another_in_the_orde
     rate = np.array(both.system.rhs_function(x, [0.0], list(both.values.values()))).ravel()
     assert rate[names.index("y")] == pytest.approx((1.0 - 0.25) / 0.5)
     assert float(both.system.output_function(x, [0.0], list(both.values.values()))) == 0.25
+
+
+def test_a_period_that_the_residual_shows_is_where_a_periodic_force_starts():
+    s = swinging(micro_actuator, 2.5e-4)
+    periods = {"x": s.displacement / 3.3}
+    seen = s.with_periods(micro_actuator, periods)
+    assert seen.at("force").pitch == seen.pitch == periods["x"]
+    assert effect("cogging").grid(seen)["pitch"][0] == periods["x"]
+    assert effect("cogging").grid(s)["pitch"] == effect("cogging").grid(seen)["pitch"][5:]
+    low, high = effect("cogging").limits(seen)["pitch"]
+    assert all(low <= pitch <= high for pitch in effect("cogging").grid(seen)["pitch"])
+    assert s.with_periods(micro_actuator, {"i": 1.0}) == s  # a current is no displacement
