@@ -21,8 +21,8 @@ with test errors in view: how many rows the last silverbox fit uses, which first
 form of the tanks' reading curve.
 All errors are those of free runs, as root mean squares.
 
-The verdict is *unknown* on each of the three: the large effects are found and close most of the gap, but what is left stays above the
-sensors' noise, so that no model is complete, and that is what the word says.
+No model is complete on any of the three: what is left stays above the sensors' noise. The verdict is *partly* where effects are established
+beside that, and *unknown* where none is, however much of the error goes.
 """
 
 

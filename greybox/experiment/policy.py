@@ -20,6 +20,8 @@ class RecordPolicy:
     """Printed units that rounding may change a step by: two roundings of half a unit, and the error of the mean step itself."""
     coarsest_print: float = 0.45
     """Largest printed unit, as a share of the step; with a coarser one a missing row could pass for two roundings."""
+    printed_units: tuple[float, ...] = (1.0, 60.0, 3600.0)
+    """Units in which a file may have printed time, in seconds: the one in which its last place is coarsest counts."""
     max_decimals: int = 12
     """Printed decimal places that are looked for; double precision shows no more of a time in seconds."""
 

@@ -155,8 +155,20 @@ def estimate_time_resolution(time: np.ndarray, policy: RecordPolicy = RECORD_POL
     """Unit in the last place (N,) in seconds to which each stamp of ``time`` was rounded, printed or single precision.
 
     The printed places are those of the longest number of the same power of ten: 0.5 beside 0.501 was printed with
-    three.
+    three. A file may have printed them in minutes or hours: in seconds they have more places.
     """
+    unit = np.zeros(len(time))
+    for seconds in policy.printed_units:
+        printed = seconds * _estimate_printed_unit(time if seconds == 1 else time / seconds, policy)
+        unit = max(unit, printed, key=np.median)
+    single = time.astype(np.float32)
+    if np.array_equal(single, time):
+        np.maximum(unit, np.spacing(np.abs(single)), out=unit)
+    return unit
+
+
+def _estimate_printed_unit(time: np.ndarray, policy: RecordPolicy) -> np.ndarray:
+    """Unit in the last place (N,) of each stamp, in the unit of ``time``; 0 where it was not rounded to decimals."""
     places, decade = (np.empty(len(time), np.int16) for _ in range(2))
     for first in range(0, len(time), ROWS_AT_A_TIME):
         rows = slice(first, first + ROWS_AT_A_TIME)
@@ -165,11 +177,8 @@ def estimate_time_resolution(time: np.ndarray, policy: RecordPolicy = RECORD_POL
     unit = np.zeros(len(time))
     for d in np.unique(decade):
         same = decade == d
-        unit[same] = 10.0 ** -np.int64(places[same].max())
-    unit[np.isinf(unit)] = 0.0
-    single = time.astype(np.float32)
-    if np.array_equal(single, time):
-        np.maximum(unit, np.spacing(np.abs(single)), out=unit)
+        most = int(places[same].max())
+        unit[same] = 10.0**-most if most <= policy.max_decimals else 0.0
     return unit
 
 

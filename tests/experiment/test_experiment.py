@@ -327,6 +327,13 @@ def test_time_rounded_to_a_printed_place_below_a_tenth_of_the_step_is_uniform():
     assert find_sampling_time(time) == pytest.approx(0.0123, rel=1e-3)
 
 
+@pytest.mark.parametrize(("seconds", "step"), [(60.0, 0.02), (3600.0, 10.0)], ids=["minutes", "hours"])
+def test_time_printed_in_minutes_or_hours_is_uniform(seconds, step):
+    time = seconds * np.array([float(f"{t:.6g}") for t in np.arange(3000) * step / seconds])
+    assert np.abs(np.diff(time) / step - 1).max() > 0.001
+    assert find_sampling_time(time) == pytest.approx(step, rel=1e-4)
+
+
 def test_the_same_deviation_without_the_excuse_of_printing_is_irregular():
     grid = np.arange(500) * 0.0123
     time = grid + np.random.default_rng(1).uniform(-5e-4, 5e-4, 500)
