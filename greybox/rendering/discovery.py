@@ -82,7 +82,10 @@ def dependence_text(values: Mapping[str, Any]) -> str:
     share = f"explains {100 * values['share']:.0f} %"
     if values["tone"] is not None:
         return f"a tone of {values['tone']:.4g} Hz that does not depend on the motion ({share})"
-    loop = f", with a loop (direction adds {100 * values['loop']:.0f} %)" if values["has_loop"] else ""
+    added = f"{100 * values['loop']:.0f} %"
+    if values["has_loop"] and round(100 * values["share"]) == 0:
+        return f"a loop over {values['variable']}: another value on its way up than on its way down (explains {added})"
+    loop = f", with a loop (direction adds {added})" if values["has_loop"] else ""
     return f"a function of {values['variable']} ({share}): {shape_text(values)}{loop}"
 
 

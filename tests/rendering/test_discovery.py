@@ -427,6 +427,8 @@ def test_a_dependence_says_its_share_loop_and_tone():
     assert dependence_text(STEP) == "a function of v (explains 78 %): odd, a step at zero, downwards"
     loop = dependence_text(STEP | {"has_loop": True, "loop": 0.2})
     assert loop.endswith(", with a loop (direction adds 20 %)")
+    alone = dependence_text(STEP | {"has_loop": True, "loop": 0.2, "share": 0.004})
+    assert alone == "a loop over v: another value on its way up than on its way down (explains 20 %)"
     assert (
         dependence_text(STEP | {"tone": 50.0}) == "a tone of 50 Hz that does not depend on the motion (explains 78 %)"
     )
