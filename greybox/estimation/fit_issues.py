@@ -21,7 +21,7 @@ from greybox.experiment.findings import is_sensor_fault
 from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.noise import BoundDirection, NoiseSource
-from greybox.numerics import RELATION_MET, TINY
+from greybox.numerics import RELATION_MET, ROWS_AT_A_TIME, TINY
 from greybox.result import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.transcription import DecisionVector
 from greybox.transcription.problem import EstimationProblem
@@ -199,10 +199,16 @@ def compute_lag_one_correlation(traces: Sequence[Trace], output: str) -> float:
     products, squares = 0.0, 0.0
     for trace in traces:
         if output in trace.measured:
-            r = trace.residual(output)
-            pair = np.isfinite(r[1:]) & np.isfinite(r[:-1])
-            products += float(r[1:][pair] @ r[:-1][pair])
-            squares += float(r[np.isfinite(r)] @ r[np.isfinite(r)])
+            residual = trace.residual(output)
+            for first in range(0, len(residual), ROWS_AT_A_TIME):  # a long record is in memory a few times only
+                r, following = (
+                    residual[first : first + ROWS_AT_A_TIME],
+                    residual[first + 1 : first + ROWS_AT_A_TIME + 1],
+                )
+                before, measured = r[: len(following)], np.isfinite(r)
+                pair = np.isfinite(following) & measured[: len(following)]
+                products += float(following[pair] @ before[pair])
+                squares += float(r[measured] @ r[measured])
     return products / squares if squares > 0 else 0.0
 
 

@@ -281,4 +281,5 @@ def _sum_innovations(innovations: InnovationSensitivities) -> _LikelihoodSums | 
             2 * innovations.e @ innovations.de + innovations.dlog_variance.sum(axis=0),
             2 * mean.T @ mean + innovations.dlog_variance.T @ innovations.dlog_variance,
         )
-    return sums if all(np.isfinite(part).all() for part in sums) else None
+    is_finite = np.isfinite(sums.cost) and np.isfinite(sums.gradient).all() and np.isfinite(sums.hessian).all()
+    return sums if is_finite else None

@@ -122,14 +122,18 @@ class SingleShooting:
         self, z: np.ndarray
     ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[tuple[np.ndarray, np.ndarray]]]:
         """The outputs (N, ny) of the model with its first states (1, nx), and `residuals`, from one pass where nothing is missing."""
-        errors, runs = self.compute_weighted_errors(z), []
-        for e, (record, (r, _)) in enumerate(zip(self.records, errors, strict=True)):
-            if record.rows_per_sample == 1 and np.isfinite(record.y).all():
-                x0, _ = self.variables.compute_initial_state(z, self.variables.parameters(z, e), e)
-                runs.append((record.y - r / self.weight, x0[None]))
-            else:
-                runs.append(self._simulate(z, e))
+        errors = self.compute_weighted_errors(z)
+        # No name is left for the errors of a record: reweighing gives their memory back.
+        runs = [self._restore_run(z, e, errors[e][0]) for e in range(len(self.records))]
         return runs, self.reweigh(errors)
+
+    def _restore_run(self, z: np.ndarray, e: int, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs of the model from its weighted ``error`` (N, ny), with its first states; simulated where something is missing."""
+        record = self.records[e]
+        if record.rows_per_sample != 1 or not np.isfinite(record.y).all():
+            return self._simulate(z, e)
+        x0, _ = self.variables.compute_initial_state(z, self.variables.parameters(z, e), e)
+        return record.y - error / self.weight, x0[None]
 
     def reweigh(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Residuals and Jacobian of weighted errors and theirs."""

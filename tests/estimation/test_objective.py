@@ -1,5 +1,6 @@
 """Simulation error and prediction error are two objectives over one decision vector: their derivatives, rows and steps."""
 
+import sys
 from dataclasses import replace
 from functools import cache
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 
 from greybox import FitOptions, fit
+from greybox.estimation.fit_issues import compute_lag_one_correlation
 from greybox.estimation.objective import PredictionErrorObjective, SimulationErrorObjective
 from greybox.estimation.objective_search import hold_parameters, refine_minimum, search_minimum
 from greybox.estimation.options import prepare_estimation
@@ -98,3 +100,29 @@ def test_slopes_whose_squares_overflow_are_a_point_that_cannot_be_reached(monkey
     monkeypatch.setattr(PredictionErrorObjective, "slopes", lambda *_: [steep])
     evaluation = objective.evaluate(objective.variables.here)
     assert evaluation.cost == np.inf and evaluation.failed == (0, 0)
+
+
+@pytest.mark.skipif(sys.implementation.name != "cpython", reason="counts references")
+def test_the_errors_of_a_long_record_are_given_back_while_they_are_whitened(monkeypatch):
+    """A name that is left for them keeps them in memory beside the whitened ones, three times the size of a record."""
+    problem = prepare_estimation(MASS, record(3), LEVEL, FitOptions())
+    shooting = problem.shooting()
+    references = []
+    monkeypatch.setattr(
+        type(shooting), "reweigh", lambda _, errors: references.extend(map(sys.getrefcount, errors[0])) or errors
+    )
+    runs, _ = shooting.linearise(problem.variables.here)
+    assert references == [2, 2]  # the list's and the argument's
+    assert runs[0][0] == pytest.approx(shooting.simulate(problem.variables.here)[0][0], abs=1e-12)
+
+
+@pytest.mark.parametrize("rows", [1, 7, 100_000])
+def test_the_correlation_of_neighbours_is_the_same_however_many_rows_are_looked_at_together(monkeypatch, rows):
+    monkeypatch.setattr("greybox.estimation.fit_issues.ROWS_AT_A_TIME", rows)
+    data = record(3, rows=100)
+    x = data.outputs["x"].copy()
+    x[[0, 20, 21, 99]] = np.nan
+    traces = fit(MASS, data.with_outputs({**data.outputs, "x": x}), noise=LEVEL).traces
+    r = traces[0].residual("x")
+    expected = np.nansum(r[1:] * r[:-1]) / np.nansum(r**2)
+    assert compute_lag_one_correlation(traces, "x") == pytest.approx(expected, rel=1e-12)
