@@ -16,7 +16,7 @@ import numpy as np
 from greybox.integrators import Step
 from greybox.kernel import Kernel, Record
 from greybox.noise import AutoRegression
-from greybox.numerics import AT_BOUND, ROWS_AT_A_TIME
+from greybox.numerics import AT_BOUND, NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
 from greybox.optim import QuadraticModel
 from greybox.transcription.decision_vector import DecisionVector, ExperimentView
 from greybox.transcription.robust_loss import RobustLoss
@@ -242,6 +242,13 @@ class WhitenedShooting(SingleShooting):
         result = []
         while errors:  # each is gone when the next is whitened: a long record is in memory a few times only
             r, jacobian = errors.pop(0)
+            if 2 * len(r) > NUMBERS_AT_A_TIME:  # in their places, for there is no room for both side by side
+                for j, colour in enumerate(self.colour):
+                    colour.whiten(r[:, j], overwrite_input=True)
+                    colour.whiten(jacobian[:, j], overwrite_input=True)
+                result.append((r, jacobian))
+                del r, jacobian
+                continue
             both = np.concatenate([r[:, :, None], jacobian], axis=2)
             del r, jacobian
             for j, colour in enumerate(self.colour):

@@ -13,6 +13,7 @@ from greybox.estimation.objective import PredictionErrorObjective, SimulationErr
 from greybox.estimation.objective_search import hold_parameters, refine_minimum, search_minimum
 from greybox.estimation.options import prepare_estimation
 from greybox.estimation.restore import restore_objective
+from greybox.noise import AutoRegression
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, record
 
 KINDS = {"simulation": SimulationErrorObjective, "prediction": PredictionErrorObjective}
@@ -126,3 +127,17 @@ def test_the_correlation_of_neighbours_is_the_same_however_many_rows_are_looked_
     r = traces[0].residual("x")
     expected = np.nansum(r[1:] * r[:-1]) / np.nansum(r**2)
     assert compute_lag_one_correlation(traces, "x") == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_long_record_is_whitened_in_its_place_to_the_same_numbers(monkeypatch):
+    data = record(3)
+    x = data.outputs["x"].copy()
+    x[20:30] = np.nan
+    colour = {name: AutoRegression((0.6, -0.2)) for name in LEVEL}
+    problem = prepare_estimation(MASS, data.with_outputs({**data.outputs, "x": x}), LEVEL, FitOptions())
+    problem = replace(problem, noise=replace(problem.noise, colour=tuple(colour.values())))
+    usual = problem.shooting().residuals(problem.variables.here)
+    monkeypatch.setattr("greybox.transcription.simulation_error.NUMBERS_AT_A_TIME", 10)
+    for computed, expected in zip(problem.shooting().residuals(problem.variables.here)[0], usual[0], strict=True):
+        assert np.array_equal(computed, expected, equal_nan=True)
+        assert np.isnan(expected).any() and not np.isnan(expected).all()
