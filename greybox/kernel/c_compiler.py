@@ -407,7 +407,11 @@ _hanging: set[str] = set()
 
 
 # A shell that ends with all it has started when its input ends: this process holds the other end, and lets go however it dies.
-_LEASH = 'exec 3<&0; { read -r _ <&3; kill -9 0; } & watch=$!; "$@" </dev/null 3<&-; code=$?; kill $watch; exit $code'
+# What it starts has so much memory and no more (in blocks of 1024 bytes; not every system can hold it to that).
+_LEASH = (
+    f"ulimit -v {int(CACHE_POLICY.compile_memory / 1024)} 2>/dev/null; "
+    'exec 3<&0; { read -r _ <&3; kill -9 0; } & watch=$!; "$@" </dev/null 3<&-; code=$?; kill $watch; exit $code'
+)
 
 
 def _run(command: Sequence[str], timeout: float = CACHE_POLICY.compile_seconds) -> subprocess.CompletedProcess[str]:

@@ -17,6 +17,9 @@ class CachePolicy:
     """Days after which the folder of a compilation that was killed goes: no compiler works so long."""
     compile_seconds: float = 300.0
     """Seconds after which a compilation is given up. The largest models take one tenth of it on a slow machine."""
+    compile_memory: float = 1e9
+    """Bytes of memory that a compiler may take, where the system can hold it to that. Models of 500 constants need a tenth of it; for
+    200 states it goes on to 5 GB and does not end in time."""
 
 
 CACHE_POLICY = CachePolicy()

@@ -18,7 +18,7 @@ import greybox.kernel as kernels
 from greybox.integrators.step import Step
 from greybox.kernel import CompiledKernel, CompilerError, GreyboxWarning, UnsupportedOperationError, make_kernel
 from greybox.kernel import c_compiler as compiling
-from greybox.kernel.policy import CachePolicy
+from greybox.kernel.policy import CACHE_POLICY, CachePolicy
 from greybox.kernel.record import Record
 
 RECORD = Record(np.zeros((4, 1)), np.zeros((4, 1)), np.ones(3), np.zeros(3, np.int32), np.ones(1))
@@ -427,6 +427,18 @@ def test_what_a_slow_compiler_has_started_ends_with_it(tmp_path):
     while (stat := Path(f"/proc/{pid}/stat")).exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z":
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
+def test_a_compiler_may_take_so_much_memory_and_no_more():
+    """Of a model with hundreds of states it takes gigabytes: the model then runs without compiled code."""
+    script = "bytearray({:.0f})"
+    outcomes = [
+        compiling.run_compiler([sys.executable, "-c", script.format(share * CACHE_POLICY.compile_memory)])
+        for share in (0.3, 1.1)
+    ]
+    assert [run.returncode for run in outcomes] == [0, 1]
+    assert "MemoryError" in outcomes[1].stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a group of processes of POSIX")
