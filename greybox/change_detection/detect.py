@@ -24,6 +24,7 @@ from greybox.errors import DataError
 from greybox.estimation import FitOptions, fit
 from greybox.estimation.restore import restore_noise
 from greybox.experiment import Experiment
+from greybox.experiment.experiment import number_unnamed_records
 from greybox.findings import Check, Finding, Severity
 from greybox.model import Effect
 from greybox.noise import AutoRegression, NoiseModel
@@ -180,8 +181,8 @@ def detect_changes(
 
 
 def as_records(records: Records) -> tuple[Experiment, ...]:
-    """One or several records as a tuple."""
-    return (records,) if isinstance(records, Experiment) else tuple(records)
+    """One or several records as a tuple, each with a name."""
+    return number_unnamed_records((records,) if isinstance(records, Experiment) else records)
 
 
 def check_reference(reference: Fit) -> None:

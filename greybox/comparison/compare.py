@@ -30,6 +30,7 @@ from greybox.comparison.verdict import judge_comparison
 from greybox.errors import DataError
 from greybox.estimation import FitOptions
 from greybox.experiment import Experiment
+from greybox.experiment.experiment import number_unnamed_records
 from greybox.findings import Finding, Severity
 from greybox.model import Model
 from greybox.residuals.scores import check_steps_ahead
@@ -330,4 +331,4 @@ def _default_name(model: ComparedModel) -> str:
 
 
 def _as_tuple(experiments: Experiment | Sequence[Experiment]) -> tuple[Experiment, ...]:
-    return (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    return number_unnamed_records((experiments,) if isinstance(experiments, Experiment) else experiments)

@@ -73,6 +73,7 @@ from greybox.effects import Scales, applicable_effects
 from greybox.errors import DataError
 from greybox.estimation import FitOptions
 from greybox.experiment import Experiment
+from greybox.experiment.experiment import number_unnamed_records
 from greybox.findings import Check, Finding, Severity
 from greybox.model import Effect, Model
 from greybox.result import Fit
@@ -836,7 +837,7 @@ def _name(candidate: CandidateFit) -> str:
 
 
 def _as_tuple(records: Records) -> tuple[Experiment, ...]:
-    return (records,) if isinstance(records, Experiment) else tuple(records)
+    return number_unnamed_records((records,) if isinstance(records, Experiment) else records)
 
 
 def _ignore(_: str) -> None:

@@ -28,6 +28,8 @@ from greybox.findings import Finding
 from greybox.values import Printable
 
 Hold = Literal["zero", "first", "band-limited"]
+# The name of a record that nobody named.
+UNNAMED = "unnamed record"
 HOLDS: tuple[Hold, ...] = ("zero", "first", "band-limited")
 
 
@@ -126,7 +128,7 @@ class Experiment(Printable):
         inputs: Mapping[str, ArrayLike],
         outputs: Mapping[str, ArrayLike],
         *,
-        name: str = "experiment",
+        name: str = UNNAMED,
         hold: Hold = "zero",
         source: str = "",
         conditions: Mapping[str, float] | None = None,
@@ -328,6 +330,14 @@ def collect_record_findings(experiments: Iterable[Experiment]) -> tuple[Finding,
             findings.setdefault(key, finding)
             names.setdefault(key, {})[experiment.source or experiment.name] = None
     return tuple(replace(f, values={**f.values, "records": list(names[key])}) for key, f in findings.items())
+
+
+def number_unnamed_records(experiments: Iterable[Experiment]) -> tuple[Experiment, ...]:
+    """The records, those that nobody named as ``record 1``, ``record 2``, by their place in the list."""
+    return tuple(
+        _with_sampling_time(replace(e, name=f"record {number}"), e.sampling_time) if e.name == UNNAMED else e
+        for number, e in enumerate(experiments, 1)
+    )
 
 
 def _restore(values: Mapping[str, Any], sampling_time: float | None) -> Experiment:

@@ -132,7 +132,7 @@ def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:
         rms=y * root_mean_square(signal.value),
         unit=unit,
         explained=signal.explained,
-        dependence=str(signal.dependence),
+        dependence=str(signal.dependence) if signal.dependence.is_relevant else None,
     )
     caption = phrase(FigureText.EFFECT_SIGNAL, signal.effect, site=signal.site)
     return Figure(name, (against, in_time), caption, (description,))
@@ -170,7 +170,7 @@ def plot_unexplained_signal(localisation: ResidualLocalisation) -> Figure | None
         panels.append(
             Panel(variable, (points,), Axis(variable, across), Axis(f"unexplained at the {signal.site}", unit))
         )
-    statements = [str(d) for d in localisation.dependences[:3]]
+    statements = [str(d) for d in localisation.dependences if d.is_relevant][:3]
     caption = phrase(FigureText.UNEXPLAINED, signal.site)
     return Figure("unexplained", tuple(panels), caption, (phrase(FigureText.DEPENDENCES, statements=statements),))
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from greybox.change_detection.findings import ChangeCode, ChangeRule
-from greybox.rendering.english import count_noun, join_names
+from greybox.rendering.english import count_noun, join_names, record_text
 from greybox.rendering.registry import register, renders, sentence
 from greybox.rendering.tables import format_number, format_table, make_formatter
 
@@ -128,8 +128,10 @@ def _machines_alike(finding: Finding) -> str:
 def _change_point(finding: Finding) -> str:
     v = finding.values
     way = "rises" if v["after"] > v["before"] else "falls"
+    numbered = v["record"].startswith("record ")
+    record = v["record"] if numbered else f"record {v['number']} ({v['record']})"
     return (
-        f"{finding.subject} {way} with record {v['number']} ({v['record']}) by"
+        f"{finding.subject} {way} with {record} by"
         f" {_share_of(v['after'] - v['before'], v['before'], v['unit'])}, from {_with_unit(v['before'], '')} to"
         f" {_with_unit(v['after'], v['unit'])} ({p_statement(v['p'])})"
     )
@@ -177,7 +179,9 @@ register(
         ChangeCode.SAME_RECORD: "{subject} is one of the records of the fit itself: it is no record of today",
         ChangeCode.MACHINE_FALLS_OUT: _machine_falls_out,
         ChangeCode.MACHINE_NOT_FITTED: "{subject} is left out: the model could not be fitted to its records ({status})",
-        ChangeCode.RECORD_NOT_FITTED: "record {subject} is left out: the model could not be fitted to it ({status})",
+        ChangeCode.RECORD_NOT_FITTED: lambda f: (
+            f"{record_text(f.subject)} is left out: the model could not be fitted to it ({f.values['status']})"
+        ),
         ChangeCode.MACHINES_ALIKE: _machines_alike,
         ChangeCode.CHANGE_POINT: _change_point,
         ChangeCode.NO_CHANGE_POINT: lambda f: (

@@ -27,6 +27,11 @@ def join_names(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
 
 
+def record_text(name: str) -> str:
+    """A record as a sentence names it: ``record steps``, and ``record 1`` for one that has only its number for a name."""
+    return name if name.startswith("record ") else f"record {name}"
+
+
 def capitalise(text: str) -> str:
     """With a capital at its beginning, where that is a word and not a name."""
     return text[:1].upper() + text[1:] if _WORD.match(text) else text

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 from greybox.findings import Finding
-from greybox.rendering.english import phrase
+from greybox.rendering.english import capitalise, phrase, record_text
 from greybox.rendering.quantities import change_text
 from greybox.rendering.registry import Template, register
 
@@ -149,18 +149,20 @@ def _explained(f: Finding) -> str:
 
 
 TEMPLATES: Mapping[str, Template] = {
-    FigureText.INPUTS: "Inputs of record {subject}.",
-    FigureText.OUTPUTS: "Measured outputs of record {subject}.",
+    FigureText.INPUTS: lambda f: f"Inputs of {record_text(f.subject)}.",
+    FigureText.OUTPUTS: lambda f: f"Measured outputs of {record_text(f.subject)}.",
     FigureText.SIMULATED_OUTPUTS: "Simulated outputs, without sensor noise.",
     FigureText.SIMULATED_INPUTS: "Inputs.",
     FigureText.SIMULATED_STATES: "States.",
-    FigureText.RUN: "Record {subject}: measured outputs and the model's free run from the first row.",
+    FigureText.RUN: lambda f: (
+        f"{capitalise(record_text(f.subject))}: measured outputs and the model's free run from the first row."
+    ),
     FigureText.RESIDUAL: lambda f: (
-        f"Residual (measured minus simulated) of record {f.subject}"
+        f"Residual (measured minus simulated) of {record_text(f.subject)}"
         + ("; the band is two standard deviations of the noise." if f.values["band"] else ".")
     ),
     FigureText.SPECTRUM: lambda f: (
-        f"Spectrum of the residual of record {f.subject}"
+        f"Spectrum of the residual of {record_text(f.subject)}"
         + (
             "; the dashed line is white noise of the same standard deviation as the sensor noise."
             if f.values["line"]
@@ -169,13 +171,15 @@ TEMPLATES: Mapping[str, Template] = {
         + " Zoom into the residual over time to see the spectrum of that interval."
     ),
     FigureText.RESIDUALS_BEFORE_AFTER: lambda f: (
-        f"Residual of record {f.subject} with the plain and with the extended model"
+        f"Residual of {record_text(f.subject)} with the plain and with the extended model"
         + ("; the band is two standard deviations of the noise." if f.values["band"] else ".")
     ),
-    FigureText.SPECTRA_BEFORE_AFTER: (
-        "Spectra of both residuals of record {subject}. Zoom into the residuals over time to see the spectra of that interval."
+    FigureText.SPECTRA_BEFORE_AFTER: lambda f: (
+        f"Spectra of both residuals of {record_text(f.subject)}. Zoom into the residuals over time to see the spectra of that interval."
     ),
-    FigureText.RUNS_BEFORE_AFTER: "Record {subject}: measured outputs and the free runs of both models.",
+    FigureText.RUNS_BEFORE_AFTER: lambda f: (
+        f"{capitalise(record_text(f.subject))}: measured outputs and the free runs of both models."
+    ),
     FigureText.RESIDUAL_TESTS: "Tests of the residual of {subject}.",
     FigureText.CHANGES: "Change of each constant since the fit, with 95 % intervals that hold together. Zero is as before.",
     FigureText.MACHINES: (
@@ -206,8 +210,10 @@ TEMPLATES: Mapping[str, Template] = {
     FigureText.MODEL_ERRORS: (
         "Rms error of the free run (filled, with the best fit in percent) and one sample ahead (hollow): smaller is better."
     ),
-    FigureText.MODEL_RUNS: "Record {subject}: measured outputs and the free run of every model.",
-    FigureText.MODEL_RESIDUALS: "Record {subject}: measured minus simulated.",
+    FigureText.MODEL_RUNS: lambda f: (
+        f"{capitalise(record_text(f.subject))}: measured outputs and the free run of every model."
+    ),
+    FigureText.MODEL_RESIDUALS: lambda f: f"{capitalise(record_text(f.subject))}: measured minus simulated.",
     FigureText.GAIN: lambda f: (
         "Gain over frequency" + ("; the band contains 95 % of the drawn models." if f.values["family"] else ".")
     ),
@@ -216,13 +222,13 @@ TEMPLATES: Mapping[str, Template] = {
         f"Poles in the complex plane. Modes decay {'inside the unit circle' if f.values['sampled'] else 'left of the imaginary axis'}."
     ),
     FigureText.FIT_HEADING: lambda f: (
-        f"{f.values['model']}: free run over {'validation' if f.values['validation'] else 'estimation'} record {f.subject}"
+        f"{f.values['model']}: free run over {'validation' if f.values['validation'] else 'estimation'} {record_text(f.subject)}"
     ),
     FigureText.RESIDUAL_TESTS_HEADING: lambda f: (
         f"{f.values['model']}: residual of {f.subject}" if f.values["model"] else f"Residual of {f.subject}"
     ),
     FigureText.COMPARISON_HEADING: lambda f: (
-        f"{'Validation' if f.values['validation'] else 'Estimation'} record {f.subject}: free run of every model"
+        f"{'Validation' if f.values['validation'] else 'Estimation'} {record_text(f.subject)}: free run of every model"
     ),
     FigureText.EFFECT_SIGNAL_HEADING: lambda f: (
         f"{f.subject} explains {100 * f.values['explained']:.1f} % of the missing signal in {f.values['record']}"
@@ -274,7 +280,8 @@ TEMPLATES: Mapping[str, Template] = {
     ),
     FigureText.EFFECT_SIGNAL_SIZE: lambda f: (
         f"The plain model lacks a signal of {_quantity(f.values['rms'], f.values['unit'])} rms at the {f.values['site']}. {f.subject}"
-        f" explains {100 * f.values['explained']:.1f} % of its variance. The signal is {f.values['dependence']}"
+        f" explains {100 * f.values['explained']:.1f} % of its variance. The signal is"
+        f" {f.values['dependence'] or 'a function of no single variable'}"
     ),
     FigureText.SURROGATE_STATEMENT: "{statement}",
     FigureText.DEPENDENCES: lambda f: (

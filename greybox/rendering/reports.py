@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 from greybox.findings import Finding
-from greybox.rendering.english import count_noun, join_names
+from greybox.rendering.english import capitalise, count_noun, join_names, record_text
 from greybox.rendering.registry import Template, register
 
 
@@ -268,8 +268,10 @@ def _linear_verdict(f: Finding) -> str:
 
 
 TEMPLATES: Mapping[str, Template] = {
-    PageText.RECORD: "Record {subject}",
-    PageText.RECORD_USE: lambda f: f"{'Validation' if f.values['validation'] else 'Estimation'} record {f.subject}",
+    PageText.RECORD: lambda f: capitalise(record_text(f.subject)),
+    PageText.RECORD_USE: lambda f: (
+        f"{'Validation' if f.values['validation'] else 'Estimation'} {record_text(f.subject)}"
+    ),
     PageText.RECORD_FINDING: "Record {text}",
     PageText.RECORDS: "Records",
     PageText.SIGNALS: "Signals over all records",

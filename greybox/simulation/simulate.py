@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from greybox.errors import DataError, ModelError, nearest
 from greybox.experiment import Experiment
+from greybox.experiment.experiment import UNNAMED
 from greybox.integrators import DiscretisationPolicy, Step, choose_substeps, discretise
 from greybox.kernel import Record, make_kernel
 from greybox.model import Model
@@ -190,7 +191,7 @@ def _experiment(model: Model, arrays: Mapping[str, ArrayLike]) -> Experiment:
             f"inputs have no 'time'; give {{'time': ..., {', '.join(repr(i.name) + ': ...' for i in model.inputs)}}}"
         )
     values = {name: np.asarray(v, float) for name, v in arrays.items()}
-    return Experiment("inputs", values.pop("time"), values, {})
+    return Experiment(UNNAMED, values.pop("time"), values, {})
 
 
 def _run(step: Step, record: Record, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

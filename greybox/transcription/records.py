@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.errors import DataError, nearest
 from greybox.experiment import Experiment
-from greybox.experiment.experiment import stack_signals
+from greybox.experiment.experiment import number_unnamed_records, stack_signals
 from greybox.experiment.time_gaps import refuse_unknown_input
 from greybox.kernel.record import Record
 from greybox.model import Model
@@ -18,7 +18,7 @@ from greybox.transcription.policy import DEFAULT_POLICY, BandLimitedPolicy
 
 
 def to_experiments(experiments: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
-    """One or several measured experiments as a tuple.
+    """One or several measured experiments as a tuple, each with a name.
 
     Raises DataError for none, for what is no experiment (the path of a file), for one without a measured output, and for one with a
     long gap in time.
@@ -34,7 +34,7 @@ def to_experiments(experiments: Experiment | Iterable[Experiment]) -> tuple[Expe
         if not item.outputs:
             raise DataError(f"experiment {item.name!r} has no measured output; there is nothing to compare with")
     refuse_unknown_input(result)
-    return result
+    return number_unnamed_records(result)
 
 
 def to_record(model: Model, experiment: Experiment, policy: BandLimitedPolicy = DEFAULT_POLICY.band_limited) -> Record:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from greybox.errors import DataError
 from greybox.experiment import Experiment, collect_record_findings
+from greybox.experiment.experiment import number_unnamed_records
 from greybox.experiment.findings import RecordCode, is_sensor_fault
 from greybox.experiment.sampling import estimate_time_resolution, find_sampling_time
 
@@ -434,3 +435,13 @@ def test_a_record_made_of_another_shares_its_arrays():
     own = Experiment("run", measured, {}, {"y": measured})
     measured[3] = 100.0
     assert own.time[3] == 3.0
+
+
+def test_records_that_nobody_named_are_numbered_in_their_order():
+    columns = TIME, {"u": DRIVE}, {"y": ANSWER}
+    first, last = Experiment.from_arrays(*columns), Experiment.from_arrays(*columns)
+    steps = Experiment.from_arrays(*columns, name="steps")
+    numbered = number_unnamed_records([first, steps, last])
+    assert [record.name for record in numbered] == ["record 1", "steps", "record 3"]
+    assert numbered[0].time is first.time and numbered[0].fingerprint == first.fingerprint
+    assert numbered[0].findings == first.findings and numbered[1] is steps

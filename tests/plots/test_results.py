@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -156,3 +157,13 @@ def test_the_unexplained_signal_is_drawn_at_the_site_that_the_text_names() -> No
     assert "the torque balance" in str(localisation)
     assert figure.panels[0].y.name == "unexplained at the balance torque"
     assert figure.caption.subject == "balance torque"
+
+
+def test_a_figure_of_the_missing_signal_tells_of_no_variable_that_explains_nothing():
+    x = np.linspace(-1, 1, 400)
+    noise = np.random.default_rng(3).standard_normal(400)
+    dependences = rank_dependences(x, noise, {"x": (x, "m")}, LocalisationPolicy())
+    assert dependences and not dependences[0].is_relevant
+    signal = SimpleNamespace(site="force", unit="N", value=noise, variables={"x": x}, units={"x": "m"})
+    figure = plot_unexplained_signal(SimpleNamespace(signal=signal, dependences=dependences))
+    assert figure.description[0].values["statements"] in ([], ())

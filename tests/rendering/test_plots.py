@@ -21,6 +21,7 @@ GOLDEN = [
         phrase(T.RESIDUAL, "a", band=True),
         "Residual (measured minus simulated) of record a; the band is two standard deviations of the noise.",
     ),
+    (phrase(T.RESIDUAL, "record 1", band=False), "Residual (measured minus simulated) of record 1."),
     (phrase(T.RESIDUAL, "a", band=False), "Residual (measured minus simulated) of record a."),
     (
         phrase(T.SPECTRUM, "a", line=False),
@@ -176,6 +177,11 @@ GOLDEN = [
     (
         phrase(T.ERROR_BEFORE_AFTER, "x", before=0.012, after=0.001, unit="m", explained=0.917),
         "x: the error falls from 12 to 1 mm (92 % less)",
+    ),
+    (
+        phrase(T.EFFECT_SIGNAL_SIZE, "drag", site="force", rms=2.0, unit="mN", explained=0.9, dependence=None),
+        "The plain model lacks a signal of 2 mN rms at the force. drag explains 90.0 % of its variance. The signal is a function of no"
+        " single variable",
     ),
     (
         phrase(T.EFFECT_SIGNAL_SIZE, "creep", site="force", rms=2.0, unit="mN", explained=0.9, dependence="odd"),
