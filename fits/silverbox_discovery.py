@@ -5,8 +5,8 @@ Data: the silverbox records (Wigren, Schoukens 2013), not part of this project; 
 
 Learnt from 3000 rows of the training record, chosen by 20 000 others, refitted to all rows up to the end of those, and then run once
 over the test records. Expected: what the input does between samples comes first, as it outweighs every nonlinearity after the cubic
-spring; then the cubic spring, an offset of the input (or a load: the same data), a quadratic spring and damping that grows with the
-amplitude, of which only the family can be named.
+spring; then the cubic spring, an offset of the input (or a load: the same data) and damping that grows with the amplitude, of which only
+the family can be named. The search stops at four effects; the quadratic spring of the table is a fifth.
 """
 
 from __future__ import annotations
@@ -104,7 +104,8 @@ def section(s: Study) -> list[str]:
         "Errors on the test records, which took no part in choosing effects or constants:",
         markdown(head, rows),
         "What the input does between samples was the first pick of the search. The members of the damping family differ by less than the"
-        " spread between the records: the family is named, not the member. Offset of the input and constant load are exchangeable exactly.",
+        " spread between the records: the family is named, not the member. Offset of the input and constant load are exchangeable exactly."
+        " The search stops at four effects: the quadratic spring of this table is a fifth, added by hand.",
     ]
 
 
@@ -112,7 +113,6 @@ def verdict(s: Study) -> None:
     """The input first, then spring, offset and the family of damping; errors within the goal on all three test records."""
     first = [e.name for e in s.refinement.fit.model.effects][:2]
     assert first == ["band_limited_input", "cubic_stiffness"], first
-    assert {"quadratic_stiffness"} < s.named, s.named
     assert s.named & {"input_offset", "constant_load"}, s.named
     assert s.named & set(DAMPING), s.named
     assert s.holds["band-limited"][0] < s.holds["first"][0] / 2 < s.holds["zero"][0] / 4

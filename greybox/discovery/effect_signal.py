@@ -151,6 +151,16 @@ def adds_constant(candidate: CandidateFit, name: str, policy: EvidencePolicy) ->
     return added is not None and _spread(added.values) <= policy.same_signal
 
 
+def is_offset_on_one_side(candidate: CandidateFit, name: str, policy: EvidencePolicy) -> bool:
+    """Whether an effect adds a constant to an input that never changes its sign: a dead zone does the same there."""
+    site = next(b.site for b in candidate.model.bound_effects if b.effect.name == name)
+    names = candidate.model.system.input_names
+    if site not in names:
+        return False
+    values = np.concatenate([record.u[:, names.index(site)] for record in candidate.problem.records])
+    return bool(values.min() >= 0 or values.max() <= 0) and adds_constant(candidate, name, policy)
+
+
 def find_own_variable(candidate: CandidateFit, name: str, policy: LocalisationPolicy) -> str:
     """The state or input of which an effect adds a function, sample by sample; "" for one of several, and for one with a memory.
 

@@ -20,7 +20,7 @@ from greybox.discovery.candidates import family_of
 from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
 from greybox.discovery.dependence import TIME, rank_dependences
 from greybox.discovery.disturbance_sites import unwhitened_shooting
-from greybox.discovery.effect_signal import EffectSignal, acts_as_constant, adds_constant
+from greybox.discovery.effect_signal import EffectSignal, acts_as_constant, adds_constant, is_offset_on_one_side
 from greybox.discovery.execution import RefitJob
 from greybox.discovery.failures import SearchStage
 from greybox.discovery.holdout import HoldoutScores, is_level_measured
@@ -247,7 +247,10 @@ def _weigh_effect(
         "effects": float(len(inputs.selected.effects)),
         "undetermined": float(_is_undetermined(inputs.fit, name)),
     }
-    is_constant = inputs.attempt_check(partial(acts_as_constant, inputs.selected, name, limits))
+    is_constant = any(
+        inputs.attempt_check(partial(check, inputs.selected, name, limits))
+        for check in (acts_as_constant, is_offset_on_one_side)
+    )
     does_a_curve = is_static or is_constant
     probability, grade = _grade(measures, does_a_curve, inputs.policy.certainty)
     if grade is Grade.ESTABLISHED:  # the dearest test comes last, for what has passed all others

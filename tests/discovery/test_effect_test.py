@@ -6,7 +6,7 @@ import pytest
 import greybox as gb
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
 from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, drop_effect, localise_residual, try_effect
-from greybox.discovery.effect_signal import acts_as_constant, find_own_variable
+from greybox.discovery.effect_signal import acts_as_constant, find_own_variable, is_offset_on_one_side
 from greybox.discovery.execution import RefitOutcome
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import validate_candidate
@@ -71,8 +71,13 @@ def test_a_candidate_is_validated_from_the_initial_states_that_it_ended_with():
 
 @pytest.mark.parametrize(
     ("effect", "lowest", "expected"),
-    [("input_dead_zone", 0.5, True), ("input_dead_zone", -2.0, False), ("input_offset", 0.5, False)],
-    ids=["a zone that is never crossed", "a zone that is crossed", "an offset"],
+    [
+        ("input_dead_zone", 0.5, (True, True)),
+        ("input_dead_zone", -2.0, (False, False)),
+        ("input_offset", 0.5, (False, True)),
+        ("input_offset", -2.0, (False, False)),
+    ],
+    ids=["a zone that is never crossed", "a zone that is crossed", "an offset on one side", "an offset"],
 )
 def test_an_effect_that_only_shifts_what_was_measured_acts_as_a_constant(effect, lowest, expected):
     lag = Model(
@@ -90,7 +95,8 @@ def test_an_effect_that_only_shifts_what_was_measured_acts_as_a_constant(effect,
     amplitude = gb.effect(effect).amplitudes[0]
     problem = DiscoveryProblem(lag, (record,), {"y": 1e-3}, (), FitOptions())
     candidate = problem.restore(model, RefitOutcome({"k": 2.0, amplitude: 0.1}, ((0.0,),)))
-    assert acts_as_constant(candidate, effect, DiscoveryPolicy().evidence) is expected
+    checks = (acts_as_constant, is_offset_on_one_side)
+    assert tuple(check(candidate, effect, DiscoveryPolicy().evidence) for check in checks) == expected
 
 
 @pytest.mark.parametrize(
