@@ -45,8 +45,15 @@ def has_llvm() -> bool:
     """Whether routines can be made here: with llvmlite, on a processor that fuses products as compiled C does."""
     if importlib.util.find_spec("llvmlite") is None:
         return False
+    try:
+        llvm = _load_llvm()
+    except (
+        ImportError,
+        OSError,
+    ):  # it is there and does not load, for want of memory as a rule: the tape machine gives the same numbers
+        return False
     processor = platform.machine().lower()
-    is_x86_with_fma = processor in ("x86_64", "amd64") and _load_llvm().get_host_cpu_features().get("fma", False)
+    is_x86_with_fma = processor in ("x86_64", "amd64") and llvm.get_host_cpu_features().get("fma", False)
     return is_x86_with_fma or processor in ("arm64", "aarch64")
 
 

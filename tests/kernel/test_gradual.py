@@ -12,7 +12,7 @@ import pytest
 import greybox as gb
 from greybox.integrators import exact_hold
 from greybox.integrators.rk4 import rk4
-from greybox.kernel import CompiledKernel, gradual
+from greybox.kernel import CompiledKernel, gradual, llvm_routine
 from greybox.kernel import c_compiler as compiling
 from greybox.kernel.gradual import GradualKernel
 from greybox.kernel.llvm_routine import has_llvm
@@ -196,3 +196,14 @@ def test_a_library_that_fails_leaves_the_machine_at_work(monkeypatch, tmp_path):
         for _ in range(3):
             np.testing.assert_array_equal(kernel.simulate(*arguments)[1], first)
     assert [str(error) for error in failures] == ["out of ink"]
+
+
+def test_llvm_that_cannot_be_loaded_is_done_without(monkeypatch):
+    """As with little memory: llvmlite is installed, and its library cannot be mapped."""
+
+    def starve():
+        raise OSError("Could not find/load shared object file")
+
+    monkeypatch.setattr(llvm_routine.importlib.util, "find_spec", lambda _: object())
+    monkeypatch.setattr(llvm_routine, "_load_llvm", starve)
+    assert not has_llvm.__wrapped__()
