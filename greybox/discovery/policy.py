@@ -81,6 +81,8 @@ class SearchBudget:
     max_substeps: int = 32
     """Substeps of a sample that a refit of the search takes at most, unless the plain model needs more: a candidate that does is stiff by
     its constants alone, and minutes would not make it the answer. The last fit knows no such limit."""
+    prediction_substeps: int = 8
+    """The same where a cost is only predicted, to rank candidates: with the steps of a refit a stiff model would take minutes to extend."""
     unstable_factor: int = 2
     """How many times as many it takes if it is unstable with so few. One that is so still is out."""
     refit_starts: int = 2

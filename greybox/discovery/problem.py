@@ -169,15 +169,23 @@ class DiscoveryProblem:
         """Substeps of a candidate, unless it is unstable with so few: those of the budget, or twice those of the plain model."""
         return max(self.budget.max_substeps, 2 * self.prepare(self.model).step.substeps)
 
+    @cached_property
+    def _prediction_substeps(self) -> int:
+        """The same where a cost is only predicted."""
+        return max(self.budget.prediction_substeps, self.prepare(self.model).step.substeps)
+
     def _prepare_starts(
-        self, model: Model, starts: Iterable[StartValues], beginning: Mapping[str, Sequence[float]]
+        self, model: Model, starts: Iterable[StartValues], beginning: Mapping[str, Sequence[float]], most: int = 0
     ) -> tuple[EstimationProblem, list[_Start]]:
-        """The estimation problem of a candidate, and those of its starts from which it can be simulated, most promising first."""
-        starts, most = tuple(starts), self._most_substeps
+        """The estimation problem of a candidate, and those of its starts from which it can be simulated, most promising first.
+
+        A sample has ``most`` substeps at first (0: as many as a refit of the search).
+        """
+        starts, most = tuple(starts), most or self._most_substeps
         problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
         points = _rank_starts(problem, starts)
         if not points and problem.step.substeps >= most:
-            most *= self.budget.unstable_factor
+            most = self.budget.unstable_factor * self._most_substeps
             problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
             points = _rank_starts(problem, starts)
         return problem, points
@@ -289,7 +297,7 @@ class DiscoveryProblem:
             return np.inf
 
         def predict() -> float:
-            _, points = self._prepare_starts(model, starts, _initial_states(like))
+            _, points = self._prepare_starts(model, starts, _initial_states(like), self._prediction_substeps)
             return points[0][0] if points else np.inf
 
         return self.failures.attempt(SearchStage.SCREENING, tuple(e.name for e in model.effects), predict, np.inf)

@@ -90,4 +90,5 @@ def test_a_stiff_candidate_is_tried_with_a_bounded_number_of_steps(monkeypatch):
     tried = []
     monkeypatch.setattr(gb.discovery.problem, "_rank_starts", lambda p, starts: tried.append(p.step.substeps) or [])
     assert np.isinf(problem.predict_cost(stiff, [stiff.values]))
-    assert tried == [problem.budget.max_substeps, problem.budget.unstable_factor * problem.budget.max_substeps]
+    budget = problem.budget
+    assert tried == [budget.prediction_substeps, budget.unstable_factor * budget.max_substeps]
