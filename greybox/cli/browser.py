@@ -74,6 +74,7 @@ def app(
     Exit code 0: ended. 2: bad input, nothing was opened.
     """
     from greybox.app import LoadedRecord, Session, Workbench
+    from greybox.noise.noise_sources import check_given_noise
     from greybox.project.effects import find_own_effects
 
     _refuse_idle_options(study)
@@ -85,6 +86,7 @@ def app(
         ) from None
     model = constrain(build_model(study), study)
     check_substeps(study, model)
+    check_given_noise(model, dict(study.noise))
     folder = check_writable(output or Path("results") / f"{model.name}-app")
     book = StudyOnFile(study, model)
     records = [

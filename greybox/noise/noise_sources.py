@@ -89,7 +89,7 @@ def estimate_noise(
         For a quiet record whose input moves, or that lacks an output it should show.
     """
     quiet_records = (quiet,) if isinstance(quiet, Experiment) else tuple(quiet)
-    _check_given(model, given)
+    check_given_noise(model, given)
     _check_quiet(model, experiments, quiet_records, policy)
     levels: dict[str, _Level] = {}
     std, colour = np.ones(len(model.outputs)), [WHITE] * len(model.outputs)
@@ -267,7 +267,8 @@ def _find_silent_outputs(levels: Mapping[str, _Level], experiments: Sequence[Exp
     return [name for name in resting if levels[name].source in (NoiseSource.SPECTRUM, NoiseSource.DIFFERENCES)]
 
 
-def _check_given(model: Model, given: Mapping[str, float]) -> None:
+def check_given_noise(model: Model, given: Mapping[str, float]) -> None:
+    """Refuse noise of an output that the model has not, and what is no standard deviation. Raises ModelError."""
     names = [o.name for o in model.outputs]
     if not isinstance(given, Mapping):
         raise ModelError(

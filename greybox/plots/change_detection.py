@@ -9,12 +9,13 @@ import numpy as np
 from greybox.change_detection import ChangeDetection
 from greybox.plots.figure import Axis, Band, Curve, Figure, Height, Panel, Points, Reference, Role, Scale, Series
 from greybox.plots.scaling import typeset_unit
+from greybox.rendering.change_detection import is_determined
 from greybox.rendering.plots import FigureText, phrase
 
 
 def plot_changes(change: ChangeDetection) -> Figure | None:
-    """Each constant's change in percent with its interval about zero; None where nothing was compared."""
-    shown = {n: c for n, c in change.constants.items() if c.interval is not None and c.before}
+    """Each determined constant's change in percent with its interval about zero; None where nothing was compared."""
+    shown = {n: c for n, c in change.constants.items() if is_determined(c) and c.before}
     if not shown:
         return None
     percent = {n: 100 * (c.after - c.before) / abs(c.before) for n, c in shown.items()}
@@ -30,7 +31,8 @@ def plot_changes(change: ChangeDetection) -> Figure | None:
         "changes", tuple(series), Axis(scale=Scale.CATEGORY), Axis("change since the fit", "%"), height=Height.MEDIUM
     )
     description = phrase(FigureText.CHANGES_LISTED, percent=percent)
-    return Figure("changes", (panel,), phrase(FigureText.CHANGES), (description,))
+    missing = [n for n in change.constants if n not in shown]
+    return Figure("changes", (panel,), phrase(FigureText.CHANGES, missing=missing), (description,))
 
 
 def plot_population(change: ChangeDetection) -> Figure | None:

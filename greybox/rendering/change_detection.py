@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from greybox.change_detection.findings import ChangeCode, ChangeRule
+from greybox.findings import Finding, Severity
 from greybox.rendering.english import count_noun, join_names, record_text
+from greybox.rendering.policy import TEXT_LIMITS
 from greybox.rendering.registry import register, renders, sentence
 from greybox.rendering.tables import format_number, format_table, make_formatter
 
 if TYPE_CHECKING:
     from greybox.change_detection import ChangeDetection, ConstantChange, MachineReport
-    from greybox.findings import Check, Finding
+    from greybox.findings import Check
 
 
 def _with_unit(value: float, unit: str, digits: int = 4) -> str:
@@ -88,12 +91,49 @@ def _noise_grew(finding: Finding) -> str:
 
 def _not_seen(finding: Finding) -> str:
     share, limit = finding.values["share"], 100 * finding.values["limit"]
+    if "names" in finding.values:
+        return (
+            f"the records do not determine {finding.subject} (limit {limit:.0f} %); take a record that excites them, greybox design says"
+            " which"
+        )
     how = (
         "the records do not determine it"
-        if share is None or not share < 10
+        if _says_nothing(share)
         else f"only a change of {100 * share:.0f} % or more would show"
     )
     return f"{finding.subject}: {how} (limit {limit:.0f} %); take a record that excites it, greybox design says which"
+
+
+def _says_nothing(share: float | None) -> bool:
+    return share is None or not share < TEXT_LIMITS.change_reach
+
+
+def merge_not_seen(findings: Sequence[Finding]) -> list[Finding]:
+    """The ``findings``, all constants that the records do not determine in one of them, at the place of the first."""
+    merged: list[Finding] = []
+    alike: dict[Severity, list[Finding]] = {}
+    for finding in findings:
+        if finding.code != ChangeCode.CONSTANT_NOT_SEEN or not _says_nothing(finding.values["share"]):
+            merged.append(finding)
+            continue
+        group = alike.setdefault(finding.severity, [])
+        if not group:
+            merged.append(finding)
+        group.append(finding)
+    for group in alike.values():
+        if len(group) > 1:
+            names = [f.subject for f in group]
+            one = replace(group[0], subject=join_names(names), values={**group[0].values, "names": names})
+            merged[merged.index(group[0])] = one
+    return merged
+
+
+def is_determined(change: ConstantChange) -> bool:
+    """Whether the interval of a change is one whose figures say something."""
+    if change.interval is None:
+        return False
+    reach = max(map(abs, change.interval))
+    return math.isfinite(reach) and (not change.before or reach <= TEXT_LIMITS.change_reach * abs(change.before))
 
 
 def _cannot_tell(finding: Finding) -> str:
@@ -210,7 +250,7 @@ def write_change_detection(change: ChangeDetection) -> str:
             *format_table(["machine", *names, "falls out in"], [machine_row(m, names) for m in change.machines]),
         ]
     if change.findings:
-        lines += ["", *(f"{f.severity}: {sentence(f)}" for f in change.findings)]
+        lines += ["", *(f"{f.severity}: {sentence(f)}" for f in merge_not_seen(change.findings))]
     return "\n".join(lines)
 
 
@@ -224,6 +264,9 @@ def constant_row(name: str, change: ConstantChange) -> list[str]:
     unit = change.unit
     if change.interval is None:
         return [name, _with_unit(change.before, unit), "not determined", "", "", "", ""]
+    if not is_determined(change):
+        values = (_with_unit(value, unit) for value in (change.before, change.after))
+        return [name, *values, "not determined", "", p_text(change.p), "changed" if change.moved else ""]
     width = change.interval[1] - change.interval[0]
     write = make_formatter(change.before, width / 4)
     return [

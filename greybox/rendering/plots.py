@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 from greybox.findings import Finding
-from greybox.rendering.english import capitalise, phrase, record_text
+from greybox.rendering.english import capitalise, join_names, phrase, record_text
 from greybox.rendering.quantities import change_text
 from greybox.rendering.registry import Template, register
 
@@ -181,7 +181,10 @@ TEMPLATES: Mapping[str, Template] = {
         f"{capitalise(record_text(f.subject))}: measured outputs and the free runs of both models."
     ),
     FigureText.RESIDUAL_TESTS: "Tests of the residual of {subject}.",
-    FigureText.CHANGES: "Change of each constant since the fit, with 95 % intervals that hold together. Zero is as before.",
+    FigureText.CHANGES: lambda f: (
+        "Change of each constant since the fit, with 95 % intervals that hold together. Zero is as before."
+        + (f" Not drawn, as the table tells why: {join_names(f.values['missing'])}." if f.values["missing"] else "")
+    ),
     FigureText.MACHINES: (
         "Each machine with its 95 % interval. The line is the mean of those that belong together, the band holds 95 % of such machines."
     ),

@@ -18,5 +18,8 @@ class TextLimits:
     noise_reach: float = 5.0
     """A noise level whose 95 % interval reaches further than a factor e to this is written without the interval: it says nothing."""
 
+    change_reach: float = 10.0
+    """A change whose 95 % interval reaches further than so many times the value is not determined: its figures say nothing."""
+
 
 TEXT_LIMITS = TextLimits()

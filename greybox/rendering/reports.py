@@ -134,6 +134,7 @@ class PageText(StrEnum):
     DESIGN_TITLE = "page_design_title"
     DESIGN_QUESTION = "page_design_question"
     DESIGN_RECORD = "page_design_record"
+    DESIGN_BRINGS = "page_design_brings"
     DESIGN_CONSTANTS = "page_design_constants"
     DESIGN_SEPARATION = "page_design_separation"
     DESIGN_DETECTION = "page_design_detection"
@@ -265,6 +266,18 @@ def _linear_verdict(f: Finding) -> str:
     if v["dt"]:
         return f"A linear model with {states}, sampled every {v['dt']:g} s ({v['method']}); it is {v['stability']}."
     return f"A continuous linear model with {states}; it is {v['stability']}."
+
+
+def _design_brings(f: Finding) -> str:
+    v = f.values
+    if v["pair"]:
+        return f"With it, the wrong explanation of the pair hardest to tell apart, {v['pair']}, loses by {v['cost']:.3g} in the cost."
+    if v["shares"]:
+        shares = sorted(v["shares"].values())
+        size = f"{shares[0]:.2g}" if len(shares) == 1 else f"{shares[0]:.2g} to {shares[-1]:.2g}"
+        return f"With it, the intervals of {join_names(list(v['shares']))} shrink to {size} of what they are."
+    known = f"With it, every constant is known to {100 * v['largest']:.2g} % or better"
+    return f"{known} (standard deviation); {f.subject} is the least certain."
 
 
 TEMPLATES: Mapping[str, Template] = {
@@ -442,6 +455,7 @@ TEMPLATES: Mapping[str, Template] = {
         f"Play the {f.values['kind']} input of input.csv: {f.values['duration']:g} s, a row every {f.values['sampling_time']:g} s. It"
         " begins and ends at rest."
     ),
+    PageText.DESIGN_BRINGS: _design_brings,
     PageText.DESIGN_CONSTANTS: "Standard deviation of each parameter now, and with this record",
     PageText.DESIGN_SEPARATION: "Cost by which the wrong explanation of each pair would lose, after a refit",
     PageText.DESIGN_DETECTION: "Smallest amount of each effect that is seen now, and with this record",

@@ -13,6 +13,7 @@ from greybox.rendering.change_detection import (
     POPULATION_HEAD,
     constant_row,
     machine_row,
+    merge_not_seen,
     population_rows,
 )
 from greybox.rendering.english import phrase
@@ -31,8 +32,9 @@ TONES = {
 def build_changed_page(change: ChangeDetection, *, command: str = "") -> Page:
     """The page of a change detection; ``command`` is what was typed."""
     title = change.reference.model.title
-    first = [f for f in change.findings if f.severity is not Severity.NOTE]
-    notes = [f for f in change.findings if f.severity is Severity.NOTE]
+    findings = merge_not_seen(change.findings)
+    first = [f for f in findings if f.severity is not Severity.NOTE]
+    notes = [f for f in findings if f.severity is Severity.NOTE]
     sections = [Section("changes", [*_evidence(change), *([BulletList(notes)] if notes else [])])]
     if change.checks:
         sections.append(

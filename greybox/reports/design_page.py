@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from greybox.experiment_design import Design
-from greybox.findings import Severity
+from greybox.findings import Finding, Severity
 from greybox.plots.figure import Role
 from greybox.plots.records import plot_signals
 from greybox.plots.style import PAGE
@@ -42,7 +42,21 @@ def _verdict(design: Design) -> Paragraphs:
     step = record.sampling_time or 0.0
     play = phrase(PageText.DESIGN_RECORD, kind=design.kind, duration=step * record.rows, sampling_time=step)
     doubtful = any(f.severity is not Severity.NOTE for f in design.findings)
-    return Paragraphs([play, *design.findings], Tone.CAUTION if doubtful else Tone.GOOD)
+    return Paragraphs([play, *_brings(design), *design.findings], Tone.CAUTION if doubtful else Tone.GOOD)
+
+
+def _brings(design: Design) -> Iterator[Finding]:
+    """The one number that convinces: how far the explanations come apart, or how narrow the intervals become."""
+    pair = min(design.separation, key=design.separation.__getitem__, default="")
+    cost = design.separation.get(pair)
+    known = {name: c for name, c in design.predicted.items() if c.std_after is not None}
+    shares = {name: c.std_after / c.std_before for name, c in known.items() if c.std_after and c.std_before}
+    relative = {name: c.std_after / abs(c.value) for name, c in known.items() if c.std_after and c.value}
+    if len(relative) < len(design.predicted) and not shares:  # one of them stays open, as a finding says
+        relative = {}
+    least = max(relative, key=relative.__getitem__, default="")
+    if pair or shares or least:
+        yield phrase(PageText.DESIGN_BRINGS, least, pair=pair, cost=cost, shares=shares, largest=relative.get(least))
 
 
 def _figures(design: Design) -> Iterator[Block]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 from greybox.change_detection import ConstantChange
 from greybox.change_detection.findings import ChangeCode, ChangeRule
-from greybox.findings import Check, Finding
+from greybox.findings import Check, Finding, Severity
 from greybox.rendering import sentence
-from greybox.rendering.change_detection import constant_row, p_text, spread_text
+from greybox.rendering.change_detection import constant_row, is_determined, merge_not_seen, p_text, spread_text
 
 C = ChangeCode
 MOVED = {"before": 5.0, "after": 4.5, "unit": "N/m", "low": -0.6, "high": -0.4}
@@ -82,6 +84,10 @@ GOLDEN = [
     (
         Finding(C.CONSTANT_NOT_SEEN, subject="B", values={"share": 0.8, "limit": 0.5}),
         "B: only a change of 80 % or more would show (limit 50 %); take a record that excites it, greybox design says which",
+    ),
+    (
+        Finding(C.CONSTANT_NOT_SEEN, subject="B and K", values={"share": None, "limit": 0.5, "names": ["B", "K"]}),
+        "the records do not determine B and K (limit 50 %); take a record that excites them, greybox design says which",
     ),
     (
         Finding(C.CONSTANT_AT_BOUND, subject="B", values={"value": 0.0}),
@@ -188,3 +194,16 @@ def test_a_constant_as_a_row() -> None:
     ]
     assert constant_row("K", ConstantChange(5.0, 4.5, "N/m", None, None, False, None))[2] == "not determined"
     assert (p_text(None), p_text(0.031), spread_text(0.5, "N", False)) == ("", "0.031", "0.5 N")
+
+
+def test_constants_that_are_not_determined_share_one_warning_and_have_no_huge_figures():
+    values = {"share": None, "limit": 0.5}
+    unseen = [Finding(C.CONSTANT_NOT_SEEN, Severity.WARNING, name, values) for name in ("C", "h", "s")]
+    other = Finding(C.MODEL_LACKS_SOMETHING, Severity.WARNING)
+    first, last = merge_not_seen([unseen[0], other, *unseen[1:]])
+    assert first.values["names"] == ["C", "h", "s"] and last is other
+    assert merge_not_seen([unseen[0], other]) == [unseen[0], other]
+    wide = SimpleNamespace(before=2.0, after=2.1, interval=(-1e300, 1e304), unit="J/K", p=0.5, moved=False)
+    assert constant_row("C", wide)[3:5] == ["not determined", ""]
+    narrow = SimpleNamespace(before=2.0, after=2.1, interval=(-0.1, 0.3), unit="J/K", p=0.5, moved=False)
+    assert is_determined(narrow) and not is_determined(wide)

@@ -272,6 +272,18 @@ GOLDEN = [
         phrase(T.DESIGN_RECORD, kind="PRBS", duration=0.5, sampling_time=0.001),
         "Play the PRBS input of input.csv: 0.5 s, a row every 0.001 s. It begins and ends at rest.",
     ),
+    (
+        phrase(T.DESIGN_BRINGS, "B", pair="", cost=None, shares={}, largest=0.021),
+        "With it, every constant is known to 2.1 % or better (standard deviation); B is the least certain.",
+    ),
+    (
+        phrase(T.DESIGN_BRINGS, "B", pair="", cost=None, shares={"B": 0.61, "K": 0.2}, largest=0.021),
+        "With it, the intervals of B and K shrink to 0.2 to 0.61 of what they are.",
+    ),
+    (
+        phrase(T.DESIGN_BRINGS, "", pair="friction / creep", cost=35.2, shares={}, largest=None),
+        "With it, the wrong explanation of the pair hardest to tell apart, friction / creep, loses by 35.2 in the cost.",
+    ),
     (phrase(T.DESIGN_CONSTANTS), "Standard deviation of each parameter now, and with this record"),
     (phrase(T.DESIGN_SEPARATION), "Cost by which the wrong explanation of each pair would lose, after a refit"),
     (phrase(T.DESIGN_DETECTION), "Smallest amount of each effect that is seen now, and with this record"),
