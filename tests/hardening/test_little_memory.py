@@ -21,6 +21,8 @@ LEAST, MOST = 0.4e9, 1.2e9
 """Bytes of address space: as much as the interpreter with its libraries takes, and more than any of the commands. With less the libraries
 do not load: CasADi's cannot be mapped, and OpenBLAS asks for memory again and again and never ends, before a line of the program ran."""
 SENTENCE = "not enough memory"
+PATIENCE, TOO_LATE = 300, 124
+"""Seconds for a command, and the exit code that stands for more: the OpenBLAS of CasADi waits for memory without end."""
 WORDS = {
     "fit": "fit micro_actuator {record} --fix M --fix Ra --output {out}",
     "discover": "discover micro_actuator {record} --validate {record} --fix M --effects coulomb_friction --workers 1 --output {out}",
@@ -34,9 +36,12 @@ def run_with(memory: float, words: str) -> subprocess.CompletedProcess[str]:
 
     environment = ENVIRONMENT | {"OPENBLAS_NUM_THREADS": "1"}
     command = [*COMMAND, *words.split()]
-    return subprocess.run(
-        command, env=environment, capture_output=True, text=True, timeout=300, preexec_fn=limit, check=False
-    )
+    try:
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=PATIENCE, preexec_fn=limit, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return subprocess.CompletedProcess(command, TOO_LATE, "", f"did not end in {PATIENCE} s")
 
 
 def find_fault(done: subprocess.CompletedProcess[str], out: Path) -> str:
