@@ -99,6 +99,7 @@ def campaign(
     """
     from dataclasses import replace
 
+    from greybox.effects import effect
     from greybox.errors import DataError, GreyboxError
     from greybox.estimation import FitOptions
     from greybox.experiment_design import CampaignPlan, CampaignStatus, run_campaign
@@ -127,6 +128,8 @@ def campaign(
         replace(CAMPAIGN_POLICY, experiments=experiments),
     )
     # Whatever is wrong with the question is said before a folder is made.
+    for name in effects:
+        effect(name)
     DesignProblem((plain,), plan.limits, duration, sampling_time, plan.noise, plan.records, hold=plan.hold)
 
     def write_page(path: Path, value: Any) -> None:

@@ -84,6 +84,8 @@ def changed(
     folder = check_writable(output or Path("results") / f"{known.model.name}-changed")
     if population and chart:
         raise GreyboxError("--population and --chart exclude each other: several machines, or one over time; keep one")
+    if skip and not validate:
+        raise GreyboxError("--skip has no effect here: it leaves out rows of validation records; add --validate FILE")
     if validate and (population or chart):
         raise GreyboxError("--validate has no effect here: no effect is looked for; leave it out")
     if (workers or cluster) and (population or chart or no_effects):

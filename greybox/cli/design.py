@@ -158,6 +158,8 @@ def design(
     from greybox.experiment_design.result import design_data
     from greybox.result import Fit, format_json, to_json_data
 
+    if effect and goal is not GoalChoice.detection:
+        raise GreyboxError("--effect has no effect with this goal: it names what may hide; add --goal detection")
     known, plain, rivals = read_source(source, data or [], model, fixed, start, noise, at_rest, sampling_time)
     name = (known.model if isinstance(known, Fit) else known).name
     folder = check_writable(output or Path("results") / f"{name}-design")

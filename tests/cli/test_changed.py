@@ -88,6 +88,7 @@ BAD = [
     (["{fit}", "{day}", "--population"], "a population needs 4"),
     (["{fit}", "{day}", "--chart"], "a chart needs 4"),
     (["{fit}", "{day}", "--chart", "--validate", "{day}"], "--validate has no effect"),
+    (["{fit}", "{day}", "--skip", "5"], "--skip has no effect"),
     (["{fit}", "{day}", "--model", "micro_actuator"], "belongs to the model silverbox"),
     (["{fit}", "{fit}"], "fit.json"),
 ]

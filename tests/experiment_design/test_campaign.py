@@ -159,6 +159,7 @@ def test_the_command_waits_for_a_record_and_refuses_what_cannot_be(tmp_path, mon
         (["--limit", "u=-0.1:0.1"], "the noise of no output is known"),
         (["--limit", "u=-0.1:0.1", "--noise", "y=1e-3", "--width", "-1"], "--width -1"),
         (["--noise", "y=1e-3"], "input 'u' has no limits"),
+        (["--limit", "u=-0.1:0.1", "--noise", "y=1e-3", "--effect", "nope"], "nope"),
     ):
         done = CliRunner().invoke(app, [*base, *more])
         assert done.exit_code == 2 and message in done.stderr and done.stderr.count("\n") == 1
