@@ -21,7 +21,8 @@ import numpy as np
 import greybox as gb
 from fits.paper_page import markdown
 from fits.real_page import arguments, verdict_text, write
-from greybox.discovery import DiscoveryProblem, Refinement
+from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, Refinement
+from greybox.discovery.residual_noise import estimate_residual_noise
 from greybox.noise import NoiseModel
 from greybox.transcription import split_into_arcs
 from models.emps import emps
@@ -65,8 +66,10 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     discovery = gb.discover(emps, learn, validation=judge, on_message=say)
     # `discover` has looked for smaller effects already, wherever more than noise was left.
     refinement = discovery.refinement or gb.discovery.refine(discovery.best, judge, plain=emps, on_message=say)
-    noise = DiscoveryProblem.from_fit(discovery.best).noise
-    assert isinstance(noise, NoiseModel)
+    # The answer has the small effects of a search whose noise is white; what it leaves remembers.
+    noise = estimate_residual_noise(
+        DiscoveryProblem.from_fit(discovery.best).to_candidate(discovery.best), DiscoveryPolicy().noise
+    )
     held_out = {}
     for name in MODELS:
         held_out[name] = np.array([_kept_back(name, arcs, k, noise) for k in range(REPETITIONS)])
@@ -150,7 +153,8 @@ def section(s: Study) -> list[str]:
         f"Errors on arcs of {REPETITION / QUARTERS:.2f} s of a repetition that was kept back, mean over the {REPETITIONS} repetitions. The"
         " initial position and velocity of each arc are estimated from its first part, the error is that of the rest:",
         markdown(head, rows),
-        "**The classical offset imitated friction that differs by direction.** Beside it the offset is a tenth of a newton. At one speed"
+        "**The classical offset imitated friction that differs by direction.** Beside it the offset is"
+        f" {abs(s.fits['both'].parameters['F0'].value):.1f} N. At one speed"
         " the two are the same, and so are an offset and dry friction that differs by direction: they are collinear here.",
         f"**How far a free run can be trusted.** 0.1 N of constant load moves the end of the 24 s run by {1e3 * s.pushed:.1f} mm."
         " Constants of the same model from arcs of three lengths, run freely over the whole records:",

@@ -19,7 +19,7 @@ from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
 
 POLICY = DiscoveryPolicy()
-COGGING = {"cogging": {"F": 4.0, "pitch": 0.01}}
+COGGING = {"cogging": {"F": -4.0, "pitch": 0.01}}
 
 
 def fit_surrogate(rig, effects, noise, rows):
@@ -97,5 +97,5 @@ def test_a_power_starts_as_the_signal_shows_it(power):
     assert start["power"] == power
     assert start["height"] == pytest.approx(-4.0 * size**power, rel=0.02)
     named = {q.name: q.value for q in effect.parameters} | start
-    added = effect.terms(SimpleNamespace(v=0.05), None, SimpleNamespace(**named))
+    added = effect.terms({"v": 0.05}, None, SimpleNamespace(**named))
     assert added == pytest.approx(-4.0 * 0.05**power, rel=0.02)

@@ -138,7 +138,7 @@ def test_a_fitted_constant_says_so_in_the_file(tmp_path):
     fit = gb.fit(micro_actuator.fix("M", "Ra", "La", "Kv", "Kf"), record)
     text = gb.export.to_python(fit, tmp_path / "rig.py").read_text()
     assert re.search(r'"K", "N/m", 58\d\d\.\d{8,}', text) and "fitted, 95 % interval [58" in text
-    assert "fitted to inputs" in text
+    assert "fitted to record 1" in text
 
 
 def test_an_expression_keeps_its_meaning_in_python(tmp_path):
