@@ -1,7 +1,8 @@
 """Where something may be missing in a model, and how an unknown signal there reaches the sensors.
 
 The fitted model is linearised along its own run: ``d x_{k+1} = Phi_k d x_k + Gamma_k w_k``, ``d y_k = C_k d x_k``, with ``w`` held between
-samples. Dry friction has no slope and is left out, and so is what an effect sets after each step (play) or delays.
+samples. Dry friction has no slope and is left out, and so is a delay. What an effect sets after each step (play) slides: held, it would
+hide from its sensor all that drives it.
 """
 
 from __future__ import annotations
@@ -129,15 +130,23 @@ def are_indistinguishable(one: np.ndarray, other: np.ndarray) -> bool:
     return bool(min(np.abs(a - b).max(), np.abs(a + b).max()) < SAME_DIRECTION)
 
 
+def _let_slide(system: System, expression: ca.SX) -> ca.SX:
+    """``expression`` with every state that is set after each step where that puts one from far away: at the end of its play."""
+    for update in system.updates:
+        state = system.x[update.state]
+        expression = ca.substitute(expression, state, ca.substitute(update.value, state, ca.inf))
+    return expression
+
+
 def _slopes(
     system: System, x: np.ndarray, u: np.ndarray, p: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """``d rhs/dx`` (R, nx, nx), ``d rhs/du``, ``d y/dx`` and the storages (R, nx); one entry each for an affine model."""
-    smooth = ca.substitute(system.rhs, system.direction, ca.SX.zeros(len(system.dry)))
+    smooth = _let_slide(system, ca.substitute(system.rhs, system.direction, ca.SX.zeros(len(system.dry))))
     matrices = [
         ca.jacobian(smooth, system.x),
         ca.jacobian(smooth, system.u),
-        ca.jacobian(system.outputs, system.x),
+        ca.jacobian(_let_slide(system, system.outputs), system.x),
         system.storages,
     ]
     signals = ca.vertcat(system.x, system.u)

@@ -50,6 +50,7 @@ from greybox.discovery.localisation import ResidualLocalisation, localise_residu
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.proposals import (
+    explain_doubt,
     list_detection_limits,
     propose_experiments,
     propose_next_steps,
@@ -715,12 +716,10 @@ def _propose_for_part(
 ) -> tuple[Finding, ...]:
     """What to do about the rest beside established effects."""
     policy = judged.selection.policy
-    doubtful = [e for e in evidence if e.grade is not Grade.ESTABLISHED and (e.alike or e.rival)]
-    largest = sorted(doubtful, key=lambda e: -e.share)[: policy.proposals.most_separations]
-    steps = [
-        Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=e.effect, values={"rival": (*e.alike, e.rival)[0]})
-        for e in largest
-    ]
+    doubtful = [e for e in evidence if e.grade is not Grade.ESTABLISHED]
+    doubts = [doubt for e in doubtful if (doubt := explain_doubt(e, policy.certainty)) is not None]
+    shares = {e.effect: e.share for e in doubtful}
+    steps = sorted(doubts, key=lambda doubt: -shares[doubt.subject])[: policy.proposals.most_separations]
     if refined:
         steps.append(Finding(DiscoveryCode.QUOTE_THIRD_RECORD))
     if not location.is_missing:
@@ -757,9 +756,12 @@ def _summarise(
     effects = _physical_effects(judged.best)
     name, output = " + ".join(effects), worst_output(judged.holdout)
     error = judged.holdout[output]
+    fitted = [
+        e.name for e in judged.best.model.effects
+    ]  # with what corrects the shape of an effect: the error is that of the whole
     grades = {e.effect: e.grade for e in evidence}
     established = [e for e in effects if grades.get(e) is Grade.ESTABLISHED]
-    reduced = _error_reduced(effects, judged.holdout, judged.selection.policy.refinement.validation_share)
+    reduced = _error_reduced(fitted, judged.holdout, judged.selection.policy.refinement.validation_share)
     explained = {"share": error.share, "output": output}
     remaining = [
         Finding(DiscoveryCode.ERROR_LEFT, subject=o, values={**each.to_values(), "before": judged.holdout[o].before})

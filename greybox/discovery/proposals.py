@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from greybox.discovery.certainty import to_features
 from greybox.discovery.curve_shape import ShapeKind
 from greybox.discovery.discriminating_experiments import rank_discriminating_experiments
+from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import is_level_measured
 from greybox.discovery.localisation import ResidualLocalisation
-from greybox.discovery.policy import DiscoveryPolicy, ProposalPolicy
+from greybox.discovery.policy import CertaintyPolicy, DiscoveryPolicy, ProposalPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.residual_noise import INDEPENDENT_SOURCES
 from greybox.discovery.surrogate import Surrogate, SurrogateTone
@@ -73,6 +76,18 @@ def propose_experiments(
         values = {"experiment": best.experiment.value, "measured": list(best.measured), "cost": best.cost}
         findings.append(Finding(code, subject=" + ".join(best.rival), values=values))
     return tuple(findings)
+
+
+def explain_doubt(evidence: EffectEvidence, policy: CertaintyPolicy) -> Finding | None:
+    """What would settle an effect that is not established: None where it stands well and only what else is left speaks against it."""
+    name, features = evidence.effect, to_features(evidence.measures, policy)
+    if evidence.alike:
+        return Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=name, values={"rival": evidence.alike[0]})
+    if evidence.rival and features["rival_t"] < policy.least_rival:
+        return Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=name, values={"rival": evidence.rival})
+    if policy.most_change < features["change"] and math.isfinite(evidence.change):
+        return Finding(DiscoveryCode.FIT_HALVES_ALONE, subject=name, values={"change": evidence.change})
+    return None
 
 
 def list_detection_limits(candidates: Sequence[CandidateFit], policy: ProposalPolicy) -> tuple[Finding, ...]:

@@ -27,16 +27,21 @@ def _coulomb_friction(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFric
 
 
 def _steady_level(x: NamedValues, p: NamedValues) -> Expression:
-    """Friction of steady sliding at the present speed."""
-    return p.Fc + (p.Fs - p.Fc) * ca.exp(-((x.velocity / p.vs) ** 2))
+    """Friction of steady sliding at the present speed: it falls from Fs to Fc. One that rises with speed is a drag, not this effect."""
+    return p.Fc + ca.fmax(p.Fs - p.Fc, 0) * ca.exp(-((x.velocity / p.vs) ** 2))
 
 
 def _stribeck_friction(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
-    return DryFriction(sliding=_steady_level(x, p), static=p.Fs)
+    return DryFriction(sliding=_steady_level(x, p), static=ca.fmax(p.Fs, p.Fc))
 
 
 def _speed_grid(s: Scales) -> list[float]:
     return geometric_grid(0.01 * s.velocity, 0.5 * s.velocity, 4)
+
+
+def _fall_within_record(s: Scales) -> Mapping[str, tuple[float, float]]:
+    """A fall of the friction that these speeds show: beyond them it is a constant level and a drag with the square of the speed."""
+    return {"vs": (_speed_grid(s)[0] / START.bounds_reach, s.velocity)}
 
 
 def _stribeck_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
@@ -88,7 +93,7 @@ def _lugre_grid(s: Scales) -> Mapping[str, list[float]]:
 
 def _lugre_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     """Bristles damped beyond this stick to the body within a third of a sampling period: no record shows more of them."""
-    return {"s1": (0.0, 3 * s.storage / s.period)}
+    return {**_fall_within_record(s), "s1": (0.0, 3 * s.storage / s.period)}
 
 
 def _friction_under_load(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
@@ -143,7 +148,7 @@ stribeck_friction = Effect(
     site="force",
     parameters=FRICTION_LEVELS,
     dry=_stribeck_friction,
-    equation="-(Fc + (Fs - Fc) exp(-(v/vs)^2)) sign(v)",
+    equation="-(Fc + (Fs - Fc) exp(-(v/vs)^2)) sign(v), Fs >= Fc",
     parents=("coulomb_friction",),
     parity="odd",
     tells_apart=(
@@ -153,6 +158,7 @@ stribeck_friction = Effect(
     amplitudes=("Fc", "Fs"),
     probe=lambda s: {"Fc": s.visible_force, "Fs": START.friction_ratios[1] * s.visible_force},
     grid=lambda s: {"vs": _speed_grid(s)},
+    limits=_fall_within_record,
     from_parent=_stribeck_from_coulomb,
 )
 
@@ -167,7 +173,7 @@ lugre_friction = Effect(
     states=(State("z", "{displacement}", relaxing=True, description="mean bending of the bristles"),),
     terms=_lugre_force,
     balances=_bristle_balance,
-    equation="-(s0 z + s1 z'), z' = v - s0 abs(v) z / (Fc + (Fs - Fc) exp(-(v/vs)^2))",
+    equation="-(s0 z + s1 z'), z' = v - s0 abs(v) z / (Fc + (Fs - Fc) exp(-(v/vs)^2)), Fs >= Fc",
     parents=("coulomb_friction", "stribeck_friction"),
     parity="odd",
     tells_apart=(

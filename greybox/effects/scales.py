@@ -256,13 +256,13 @@ def tailor_to_record(entry: Effect, scales: Scales) -> Effect:
     for q in entry.parameters:
         low, high = q.bounds
         value = q.value
+        values = sorted(grid[q.name]) if q.name in grid and q.name not in entry.amplitudes else []
+        if values:
+            value = values[len(values) // 2]
         if q.name in limits:
             low, high = limits[q.name]
-        elif q.name in grid and q.name not in entry.amplitudes:
-            values = sorted(grid[q.name])
-            value = values[len(values) // 2]
-            if q.positive and low < values[0] and values[-1] < high:
-                low, high = max(low, values[0] / START.bounds_reach), min(high, values[-1] * START.bounds_reach)
+        elif values and q.positive and low < values[0] and values[-1] < high:
+            low, high = max(low, values[0] / START.bounds_reach), min(high, values[-1] * START.bounds_reach)
         parameters.append(replace(q, bounds=(low, high), value=min(max(value, low), high)))
     return replace(entry, parameters=tuple(parameters))
 

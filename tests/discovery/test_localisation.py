@@ -4,13 +4,24 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.discovery import LocalisationPolicy, Parity, ShapeKind, ShapePolicy, localise_residual
 from greybox.discovery.curve_shape import classify_shape
 from greybox.discovery.dependence import rank_dependences
+from greybox.discovery.disturbance_sites import linearise_run
 from greybox.discovery.misfit_windows import MisfitWindow, divide_misfit, find_concentration
+from greybox.discovery.problem import DiscoveryProblem
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
 
+MOTOR = Model(
+    "motor",
+    states=[State("y", "rad/s", role="velocity")],
+    inputs=[Input("u", "V", role="drive")],
+    outputs=[Output("y", "rad/s")],
+    parameters=[Parameter("b", "rad/(V*s^2)", 5.0, (0.1, 100.0)), Parameter("a", "1/s", 3.0, (0.1, 100.0))],
+    balances=lambda x, u, p: [Balance("torque", "rad/s^2", 1, "y", motor=p.b * u.u, drag=-p.a * x.y)],
+)
 NOISE = {"x": 2e-7, "i": 5e-3}
 POLICY = LocalisationPolicy()
 
@@ -40,6 +51,28 @@ def test_a_complete_model_leaves_nothing_to_localise():
     assert not location.is_missing
     assert location.sites == location.likeliest == location.dependences == ()
     assert location.timing is None
+
+
+@pytest.mark.parametrize(
+    "effect", [{"backlash": {"gap": 0.1}}, {"input_hysteresis": {"h": 0.1}}], ids=["output", "input"]
+)
+def test_play_does_not_hide_from_its_sensor_what_drives_it(effect):
+    """The linearised response through play that slides is that of the motor without it, up to the first sample."""
+    rows, rng = 400, np.random.default_rng(3)
+    time = 0.01 * np.arange(rows)
+    u = np.cumsum(rng.normal(size=rows)) / 10
+    model = (MOTOR + gb.effect(next(iter(effect)))).start(**next(iter(effect.values())))
+    run = gb.simulate(model, {"time": time, "u": u})
+    record = gb.Experiment("run", time, {"u": u}, {"y": run.outputs["y"] + 1e-3 * rng.normal(size=rows)})
+    candidate = DiscoveryProblem(model, (record,), {"y": 1e-3}, (), gb.FitOptions()).baseline
+    line = linearise_run(candidate, 0, 0, rows)
+    site = next(s for s in line.gamma if s.name == "u")
+    response = np.zeros(len(line.x[0]))
+    for k in range(20):  # an affine model has one entry for all samples
+        response = line.phi[min(k, len(line.phi) - 1)] @ response + line.gamma[site][min(k, len(line.phi) - 1)]
+    values = candidate.model.values
+    expected = values["b"] / values["a"] * (1 - np.exp(-values["a"] * 0.2))
+    assert line.c[-1, 0] @ response == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(

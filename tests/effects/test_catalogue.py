@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import greybox as gb
 from greybox import Balance, Effect, Input, Model, Output, Parameter, State
 from greybox.effects import CATALOGUE, applicable_effects, effect, measure_scales, tailor_to_record
 from greybox.errors import ModelError, UnitError
@@ -321,6 +322,18 @@ def test_children_start_from_every_fitted_parent():
     assert {start["vs"] for start in effect("lugre_friction").from_parent(fitted["stribeck_friction"], s)} == {1e-3}
 
 
+@pytest.mark.parametrize("static", [0.0, 0.05])
+def test_friction_does_not_rise_with_speed(static):
+    """Below Fc the level at standstill counts for nothing: what rises with speed is a drag, and has that name."""
+    time = 2.5e-4 * np.arange(400)
+    drive = {"time": time, "u": 2 * np.sin(2 * np.pi * 20 * time)}
+    falling, coulomb = micro_actuator + effect("stribeck_friction"), micro_actuator + effect("coulomb_friction")
+    runs = [gb.simulate(falling.start(Fc=0.05, Fs=static, vs=1e-3), drive), gb.simulate(coulomb.start(Fc=0.05), drive)]
+    assert np.array_equal(runs[0].outputs["x"], runs[1].outputs["x"])
+    rough = gb.simulate(falling.start(Fc=0.05, Fs=0.1, vs=1e-3), drive)
+    assert not np.allclose(rough.outputs["x"], runs[1].outputs["x"], rtol=1e-3)
+
+
 def test_a_record_bounds_the_delay_and_the_shapes():
     s = swinging(micro_actuator, 2.5e-4)
     (delay,) = tailor_to_record(effect("transport_delay"), s).parameters
@@ -328,7 +341,9 @@ def test_a_record_bounds_the_delay_and_the_shapes():
     levels = {q.name: q for q in tailor_to_record(effect("stribeck_friction"), s).parameters}
     assert levels["Fc"].bounds == (0.0, np.inf) and levels["Fc"].value == 0.0
     speeds = effect("stribeck_friction").grid(s)["vs"]
-    assert levels["vs"].bounds == (pytest.approx(min(speeds) / 1000), pytest.approx(max(speeds) * 1000))
+    # Beyond the speeds of the record a fall of the friction is a level and a drag with the square of the speed.
+    assert levels["vs"].bounds == (pytest.approx(min(speeds) / 1000), pytest.approx(s.velocity))
+    assert max(speeds) < s.velocity
     assert levels["vs"].value in speeds
 
 

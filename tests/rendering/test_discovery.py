@@ -328,6 +328,20 @@ FINDINGS = [
         " separate them",
     ),
     (
+        Code.FIT_HALVES_ALONE,
+        *("viscoelastic_creep", {"change": 0.588}),
+        "fit viscoelastic creep to each half of the records alone: its constants differ by 59 % between them, so it has another form or"
+        " the plant changes",
+    ),
+    (
+        Code.ERROR_REDUCED,
+        *(
+            "y",
+            {"before": 0.517, "after": 0.125, "unit": "V", "share": 0.758, "effects": ["drive_lag", "fitted_curve"]},
+        ),
+        "The error in y on the validation records falls from 517 to 125 mV (76 % less) with drive lag and a fitted curve.",
+    ),
+    (
         Code.QUOTE_THIRD_RECORD,
         *("", {}),
         "quote the error on a third record: the validation records chose some of these effects",
