@@ -14,6 +14,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from greybox.discovery.candidates import CandidateList, failed_candidates, list_candidates
 from greybox.discovery.certainty import Grade
 from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
@@ -69,7 +71,7 @@ from greybox.discovery.result import Discovery, RankedCandidate
 from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelection, checks_of
 from greybox.discovery.shape_correction import is_shape_correction
 from greybox.discovery.starting_points import estimate_scales
-from greybox.discovery.surrogate import Surrogate, fit_surrogate
+from greybox.discovery.surrogate import Surrogate, find_missing_sites, fit_surrogate
 from greybox.effects import Scales, applicable_effects
 from greybox.errors import DataError
 from greybox.estimation import FitOptions
@@ -811,22 +813,28 @@ def _error_reduced(effects: Sequence[str], holdout: Mapping[str, HoldoutError], 
 
 def _missing_signal(judged: JudgedSelection, location: ResidualLocalisation, surrogate: Surrogate | None) -> Finding:
     """How large the missing signal is, where, and of what it is a function; a curve that explains it says more than the localisation."""
-    site = location.sites[0]
+    policy = judged.selection.policy.selection
+    site, labels = location.sites[0], find_missing_sites(location, surrogate, policy)
     values: dict[str, Any] = {
         "size": site.size,
         "unit": site.unit,
-        "sites": list(location.likeliest),
+        "sites": list(labels),
         "variable": "",
         "dependence": None,
     }
-    limit = judged.selection.policy.selection.holdout_share
-    explains = surrogate is not None and surrogate.tone is None and surrogate.explained_fraction >= limit
-    if surrogate is not None and explains and not surrogate.beside:
+    if surrogate is not None and labels != location.likeliest:
+        values["size"], values["unit"] = float(np.sqrt(np.mean(surrogate.signal.value**2))), surrogate.unit
+        values["variable"] = surrogate.variable
+    elif (
+        surrogate is not None
+        and not (surrogate.tone or surrogate.beside)
+        and surrogate.explained_fraction >= policy.holdout_share
+    ):
         values["variable"] = surrogate.variable
     elif location.dependences and location.dependences[0].is_relevant:
         values["variable"] = location.dependences[0].variable
         values["dependence"] = location.dependences[0].to_values()
-    return Finding(DiscoveryCode.MISSING_SIGNAL, subject=", ".join(location.likeliest), values=values)
+    return Finding(DiscoveryCode.MISSING_SIGNAL, subject=", ".join(labels), values=values)
 
 
 def _physical_effects(fit: Fit) -> list[str]:

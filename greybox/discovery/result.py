@@ -20,7 +20,7 @@ from greybox.discovery.refinement import Refinement
 from greybox.discovery.remaining_error import RemainingError
 from greybox.discovery.selection import SelectionStep
 from greybox.discovery.shape_correction import is_shape_correction
-from greybox.discovery.surrogate import Surrogate
+from greybox.discovery.surrogate import Surrogate, find_missing_sites
 from greybox.estimation.options import FitOptions
 from greybox.files import write_file
 from greybox.findings import Check, Finding
@@ -121,7 +121,7 @@ class Discovery(Printable):
     @property
     def sites(self) -> tuple[str, ...]:
         """Where the plain model falls short: the likeliest site with those that the sensors cannot tell from it."""
-        return self.localisation.likeliest
+        return find_missing_sites(self.localisation, self.surrogate, self.policy.selection)
 
     @property
     def extended(self) -> Fit:

@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.discovery.curve_shape import CurveShape, ShapeKind, classify_shape
 from greybox.discovery.dependence import TIME, Dependence, rank_dependences
-from greybox.discovery.disturbance_sites import DisturbanceSite, list_disturbance_sites
+from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind, list_disturbance_sites
 from greybox.discovery.holdout import (
     HoldoutError,
     ValidationSet,
@@ -26,7 +26,7 @@ from greybox.discovery.localisation import (
     estimate_site_signals,
     localise_residual,
 )
-from greybox.discovery.policy import DiscoveryPolicy, SurrogatePolicy
+from greybox.discovery.policy import DiscoveryPolicy, SelectionPolicy, SurrogatePolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.surrogate_effects import (
     CURVE,
@@ -40,6 +40,7 @@ from greybox.estimation import fit as estimate
 from greybox.estimation import validate
 from greybox.estimation.policy import InitialStatePolicy
 from greybox.experiment import Experiment
+from greybox.model import Model
 from greybox.result import Fit
 from greybox.transcription.select import select_transcription
 from greybox.values import Printable, ReadOnly
@@ -158,6 +159,15 @@ class Surrogate(Printable, ReadOnly):
         }
 
 
+def find_missing_sites(
+    location: ResidualLocalisation, surrogate: Surrogate | None, policy: SelectionPolicy
+) -> tuple[str, ...]:
+    """Labels of the sites where something may be missing: of the curve that explains the larger part of the gap, or the likeliest ones."""
+    if surrogate is None or surrogate.tone is not None or surrogate.beside or surrogate.site in location.likeliest:
+        return location.likeliest
+    return (surrogate.site,) if surrogate.explained_fraction >= policy.partial_share else location.likeliest
+
+
 def fit_surrogate(
     problem: DiscoveryProblem,
     baseline: CandidateFit,
@@ -214,30 +224,84 @@ def fit_curve_surrogate(
 ) -> Surrogate | None:
     """The curve for what ``candidate`` leaves unexplained.
 
-    The model is refitted with a curve over each of the likeliest variables, with a sinusoid where the signal repeats over it; what explains
-    the records best by Schwarz's criterion stays. None where the signal is no function of any one variable, where the model cannot be
-    simulated, or where the curve explains nothing worth mentioning on the validation records. ``base`` is the plain model validated on
-    them.
+    The model is refitted with a curve over each of the likeliest variables, with a sinusoid where the signal repeats over it, and where
+    static curves are usual; what explains the records best by Schwarz's criterion stays. None where the model cannot be simulated, or
+    where the curve explains nothing worth mentioning on the validation records. ``base`` is the plain model validated on them.
     """
-    validation = ValidationSet.of(validation)
-    variables = [d for d in location.dependences if d.variable != TIME and d.is_relevant][: policy.surrogate.variables]
-    if not variables or location.signal is None:
-        return None
-    sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
-    site = next(s for s in sites if s.label == location.signal.site)
-    refits = [(d, _refit_curve(problem, candidate, site, d, location.signal, policy.surrogate)) for d in variables]
+    places = [*_localised_places(candidate, location, policy), *_usual_places(problem, candidate, location, policy)]
+    refits = [(place, _refit_curve(problem, candidate, place, policy.surrogate)) for place in places]
     stable = [
-        (d, fit)
-        for d, fit in refits
+        (place, fit)
+        for place, fit in refits
         if fit is not None
         and fit.cost < candidate.cost
         and (_needs_segments(problem, problem.baseline) or not _needs_segments(problem, fit))
     ]
     if not stable:
         return None
-    dependence, best = min(stable, key=lambda one: one[1].criterion)
-    surrogate = _to_curve_surrogate(problem, best, site, dependence, location.signal, validation, base, policy)
+    place, best = min(stable, key=lambda one: one[1].criterion)
+    surrogate = _to_curve_surrogate(problem, best, place, ValidationSet.of(validation), base, policy)
     return surrogate if surrogate.explained_fraction >= policy.surrogate.useful_share else None
+
+
+@dataclass(frozen=True)
+class CurvePlace:
+    """A site at which a curve may stand, the variable that it is over, and the signal that the residual asks for there."""
+
+    site: DisturbanceSite
+    dependence: Dependence
+    signal: ResidualSignal
+
+
+def _localised_places(
+    candidate: CandidateFit, location: ResidualLocalisation, policy: DiscoveryPolicy
+) -> list[CurvePlace]:
+    """The likeliest site, over the variables that its signal is a function of."""
+    relevant = [d for d in location.dependences if d.variable != TIME and d.is_relevant]
+    if location.signal is None:
+        return []
+    sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
+    site = next(s for s in sites if s.label == location.signal.site)
+    return [CurvePlace(site, d, location.signal) for d in relevant[: policy.surrogate.variables]]
+
+
+def _usual_places(
+    problem: DiscoveryProblem, candidate: CandidateFit, location: ResidualLocalisation, policy: DiscoveryPolicy
+) -> list[CurvePlace]:
+    """The places that promise most of those where static curves are usual: an input over itself, a sensor over what it shows, a body.
+
+    The localisation ranks sites by a signal that varies slowly, along a linearised run, and does not see a dead zone through a
+    resonance. A curve there is refitted with the model itself.
+    """
+    if location.signal is None:
+        return []
+    signals = estimate_site_signals(candidate, policy.localisation)
+    likeliest = {(location.signal.site, d.variable) for d in location.dependences if d.is_relevant}
+    places = []
+    for site in list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs]):
+        signal = signals.get(site.label)
+        for variable in _usual_variables(candidate.model, site):
+            if signal is None or variable not in signal.variables or (site.label, variable) in likeliest:
+                continue
+            over = {variable: (signal.variables[variable], signal.units[variable])}
+            ranked = rank_dependences(signal.time, signal.value, over, policy.localisation)
+            places += [CurvePlace(site, replace(d, period=None), signal) for d in ranked if d.variable == variable][:1]
+    limits = policy.surrogate
+    costs = [_predict_curve(problem, candidate, place, limits) for place in places]
+    order = sorted(range(len(places)), key=costs.__getitem__)
+    return [places[k] for k in order[: limits.variables] if costs[k] < (1 - limits.useful_share) * candidate.cost]
+
+
+def _usual_variables(model: Model, site: DisturbanceSite) -> list[str]:
+    """Names of the states or the input of which a static effect at ``site`` is usually a function."""
+    if site.kind is SiteKind.INPUT:
+        return [site.name]
+    if site.kind is SiteKind.SENSOR:
+        equation = model.system.outputs[site.column]
+        return [equation.name()] if equation.is_symbolic() else []
+    states = next((s.states for s in model.sites if s.name == site.name), {})
+    motion = [states.get(role, "") for role in ("velocity", "displacement")]
+    return list(dict.fromkeys(name for name in (model.system.state_names[site.column], *motion) if name))
 
 
 @dataclass(frozen=True)
@@ -272,7 +336,7 @@ def refit_free_curves(
         signal = replace(signal, variables={**signal.variables, TIME: signal.time - signal.time[0]})
         # Time is no matter of the site: what drifts at one drifts at another that the sensors cannot tell from it.
         for d in (*dependences, over_time) if label == labels[0] else dependences:
-            fit = _refit_curve(problem, candidate, sites[label], d, signal, limits)
+            fit = _refit_curve(problem, candidate, CurvePlace(sites[label], d, signal), limits)
             if fit is not None:
                 curves.append(FreeCurve(d.variable, fit))
     return curves
@@ -284,47 +348,58 @@ def _needs_segments(problem: DiscoveryProblem, candidate: CandidateFit) -> bool:
     return select_transcription(fitted, replace(problem.options, progressive=False)).transcription == "multiple"
 
 
-def _refit_curve(
-    problem: DiscoveryProblem,
-    candidate: CandidateFit,
-    site: DisturbanceSite,
-    dependence: Dependence,
-    signal: ResidualSignal,
-    policy: SurrogatePolicy,
-) -> CandidateFit | None:
-    """``candidate`` with a curve over the variable, from its own parameters and from those that the user gave."""
+def _prepare_curve(
+    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, policy: SurrogatePolicy
+) -> tuple[Model, list[dict[str, float]]]:
+    """``candidate`` with a curve, and where to start: from its own parameters and from those that the user gave."""
+    dependence, signal = place.dependence, place.signal
     z, period = signal.variables[dependence.variable], dependence.period
     if period is None:
-        effect, heights = make_curve_effect(site, dependence, z, signal.value, signal.std, policy, policy.intervals)
+        effect, heights = make_curve_effect(
+            place.site, dependence, z, signal.value, signal.std, policy, policy.intervals
+        )
         curve_starts = [heights, {}]
     else:
-        effect, _ = make_sinusoid_effect(site, dependence, period, z, signal.value, policy)
+        effect, _ = make_sinusoid_effect(place.site, dependence, period, z, signal.value, policy)
         curve_starts = [
-            make_sinusoid_effect(site, dependence, share * period, z, signal.value, policy)[1]
+            make_sinusoid_effect(place.site, dependence, share * period, z, signal.value, policy)[1]
             for share in policy.period_starts
         ]
     model = candidate.model + effect
     names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
     nominal = {q.name: q.value for q in problem.model.free_parameters if q.name in model.values}
-    starts = [
+    return model, [
         {**candidate.model.values, **values, **{names[n]: v for n, v in start.items()}}
         for start in curve_starts
         for values in ({}, nominal)
     ]
+
+
+def _refit_curve(
+    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, policy: SurrogatePolicy
+) -> CandidateFit | None:
+    model, starts = _prepare_curve(problem, candidate, place, policy)
     return problem.refit_best(model, starts, policy.refit_starts, policy.refit_iterations, like=candidate)
+
+
+def _predict_curve(
+    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, policy: SurrogatePolicy
+) -> float:
+    """The cost that one step predicts for a curve there."""
+    model, starts = _prepare_curve(problem, candidate, place, policy)
+    return problem.predict_cost(model, starts, like=candidate)
 
 
 def _to_curve_surrogate(
     problem: DiscoveryProblem,
     candidate: CandidateFit,
-    site: DisturbanceSite,
-    dependence: Dependence,
-    signal: ResidualSignal,
+    place: CurvePlace,
     validation: ValidationSet | Sequence[Experiment],
     base: Fit,
     policy: DiscoveryPolicy,
 ) -> Surrogate:
-    """The surrogate of a refitted ``candidate``, validated, with its curve over the range of the ``signal``."""
+    """The surrogate of a refitted ``candidate``, validated, with its curve over the range of the signal."""
+    site, dependence, signal = place.site, place.dependence, place.signal
     # The refit is over: a curve of many heights would go on for long with what does not show, and with ever smaller steps.
     solver = problem.options.policy
     limited = replace(solver.step_refinement, max_substeps=policy.budget.max_substeps)

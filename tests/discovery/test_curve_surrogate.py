@@ -11,7 +11,7 @@ from greybox.discovery.curve_shape import Parity
 from greybox.discovery.disturbance_sites import list_disturbance_sites
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.proposals import propose_next_steps, propose_noise_check
-from greybox.discovery.surrogate import fit_curve_surrogate
+from greybox.discovery.surrogate import find_missing_sites, fit_curve_surrogate
 from greybox.discovery.surrogate_effects import make_power_effect
 from greybox.findings import with_code
 from models.micro_actuator import micro_actuator
@@ -57,6 +57,18 @@ def test_a_stop_has_the_position_where_it_begins():
     assert surrogate.explained_fraction > 0.9
     assert surrogate.shape.kind is ShapeKind.FLAT_MIDDLE
     assert surrogate.shape.position == pytest.approx(4e-5, rel=0.1)
+
+
+def test_a_dead_zone_seen_through_a_resonance_is_found_at_the_input():
+    """The localisation by a slowly varying signal has it elsewhere: a curve where curves are usual is refitted with the model."""
+    _, location, surrogate, _ = fit_surrogate(micro_actuator, {"input_dead_zone": {"d": 0.3}}, {"x": 2e-7}, rows=800)
+    assert (surrogate.site, surrogate.variable) == ("input u", "u")
+    assert surrogate.explained_fraction > 0.9
+    assert surrogate.shape.parity is Parity.ODD
+    assert find_missing_sites(location, surrogate, POLICY.selection) == location.likeliest  # the input is one of these
+    elsewhere = SimpleNamespace(likeliest=("sensor of x",))
+    assert find_missing_sites(elsewhere, surrogate, POLICY.selection) == ("input u",)
+    assert find_missing_sites(elsewhere, None, POLICY.selection) == ("sensor of x",)
 
 
 def test_a_validation_record_that_reaches_beyond_the_estimation_records_is_reported():
