@@ -325,6 +325,8 @@ class EvidencePolicy:
     hopeless_cost: float = 25.0
     """...if its cost is still so many times that of the model in question: five times the rms error. Where an effect is left out that
     takes almost everything, the others turn stiff in its place, and each refit would take minutes to show that it is no rival."""
+    change_deviations: float = 2.0
+    """Standard errors of the halves by which a constant may differ between them without having changed."""
     least_rows: int = 100
     """Rows of a record below which it is not halved."""
     most_correlation: float = 0.95
