@@ -122,6 +122,9 @@ REDUNDANT_VARIANCE = 1e-8
 OVERFLOWING_CURVATURE = 1e100
 """Second derivative beyond which the next step overflows, although the value itself is still finite."""
 
+SAME_ERROR = 1e-9
+"""Relative difference of two errors that is lost in the rounding of the runs that they are of."""
+
 SAME_DIRECTION = 1e-9
 """Largest difference of two unit vectors that rounding explains: they are the same direction."""
 

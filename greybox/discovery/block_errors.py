@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from greybox.numerics import TINY
+from greybox.numerics import SAME_ERROR, TINY
 
 BlockErrors = Mapping[str, np.ndarray]
 """Mean square errors (B,) of a model by output, in blocks of the validation records."""
@@ -31,9 +31,9 @@ def compare_errors(errors: BlockErrors, others: BlockErrors) -> tuple[float, flo
 
 
 def _count_standard_errors(values: np.ndarray) -> float:
-    """The mean of ``values`` (B,) in standard errors."""
+    """The mean of ``values`` (B,) in standard errors; two runs of the same model differ by rounding, and not by many of these."""
     spread = float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.inf
-    return float(values.mean()) / max(spread, TINY)
+    return float(values.mean()) / max(spread, SAME_ERROR)
 
 
 def mean_error(values: np.ndarray | None) -> float:

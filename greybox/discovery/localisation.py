@@ -145,8 +145,8 @@ def localise_residual(
 ) -> ResidualLocalisation:
     """Where, when and as a function of what ``fit`` leaves something unexplained.
 
-    At each balance, input and sensor in turn an unknown slowly varying signal is estimated in the stretch where the misfit is
-    largest, with the fitted parameters and the initial state projected out, and the sites are ranked by likelihood (G. Wahba 1990,
+    At each balance, input and sensor in turn an unknown slowly varying signal is estimated in the stretch where the misfit varies
+    most, with the fitted parameters and the initial state projected out, and the sites are ranked by likelihood (G. Wahba 1990,
     Spline models for observational data). The model is linearised along its run.
 
     Parameters
@@ -201,7 +201,7 @@ def to_candidate_fit(fit: Fit) -> CandidateFit:
 
 
 def estimate_site_signals(candidate: CandidateFit, policy: LocalisationPolicy) -> dict[str, ResidualSignal]:
-    """The unexplained signal as it would be at each site, in the stretch with the largest misfit; likeliest first."""
+    """The unexplained signal as it would be at each site, in the stretch where the misfit varies most; likeliest first."""
     line = linearise_run(candidate, *find_worst_stretch(normalised_residuals(candidate), policy.most_rows))
     ranked = _rank_sites(candidate, line, policy)
     return {site.label: _to_signal(candidate, line, site, smoothed, policy) for site, smoothed in ranked}
@@ -213,14 +213,21 @@ def normalised_residuals(candidate: CandidateFit) -> list[np.ndarray]:
 
 
 def find_worst_stretch(residuals: Sequence[np.ndarray], most_rows: int) -> tuple[int, int, int]:
-    """Record, first row and rows of the stretch with the largest misfit."""
+    """Record, first row and rows of the stretch in which the misfit varies most.
+
+    A misfit that stands still, as at an end of the range, is the same at every site and over every variable.
+    """
     largest, stretch = -1.0, (0, 0, 1)
     for e, r in enumerate(residuals):
         rows = min(most_rows, len(r))
-        sums = np.concatenate([[0.0], np.cumsum(np.nansum(r**2, axis=1))])
-        within = sums[rows:] - sums[:-rows]
-        if within.max() > largest:
-            largest, stretch = float(within.max()), (e, int(np.argmax(within)), rows)
+        within = []
+        for values in (np.nan_to_num(r) ** 2, np.nan_to_num(r), np.isfinite(r).astype(float)):
+            sums = np.vstack([np.zeros((1, r.shape[1])), np.cumsum(values, axis=0)])
+            within.append(sums[rows:] - sums[:-rows])
+        squares, total, count = within
+        varying = np.maximum(squares - total**2 / np.maximum(count, 1), 0.0).sum(axis=1)  # rounding may go below
+        if varying.max() > largest:
+            largest, stretch = float(varying.max()), (e, int(np.argmax(varying)), rows)
     return stretch
 
 

@@ -190,7 +190,7 @@ class LocalisationPolicy:
     """Localisation of the residual: site, time and dependence."""
 
     most_rows: int = 1200
-    """Rows of the stretch in which the signal is estimated: where the misfit is largest."""
+    """Rows of the stretch in which the signal is estimated: where the misfit varies most."""
     knot_spacing: int = 4
     """Rows between the knots of the signal."""
     intensities: tuple[float, float, int] = (1e-3, 1e4, 29)

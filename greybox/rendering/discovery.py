@@ -62,7 +62,7 @@ def shape_text(values: Mapping[str, Any]) -> str:
     if kind == ShapeKind.UNNAMED:
         return f"{parity} in shape" if parity != Parity.NEITHER else "of no simple shape"
     text = {
-        ShapeKind.TOO_FEW_VALUES: "too few values to tell",
+        ShapeKind.TOO_FEW_VALUES: "too few values to tell its shape",
         ShapeKind.STRAIGHT: "no shape beyond a straight line",
         ShapeKind.STEP: "odd, a step at zero",
         ShapeKind.FLAT_MIDDLE: "odd, with a flat middle",

@@ -9,6 +9,7 @@ from greybox.discovery import LocalisationPolicy, Parity, ShapeKind, ShapePolicy
 from greybox.discovery.curve_shape import classify_shape
 from greybox.discovery.dependence import rank_dependences
 from greybox.discovery.disturbance_sites import linearise_run
+from greybox.discovery.localisation import find_worst_stretch
 from greybox.discovery.misfit_windows import MisfitWindow, divide_misfit, find_concentration
 from greybox.discovery.problem import DiscoveryProblem
 from models.micro_actuator import micro_actuator
@@ -137,6 +138,17 @@ def test_a_tone_that_the_input_has_is_none():
     t = np.arange(4000) * 2.5e-4
     w = np.sin(2 * np.pi * 50 * t)
     assert rank_dependences(t, w, {"u": (np.sin(2 * np.pi * 50 * t + 1), "V")}, POLICY)[0].tone is None
+
+
+def test_the_stretch_is_where_the_misfit_varies_and_not_where_it_stands_still():
+    residual = np.full((1000, 1), 0.1)
+    residual[:300] = 50.0  # at an end of the range
+    residual[600:700, 0] = 60 * np.sin(np.arange(100))
+    record, first, rows = find_worst_stretch([np.zeros((50, 1)), residual], 100)
+    assert (record, rows) == (1, 100)
+    assert first == pytest.approx(600, abs=2)
+    short = find_worst_stretch([np.full((40, 2), 1e8)], 100)  # nothing varies, and nothing is rounded away
+    assert short == (0, 0, 40)
 
 
 def test_windows_share_out_the_misfit():

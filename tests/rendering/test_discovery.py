@@ -417,7 +417,7 @@ def test_each_check_has_its_line(rule, text):
     [
         ({}, "odd, a step at zero, downwards"),
         ({"downwards": False}, "odd, a step at zero"),
-        ({"shape": "too_few_values", "downwards": False}, "too few values to tell"),
+        ({"shape": "too_few_values", "downwards": False}, "too few values to tell its shape"),
         ({"shape": "straight", "downwards": False}, "no shape beyond a straight line"),
         ({"shape": "flat_middle", "position": 0.6, "downwards": False}, "odd, with a flat middle up to about 0.6 m/s"),
         ({"shape": "cubic", "downwards": False}, "odd, growing faster than proportionally"),
