@@ -413,7 +413,7 @@ def _refit_free_curves(inputs: EvidenceInputs, rest: CandidateFit | None) -> lis
 
     def refit(rest: CandidateFit) -> list[FreeCurve]:
         location = localise_residual(rest, policy=inputs.policy.localisation, selection=inputs.policy.selection)
-        return refit_free_curves(inputs.problem, rest, location, inputs.policy)
+        return refit_free_curves(inputs.problem, rest, location, inputs.policy, inputs.selected.cost)
 
     return inputs.problem.failures.attempt(SearchStage.EVIDENCE, rest.effects, partial(refit, rest), [])
 

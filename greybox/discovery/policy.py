@@ -325,6 +325,9 @@ class EvidencePolicy:
     hopeless_cost: float = 25.0
     """...if its cost is still so many times that of the model in question: five times the rms error. Where an effect is left out that
     takes almost everything, the others turn stiff in its place, and each refit would take minutes to show that it is no rival."""
+    hopeless_curve: float = 4.0
+    """The same for a free curve in the place of an effect: twice the rms error. From a cost of twice that of the model it counts as far
+    behind, and so few iterations leave it a little above where it would end."""
     change_deviations: float = 2.0
     """Standard errors of the halves by which a constant may differ between them without having changed."""
     least_rows: int = 100

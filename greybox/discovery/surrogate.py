@@ -313,17 +313,25 @@ class FreeCurve:
 
 
 def refit_free_curves(
-    problem: DiscoveryProblem, candidate: CandidateFit, location: ResidualLocalisation, policy: DiscoveryPolicy
+    problem: DiscoveryProblem,
+    candidate: CandidateFit,
+    location: ResidualLocalisation,
+    policy: DiscoveryPolicy,
+    enough: float = math.inf,
 ) -> list[FreeCurve]:
     """``candidate`` with a smooth curve at each of the likeliest sites of what it leaves, over the likeliest variables and over time.
 
     The most that anything without memory could do there, whatever its name. Empty where nothing is left, or ``candidate`` has a curve.
+    One that is far above the cost ``enough`` (`EvidencePolicy.hopeless_curve`) after a few iterations stays as it is then.
     """
     if location.signal is None or CURVE in candidate.effects:
         return []
     limits = policy.surrogate
     signals = estimate_site_signals(candidate, policy.localisation)
+    # Sites at which the same signal reaches the sensors have the same gain: there a curve is the same in another unit.
+    gains = {site.label: site.gain for site in location.sites}
     labels = [label for label in location.sets[0] if label in signals][: limits.free_sites]
+    labels = [label for k, label in enumerate(labels) if gains[label] not in [gains[one] for one in labels[:k]]]
     sites = {s.label: s for s in list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])}
     none = np.zeros(0)
     over_time = Dependence(TIME, "s", 0.0, CurveShape(ShapeKind.TOO_FEW_VALUES), 0.0, None, none, none, none)
@@ -336,10 +344,23 @@ def refit_free_curves(
         signal = replace(signal, variables={**signal.variables, TIME: signal.time - signal.time[0]})
         # Time is no matter of the site: what drifts at one drifts at another that the sensors cannot tell from it.
         for d in (*dependences, over_time) if label == labels[0] else dependences:
-            fit = _refit_curve(problem, candidate, CurvePlace(sites[label], d, signal), limits)
+            fit = _refit_free_curve(problem, candidate, CurvePlace(sites[label], d, signal), policy, enough)
             if fit is not None:
                 curves.append(FreeCurve(d.variable, fit))
     return curves
+
+
+def _refit_free_curve(
+    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, policy: DiscoveryPolicy, enough: float
+) -> CandidateFit | None:
+    limits = policy.surrogate
+    model, starts = _prepare_curve(problem, candidate, place, limits)
+    quick = problem.refit_best(
+        model, starts, limits.refit_starts, policy.evidence.quick_iterations, like=candidate, refines=False
+    )
+    if quick is None or quick.cost > policy.evidence.hopeless_curve * enough:
+        return quick
+    return problem.refit_best(model, [quick.model.values], 1, limits.refit_iterations, like=quick) or quick
 
 
 def _needs_segments(problem: DiscoveryProblem, candidate: CandidateFit) -> bool:

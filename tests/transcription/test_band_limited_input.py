@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from scipy.signal import firwin, resample_poly
 
 from greybox import Experiment
 from greybox.effects import effect
@@ -10,6 +11,8 @@ from greybox.errors import DataError
 from greybox.integrators import discretise
 from greybox.kernel.compiled import CompiledKernel
 from greybox.transcription import to_record
+from greybox.transcription.policy import DEFAULT_POLICY
+from greybox.transcription.records import interpolate_band_limited
 from models.silverbox import silverbox
 from tests.support.stepping import oscillator, path, values
 
@@ -55,6 +58,20 @@ def tone_error(hold, rate, frequency=8.0):
     expected = np.real(np.exp(1j * (w * t + 0.3)) / (50.0 - 2.0 * w**2 + 20.0j * w))
     settled = slice(len(t) // 3, -len(t) // 10)
     return np.abs(data.samples(y)[:, 0] - expected)[settled].max() / np.abs(expected).max()
+
+
+@pytest.mark.parametrize("rows", [2, 3, 30, 500])
+def test_the_points_between_samples_are_those_of_another_program(rows):
+    """`scipy.signal` with the same window: the interpolated points before lines are drawn through them."""
+    policy = DEFAULT_POLICY.band_limited
+    u = np.random.default_rng(rows).normal(size=(rows, 2)) + 5
+    margin, half = min(policy.half_length, rows - 1), policy.half_length * policy.points
+    ends = np.pad(u, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
+    taps = firwin(2 * half + 1, 1 / policy.points, window=("kaiser", policy.kaiser_beta))
+    fine = resample_poly(ends, policy.points, 1, axis=0, window=taps, padtype="line")
+    fine[1:-1] -= (fine[2:] - 2 * fine[1:-1] + fine[:-2]) / 12
+    expected = fine[policy.points * margin : policy.points * (margin + rows - 1) + 1]
+    assert np.allclose(interpolate_band_limited(u, policy.points), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_rows_between_samples_carry_no_measurement():
