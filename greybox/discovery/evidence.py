@@ -40,7 +40,6 @@ from greybox.discovery.surrogate import FreeCurve, refit_free_curves
 from greybox.discovery.surrogate_effects import CURVE
 from greybox.effects import Scales
 from greybox.effects.placement import AT
-from greybox.linear_algebra import decompose_symmetric
 from greybox.model import Effect
 from greybox.noise import fit_autoregression, join_series
 from greybox.numerics import TINY
@@ -244,7 +243,6 @@ def _weigh_effect(
         "remainder": _remainder_over_variable(inputs, name),
         "structure": structure,
         "change": change,
-        "change_beyond": _measure_change(inputs.selected, effect, halves, inputs.fit, limits.change_deviations),
         "start": float(survives_start),
         "effects": float(len(inputs.selected.effects)),
         "undetermined": float(_is_undetermined(inputs.fit, name)),
@@ -560,12 +558,8 @@ def _remainder_over_variable(inputs: EvidenceInputs, name: str) -> float:
     return float(np.clip(np.sqrt(share * float(np.var(rest)) / max(power, TINY)), 0, 1))
 
 
-def _measure_change(
-    selected: CandidateFit, effect: Effect, halves: Sequence[CandidateFit], fit: Fit, deviations: float = 0.0
-) -> float:
+def _measure_change(selected: CandidateFit, effect: Effect, halves: Sequence[CandidateFit], fit: Fit) -> float:
     """Relative difference of the effect's amplitudes between the halves of the records; the median of several.
-
-    What ``deviations`` standard errors of the halves explain is no change: a half without an overflow does not show its edge.
 
     An amplitude that its bounds stopped is only known to be large enough: where all are, the constants of shape count. Each is compared
     with the largest of its unit: the sine and the cosine of one wave are one size.
@@ -581,27 +575,11 @@ def _measure_change(
     units = {n: selected.model.parameter(n).unit for n in counted}
     pairs = {n: tuple(half.model.values[n] for half in halves) for n in counted}
     sizes = {n: (abs(one) + abs(other)) / 2 for n, (one, other) in pairs.items()}
-    allowed = {
-        n: deviations * math.hypot(*(_standard_error(half, n) for half in halves)) for n in counted if deviations
-    }
     changes = [
-        max(abs(one - other) - allowed.get(n, 0.0), 0.0)
-        / max(*(sizes[m] for m in counted if units[m] == units[n]), TINY)
+        abs(one - other) / max(*(sizes[m] for m in counted if units[m] == units[n]), TINY)
         for n, (one, other) in pairs.items()
     ]
     return float(np.median(changes)) if changes else 0.0
-
-
-def _standard_error(candidate: CandidateFit, name: str) -> float:
-    """Of a constant, allowing for what the candidate leaves beyond the noise; infinite where its records do not show it."""
-    if name not in candidate.variables.names:
-        return 0.0
-    k, information = candidate.variables.names.index(name), candidate.evaluation.hessian / 2
-    decomposed = decompose_symmetric(information)
-    if decomposed.is_open[k]:
-        return math.inf
-    variance = float(decomposed.pseudo_inverse[k, k]) * max(candidate.per_sample, 1.0)
-    return math.sqrt(max(variance, 0.0)) * float(candidate.variables.spans[k])
 
 
 def _is_undetermined(fit: Fit, name: str) -> bool:

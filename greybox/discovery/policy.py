@@ -328,8 +328,6 @@ class EvidencePolicy:
     hopeless_curve: float = 4.0
     """The same for a free curve in the place of an effect: twice the rms error. From a cost of twice that of the model it counts as far
     behind, and so few iterations leave it a little above where it would end."""
-    change_deviations: float = 2.0
-    """Standard errors of the halves by which a constant may differ between them without having changed."""
     least_rows: int = 100
     """Rows of a record below which it is not halved."""
     most_correlation: float = 0.95

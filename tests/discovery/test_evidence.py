@@ -93,31 +93,6 @@ def test_a_change_is_that_of_what_the_records_determine(halves, is_at_bound, exp
     assert change == pytest.approx(expected, nan_ok=True)
 
 
-@pytest.mark.parametrize(
-    ("information", "per_sample", "expected"),
-    [(1e4, 1.0, 1.0), (4.0, 1.0, 0.293), (1e4, 2500.0, 0.293), (0.5, 1.0, 0.0), (0.0, 1.0, 0.0)],
-    ids=["well determined", "hardly determined", "much is left", "not determined", "not seen"],
-)
-def test_what_the_standard_errors_of_the_halves_explain_is_no_change(information, per_sample, expected):
-    """Halves with 1 N and 3 N: a standard error of 0.5 N each allows for 2 sqrt(0.5) N of the 2 N, over a mean of 2 N."""
-    effect = SimpleNamespace(name="a", amplitudes=["size"], parameters=[SimpleNamespace(name="size")])
-    model = SimpleNamespace(
-        bound_effects=[SimpleNamespace(effect=effect, model_names={"size": "size"})],
-        parameter=lambda name: SimpleNamespace(fixed=False, unit="N"),
-    )
-    halves = [
-        SimpleNamespace(
-            model=SimpleNamespace(values={"size": value}),
-            variables=SimpleNamespace(names=("size", "M"), spans=np.array([1.0, 1.0])),
-            evaluation=SimpleNamespace(hessian=2 * np.diag([information, 1e4])),
-            per_sample=per_sample,
-        )
-        for value in (1.0, 3.0)
-    ]
-    change = _measure_change(SimpleNamespace(model=model), effect, halves, SimpleNamespace(parameters={}), 2.0)
-    assert change == pytest.approx(expected, abs=0.05)
-
-
 TIME = np.linspace(0, 1, 200)
 
 
