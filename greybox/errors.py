@@ -86,7 +86,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     >>> nearest("Kff", ["Kf", "M"])
     "did you mean 'Kf'? (known: Kf, M)"
     """
-    names = list(known)
+    names = list(dict.fromkeys(known))
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     if close:  # beside a name that is much closer the others only distract
         closest = difflib.SequenceMatcher(None, close[0], name).ratio()

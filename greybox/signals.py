@@ -38,7 +38,8 @@ def multisine(time: np.ndarray, low: float, high: float, rms: float, generator: 
     Raises
     ------
     DataError
-        For a band without a line, and for one that reaches beyond half the sampling frequency.
+        For an RMS value that is not above zero, for a band without a line, and for one that reaches beyond half the sampling
+        frequency.
 
     Examples
     --------
@@ -47,6 +48,8 @@ def multisine(time: np.ndarray, low: float, high: float, rms: float, generator: 
     >>> round(float(np.sqrt(np.mean(u**2))), 6)
     2.0
     """
+    if not rms > 0:
+        raise DataError(f"a multisine with an RMS value of {rms:g}; give a number above 0")
     n, step = len(time), float(time[1] - time[0])
     _check_highest_frequency("multisine", high, step, high * step > 0.5 * (1 + TIME_ROUNDING))
     frequency = np.fft.rfftfreq(n, step)

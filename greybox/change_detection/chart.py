@@ -59,9 +59,10 @@ def chart_changes(
     """
     began, policy = time.perf_counter(), policy or ChangePolicy()
     check_reference(reference)
+    noun = "record" if len(records) == 1 else "records"
     if len(records) < policy.chart.least_records:
         raise DataError(
-            f"{len(records)} records: a chart needs {policy.chart.least_records} at least; give more, or leave out --chart"
+            f"{len(records)} {noun}: a chart needs {policy.chart.least_records} at least; give more, or leave out --chart"
         )
     labels = ["the fit", *(record.name for record in records)]
     fits = [reference, *(refit(reference, [record]) for record in records)]

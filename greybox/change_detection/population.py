@@ -61,9 +61,10 @@ def survey_population(
     began, policy = time.perf_counter(), policy or ChangePolicy()
     check_reference(reference)
     least = policy.population.least_machines
+    noun = "machine" if len(machines) == 1 else "machines"
     if len(machines) < least:
         raise DataError(
-            f"{len(machines)} machines: a population needs {least} at least; give more, or leave out --population"
+            f"{len(machines)} {noun}: a population needs {least} at least; give more, or leave out --population"
         )
     fits = {name: refit(reference, records) for name, records in machines.items()}
     estimates = {

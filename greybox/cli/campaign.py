@@ -29,6 +29,7 @@ from greybox.cli.options import (
 )
 from greybox.cli.reporting import write_report
 from greybox.cli.study import HoldName
+from greybox.cli.study_values import parse_names
 
 
 def campaign(
@@ -106,6 +107,7 @@ def campaign(
     from greybox.experiment_design.campaign import campaign_data
     from greybox.experiment_design.policy import CAMPAIGN_POLICY
     from greybox.experiment_design.problem import DesignProblem
+    from greybox.experiment_design.rig import check_command
     from greybox.parallel import open_workers
     from greybox.rendering.cli import report_line
     from greybox.result import format_json, to_json_data
@@ -122,14 +124,16 @@ def campaign(
         read_noise(noise),
         read_data(data, plain) if data else (),
         width,
-        tuple(effects),
+        parse_names(effects),
         hold.value,
         FitOptions(at_rest=at_rest),
         replace(CAMPAIGN_POLICY, experiments=experiments),
     )
     # Whatever is wrong with the question is said before a folder is made.
-    for name in effects:
-        effect(name)
+    for name in plan.effects:
+        plain + effect(name)
+    if rig:
+        check_command(rig)
     DesignProblem((plain,), plan.limits, duration, sampling_time, plan.noise, plan.records, hold=plan.hold)
 
     def write_page(path: Path, value: Any) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greybox.cli.export import load_fit_with_model
-from greybox.cli.inputs import print_record_notes
+from greybox.cli.inputs import check_skipped_rows, print_record_notes, refuse_repeated_records
 from greybox.cli.options import Cluster, Json, NoReport, Workers, check_writable
 from greybox.cli.progress import show_search_progress
 from greybox.cli.reporting import write_report
@@ -86,7 +86,7 @@ def changed(
         raise GreyboxError("--population and --chart exclude each other: several machines, or one over time; keep one")
     if skip and not validate:
         raise GreyboxError("--skip has no effect here: it leaves out rows of validation records; add --validate FILE")
-    if validate and (population or chart):
+    if validate and (population or chart or no_effects):
         raise GreyboxError("--validate has no effect here: no effect is looked for; leave it out")
     if (workers or cluster) and (population or chart or no_effects):
         given = f"--cluster {cluster}" if cluster else f"--workers {workers}"
@@ -114,8 +114,12 @@ def _detect(
     from greybox.change_detection import detect_changes
     from greybox.parallel import open_workers
 
-    records = read_like(known, list_record_files(new), sampling_time)
+    files = list_record_files(new)
+    records = read_like(known, files, sampling_time)
+    refuse_repeated_records(files, records)
     validation = read_like(known, validate, sampling_time) if validate else ()
+    if skip:
+        check_skipped_rows("--skip", skip, validation)
     print_record_notes(records, validation)
     with open_workers(workers, cluster) as executor, show_search_progress() as (say, report):
         return detect_changes(
@@ -135,6 +139,7 @@ def _survey(known: Fit, new: Sequence[Path], sampling_time: float | None) -> Cha
     from greybox.change_detection import survey_population
 
     machines = {str(path): read_like(known, list_record_files([path]), sampling_time) for path in new}
+    refuse_repeated_records(new, (record for records in machines.values() for record in records))
     print_record_notes(*machines.values())
     return survey_population(known, machines)
 
@@ -142,7 +147,9 @@ def _survey(known: Fit, new: Sequence[Path], sampling_time: float | None) -> Cha
 def _chart(known: Fit, new: Sequence[Path], sampling_time: float | None) -> ChangeDetection:
     from greybox.change_detection import chart_changes
 
-    records = read_like(known, list_record_files(new), sampling_time)
+    files = list_record_files(new)
+    records = read_like(known, files, sampling_time)
+    refuse_repeated_records(files, records)
     print_record_notes(records)
     return chart_changes(known, records)
 

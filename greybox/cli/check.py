@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_format
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,8 @@ from greybox.cli.fmu import is_fmu, run_fmu_check
 from greybox.cli.inputs import build_model, check_substeps, constrain, fit_options, layout_of, read_records
 from greybox.cli.options import Json, NoReport, check_writable, takes_study
 from greybox.cli.reporting import write_report
-from greybox.cli.study import CHECK, Study
+from greybox.cli.study import CHECK, Study, fields_of
+from greybox.errors import GreyboxError
 from greybox.files import write_file
 
 
@@ -42,8 +44,13 @@ def check(
     from greybox.rendering.cli import report_line
 
     if is_record(study.model):
+        if output is not None or no_report:
+            flag = "--no-report" if output is None else "--output"
+            raise GreyboxError(f"{flag}: no effect on a look at a file, which writes nothing; leave it out")
         look_at_files(study, json)
         return
+    if not study.estimation:
+        _refuse_idle(study, READING, "a check without records")
     if is_fmu(study):
         result, folder = run_fmu_check(study, output)
     else:
@@ -66,6 +73,18 @@ def check(
         typer.echo(report_line(report))
 
 
+READING = ("columns", "headers", "sampling_time", "read_limit", "hold", "interpolation", "split_holes", "free_decay")
+"""Fields that say how records are read."""
+
+
+def _refuse_idle(study: Study, names: Iterable[str], what: str) -> None:
+    """Options that would change nothing. Raises GreyboxError."""
+    plain = Study(model=study.model)
+    idle = [study.label(name) for name in names if getattr(study, name) != getattr(plain, name)]
+    if idle:
+        raise GreyboxError(f"{', '.join(idle)}: no effect on {what}; leave {'it' if len(idle) == 1 else 'them'} out")
+
+
 def is_record(name: str) -> bool:
     """Whether a file that records are read from stands in the place of the model."""
     from greybox.experiment.formats import SUFFIXES
@@ -78,6 +97,8 @@ def look_at_files(study: Study, json: bool) -> None:
     from greybox.experiment.policy import READING_POLICY
     from greybox.experiment.survey import survey_file
 
+    used = {"model", "estimation", "headers", "sampling_time", "read_limit"}
+    _refuse_idle(study, (name for name in fields_of(CHECK) if name not in used), "a look at a file")
     layout = layout_of(study)
     surveys = [
         survey_file(

@@ -42,6 +42,7 @@ from greybox.cli.policy import PROGRESS
 from greybox.cli.progress import ShowProgress, describe_progress, share_done, show_progress
 from greybox.cli.reporting import write_report
 from greybox.cli.study import COMPARE, Study
+from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
     from greybox.comparison import Comparison
@@ -85,6 +86,8 @@ def compare(
     from greybox.comparison.compare import NamedModel, compare_named
     from greybox.parallel import open_workers
 
+    if silent and json:
+        raise GreyboxError("--quiet-output and --json contradict each other; leave out one of the two")
     if is_fmu(study):
         check_workers(workers, cluster, {"--starts N": study.starts > 1})
         result, prepared, folder = run_fmu_comparison(study, output)

@@ -28,7 +28,7 @@ from greybox.cli.options import (
 )
 from greybox.cli.reporting import write_report
 from greybox.cli.study import HoldName
-from greybox.cli.study_values import Numbers
+from greybox.cli.study_values import Numbers, parse_names
 from greybox.errors import DataError, GreyboxError, ModelError
 
 if TYPE_CHECKING:
@@ -160,6 +160,13 @@ def design(
 
     if effect and goal is not GoalChoice.detection:
         raise GreyboxError("--effect has no effect with this goal: it names what may hide; add --goal detection")
+    precise = [f"--criterion {criterion}"] * (criterion is not CriterionChoice.D) + [
+        f"--constant {c}" for c in constant
+    ]
+    if precise and goal is not GoalChoice.precision:
+        raise GreyboxError(
+            f"{precise[0]} has no effect with --goal {goal}: it is for precision; leave out one of the two"
+        )
     known, plain, rivals = read_source(source, data or [], model, fixed, start, noise, at_rest, sampling_time)
     name = (known.model if isinstance(known, Fit) else known).name
     folder = check_writable(output or Path("results") / f"{name}-design")
@@ -173,7 +180,7 @@ def design(
         constants=constant,
         rivals=[*rivals, *rival],
         plain=plain,
-        effects=effect,
+        effects=parse_names(effect),
         noise=read_noise(noise),
         sensors=read_noise(sensor, "--sensor"),
         hold=hold.value,
@@ -210,6 +217,8 @@ def read_source(
                     f"{source}: a fit knows its records and parameters; leave out DATA, --fix and --start"
                 )
             return load_fit_with_model(Path(source), model), None, []
+        if fixed or start:
+            raise GreyboxError(f"{source}: a discovery knows its parameters; leave out --fix and --start")
         return _from_discovery(Path(source), data, model)
     if model is not None:
         raise GreyboxError(f"--model {model}: the model is {source} already; leave out one of the two")
@@ -227,16 +236,16 @@ def build_plain_model(name: str, fixed: Sequence[str], start: Sequence[str]) -> 
 
     known = Numbers(bare="as declared").from_option("--fix", fixed)
     values = {n: v for n, v in known.items() if v is not None}
-    return (
-        find_model(name)
-        .start(**Numbers().from_option("--start", start))
-        .fix(*[n for n, v in known.items() if v is None], **values)
-    )
+    started = Numbers().from_option("--start", start)
+    both = sorted(values.keys() & started.keys())
+    if both:
+        raise GreyboxError(f"{', '.join(both)}: --fix and --start contradict each other; keep one")
+    return find_model(name).start(**started).fix(*[n for n, v in known.items() if v is None], **values)
 
 
 def read_data(paths: Sequence[Path], model: Model, sampling_time: float | None = None) -> tuple[Experiment, ...]:
     """The records; what is to be said of them goes to stderr. Raises GreyboxError."""
-    from greybox.cli.inputs import print_record_notes
+    from greybox.cli.inputs import print_record_notes, refuse_repeated_records
     from greybox.experiment import read_experiments
 
     layout = {} if sampling_time is None else {"sampling_time": sampling_time}
@@ -246,6 +255,7 @@ def read_data(paths: Sequence[Path], model: Model, sampling_time: float | None =
         if not layout:
             raise
         records = read_experiments(paths, model)
+    refuse_repeated_records(paths, records)
     print_record_notes(records)
     return records
 

@@ -12,6 +12,8 @@ from greybox.cli import completion
 from greybox.cli.inputs import add_effects
 from greybox.cli.options import Json, Texts
 from greybox.cli.study import FIT, SPECS
+from greybox.cli.study_values import parse_names
+from greybox.errors import GreyboxError
 
 if TYPE_CHECKING:
     from greybox.effects import EffectListing
@@ -60,18 +62,30 @@ def effects(
     from greybox.project import find_model
     from greybox.project.effects import find_own_effects, keep_effect
 
-    if model == KEEP and name is not None:
+    if model == KEEP:
+        if name is None:
+            raise GreyboxError(
+                "effects keep: NAME is missing; write greybox effects keep NAME, as in greybox effects keep soft_stop"
+            )
+        idle = ["--effect"] * bool(effect) + ["--json"] * json
+        if idle:
+            raise GreyboxError(f"{', '.join(idle)}: no effect with keep, which writes one file; leave it out")
         from greybox.rendering.cli import written
 
         typer.echo(written([keep_effect(name, result)]))
         return
     if name is not None or result is not None:
-        raise typer.BadParameter("NAME and --result go with keep, as in greybox effects keep soft_stop")
+        given = f"--result {result}" if name is None else name
+        raise GreyboxError(f"{given}: no effect without keep; leave it out, or write greybox effects keep NAME")
+    if effect and model is None:
+        raise GreyboxError(
+            f"--effect {effect[0]} has no effect without a model; write greybox effects MODEL --effect {effect[0]}"
+        )
     entries = (*CATALOGUE, *find_own_effects())
     if model is None:
         listing = EffectListing("", entries)
     else:
-        plant = add_effects(find_model(model), effect)
+        plant = add_effects(find_model(model), parse_names(effect))
         listing = EffectListing(plant.title, entries, tuple(find_placements(plant, entries)))
     typer.echo(json_format.dumps(_to_data(listing), indent=2) if json else str(listing))
 

@@ -84,6 +84,8 @@ def fit(
     """
     from greybox.cli.fmu import is_fmu, run_fmu_fit
 
+    if silent and json:
+        raise GreyboxError("--quiet-output and --json contradict each other; leave out one of the two")
     if is_fmu(study):
         run_fmu_fit(study, output, json=json)
         return

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from greybox.cli.options import Json
+from greybox.cli.options import Json, check_writable
 
 
 def init(
@@ -30,6 +30,7 @@ def init(
     """Create a project in DIR with example files: models/, fits/ and a notebook, or one plant to start from."""
     from greybox.project import write_project
 
+    check_writable(directory, "DIR")
     files = write_project(directory, plant=plant, force=force)
     command = "python twin.py && greybox fit study.toml" if plant else "greybox models"
     if json:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greybox.cli.exits import print_findings, print_note
@@ -130,6 +131,7 @@ def read_records(study: Study, model: Model) -> tuple[tuple[Experiment, ...], tu
         else ()
         for files in (study.estimation, study.validation)
     )
+    refuse_repeated_records(study.estimation, estimation)
     validation = tuple(_marked_if_fitted(record, estimation) for record in validation)
     estimation, validation = _with_conditions(given, study, estimation, validation)
     if not study.split_holes:
@@ -162,9 +164,6 @@ def layout_of(study: Study) -> dict[str, Any]:
             f"{study.label('headers')} and {study.label('columns')} exclude each other: names for all columns, or headers for some;"
             " keep one"
         )
-    for name in ("sampling_time", "read_limit"):
-        if getattr(study, name) < 0:
-            raise GreyboxError(f"{study.label(name)} {getattr(study, name):g}: give a number above 0")
     layout: dict[str, Any] = {"columns": study.headers or dict(study.columns) or None}
     if study.sampling_time:
         layout["sampling_time"] = study.sampling_time
@@ -173,6 +172,20 @@ def layout_of(study: Study) -> dict[str, Any]:
     if study.read_limit:
         layout["reading"] = READING_POLICY.times(study.read_limit)
     return layout
+
+
+def refuse_repeated_records(files: Sequence[Path], records: Iterable[Experiment]) -> None:
+    """Refuse ``records`` of ``files`` that hold the same data. Raises GreyboxError."""
+    repeated = next((str(file) for k, file in enumerate(files) if file in files[:k]), "")
+    pair = (repeated, repeated)
+    known: dict[str, Experiment] = {}
+    for record in records:
+        first = known.setdefault(record.fingerprint, record)
+        if first.source != record.source:  # runs of one file may be alike: a program without noise wrote them
+            pair = (record.source or record.name, first.source or first.name)
+    if pair[0]:
+        what = "given twice" if repeated else f"the same data as {pair[1]}"
+        raise GreyboxError(f"{pair[0]}: {what}; its data would count twice, and intervals be too narrow; leave one out")
 
 
 def _marked_if_fitted(record: Experiment, estimation: Sequence[Experiment]) -> Experiment:
@@ -242,13 +255,21 @@ def check_skip(study: Study, validation: Sequence[Experiment], policy: CommandPo
     skip, label = study.skip, study.label("skip")
     if study.beginning > skip:
         skip, label = study.beginning, study.label("beginning")
-    if skip and not validation:
+    if skip:
+        check_skipped_rows(label, skip, validation, policy)
+
+
+def check_skipped_rows(
+    label: str, skip: int, validation: Sequence[Experiment], policy: CommandPolicy = COMMANDS
+) -> None:
+    """`check_skip` for ``skip`` rows, which the option ``label`` gives. Raises GreyboxError."""
+    if not validation:
         raise GreyboxError(
             f"{label} {skip} has no effect: it leaves out rows of validation records; give --validate FILE too"
         )
     least = policy.minimum_validation_rows
-    shortest = min((r.rows for r in validation), default=skip + least)
-    if skip and shortest - skip < least:
+    shortest = min(r.rows for r in validation)
+    if shortest - skip < least:
         raise GreyboxError(
             f"{label} {skip}: the shortest validation record has {shortest} rows, and at least {least} must be left;"
             " leave out fewer"
@@ -278,9 +299,7 @@ def check_prediction_steps(study: Study, *groups: Sequence[Experiment]) -> None:
 
 
 def read_time_limit(study: Study) -> float:
-    """Seconds that a search may take, infinite where nobody limits it. Raises GreyboxError."""
-    if study.time_limit < 0:
-        raise GreyboxError(f"{study.label('time_limit')} {study.time_limit:g}: give a number of seconds above 0")
+    """Seconds that a search may take, infinite where nobody limits it."""
     return study.time_limit or math.inf
 
 

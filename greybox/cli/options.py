@@ -280,17 +280,20 @@ def _made(name: str, annotation: Any, default: Any) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-def check_writable(path: Path) -> Path:
-    """``path``, if results can be written there; checked before the computation, and not changed. Raises GreyboxError."""
+def check_writable(path: Path, given: str = "--output") -> Path:
+    """``path``, if results can be written there; checked before the computation, and not changed. Raises GreyboxError.
+
+    ``given``: the option or argument that names it.
+    """
     try:
         present = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
         if not present.is_dir():
             what = "it is a file" if present == path else f"{present} is a file"
-            raise GreyboxError(f"--output {path}: {what}; give a folder")
+            raise GreyboxError(f"{given} {path}: {what}; give a folder")
         # Another process may be about to make the folder, or to write into it: nothing is made that must be removed.
         with tempfile.TemporaryFile(dir=present):
             pass
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
-        raise GreyboxError(f"--output {path}: cannot be written to ({reason}); give another folder") from error
+        raise GreyboxError(f"{given} {path}: cannot be written to ({reason}); give another folder") from error
     return path

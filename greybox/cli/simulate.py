@@ -135,7 +135,7 @@ def simulate(
     from greybox.simulation import simulate as simulate_model
     from greybox.units import format_unit
 
-    plant = add_effects(find_model(study.model), study.effects).start(**Numbers().from_option("--start", set_))
+    plant = add_effects(find_model(study.model), study.effects).start(**Numbers().from_option("--set", set_))
     target = _target(output or Path("results") / f"{plant.name}-simulated.csv", inputs)
     check_substeps(study, plant)
     noise_std = read_noise(noise)
@@ -144,6 +144,8 @@ def simulate(
     shaping = {"--band": band, "--offset": offset, "--duration": duration}
     layout = layout_of(study)
     chosen = _one_drive(plant, inputs, shapes, shaping, study)
+    if seed and not noise_std and multisine is None:
+        raise GreyboxError(f"--seed {seed} has no effect: nothing here is random; give --noise or --multisine too")
     if inputs is not None:
         layout |= {} if sampling_time is None else {"sampling_time": sampling_time}
         experiment = read_inputs(inputs, plant, hold=study.hold, **layout)  # type: ignore[arg-type]
@@ -193,6 +195,8 @@ def _target(path: Path, inputs: Path | None) -> Path:
     """``path``, unless it cannot be written or is the file that is read."""
     if path.is_dir():
         raise GreyboxError(f"--output {path}: it is a folder; give a file that ends in .csv")
+    if path.suffix.lower() != ".csv":
+        raise GreyboxError(f"--output {path}: the record is written as CSV; give a file that ends in .csv")
     if inputs is not None and path.exists() and inputs.exists() and path.samefile(inputs):
         raise GreyboxError(f"--output {path}: it is the input file, which would be overwritten; give another file")
     check_writable(path.parent)

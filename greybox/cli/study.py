@@ -120,7 +120,7 @@ class Study:
         default=(), metadata={"spec": Spec(Files(), "", "records", "estimation", _ALL, "")}
     )
     effects: tuple[str, ...] = _study_field(
-        Names(),
+        Names(split=True),
         "--effect",
         "effects",
         (*_FITS_AND_CHECK, SIMULATE),

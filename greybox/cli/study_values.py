@@ -116,16 +116,21 @@ class Counts(Kind):
 
 @dataclass(frozen=True)
 class Quantity(Kind):
-    """A number."""
+    """A number above zero; the field is zero where it is not given."""
 
     annotation = float
     default = empty = 0.0
 
     def from_option(self, option: str, raw: float) -> float:
+        if raw <= 0:
+            raise GreyboxError(f"{option} {raw:g}: give a number above 0")
         return raw
 
     def from_toml(self, place: str, data: Any) -> float:
-        return number_in_file(place, data)
+        number = number_in_file(place, data)
+        if number <= 0:
+            raise _wrong(place, data, "give a number above 0")
+        return number
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Sequence
 from itertools import pairwise
@@ -41,9 +42,32 @@ class PlainCommand(TyperCommand):
         """The arguments by parameter; ends with exit code 2 where they cannot be understood."""
         typed = list(args)
         try:
-            return super().parse_args(ctx, args)
+            rest = super().parse_args(ctx, args)
         except UsageError as error:
             exit_with_error(describe_usage_error(error, ctx, typed), ExitCode.BAD_INPUT)
+        if not ctx.resilient_parsing:  # while Tab completes, words are unfinished
+            self._refuse_empty_words(ctx, typed)
+            self._refuse_infinite_numbers(ctx)
+        return rest
+
+    def _refuse_empty_words(self, ctx: Any, typed: Sequence[str]) -> None:
+        """An unset variable of the shell gives an empty word, and as a path that would be the working folder."""
+        if not all(typed):
+            place = typed.index("")
+            before = typed[place - 1] if place else ctx.command_path
+            exit_with_error(
+                f"an empty word stands after {before}; give a value, or leave it out; see {ctx.command_path} --help",
+                ExitCode.BAD_INPUT,
+            )
+
+    def _refuse_infinite_numbers(self, ctx: Any) -> None:
+        for parameter in self.params:
+            value = ctx.params.get(parameter.name)
+            if isinstance(value, float) and not math.isfinite(value):
+                exit_with_error(
+                    f"{max(parameter.opts, key=len)} {value:g}: give a finite number; see {ctx.command_path} --help",
+                    ExitCode.BAD_INPUT,
+                )
 
 
 class CommandGroup(TyperGroup):

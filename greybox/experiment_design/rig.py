@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -79,6 +81,26 @@ def run_rig(
                 f"rig {words[0]!r}: wrote no record in experiment {number}; it must write the file that it is given as {{record}}"
             )
         write_file(target, part.read_bytes())
+
+
+def check_command(command: str) -> None:
+    """Refuse a rig program that could not be run, before anything is computed for it.
+
+    Raises
+    ------
+    GreyboxError
+        For quotes that do not close, for an empty command, for a place that nothing is put into, and for a program that is not there.
+    """
+    words = _split(command)
+    unknown = [place for word in words for place in re.findall(r"\{[a-z]+\}", word) if place not in PLACES]
+    if unknown:
+        raise GreyboxError(f"rig {words[0]!r}: nothing is put in for {unknown[0]}; known: {', '.join(PLACES)}")
+    placed = [place for place in PLACES[:2] if any(place in word for word in words)]
+    if len(placed) == 1:
+        missing = next(place for place in PLACES[:2] if place not in placed)
+        raise GreyboxError(f"rig {words[0]!r}: {placed[0]} is put in and {missing} is not; give both, or neither")
+    if shutil.which(words[0]) is None:
+        raise GreyboxError(f"rig {words[0]!r}: no such program; give the path of a program that may be run")
 
 
 def read_record(path: Path, asked: Experiment, model: Model, policy: RigPolicy) -> Experiment:

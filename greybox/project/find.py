@@ -175,11 +175,15 @@ def _refuse_foreign(root: Path) -> str:
 
 
 def _in_file(path: Path, wanted: str) -> Model:
-    if path.is_dir() or not path.is_file():
+    if path.is_dir():
+        inside = sorted(f.name for f in path.glob("*.py"))
+        held = f"give a file in it: {', '.join(inside)}" if inside else "and no model file lies in it"
+        raise ModelError(f"{path}: a folder, not a model file; {held}")
+    if not path.is_file():
         if not path.parent.is_dir():
             raise ModelError(f"{path}: file not found, there is no folder {str(path.parent)!r}")
         beside = nearest(path.name, sorted(f.name for f in path.parent.glob("*.py")))
-        raise ModelError(f"{path}: {'a folder, not a file' if path.is_dir() else 'file not found'}; {beside}")
+        raise ModelError(f"{path}: file not found; {beside}")
     if path.suffix != ".py":
         raise ModelError(
             f"{path} is not a model file; give a file that ends in .py, or the name of a model (see greybox models)"
