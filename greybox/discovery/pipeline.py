@@ -783,18 +783,21 @@ def _summarise(
     if probable and error.share > 0:
         values = {"probabilities": probable, "others": [e for e in effects if e not in probable]}
         return (Finding(DiscoveryCode.EFFECTS_PROBABLE, subject=name, values=values), *reduced, *remaining)
-    findings = [Finding(DiscoveryCode.UNKNOWN_EFFECT)]
+    look_alike: list[Finding] = []
     if name and error.share <= 0:
-        findings.append(Finding(DiscoveryCode.NO_LOOK_ALIKE, subject=name))
+        look_alike.append(Finding(DiscoveryCode.NO_LOOK_ALIKE, subject=name))
     elif name:
-        findings += [Finding(DiscoveryCode.NEAREST_LOOK_ALIKE, subject=name), *reduced, *remaining]
+        look_alike += [Finding(DiscoveryCode.NEAREST_LOOK_ALIKE, subject=name), *reduced, *remaining]
+    missing: list[Finding] = []
     if not location.is_missing:
-        findings.append(Finding(DiscoveryCode.HARDLY_VISIBLE, values={"misfit": location.misfit}))
+        missing.append(Finding(DiscoveryCode.HARDLY_VISIBLE, values={"misfit": location.misfit}))
     elif location.likeliest:
-        findings.append(_missing_signal(judged, location, surrogate))
-    if surrogate is not None:
-        findings.append(Finding(DiscoveryCode.SURROGATE_FITTED, subject=surrogate.site, values=surrogate.to_values()))
-    return tuple(findings)
+        missing.append(_missing_signal(judged, location, surrogate))
+    if surrogate is None:
+        return (Finding(DiscoveryCode.UNKNOWN_EFFECT), *look_alike, *missing)
+    missing.append(Finding(DiscoveryCode.SURROGATE_FITTED, subject=surrogate.site, values=surrogate.to_values()))
+    says_more = surrogate.share > error.share  # what explains more comes first
+    return (Finding(DiscoveryCode.UNKNOWN_EFFECT), *(missing + look_alike if says_more else look_alike + missing))
 
 
 def _error_reduced(effects: Sequence[str], holdout: Mapping[str, HoldoutError], least_share: float) -> list[Finding]:
