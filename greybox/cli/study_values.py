@@ -231,6 +231,12 @@ class Headers(Kind):
         return headers
 
     def from_toml(self, place: str, data: Any) -> tuple[str, ...]:
+        if isinstance(data, dict):
+            raise _wrong(
+                place,
+                data,
+                'must be a list of all columns in their order, as in ["time", "u", "x"]; headers of single signals stand under [columns]',
+            )
         return Names().from_toml(place, data)
 
     def to_toml(self, value: tuple[str, ...]) -> list[str]:

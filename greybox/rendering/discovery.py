@@ -631,7 +631,7 @@ register(
         # Steps of the search.
         DiscoveryCode.LAW_TERMS_RANKED: "{terms} terms of equations ranked",
         DiscoveryCode.BASELINE_FITTED: "plain model: misfit {misfit:.3g} times the noise",
-        DiscoveryCode.NOISE_WHITE: "the residual is white",
+        DiscoveryCode.NOISE_WHITE: "noise: white, as the best effect leaves it",
         DiscoveryCode.NOISE_FROM_RESIDUAL: _noise_from_residual,
         DiscoveryCode.FIRST_EFFECT: _first_effect,
         DiscoveryCode.FURTHER_EFFECT: "{subject}: misfit {after:.3g} times the noise",

@@ -153,6 +153,7 @@ HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
         (HEAD + "at_rest = 1", "study.toml, [records] at_rest: 1 must be true or false"),
         (HEAD + "quiet = [1]", "study.toml, [records] quiet: 1 must be a text in quotes"),
         (HEAD + "quiet = {a = 1}", "study.toml, [records] quiet: a table must be a list"),
+        (HEAD + 'columns = {x = "y"}', "[records] columns: a table must be a list of all columns in their order"),
         (HEAD + "[priors]\nM = 0.01", "study.toml, [priors], M: 0.01: write it as M = { mean = 0.0100, std = 0.0001 }"),
         (HEAD + "[schedule]\nK2 = {at = 1}", "study.toml, [schedule], K2: a table: write it as K2 = { by = "),
         ("fixed = 3\n" + HEAD, "study.toml, [fixed]: 3 must be a table of NAME = VALUE"),

@@ -241,7 +241,7 @@ FINDINGS = [
         "measure p_a and p_b as well, to narrow down the site",
     ),
     (Code.BASELINE_FITTED, *("", {"misfit": 113.2}), "plain model: misfit 113 times the noise"),
-    (Code.NOISE_WHITE, *("", {}), "the residual is white"),
+    (Code.NOISE_WHITE, *("", {}), "noise: white, as the best effect leaves it"),
     (
         Code.NOISE_FROM_RESIDUAL,
         *("micro_actuator", {"colours": [[], [0.81]], "std": [1e-7, 1e-3]}),
