@@ -158,7 +158,10 @@ class SampledSignal:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A line through ``x`` (N,) and ``y`` (N,), broken where one of them is NaN. ``width`` in points."""
+    """A line through ``x`` (N,) and ``y`` (N,), broken where one of them is NaN.
+
+    ``width`` in points; ``held``: each value until the next, as steps.
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -168,6 +171,7 @@ class Curve:
     dash: Dash = Dash.SOLID
     thinning: Thinning = Thinning.NONE
     signal: SampledSignal | None = None
+    held: bool = False
 
 
 @dataclass(frozen=True, eq=False)

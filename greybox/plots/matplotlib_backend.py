@@ -177,7 +177,13 @@ def _draw(axes: Axes, series: Series, panel: Panel, style: PictureStyle) -> None
 def _draw_curve(axes: Axes, curve: Curve, style: PictureStyle) -> None:
     x, y = thin_curve(curve.x, curve.y, curve.thinning, style.stretches)
     axes.plot(
-        x, y, color=_colour(curve.role), lw=style.line * curve.width, ls=LINES[curve.dash], label=curve.label or None
+        x,
+        y,
+        color=_colour(curve.role),
+        lw=style.line * curve.width,
+        ls=LINES[curve.dash],
+        label=curve.label or None,
+        drawstyle="steps-post" if curve.held else "default",
     )
 
 

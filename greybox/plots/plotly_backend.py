@@ -109,7 +109,12 @@ def _traces(series: Series, panel: Panel, stretches: int, style: PageStyle) -> l
 
 def _curve(curve: Curve, panel: Panel, stretches: int) -> dict[str, Any]:
     x, y = thin_curve(curve.x, curve.y, curve.thinning, stretches)
-    line = {"color": css_variable(curve.role), "width": curve.width, "dash": curve.dash.value}
+    line = {
+        "color": css_variable(curve.role),
+        "width": curve.width,
+        "dash": curve.dash.value,
+        **({"shape": "hv"} if curve.held else {}),
+    }
     trace = {"type": "scatter", "mode": "lines", "x": x, "y": y, "line": line, **_named(curve.label)}
     if curve.label in panel.listing:
         trace["legendrank"] = panel.listing.index(curve.label)

@@ -39,13 +39,15 @@ def plot_signals(
     units: Mapping[str, str],
     role: Role,
     caption: Finding,
+    *,
+    held: bool = False,
 ) -> Figure:
-    """Signals (N,) over ``time`` (N,), a panel for each."""
+    """Signals (N,) over ``time`` (N,), a panel for each; ``held``: as steps."""
     panels, description = [], []
     for signal, given in signals.items():
         values = np.asarray(given)
         factor, unit = scale_to_prefix(units[signal], values)
-        curve = Curve(time, factor * values, role, signal, thinning=Thinning.ENVELOPE)
+        curve = Curve(time, factor * values, role, signal, thinning=Thinning.ENVELOPE, held=held)
         panels.append(Panel(signal, (curve,), TIME, Axis(signal, unit), height=Height.LOW))
         low, high = value_range(factor * values)
         missing = int((~np.isfinite(values)).sum())
@@ -58,7 +60,7 @@ def plot_inputs(record: Trace | Experiment, units: Mapping[str, str], name: str)
     if not record.inputs:
         return None
     caption = phrase(FigureText.INPUTS, record.name)
-    return plot_signals(name, record.time, record.inputs, units, Role.INPUT, caption)
+    return plot_signals(name, record.time, record.inputs, units, Role.INPUT, caption, held=record.hold == "zero")
 
 
 def plot_outputs(record: Experiment, units: Mapping[str, str], name: str) -> Figure | None:

@@ -12,10 +12,11 @@ from greybox.findings import Finding, Severity
 from greybox.rendering.english import count_noun, join_names, record_text
 from greybox.rendering.policy import TEXT_LIMITS
 from greybox.rendering.registry import register, renders, sentence
-from greybox.rendering.tables import format_number, format_table, make_formatter
+from greybox.rendering.tables import format_table, format_with_std, make_formatter
 
 if TYPE_CHECKING:
     from greybox.change_detection import ChangeDetection, ConstantChange, MachineReport
+    from greybox.change_detection.result import PopulationConstant
     from greybox.findings import Check
 
 
@@ -245,10 +246,7 @@ def write_change_detection(change: ChangeDetection) -> str:
         lines += ["", *format_table(POPULATION_HEAD, population_rows(change))]
     if change.machines:
         names = list(change.population)
-        lines += [
-            "",
-            *format_table(["machine", *names, "falls out in"], [machine_row(m, names) for m in change.machines]),
-        ]
+        lines += ["", *format_table(machine_head(change), [machine_row(m, names) for m in change.machines])]
     if change.findings:
         lines += ["", *(f"{f.severity}: {sentence(f)}" for f in merge_not_seen(change.findings))]
     return "\n".join(lines)
@@ -292,15 +290,13 @@ def p_statement(p: float | None) -> str:
 
 def population_rows(change: ChangeDetection) -> list[list[str]]:
     """Mean, interval and spread of each constant."""
-    return [
-        [
-            name,
-            _with_unit(c.mean, c.unit),
-            " to ".join(format_number(e, 4) for e in c.interval),
-            spread_text(c.spread, c.unit, c.relative),
-        ]
-        for name, c in change.population.items()
-    ]
+    return [[name, *_mean_cells(c), spread_text(c.spread, c.unit, c.relative)] for name, c in change.population.items()]
+
+
+def _mean_cells(constant: PopulationConstant) -> tuple[str, str]:
+    """The mean with its unit, and its interval, to as many digits as the interval tells."""
+    write = make_formatter(constant.mean, (constant.interval[1] - constant.interval[0]) / 4)
+    return f"{write(constant.mean)} {constant.unit}".rstrip(), " to ".join(map(write, constant.interval))
 
 
 def spread_text(spread: float, unit: str, relative: bool) -> str:
@@ -308,6 +304,12 @@ def spread_text(spread: float, unit: str, relative: bool) -> str:
     if not spread:
         return "not visible"
     return f"{100 * spread:.2g} %" if relative else _with_unit(spread, unit, 2)
+
+
+def machine_head(change: ChangeDetection) -> list[str]:
+    """What stands above `machine_row`: each constant with its unit."""
+    units = [f"{name} [{c.unit}]" if c.unit else name for name, c in change.population.items()]
+    return ["machine", *units, "falls out in"]
 
 
 def machine_row(machine: MachineReport, names: list[str]) -> list[str]:
@@ -322,7 +324,7 @@ def machine_row(machine: MachineReport, names: list[str]) -> list[str]:
 def _machine_cell(constant: Mapping[str, Any] | None) -> str:
     if constant is None or constant["std"] is None:
         return "open"
-    return f"{constant['value']:.4g} +- {constant['std']:.2g}"
+    return format_with_std(constant["value"], constant["std"])
 
 
 def _signed(change: float, before: float, unit: str, width: float) -> str:

@@ -478,7 +478,7 @@ TEMPLATES: Mapping[str, Template] = {
     PageText.CAMPAIGN_TITLE: "Campaign on {subject}",
     PageText.CAMPAIGN_QUESTION: "Which effects does the rig of {subject} have, and how precisely are its parameters known?",
     PageText.CAMPAIGN_STEPS: "The experiments, in their order",
-    PageText.CAMPAIGN_WIDTHS: "Half width of the 95 % interval of each parameter after each experiment, over its value",
+    PageText.CAMPAIGN_WIDTHS: "Half width of the 95 % interval of each parameter after each experiment, over its value, and the value now",
     PageText.CAMPAIGN_FILES: "What the folder of each experiment holds: the input and why, the record, what was learnt from it",
     PageText.CAMPAIGN_STEP: "experiment {subject}",
     **SECTIONS,

@@ -6,12 +6,15 @@ from math import isinf
 
 from greybox.effects import effect
 from greybox.experiment_design import Campaign, CampaignStatus
+from greybox.experiment_design.campaign import CampaignStep
 from greybox.rendering.english import phrase
 from greybox.rendering.experiment_design import CAMPAIGN_HEAD, step_row
 from greybox.rendering.reports import PageText
 from greybox.reports.equations import typeset_equations
 from greybox.reports.page import Page, PageTable, Paragraphs, Section, Tone
 from greybox.reports.provenance import provenance_section
+from greybox.reports.typography import format_number, typeset_number
+from greybox.schemas import ResultKind, read_json
 
 FILES = ("input.csv", "report.html", "record.csv", "fit.html", "discovery.html")
 """What a folder of an experiment may hold for a reader, in the order in which it comes there."""
@@ -46,12 +49,28 @@ def _widths(campaign: Campaign) -> PageTable | None:
     """How the interval of each parameter became narrower; None before the first record."""
     measured = [step for step in campaign.steps if step.widths]
     names = list(dict.fromkeys(name for step in measured for name in step.widths))
+    values = _last_values(campaign, measured[-1]) if measured else {}
     rows: list[list[str]] = []
     for name in names:
         widths = [step.widths.get(name) for step in measured]
-        rows.append([name, *("-" if w is None else "open" if isinf(w) else f"{100 * w:.2g} %" for w in widths)])
-    head = ["parameter", *(str(phrase(PageText.CAMPAIGN_STEP, str(step.number))) for step in measured)]
+        shares = ("-" if w is None else "open" if isinf(w) else f"{100 * w:.2g} %" for w in widths)
+        rows.append([name, *shares, values.get(name, "")])
+    head = ["parameter", *(str(phrase(PageText.CAMPAIGN_STEP, str(step.number))) for step in measured), "value"]
     return PageTable(phrase(PageText.CAMPAIGN_WIDTHS), head, rows) if rows else None
+
+
+def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
+    """The value of each parameter after ``step``, with its unit: of the explanation that is left, else of the fit."""
+    kind, name = (ResultKind.DISCOVERY, "discovery.json") if step.effects else (ResultKind.FIT, "fit.json")
+    path = campaign.folder / f"{step.number:02d}" / name
+    if not path.exists():
+        return {}
+    parameters = read_json(path, kind)["parameters"]
+    return {
+        name: typeset_number(f"{format_number(entry['value'])} {entry.get('unit') or ''}".rstrip())
+        for name, entry in parameters.items()
+        if entry["value"] is not None
+    }
 
 
 def _files(campaign: Campaign) -> PageTable:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from greybox.change_detection import ChangeDetection, ChangeVerdict
+from greybox.change_detection.result import ChangePoint
 from greybox.findings import Finding, Severity
 from greybox.plots.change_detection import plot_changes, plot_course, plot_population
 from greybox.plots.records import plot_residual, plot_run
@@ -12,8 +13,10 @@ from greybox.rendering.change_detection import (
     CONSTANT_HEAD,
     POPULATION_HEAD,
     constant_row,
+    machine_head,
     machine_row,
     merge_not_seen,
+    p_text,
     population_rows,
 )
 from greybox.rendering.english import phrase
@@ -21,6 +24,7 @@ from greybox.rendering.reports import PageText
 from greybox.reports.page import Block, BulletList, FigureBlock, Page, PageTable, Paragraphs, Section, Tone
 from greybox.reports.provenance import provenance_section
 from greybox.reports.records import records_section, signal_units
+from greybox.reports.typography import typeset_number
 
 TONES = {
     ChangeVerdict.UNCHANGED: Tone.GOOD,
@@ -66,22 +70,33 @@ def _evidence(change: ChangeDetection) -> Iterator[Block]:
         if figure is not None:
             yield FigureBlock(figure)
     if change.constants:
-        rows = [constant_row(name, c) for name, c in change.constants.items()]
+        rows = [_unbroken(constant_row(name, c)) for name, c in change.constants.items()]
         yield PageTable(
             phrase(PageText.CHANGED_CONSTANTS), [*CONSTANT_HEAD[:-1], "verdict"], rows, phrase(PageText.CHANGED_NOTE)
         )
     if change.population:
-        yield PageTable(phrase(PageText.CHANGED_POPULATION), POPULATION_HEAD, population_rows(change))
+        yield PageTable(
+            phrase(PageText.CHANGED_POPULATION), POPULATION_HEAD, [_unbroken(row) for row in population_rows(change)]
+        )
         names = list(change.population)
-        rows = [machine_row(m, names) for m in change.machines]
-        yield PageTable(phrase(PageText.CHANGED_MACHINES), ["machine", *names, "falls out in"], rows)
+        rows = [_unbroken(machine_row(m, names)) for m in change.machines]
+        yield PageTable(phrase(PageText.CHANGED_MACHINES), machine_head(change), rows)
     if change.change_points:
         rows = [
-            [c.constant, str(c.number), c.record, f"{c.before:.4g}", f"{c.after:.4g} {c.unit}".rstrip(), f"{c.p:.2g}"]
+            [c.constant, str(c.number), c.record, *_unbroken(_before_and_after(c)), p_text(c.p)]
             for c in change.change_points
         ]
         head = ["parameter", "number", "first record after it", "before", "after", "p"]
         yield PageTable(phrase(PageText.CHANGED_POINTS), head, rows)
+
+
+def _before_and_after(point: ChangePoint) -> list[str]:
+    return [f"{value:.4g} {point.unit}".rstrip() for value in (point.before, point.after)]
+
+
+def _unbroken(cells: list[str]) -> list[str]:
+    """The numbers of a row as print has them; a value is not torn from its unit or its uncertainty."""
+    return [cells[0], *(typeset_number(cell).replace(" ", "\N{NO-BREAK SPACE}") for cell in cells[1:])]
 
 
 def _today(change: ChangeDetection) -> Iterator[Block]:

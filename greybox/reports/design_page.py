@@ -16,7 +16,8 @@ from greybox.rendering.reports import PageText
 from greybox.reports.equations import typeset_equations
 from greybox.reports.page import Block, FigureBlock, Page, PageTable, Paragraphs, Section, Tone
 from greybox.reports.provenance import provenance_section
-from greybox.reports.records import signal_units
+from greybox.reports.records import hidden_states, signal_units
+from greybox.reports.typography import typeset_number
 from greybox.simulation import simulate
 
 
@@ -67,12 +68,13 @@ def _figures(design: Design) -> Iterator[Block]:
     groups = (
         ("inputs", run.inputs, FigureText.SIMULATED_INPUTS, Role.INPUT),
         ("outputs", run.outputs, FigureText.SIMULATED_OUTPUTS, Role.OUTPUT),
-        ("states", run.states, FigureText.SIMULATED_STATES, Role.STATE),
+        ("states", hidden_states(run), FigureText.SIMULATED_STATES, Role.STATE),
     )
     stretches = PAGE.stretches(sum(len(signals) for _, signals, _, _ in groups))
     for name, signals, caption, role in groups:
         if signals:
-            figure = plot_signals(name, run.time, signals, units, role, phrase(caption))
+            held = role is Role.INPUT and record.hold == "zero"
+            figure = plot_signals(name, run.time, signals, units, role, phrase(caption), held=held)
             yield FigureBlock(figure, stretches, group="designed")
 
 
@@ -84,7 +86,8 @@ def _gains(design: Design) -> Iterator[Block]:
         head = ["effect", "amount", "now", "then"]
         yield PageTable(phrase(PageText.DESIGN_DETECTION), head, detection_rows(design.detection))
     head = ["parameter", "value", "now", "then"]
-    yield PageTable(phrase(PageText.DESIGN_CONSTANTS), head, constant_rows(design.predicted))
+    rows = [[name, *map(typeset_number, cells)] for name, *cells in constant_rows(design.predicted)]
+    yield PageTable(phrase(PageText.DESIGN_CONSTANTS), head, rows)
 
 
 def _alternatives(design: Design) -> PageTable:

@@ -13,6 +13,7 @@ from greybox.rendering.reports import PageText
 from greybox.reports.page import PageTable, Section
 from greybox.reports.typography import format_range
 from greybox.result import Fit, Trace
+from greybox.simulation import Simulation
 
 HEAD = ["record", "use", "rows", "duration", "sampling time", "missing values", "fingerprint"]
 
@@ -23,6 +24,15 @@ def records_section(fitted: Sequence[Trace], validation: Sequence[Trace], fit: F
     note = phrase(PageText.NOISE_SOURCE, source=fit.noise.source)
     records = PageTable(phrase(PageText.RECORDS), HEAD, rows, note)
     return Section("data", [records, _signals([*fitted, *validation], fit)])
+
+
+def hidden_states(run: Simulation) -> dict[str, np.ndarray]:
+    """The states of a run that no output of the same name shows already."""
+    return {
+        name: values
+        for name, values in run.states.items()
+        if name not in run.outputs or not np.array_equal(run.outputs[name], values)
+    }
 
 
 def _record(trace: Trace, use: str) -> list[str]:

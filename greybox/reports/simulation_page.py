@@ -16,7 +16,7 @@ from greybox.rendering.reports import PageText
 from greybox.reports.equations import typeset_equations
 from greybox.reports.page import Block, FigureBlock, Page, PageTable, Paragraphs, Section, Tone
 from greybox.reports.provenance import provenance_section
-from greybox.reports.records import format_sampling_time, signal_units
+from greybox.reports.records import format_sampling_time, hidden_states, signal_units
 from greybox.reports.typography import format_number, format_range, typeset_number, typeset_unit
 from greybox.simulation import Simulation
 
@@ -44,13 +44,18 @@ def build_simulation_page(run: Simulation, *, model: Model | None = None, comman
         raise ModelError("report of a simulation: no model; give model=")
     units = signal_units(model) | {s.name: s.unit for s in model.all_states}
     stretches = PAGE.stretches(len(run.inputs) + len(run.outputs) + len(run.states))
+    held = run.source.hold == "zero"
     groups = (
         ("outputs", run.outputs, FigureText.SIMULATED_OUTPUTS, Role.OUTPUT),
         ("inputs", run.inputs, FigureText.SIMULATED_INPUTS, Role.INPUT),
-        ("states", run.states, FigureText.SIMULATED_STATES, Role.STATE),
+        ("states", hidden_states(run), FigureText.SIMULATED_STATES, Role.STATE),
     )
     figures: list[Block] = [
-        FigureBlock(plot_signals(name, run.time, signals, units, role, phrase(caption)), stretches, group="run")
+        FigureBlock(
+            plot_signals(name, run.time, signals, units, role, phrase(caption), held=role is Role.INPUT and held),
+            stretches,
+            group="run",
+        )
         for name, signals, caption, role in groups
         if signals
     ]

@@ -23,7 +23,9 @@ from greybox.experiment_design import CampaignPlan, CampaignStatus, DesignPolicy
 from greybox.experiment_design.campaign import Knowledge, choose_shares
 from greybox.experiment_design.policy import CAMPAIGN_POLICY
 from greybox.files import hold_file
-from greybox.schemas import ResultKind
+from greybox.rendering.reports import PageText
+from greybox.reports import build_page
+from greybox.schemas import ResultKind, read_json
 from tests.support.result_schema import strict_offences
 
 PROGRAM = Path(__file__).parents[1] / "support" / "rig_program.py"
@@ -80,6 +82,11 @@ def test_it_names_the_hidden_effect_within_the_limits(finished) -> None:
         assert np.abs(signals.outputs["x"]).max() < 0.3 + 5e-3 and np.abs(signals.inputs["F"]).max() <= 3
     page = gb.report(finished, finished.folder / "report.html").read_text(encoding="utf-8")
     assert "one explanation is left: cubic_stiffness" in page.replace("One", "one")
+    steps, _, _ = build_page(finished).sections
+    widths = next(block for block in steps.blocks if block.caption.code == PageText.CAMPAIGN_WIDTHS)
+    (value,) = [row[-1] for row in widths.rows if row[0] == "K3"]
+    discovered = read_json(finished.folder / f"{len(finished.steps):02d}" / "discovery.json", ResultKind.DISCOVERY)
+    assert float(value.split()[0]) == pytest.approx(discovered["parameters"]["K3"]["value"], rel=1e-4)
 
 
 def test_it_goes_on_where_it_was_stopped(tmp_path) -> None:

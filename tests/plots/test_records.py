@@ -11,6 +11,7 @@ from scipy.signal import periodogram
 from greybox.estimation.traces import compute_record_misfits
 from greybox.plots.figure import Band, Curve, Role, Scale, Thinning
 from greybox.plots.pictures import fit_sheets
+from greybox.plots.plotly_backend import to_plotly
 from greybox.plots.records import liveliest_window, plot_inputs, plot_residual, plot_run, plot_signals, plot_spectrum
 from greybox.plots.spectrum import amplitude_density, uniform_sampling_time
 from greybox.rendering.plots import FigureText, phrase
@@ -85,6 +86,13 @@ def test_signals_have_a_panel_each_and_say_what_is_missing() -> None:
     assert [p.name for p in figure.panels] == ["u"]
     assert dict(figure.description[0].values) == {"low": 1.0, "high": 3.0, "unit": "V", "missing": 1}
     assert plot_inputs(replace(trace(x=0.1), inputs={}), UNITS, "in") is None
+
+
+@pytest.mark.parametrize(("hold", "shape"), [("zero", "hv"), ("first", None)])
+def test_an_input_that_is_held_between_samples_is_drawn_as_steps(hold: str, shape: str | None) -> None:
+    figure = plot_inputs(replace(trace(x=0.1), hold=hold), {**UNITS, "u": "V"}, "in")
+    assert figure["u"].series[0].held is (hold == "zero")
+    assert to_plotly(figure, 100).traces[0]["line"].get("shape") == shape
 
 
 def test_the_closer_look_is_where_the_record_lies_furthest_from_its_mean() -> None:

@@ -8,9 +8,19 @@ import pytest
 
 from greybox.change_detection import ConstantChange
 from greybox.change_detection.findings import ChangeCode, ChangeRule
+from greybox.change_detection.result import PopulationConstant
 from greybox.findings import Check, Finding, Severity
 from greybox.rendering import sentence
-from greybox.rendering.change_detection import constant_row, is_determined, merge_not_seen, p_text, spread_text
+from greybox.rendering.change_detection import (
+    constant_row,
+    is_determined,
+    machine_head,
+    machine_row,
+    merge_not_seen,
+    p_text,
+    population_rows,
+    spread_text,
+)
 
 C = ChangeCode
 MOVED = {"before": 5.0, "after": 4.5, "unit": "N/m", "low": -0.6, "high": -0.4}
@@ -207,3 +217,18 @@ def test_constants_that_are_not_determined_share_one_warning_and_have_no_huge_fi
     assert constant_row("C", wide)[3:5] == ["not determined", ""]
     narrow = SimpleNamespace(before=2.0, after=2.1, interval=(-0.1, 0.3), unit="J/K", p=0.5, moved=False)
     assert is_determined(narrow) and not is_determined(wide)
+
+
+def test_machines_are_told_to_as_many_digits_as_their_records_tell() -> None:
+    constants = {
+        "Kf": {"value": 1.39309, "std": 1.8e-4},
+        "La": {"value": 5.005e-4, "std": 1.4e-6},
+        "K": {"value": 1.0, "std": None},
+    }
+    machine = SimpleNamespace(name="no1", constants=constants, outlying=("Kf",))
+    row = ["no1", "1.39309 +- 0.00018", "5.005e-04 +- 1.4e-06", "open", "Kf"]
+    assert machine_row(machine, ["Kf", "La", "K"]) == row
+    kf = PopulationConstant(1.393121, (1.392891, 1.393349), "N/A", 1.2e-4, True)
+    survey = SimpleNamespace(population={"Kf": kf})
+    assert population_rows(survey) == [["Kf", "1.39312 N/A", "1.39289 to 1.39335", "0.012 %"]]
+    assert machine_head(survey) == ["machine", "Kf [N/A]", "falls out in"]

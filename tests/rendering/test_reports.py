@@ -244,7 +244,7 @@ GOLDEN = [
     (phrase(T.CAMPAIGN_STEPS), "The experiments, in their order"),
     (
         phrase(T.CAMPAIGN_WIDTHS),
-        "Half width of the 95 % interval of each parameter after each experiment, over its value",
+        "Half width of the 95 % interval of each parameter after each experiment, over its value, and the value now",
     ),
     (
         phrase(T.CAMPAIGN_FILES),

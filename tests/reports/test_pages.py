@@ -214,6 +214,14 @@ def test_pages_are_whole_offline_and_can_be_read_aloud(kind: str, good: gb.Fit) 
     assert found.tags["main"] == found.tags["nav"] == found.tags["header"] == found.tags["footer"] == 1
 
 
+def test_a_state_that_an_output_shows_is_not_drawn_twice() -> None:
+    run = gb.simulate(micro_actuator, bench(100))
+    assert {"x", "i"} <= set(run.states) & set(run.outputs)
+    blocks = build_page(run, model=micro_actuator).sections[0].blocks
+    drawn = {b.figure.name: [p.name for p in b.figure.panels] for b in blocks if isinstance(b, FigureBlock)}
+    assert drawn == {"outputs": ["x", "i"], "inputs": ["u"], "states": ["v"]}
+
+
 def test_text_from_files_stays_text(good: gb.Fit, tmp_path: Path) -> None:
     named = replace(
         good,
