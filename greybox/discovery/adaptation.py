@@ -68,20 +68,28 @@ def adapt_to_records(
         return None
     held = _hold_constants(candidate, variables)
     step = QuadraticModel(model.cost, model.gradient, model.hessian + held).bounded_step(*variables.bounds())
-    errors = prepared.with_plain_squares().shooting(variables).residuals(step)
+    shooting = prepared.with_plain_squares().shooting(variables)
+    errors = [r for r, _ in shooting.residuals(step)]
+    present = [np.isfinite(record.samples(record.y)) for record in shooting.records]
+    if not all(
+        np.isfinite(r[p]).all() for r, p in zip(errors, present, strict=True)
+    ):  # where nothing was measured there is none
+        return None
     std = prepared.noise.std
     measured = {name for experiment in experiments for name in experiment.outputs}
     residuals = {
-        output.name: [r[:, j] * std[j] for r, _ in errors]
+        output.name: [r[:, j] * std[j] for r in errors]
         for j, output in enumerate(prepared.model.outputs)
         if output.name in measured
     }
-    is_finite = all(np.isfinite(r[~np.isnan(r)]).all() for each in residuals.values() for r in each)
-    return AdaptedRun(residuals, float(step @ held @ step) / 2) if is_finite else None
+    return AdaptedRun(residuals, float(step @ held @ step) / 2)
 
 
 def _hold_constants(candidate: CandidateFit, variables: DecisionVector) -> np.ndarray:
-    """Information (n, n) of the estimation records on the constants, as the unknowns ``variables`` count them; none on first states."""
+    """Information (n, n) of the estimation records on the constants, as the unknowns ``variables`` count them; none on first states.
+
+    A constant that they leave open moves by its own size at most, within which the step may be trusted: one standard deviation is that.
+    """
     constants = np.arange(len(candidate.variables.which))
     others = np.arange(len(constants), candidate.variables.size)
     information = candidate.evaluation.hessian
@@ -89,4 +97,5 @@ def _hold_constants(candidate: CandidateFit, variables: DecisionVector) -> np.nd
     scale = variables.spans / candidate.variables.spans
     held = np.zeros((variables.size, variables.size))
     held[np.ix_(constants, constants)] = (projection @ information @ projection.T) * np.outer(scale, scale)
+    held[constants, constants] += 1.0
     return held

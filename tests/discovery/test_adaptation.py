@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.discovery.adaptation import _hold_constants
 from greybox.discovery.holdout import HoldoutScores, ValidationSet
 from greybox.discovery.problem import DiscoveryProblem
+from greybox.optim import QuadraticModel
 
 PERIOD, NOISE = 0.01, 0.01
 AT_REST = gb.FitOptions(at_rest=True)
@@ -67,3 +69,30 @@ def test_adapting_never_makes_a_run_worse():
     baseline = scores.problem.baseline
     free_run = scores.square_errors(baseline, 10)["x"].mean()
     assert scores.square_errors(baseline, 10, adapted=True)["x"].mean() <= free_run * (1 + 1e-9)
+
+
+def test_a_step_after_which_the_model_fails_is_not_taken(monkeypatch):
+    """Its residuals are no numbers, like those of samples that nobody measured: they must not count as such."""
+    monkeypatch.setattr(QuadraticModel, "bounded_step", lambda self, *_: np.full(len(self.gradient), np.nan))
+    scores = scores_of(make_record(400, 5), make_record(400, 6))
+    baseline = scores.problem.baseline
+    adapted = scores.square_errors(baseline, 10, adapted=True)["x"]
+    assert np.array_equal(adapted, scores.square_errors(baseline, 10)["x"])
+    assert len(adapted) == 10
+
+
+def test_a_constant_that_the_estimation_records_leave_open_is_held_to_its_own_size():
+    """A second input that stood still: nothing is known of its gain, and a linear step is worth nothing beyond its own size."""
+    model = gb.Model(
+        "two_inputs",
+        states=[gb.State("x", "m")],
+        inputs=[gb.Input("u", "V"), gb.Input("v", "V")],
+        outputs=[gb.Output("x", "m")],
+        parameters=[gb.Parameter("k", "m/(s*V)", 1.0), gb.Parameter("c", "m/(s*V)", 1e-3, (1e-9, 1e9))],
+        balances=lambda x, u, p: [gb.Balance("x", "m/s", 1, "x", drive=p.k * u.u, other=p.c * u.v)],
+    )
+    run = make_record(400, 7)
+    record = gb.Experiment("a", run.time, {"u": run.inputs["u"], "v": np.zeros(400)}, run.outputs)
+    candidate = DiscoveryProblem(model, (record,), {"x": NOISE}, (), AT_REST).baseline
+    held = _hold_constants(candidate, candidate.variables)
+    assert held[1, 1] == pytest.approx(1.0) and held[0, 0] > 1e3
