@@ -6,7 +6,7 @@ import functools
 import inspect
 import tempfile
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -141,6 +141,7 @@ def takes_study(command: str, *, records: bool = True) -> Callable[[Callable[...
             if write_study is None or named_model is not None:
                 study = confirm_model(study, named_model)
             if write_study is not None:
+                _refuse_beside_write_study(ctx, [p.name for p in further])
                 from greybox.rendering.cli import study_line
 
                 typer.echo(study_line(store_study(study, write_study, command), command))
@@ -152,6 +153,16 @@ def takes_study(command: str, *, records: bool = True) -> Callable[[Callable[...
         return run
 
     return decorate
+
+
+def _refuse_beside_write_study(ctx: typer.Context, names: Sequence[str]) -> None:
+    """Options of a run, which are no part of a study, beside one that runs nothing. Raises GreyboxError."""
+    chosen = [name for name in names if getattr(ctx.get_parameter_source(name), "name", "DEFAULT") != "DEFAULT"]
+    flags = [max(p.opts, key=len) for p in ctx.command.params if p.name in chosen]
+    if flags:
+        raise GreyboxError(
+            f"{', '.join(flags)}: no effect with --write-study, which runs nothing; leave {'it' if len(flags) == 1 else 'them'} out"
+        )
 
 
 def confirm_model(study: Study, named_model: str | None = None) -> Study:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,63 @@ def test_what_commands_that_compute_nothing_print_is_as_their_schema_says(
     ):
         done = run(*command, "--json")
         assert done.exit_code == 0 and accepts(command[0], json.loads(done.stdout)), command
+
+
+EXAMPLES = {
+    "fit": "micro_actuator train.csv --fix M --fix Ra --no-report",
+    "compare": "micro_actuator train.csv --fix M --fix Ra --no-report",
+    "discover": "micro_actuator train.csv --validate test.csv --fix M --fix Ra --effects cubic_stiffness --workers 1 --no-report",
+    "app": "micro_actuator train.csv",
+    "changed": "fit.json test.csv --no-effects --no-report",
+    "design": "fit.json --limit u=-1:1 --duration 0.02 --no-report",
+    "campaign": "micro_actuator --limit u=-1:1 --duration 0.02 --sampling-time 2.5e-4 --noise x=1e-7 --no-report",
+    "check": "train.csv test.csv",
+    "export": "fit.json --to json --samples 2 --no-report",
+    "simulate": "micro_actuator train.csv",
+    "models": "",
+    "effects": "micro_actuator",
+    "init": "rig --plant tanks",
+    "demo": "--no-report",
+    "schema": "design",
+}
+"""What a person types after each command."""
+LONG = ("compare", "campaign", "demo")
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two records and the fit of one."""
+    folder = tmp_path_factory.mktemp("bench")
+    plain, noise = micro_actuator.fix("M", "Ra"), {"x": 2e-7, "i": 5e-3}
+    for seed, name in enumerate(("test.csv", "train.csv")):
+        u = np.random.default_rng(10 + seed).normal(0, 1, 200)
+        record = simulate(plain, {"time": 2.5e-4 * np.arange(200), "u": u}).record(noise, np.random.default_rng(seed))
+        write_csv(record, micro_actuator, folder / name)
+    fit(plain, record, noise=noise, options=FitOptions(at_rest=True)).save(folder / "fit.json")
+    return folder
+
+
+def test_there_is_an_example_of_every_command() -> None:
+    assert set(EXAMPLES) == set(PRINTED)
+
+
+@pytest.mark.parametrize("command", [pytest.param(c, marks=[pytest.mark.slow] * (c in LONG)) for c in EXAMPLES])
+def test_what_a_command_prints_is_one_json_value_as_its_schema_says(
+    bench: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    monkeypatch.chdir(bench)
+
+    async def announce_only(workbench: object, port: int, announce: Callable[[str], None]) -> None:
+        announce("http://127.0.0.1:1/token/")
+
+    if command == "app":
+        server = pytest.importorskip("greybox.app.server", reason="the app's server is not installed")
+        monkeypatch.setattr(server, "serve", announce_only)
+    done = run(command, *EXAMPLES[command].split(), "--json")
+    assert done.exit_code == 0, done.output
+    printed = json.loads(done.stdout)
+    faults = [error.message for error in Draft202012Validator(schema_of_command(command)).iter_errors(printed)]
+    assert faults == []
 
 
 def test_a_schema_refuses_what_another_command_prints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

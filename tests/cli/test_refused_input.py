@@ -56,6 +56,10 @@ REFUSED = [
     ("check a.csv --output here", "--output: no effect on a look at a file, which writes nothing"),
     ("check micro_actuator --column x=y", "--column: no effect on a check without records; leave it out"),
     ("fit micro_actuator a.csv --quiet-output --json", "--quiet-output and --json contradict each other"),
+    (
+        "fit micro_actuator a.csv --write-study s.toml --json",
+        "--json: no effect with --write-study, which runs nothing",
+    ),
     ("compare micro_actuator a.csv --quiet-output --json", "--quiet-output and --json contradict each other"),
     ("changed fit.json a.csv --validate b.csv --no-effects", "--validate has no effect here: no effect is looked for"),
     ("changed fit.json a.csv --validate b.csv --skip 199", "--skip 199: the shortest validation record has 200 rows"),
