@@ -25,6 +25,7 @@ from greybox.cli.inputs import (
     print_record_notes,
     read_quiet_records,
     read_records,
+    refuse_repeated_records,
 )
 from greybox.cli.options import Workers, check_writable, takes_study
 from greybox.cli.study import FIT, Study
@@ -95,6 +96,7 @@ def app(
         for file in files
         for record in book.read([file], study.columns, validates=validates)
     ]
+    refuse_repeated_records(study.estimation, (r.experiment for r in records if not r.validates))
     judges = [r.experiment for r in records if r.validates]
     check_skip(replace(study, skip=0, beginning=0) if not judges else study, judges)
     print_record_notes([r.experiment for r in records])

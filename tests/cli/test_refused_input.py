@@ -69,6 +69,11 @@ REFUSED = [
     # what would count twice
     ("fit micro_actuator a.csv a.csv", "a.csv: given twice; its data would count twice"),
     ("fit micro_actuator a.csv copy.csv", "copy.csv: the same data as a.csv; its data would count twice"),
+    ("app micro_actuator a.csv copy.csv --no-browser", "copy.csv: the same data as a.csv; its data would count twice"),
+    (
+        "fit micro_actuator a.csv --effect nope",
+        "did you mean 'end_stop' or 'end_stops' or 'input_offset'? (58 are known)",
+    ),
     ("changed fit.json a.csv copy.csv", "copy.csv: the same data as a.csv; its data would count twice"),
     ("changed fit.json a.csv --population", "1 machine: a population needs"),
     # a rig program that could not be run, an effect without a place
