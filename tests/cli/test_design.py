@@ -49,6 +49,9 @@ def test_a_model_a_fit_and_a_simulation_of_the_input(folder: Path) -> None:
     constants = json.loads(again.stdout)["predicted"]
     assert all(c["std_after"] < c["std_before"] for c in constants.values() if c["std_before"])
     assert read_inputs("second/input.csv", silverbox).rows == 200
+    # The fit began at rest, and so does what is designed for it: its first states are no unknowns of the next record.
+    rested = run("fit/fit.json", "--at-rest", "--limit", "u=-0.1:0.1", "--duration", "0.3", "--no-report", "--json")
+    assert json.loads(rested.stdout)["predicted"] == constants
 
 
 BAD = [
