@@ -196,7 +196,7 @@ def test_the_header_says_what_the_numbers_are(tmp_path):
     model = with_effect(micro_actuator, gb.effect("stribeck_friction")) + gb.effect("transport_delay")
     _, header = gb.export.to_c(model.start(delay=4e-4), tmp_path / "rig.c", dt=2.5e-4)
     text = header.read_text()
-    assert "M dv/dt = Kf i - B v" in text and "stribeck_friction holds up to Fs" in text
+    assert "M dv/dt = Kf i - B v" in text and "stribeck_friction holds up to max(Fs, Fc)" in text
     assert "double v;   /* [m/s] velocity of the moving link, eq. 9 */" in text
     assert "double u_2; /* [V] u of 2 steps ago */" in text
     assert "  Ra     8.0" in text and "assumed, plausible" in text

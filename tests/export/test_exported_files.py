@@ -190,7 +190,7 @@ def test_modelica_has_units_and_the_events_of_dry_friction(tmp_path):
     text = gb.export.to_modelica(model, tmp_path / "rig.mo").read_text()
     assert 'parameter Real B(unit = "N.s/m", min = 0.0001, max = 100.0) = 0.2691' in text
     assert "M * der(v) = if way_v == 0 then 0 else push_v - way_v * level_v" in text
-    assert "push_v = Kf * i - B * v - K * x;" in text and "most_v = Fs;" in text
+    assert "push_v = Kf * i - B * v - K * x;" in text and "most_v = max(Fs, Fc);" in text
     assert "u_late = delay(u, delay_2);" in text  # delay is a word of the language
 
 
