@@ -184,7 +184,7 @@ def design(
         noise=read_noise(noise),
         sensors=read_noise(sensor, "--sensor"),
         hold=hold.value,
-        options=_options(at_rest) if at_rest else None,  # those of the fit
+        options=_options(at_rest) if at_rest else None,  # None: those of the fit
     )
     written = result.save(folder)
     report = None if no_report else write_report(result, folder / "report.html")

@@ -70,10 +70,9 @@ def adapt_to_records(
     step = QuadraticModel(model.cost, model.gradient, model.hessian + held).bounded_step(*variables.bounds())
     shooting = prepared.with_plain_squares().shooting(variables)
     errors = [r for r, _ in shooting.residuals(step)]
+    # A residual that is no number is one of a sample that nobody measured, or of a model that did not survive the step.
     present = [np.isfinite(record.samples(record.y)) for record in shooting.records]
-    if not all(
-        np.isfinite(r[p]).all() for r, p in zip(errors, present, strict=True)
-    ):  # where nothing was measured there is none
+    if not all(np.isfinite(r[p]).all() for r, p in zip(errors, present, strict=True)):
         return None
     std = prepared.noise.std
     measured = {name for experiment in experiments for name in experiment.outputs}
@@ -88,7 +87,8 @@ def adapt_to_records(
 def _hold_constants(candidate: CandidateFit, variables: DecisionVector) -> np.ndarray:
     """Information (n, n) of the estimation records on the constants, as the unknowns ``variables`` count them; none on first states.
 
-    A constant that they leave open moves by its own size at most, within which the step may be trusted: one standard deviation is that.
+    Beside what they tell, the size of a constant is one standard deviation of it: beyond that a linear step is not to be trusted, and one
+    that they leave open would go to its bound.
     """
     constants = np.arange(len(candidate.variables.which))
     others = np.arange(len(constants), candidate.variables.size)

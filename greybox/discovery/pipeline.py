@@ -758,9 +758,8 @@ def _summarise(
     effects = _physical_effects(judged.best)
     name, output = " + ".join(effects), worst_output(judged.holdout)
     error = judged.holdout[output]
-    fitted = [
-        e.name for e in judged.best.model.effects
-    ]  # with what corrects the shape of an effect: the error is that of the whole
+    # With what corrects the shape of an effect: the error is that of the whole model.
+    fitted = [e.name for e in judged.best.model.effects]
     grades = {e.effect: e.grade for e in evidence}
     established = [e for e in effects if grades.get(e) is Grade.ESTABLISHED]
     reduced = _error_reduced(fitted, judged.holdout, judged.selection.policy.refinement.validation_share)

@@ -326,8 +326,8 @@ class EvidencePolicy:
     """...if its cost is still so many times that of the model in question: five times the rms error. Where an effect is left out that
     takes almost everything, the others turn stiff in its place, and each refit would take minutes to show that it is no rival."""
     hopeless_curve: float = 4.0
-    """The same for a free curve in the place of an effect: twice the rms error. From a cost of twice that of the model it counts as far
-    behind, and so few iterations leave it a little above where it would end."""
+    """The same for a free curve in the place of an effect: twice the rms error. From twice the cost of the model on it counts as far
+    behind, and after these iterations it is hardly above where it would end."""
     least_rows: int = 100
     """Rows of a record below which it is not halved."""
     most_correlation: float = 0.95

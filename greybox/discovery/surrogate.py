@@ -353,6 +353,7 @@ def refit_free_curves(
 def _refit_free_curve(
     problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, policy: DiscoveryPolicy, enough: float
 ) -> CandidateFit | None:
+    """``candidate`` with a curve there, refitted; to the end only where it may come near the cost ``enough``."""
     limits = policy.surrogate
     model, starts = _prepare_curve(problem, candidate, place, limits)
     quick = problem.refit_best(
@@ -399,6 +400,7 @@ def _prepare_curve(
 def _refit_curve(
     problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, policy: SurrogatePolicy
 ) -> CandidateFit | None:
+    """``candidate`` with a curve there, refitted."""
     model, starts = _prepare_curve(problem, candidate, place, policy)
     return problem.refit_best(model, starts, policy.refit_starts, policy.refit_iterations, like=candidate)
 

@@ -92,7 +92,7 @@ def _lugre_grid(s: Scales) -> Mapping[str, list[float]]:
 
 
 def _lugre_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
-    """Bristles damped beyond this stick to the body within a third of a sampling period: no record shows more of them."""
+    """Those of the fall; bristles damped beyond ``s1`` stick to the body within a third of a sampling period, which no record shows."""
     return {**_fall_within_record(s), "s1": (0.0, 3 * s.storage / s.period)}
 
 
